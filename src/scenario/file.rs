@@ -1,0 +1,318 @@
+//! The scenario as it stands in its TOML file: one struct a table, every key with its unit, every default named.
+//!
+//! Unknown keys are refused. What the types cannot say (ranges, references between tables) is checked by
+//! [`Scenario::plan`](super::Scenario::plan).
+
+use serde::{Deserialize, Serialize};
+
+/// A whole scenario file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scenario {
+    /// Short name, used for the run's folder: letters, digits, `-` and `_`.
+    pub name: String,
+    /// Seed of every random stream.
+    #[serde(default = "one")]
+    pub seed: u64,
+    /// Period of the tick, ms; 1 to 1000.
+    #[serde(default = "fifty")]
+    pub period_ms: f64,
+    /// Ticks of a run; at least 2.
+    pub ticks: u64,
+    /// What is controlled.
+    pub plant: PlantTable,
+    /// How inputs become features.
+    pub encoder: EncoderTable,
+    /// How features become commands.
+    #[serde(default)]
+    pub policy: PolicyTable,
+    /// How rewards become weights.
+    #[serde(default)]
+    pub learner: LearnerTable,
+    /// What the plant does with commands that are late, missing or out of range.
+    #[serde(default)]
+    pub gate: GateTable,
+    /// What is written down.
+    #[serde(default)]
+    pub log: LogTable,
+    /// The names of the channels.
+    #[serde(default)]
+    pub channels: ChannelsTable,
+}
+
+/// `[plant]`: the program in the plant's place, and what it says and takes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlantTable {
+    /// The program: a name is looked up beside `tectum` and then in `PATH`, a path is taken as it is.
+    #[serde(default = "simulator")]
+    pub program: String,
+    /// Arguments for the program, before those that the launcher adds.
+    #[serde(default)]
+    pub args: Vec<String>,
+    /// The inputs of an observation. Left out for `arm` and `eye`, which know theirs.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub inputs: Vec<SignalTable>,
+    /// The outputs of a command. Left out for `arm` and `eye`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub outputs: Vec<SignalTable>,
+    /// Names of the measures, at most 6; one called `error` is reported as the error at the end of a target.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub measures: Vec<String>,
+    /// The simulator's arm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub arm: Option<ArmTable>,
+    /// The simulator's eye.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub eye: Option<EyeTable>,
+}
+
+/// One input or output: its name, unit and range.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SignalTable {
+    /// Name, as maps refer to it.
+    pub name: String,
+    /// Unit, for people and logs.
+    #[serde(default)]
+    pub unit: String,
+    /// Lower end of the range, in the unit.
+    pub min: f64,
+    /// Upper end of the range, in the unit.
+    pub max: f64,
+}
+
+/// `[plant.arm]`: the planar arm of section 4.2, angles absolute.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ArmTable {
+    /// Lengths of the segments, m; 1 to 8 of them.
+    pub lengths: Vec<f64>,
+    /// Position of the first joint, m.
+    pub base: [f64; 2],
+    /// Angular rate for a command of 1, rad/s.
+    pub gain: f64,
+    /// Targets lie in the square from `arena[0]` to `arena[1]` on both axes, m.
+    pub arena: [f64; 2],
+    /// A new target every so many ticks.
+    pub target_every: u64,
+    /// Given targets, m, taken in turn and from the start again; empty: drawn uniformly from what the arm can reach.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub targets: Vec<[f64; 2]>,
+    /// What a tick costs.
+    pub reward: ArmRewardTable,
+    /// Joints that block during the run.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub block: Vec<BlockTable>,
+}
+
+/// `[plant.arm.reward]`: `r = -scale (|e|^2 + speed |theta_dot|^2 + angle |theta|^2)`, m, rad/s, rad.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ArmRewardTable {
+    /// Factor of the whole.
+    pub scale: f64,
+    /// Weight of the squared angular rates.
+    pub speed: f64,
+    /// Weight of the squared angles.
+    pub angle: f64,
+}
+
+/// `[[plant.arm.block]]`: from a tick on, a joint stands still at an angle whatever is commanded.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BlockTable {
+    /// Joint, counted from 1 at the base.
+    pub joint: usize,
+    /// First tick of the block.
+    pub tick: u64,
+    /// Angle that the joint is held at, rad.
+    #[serde(default)]
+    pub angle: f64,
+}
+
+/// `[plant.eye]`: the saccades of section 4.1, one tick one saccade.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EyeTable {
+    /// How the retina reports position and velocity.
+    pub retina: Retina,
+    /// The log-polar distortion B.
+    pub distortion: f64,
+    /// Standard deviation of each component of position and velocity.
+    pub spread: f64,
+    /// The constant b in the reward.
+    pub bonus: f64,
+}
+
+/// What the retina reports.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Retina {
+    /// Cartesian x and y.
+    Linear,
+    /// `log(1 + B rho) / log(1 + B)` and the direction.
+    LogPolar,
+}
+
+/// `[encoder]`: topographic maps, concatenated (section 3.3).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EncoderTable {
+    /// Scale the concatenated features to unit Euclidean norm.
+    #[serde(default = "yes")]
+    pub normalise: bool,
+    /// The maps; at most 64, with at most 65,536 units together.
+    pub maps: Vec<MapTable>,
+}
+
+/// `[[encoder.maps]]`: one map over one or two inputs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MapTable {
+    /// One or two inputs by name.
+    pub inputs: Vec<String>,
+    /// Units along each input; 2 to 4096. Default 16 each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub units: Vec<usize>,
+    /// Radius of the Gaussian kernel, in the unit of the inputs.
+    pub radius: f64,
+    /// Centre of the first and of the last unit along each input. Default: the input's range.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub ranges: Vec<[f64; 2]>,
+}
+
+/// `[policy]`: `u = W g + noise` (section 3.2).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PolicyTable {
+    /// Standard deviation of the exploration noise, in units of the command.
+    pub sigma: f64,
+}
+
+/// `[learner]`: the rule and its constants.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LearnerTable {
+    /// The learning rule.
+    pub rule: Rule,
+    /// Decay of the eligibility trace a tick, in [0, 1).
+    pub beta: f64,
+    /// The step `alpha / sigma^2`.
+    pub alpha_over_variance: f64,
+}
+
+/// The learning rules.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rule {
+    /// Daucé & Dutech 2010, section 3.2.
+    Paper,
+}
+
+/// `[gate]`: between a command and the actuators.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GateTable {
+    /// Largest command in magnitude, on every output.
+    pub max_command: f64,
+    /// Ticks for which the last command is held when none comes.
+    pub hold_ticks: u32,
+    /// Ticks over which it then decays to zero.
+    pub decay_ticks: u32,
+}
+
+/// `[log]`: what is written down.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LogTable {
+    /// Write every N-th tick; 1 writes all.
+    pub every: u64,
+    /// Hash the weights every N-th tick.
+    pub hash_every: u64,
+}
+
+/// `[channels]`: names, in case another program shares the domain's names.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ChannelsTable {
+    /// Plant to controller and logger.
+    pub observation: String,
+    /// Controller to plant and logger.
+    pub command: String,
+    /// Controller to logger.
+    pub learning: String,
+}
+
+fn one() -> u64 {
+    1
+}
+
+fn fifty() -> f64 {
+    50.0
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn simulator() -> String {
+    "tectum-simulator".to_owned()
+}
+
+impl Default for ArmTable {
+    fn default() -> Self {
+        Self {
+            lengths: vec![0.5; 4],
+            base: [0.0, -1.0],
+            gain: 200.0 * std::f64::consts::PI,
+            arena: [-1.0, 1.0],
+            target_every: 80,
+            targets: Vec::new(),
+            reward: ArmRewardTable::default(),
+            block: Vec::new(),
+        }
+    }
+}
+
+impl Default for ArmRewardTable {
+    fn default() -> Self {
+        Self { scale: 0.1, speed: 0.025, angle: 0.01 }
+    }
+}
+
+impl Default for EyeTable {
+    fn default() -> Self {
+        Self { retina: Retina::LogPolar, distortion: 4.0, spread: 0.3, bonus: 0.5 }
+    }
+}
+
+impl Default for PolicyTable {
+    fn default() -> Self {
+        Self { sigma: 0.003 }
+    }
+}
+
+impl Default for LearnerTable {
+    fn default() -> Self {
+        Self { rule: Rule::Paper, beta: 0.9, alpha_over_variance: 0.01 }
+    }
+}
+
+impl Default for GateTable {
+    fn default() -> Self {
+        Self { max_command: 0.05, hold_ticks: 2, decay_ticks: 4 }
+    }
+}
+
+impl Default for LogTable {
+    fn default() -> Self {
+        Self { every: 1, hash_every: 1000 }
+    }
+}
+
+impl Default for ChannelsTable {
+    fn default() -> Self {
+        Self { observation: "observation".into(), command: "command".into(), learning: "learning".into() }
+    }
+}

@@ -1,0 +1,133 @@
+//! What launcher and processes show each other: the latest value counts, and nobody waits for a reader.
+
+use super::schema::sample;
+
+sample! {
+    /// The launcher's board: which phase the run is in.
+    Control, "1" {
+        /// A [`Phase`] as a number.
+        phase: u32,
+        /// The signal number that ended the run, 0 if none did.
+        signal: u32,
+        /// Start of tick 0 on the run's clock, ns; valid from [`Phase::Run`] on.
+        t0_ns: u64,
+    }
+}
+
+sample! {
+    /// A process's board: how far it is.
+    Status, "1" {
+        /// A [`State`] as a number.
+        state: u32,
+        /// Operating-system id of the process.
+        pid: u32,
+        /// Ticks done.
+        ticks: u64,
+        /// Samples sent on each of its channels.
+        sent: u64,
+        /// Plant: ticks whose command was not there in time. Logger: 0.
+        missed: u64,
+        /// Plant: commands that came after their tick.
+        late: u64,
+        /// Plant: ticks passed over. Controller: observations that it never saw. Logger: samples lost.
+        lost: u64,
+        /// Logger: observation ticks consumed, the credit of a lossless run.
+        consumed: u64,
+        /// Controller: mean loss over the window in progress.
+        loss: f32,
+        /// Controller: mean error at the end of a target over the window in progress, NaN where there is none.
+        end_error: f32,
+        /// Schema hash of the process's build.
+        schema: u64,
+        /// Scenario hash as the process read it.
+        scenario: u64,
+        /// Hash of the process's build identity.
+        build: u64,
+    }
+}
+
+/// The phases of a run, in order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u32)]
+pub enum Phase {
+    /// Processes open the services and make their ports.
+    SetUp = 0,
+    /// All ports exist: everybody connects them, so that no first sample is lost.
+    Connect = 1,
+    /// Ticks run from `t0_ns` on.
+    Run = 2,
+    /// The plant ends after the tick in progress, the others after their last sample.
+    Stop = 3,
+    /// Whoever still runs ends now.
+    Abort = 4,
+}
+
+impl Control {
+    /// The phase on the board; a number that no phase has reads as [`Phase::Abort`].
+    pub fn phase(&self) -> Phase {
+        match self.phase {
+            0 => Phase::SetUp,
+            1 => Phase::Connect,
+            2 => Phase::Run,
+            3 => Phase::Stop,
+            _ => Phase::Abort,
+        }
+    }
+}
+
+/// The states of a process, in order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u32)]
+pub enum State {
+    /// Not there yet.
+    Absent = 0,
+    /// All ports made.
+    Ready = 1,
+    /// All ports connected.
+    Connected = 2,
+    /// In its loop.
+    Running = 3,
+    /// Loop over, last sample sent, files closed.
+    Finished = 4,
+    /// Ended on its own account before the run was over.
+    Failed = 5,
+}
+
+impl Status {
+    /// The state on the board; a number that no state has reads as [`State::Failed`].
+    pub fn state(&self) -> State {
+        match self.state {
+            0 => State::Absent,
+            1 => State::Ready,
+            2 => State::Connected,
+            3 => State::Running,
+            4 => State::Finished,
+            _ => State::Failed,
+        }
+    }
+}
+
+/// The three parts of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Role {
+    /// Whatever is controlled: simulator or hardware.
+    Plant,
+    /// Encoder, policy and learner.
+    Controller,
+    /// Everything, to a file.
+    Logger,
+}
+
+impl Role {
+    /// All roles, in the order of their start.
+    pub const ALL: [Role; 3] = [Role::Plant, Role::Controller, Role::Logger];
+
+    /// The role's name, as in file names and messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Role::Plant => "plant",
+            Role::Controller => "controller",
+            Role::Logger => "logger",
+        }
+    }
+}

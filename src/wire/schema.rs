@@ -1,0 +1,172 @@
+//! From one declaration to a Rust type, a field table, a `ros2msg` text and a hash.
+
+use std::fmt::Write as _;
+use xxhash_rust::xxh3::xxh3_64;
+
+/// One field of a sample: its name, its `ros2msg` type, how many, and where it starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Field {
+    /// Name, the same in Rust and in the log.
+    pub name: &'static str,
+    /// `ros2msg` type of one element.
+    pub element: &'static str,
+    /// Number of elements; 1 for a scalar.
+    pub count: usize,
+    /// Offset from the start of the sample, in bytes.
+    pub offset: usize,
+}
+
+/// A fixed-size record with a described layout.
+pub trait Sample: bytemuck::Pod {
+    /// Versioned type name; it changes whenever the layout or a field's meaning does.
+    const NAME: &'static str;
+    /// Name in `ros2msg` form, `package/msg/Type`.
+    const ROS_NAME: &'static str;
+    /// All fields in order.
+    const FIELDS: &'static [Field];
+
+    /// The `ros2msg` definition, nested types included, as a log reader needs it.
+    fn ros2msg() -> String {
+        let mut text = String::new();
+        write_fields(&mut text, Self::FIELDS);
+        if Self::FIELDS.iter().any(|f| f.element == super::Header::ROS_NAME) {
+            let rule = "=".repeat(80);
+            let _ = write!(text, "{rule}\nMSG: {}\n", super::Header::ROS_NAME);
+            write_fields(&mut text, super::Header::FIELDS);
+        }
+        text
+    }
+}
+
+fn write_fields(text: &mut String, fields: &[Field]) {
+    for f in fields {
+        // A nested type is written `package/Type` inside a definition.
+        let element = f.element;
+        let _ = match f.count {
+            1 => writeln!(text, "{element} {}", f.name),
+            n => writeln!(text, "{element}[{n}] {}", f.name),
+        };
+    }
+}
+
+/// What a field can be made of: its `ros2msg` element type and the number of elements.
+pub trait Element {
+    /// `ros2msg` name of one element.
+    const ELEMENT: &'static str;
+    /// Number of elements.
+    const COUNT: usize = 1;
+}
+
+impl Element for u32 {
+    const ELEMENT: &'static str = "uint32";
+}
+impl Element for u64 {
+    const ELEMENT: &'static str = "uint64";
+}
+impl Element for f32 {
+    const ELEMENT: &'static str = "float32";
+}
+impl<T: Element, const N: usize> Element for [T; N] {
+    const ELEMENT: &'static str = T::ELEMENT;
+    const COUNT: usize = N;
+}
+
+/// Declares a sample: the `repr(C)` type, its name and version, and everything that describes it.
+macro_rules! sample {
+    ($(#[$doc:meta])* $name:ident, $version:literal { $($(#[$fdoc:meta])* $field:ident: $ty:ty,)+ }) => {
+        $(#[$doc])*
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+        pub struct $name { $($(#[$fdoc])* pub $field: $ty,)+ }
+
+        impl $crate::wire::schema::Sample for $name {
+            const NAME: &'static str = concat!("tectum.", stringify!($name), ".v", $version);
+            const ROS_NAME: &'static str = concat!("tectum/msg/", stringify!($name));
+            const FIELDS: &'static [$crate::wire::schema::Field] = &[$($crate::wire::schema::Field {
+                name: stringify!($field),
+                element: <$ty as $crate::wire::schema::Element>::ELEMENT,
+                count: <$ty as $crate::wire::schema::Element>::COUNT,
+                offset: core::mem::offset_of!($name, $field),
+            },)+];
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                bytemuck::Zeroable::zeroed()
+            }
+        }
+
+        impl $crate::wire::schema::Element for $name {
+            const ELEMENT: &'static str = <Self as $crate::wire::schema::Sample>::ROS_NAME;
+        }
+    };
+}
+pub(super) use sample;
+
+/// Hash over the names, versions, fields and offsets of every sample and board. Two programs with equal hashes agree on
+/// every byte that they exchange.
+pub fn schema_hash() -> u64 {
+    let mut text = String::new();
+    fn add<S: Sample>(text: &mut String) {
+        let _ = writeln!(text, "{} {}", S::NAME, size_of::<S>());
+        for f in S::FIELDS {
+            let _ = writeln!(text, "{} {} {} {}", f.name, f.element, f.count, f.offset);
+        }
+    }
+    add::<super::Header>(&mut text);
+    add::<super::Observation>(&mut text);
+    add::<super::Command>(&mut text);
+    add::<super::Learning>(&mut text);
+    add::<super::Control>(&mut text);
+    add::<super::Status>(&mut text);
+    xxh3_64(text.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::{Command, Gap, Header, Learning, Observation};
+
+    /// CDR aligns each primitive to its size, counted from the start of the body: with no implicit padding in the
+    /// `repr(C)` layout (`Pod` proves it) and 8-byte sizes, body and struct are the same bytes.
+    fn is_cdr<S: Sample>() {
+        let mut at = 0;
+        for f in S::FIELDS {
+            assert_eq!(f.offset, at, "{}.{}", S::NAME, f.name);
+            let size = match f.element {
+                "uint32" | "float32" => 4,
+                "uint64" => 8,
+                name if name == Header::ROS_NAME => size_of::<Header>(),
+                other => panic!("unexpected element {other}"),
+            };
+            assert_eq!(at % size.min(8), 0, "{}.{}", S::NAME, f.name);
+            at += size * f.count;
+        }
+        assert_eq!(at, size_of::<S>());
+        assert_eq!(at % 8, 0, "{} must end on 8 bytes", S::NAME);
+    }
+
+    #[test]
+    fn samples_are_their_own_cdr() {
+        is_cdr::<Header>();
+        is_cdr::<Observation>();
+        is_cdr::<Command>();
+        is_cdr::<Learning>();
+        is_cdr::<Gap>();
+    }
+
+    #[test]
+    fn definitions_name_every_field_and_nest_the_header() {
+        let text = Observation::ros2msg();
+        assert!(text.starts_with("tectum/msg/Header header\nfloat32[16] inputs\n"), "{text}");
+        assert!(text.contains("MSG: tectum/msg/Header\nuint64 run\n"), "{text}");
+        assert!(!Header::ros2msg().contains("MSG:"));
+    }
+
+    /// The layout is a promise to other languages and to old logs: a change here is a change of version.
+    #[test]
+    fn the_layout_is_pinned() {
+        let sizes = [size_of::<Header>(), size_of::<Observation>(), size_of::<Command>(), size_of::<Learning>()];
+        assert_eq!(sizes, [56, 184, 120, 112]);
+    }
+}
