@@ -1,1 +1,81 @@
-//! (to come)
+//! Channels between processes, and the only room that names iceoryx2.
+//!
+//! A run lives in a [`Domain`] of its own (an iceoryx2 prefix and root), created by the launcher, which also creates and
+//! holds every service; the other processes only open them. Three publish-subscribe services carry the samples, an
+//! event service wakes the controller, and blackboards show the run's phase and each process's state.
+//!
+//! Every publish-subscribe service overflows: a full reader loses its oldest sample and no writer ever waits for a
+//! reader. Where nothing may be lost (lockstep), the plant does not run further ahead of the logger than the reader's
+//! buffer (see [`LOG_BUFFER`]), so that overflow cannot happen, rather than block on it.
+
+mod domain;
+mod ports;
+mod services;
+
+pub use domain::{Domain, DomainName};
+pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Receiver, Sender};
+pub use services::{ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts};
+
+/// Samples that a logger can be behind before the oldest is lost.
+pub const LOG_BUFFER: usize = 1024;
+
+/// What can go wrong with a channel.
+#[derive(Debug, thiserror::Error)]
+pub enum ChannelError {
+    /// iceoryx2 refused to create or open something.
+    #[error("{what} of the run's domain could not be set up: {cause}{hint}")]
+    SetUp {
+        /// What was asked for.
+        what: String,
+        /// iceoryx2's reason.
+        cause: String,
+        /// What the user may do about it; empty where nothing is known.
+        hint: &'static str,
+    },
+    /// A sample could not be sent or received.
+    #[error("channel {channel} failed while the run was going: {cause}")]
+    Transfer {
+        /// The channel's name.
+        channel: String,
+        /// iceoryx2's reason.
+        cause: String,
+    },
+    /// The process does not belong to the run.
+    #[error("{0}")]
+    Mismatch(Mismatch),
+}
+
+/// The one sentence with which a process is refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the {role} does not fit the run: its {what} is {ours}, the run's is {theirs}; start it from the same build and \
+     with the same scenario as the run"
+)]
+pub struct Mismatch {
+    /// Which process.
+    pub role: &'static str,
+    /// What differs: `schema`, `scenario` or `build`.
+    pub what: &'static str,
+    /// The process's own value.
+    pub ours: String,
+    /// The run's value.
+    pub theirs: String,
+}
+
+impl ChannelError {
+    fn set_up(what: impl Into<String>, cause: impl std::fmt::Debug) -> Self {
+        let cause = format!("{cause:?}");
+        let hint = if cause.contains("DoesNotExist") {
+            "; the run is over or was never started"
+        } else if cause.contains("Permission") {
+            "; start all processes of a run as the same user"
+        } else if cause.contains("UnableToGenerateUniqueNodeId") || cause.contains("OutOfMemory") {
+            "; is /dev/shm mounted and large enough?"
+        } else if cause.contains("Exceeds") {
+            "; another process already has this role in the run"
+        } else {
+            ""
+        };
+        Self::SetUp { what: what.into(), cause, hint }
+    }
+}

@@ -1,1 +1,69 @@
-//! (to come)
+//! Plants: the bodies and tasks that a controller learns on, as pure computation.
+//!
+//! A plant knows no clock, no transport and no limits: it is told the command that the gate let through, moves by one
+//! period, and says what came of it. Time is the tick's number.
+
+mod arm;
+mod eye;
+
+pub use arm::Arm;
+pub use eye::{Eye, Stimulus, log_polar};
+
+use crate::scenario::Plan;
+use crate::wire::MAX_MEASURES;
+
+/// What came of one tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Outcome {
+    /// The reward of the tick.
+    pub reward: f32,
+    /// What an outside observer measured, in the scenario's order.
+    pub measures: [f32; MAX_MEASURES],
+}
+
+/// Anything that can be controlled.
+pub trait Plant {
+    /// Senses at the beginning of `tick`: writes the inputs in the scenario's order and units, and says whether a new
+    /// target (or trial) begins. Ticks only grow, but may jump when the plant was late.
+    fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool;
+
+    /// Lives through `tick` with the command that the gate let through, and says what came of it.
+    fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome;
+}
+
+/// The bodies of the simulator.
+#[derive(Debug, Clone)]
+pub enum Body {
+    /// The planar arm.
+    Arm(Arm),
+    /// The saccading eye.
+    Eye(Eye),
+}
+
+impl Body {
+    /// The body that the scenario names, or `None` when it names another program's.
+    pub fn of(plan: &Plan) -> Option<Self> {
+        let (plant, seed) = (&plan.scenario.plant, plan.scenario.seed);
+        match (&plant.arm, &plant.eye) {
+            (Some(table), _) => Some(Self::Arm(Arm::new(table, plan.scenario.period_ms / 1000.0, seed))),
+            (None, Some(table)) => Some(Self::Eye(Eye::new(table, seed))),
+            (None, None) => None,
+        }
+    }
+}
+
+impl Plant for Body {
+    fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
+        match self {
+            Self::Arm(arm) => arm.sense(tick, inputs),
+            Self::Eye(eye) => eye.sense(tick, inputs),
+        }
+    }
+
+    fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome {
+        match self {
+            Self::Arm(arm) => arm.advance(tick, applied),
+            Self::Eye(eye) => eye.advance(tick, applied),
+        }
+    }
+}

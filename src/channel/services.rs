@@ -1,0 +1,331 @@
+//! Which services a run has, who creates them and who holds which end.
+
+use iceoryx2::prelude::*;
+use iceoryx2::service::port_factory::{blackboard, event};
+
+use super::domain::{Domain, DomainName, wipe};
+use super::ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Factory, Payload, Receiver, Sender};
+use super::{ChannelError, LOG_BUFFER, Mismatch};
+use crate::scenario::ChannelsTable;
+use crate::wire::{Command, Control, Learning, Observation, Role, Status};
+
+type Board = blackboard::PortFactory<ipc::Service, u64>;
+type Event = event::PortFactory<ipc::Service>;
+
+/// The loop reads the newest sample; one more slot lets a late one be seen and counted.
+const LOOP_BUFFER: usize = 2;
+/// Controller and logger, and room for a viewer. None of them can hold up the writer.
+const MAX_SUBSCRIBERS: usize = 4;
+/// Launcher, the three processes, and room for viewers.
+const MAX_NODES: usize = 8;
+/// The service that exists before all others and says whose run this is.
+const WAKE: &str = "wake";
+/// The launcher's board.
+const CONTROL: &str = "control";
+/// A board has one entry; this is its key.
+const ENTRY: u64 = 0;
+
+/// What must be equal for a process to belong to a run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Identity {
+    /// Hash over the layout of all samples.
+    pub schema: u64,
+    /// Hash of the resolved scenario.
+    pub scenario: u64,
+    /// Package version and commit.
+    pub build: String,
+}
+
+impl Identity {
+    fn attributes(&self) -> [(&'static str, String); 3] {
+        [
+            ("schema", format!("{:016x}", self.schema)),
+            ("scenario", format!("{:016x}", self.scenario)),
+            ("build", self.build.clone()),
+        ]
+    }
+
+    fn specifier(&self) -> AttributeSpecifier {
+        self.attributes().iter().fold(AttributeSpecifier::new(), |spec, (key, value)| {
+            let key = (*key).try_into().expect("a short key");
+            let value = value.as_str().try_into().expect("a hash or a version");
+            spec.define(&key, &value).expect("three attributes of the eight that are allowed")
+        })
+    }
+
+    /// Compares with what the run's first service says.
+    fn check(&self, role: Role, run: &AttributeSet) -> Result<(), ChannelError> {
+        for (what, ours) in self.attributes() {
+            let key = what.try_into().expect("a short key");
+            let theirs = run.key_value(&key, 0).map(|v| v.to_string()).unwrap_or_default();
+            if theirs != ours {
+                return Err(ChannelError::Mismatch(Mismatch { role: role.name(), what, ours, theirs }));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Every service of a run, created and held by the launcher. Dropping it wipes the domain: it must be the last.
+pub struct Hub {
+    /// The launcher's board.
+    pub control: BoardWriter<Control>,
+    /// The boards of the processes, by [`Role`].
+    pub status: [BoardReader<Status>; 3],
+    // In reverse order of need: services go before the node, the files after all of them.
+    _boards: Vec<Board>,
+    _channels: (Factory<Observation>, Factory<Command>, Factory<Learning>),
+    _wake: Event,
+    _domain: Domain,
+    _wipe: Wipe,
+}
+
+/// Wipes the domain when everything else is gone, also when setting up fails half-way.
+#[derive(Debug)]
+struct Wipe(DomainName);
+
+impl Drop for Wipe {
+    fn drop(&mut self) {
+        wipe(&self.0);
+    }
+}
+
+impl Hub {
+    /// Creates the domain and all its services.
+    ///
+    /// # Errors
+    /// [`ChannelError::SetUp`] when shared memory cannot be used.
+    pub fn create(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+        let wipe = Wipe(name.clone());
+        let domain = Domain::join(name)?;
+        let wake = domain
+            .node
+            .service_builder(&service_name(WAKE)?)
+            .event()
+            .max_nodes(MAX_NODES)
+            .create_with_attributes(&identity.specifier())
+            .map_err(|e| ChannelError::set_up("the wake-up service", e))?;
+        let channels = (
+            create_channel(&domain, &channels.observation)?,
+            create_channel(&domain, &channels.command)?,
+            create_channel(&domain, &channels.learning)?,
+        );
+        let control = create_board::<Control>(&domain, CONTROL)?;
+        let mut boards = Vec::new();
+        for role in Role::ALL {
+            boards.push(create_board::<Status>(&domain, role.name())?);
+        }
+        let status = [read_board(&boards[0])?, read_board(&boards[1])?, read_board(&boards[2])?];
+        let writer = write_board(&control)?;
+        boards.push(control);
+        Ok(Self {
+            control: writer,
+            status,
+            _boards: boards,
+            _channels: channels,
+            _wake: wake,
+            _domain: domain,
+            _wipe: wipe,
+        })
+    }
+
+    /// The board of `role`.
+    pub fn status(&self, role: Role) -> Status {
+        self.status[role as usize].get()
+    }
+}
+
+/// The plant's ends.
+pub struct PlantPorts {
+    /// Observations, to controller and logger.
+    pub observation: Sender<Observation>,
+    /// Wakes the controller.
+    pub bell: Bell,
+    /// Commands, newest two.
+    pub command: Receiver<Command>,
+    /// The launcher's board and this process's own.
+    pub desk: Desk,
+    /// How far the logger is.
+    pub logger: BoardReader<Status>,
+    _domain: Domain,
+}
+
+/// The controller's ends.
+pub struct ControllerPorts {
+    /// Observations, newest two.
+    pub observation: Receiver<Observation>,
+    /// Rings with every observation.
+    pub ear: Ear,
+    /// Commands, to plant and logger.
+    pub command: Sender<Command>,
+    /// What was learned, to the logger.
+    pub learning: Sender<Learning>,
+    /// The launcher's board and this process's own.
+    pub desk: Desk,
+    /// How far the plant is.
+    pub plant: BoardReader<Status>,
+    _domain: Domain,
+}
+
+/// The logger's ends.
+pub struct LoggerPorts {
+    /// Observations, the last [`LOG_BUFFER`].
+    pub observation: Receiver<Observation>,
+    /// Commands, the last [`LOG_BUFFER`].
+    pub command: Receiver<Command>,
+    /// Learning records, the last [`LOG_BUFFER`].
+    pub learning: Receiver<Learning>,
+    /// The launcher's board and this process's own.
+    pub desk: Desk,
+    /// How far the plant is.
+    pub plant: BoardReader<Status>,
+    /// How far the controller is.
+    pub controller: BoardReader<Status>,
+    _domain: Domain,
+}
+
+impl PlantPorts {
+    /// Joins the run in the plant's place.
+    ///
+    /// # Errors
+    /// [`ChannelError::Mismatch`] when the process does not fit the run, [`ChannelError::SetUp`] when there is no such
+    /// run or its plant is there already.
+    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+        let (domain, wake) = open_domain(name, identity, Role::Plant)?;
+        let bell = wake.notifier_builder().create().map_err(|e| ChannelError::set_up("the bell", e)).map(Bell)?;
+        Ok(Self {
+            observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
+            bell,
+            command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
+            desk: open_desk(&domain, Role::Plant)?,
+            logger: read_board(&open_board(&domain, Role::Logger.name())?)?,
+            _domain: domain,
+        })
+    }
+}
+
+impl ControllerPorts {
+    /// Joins the run in the controller's place.
+    ///
+    /// # Errors
+    /// As for [`PlantPorts::open`].
+    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+        let (domain, wake) = open_domain(name, identity, Role::Controller)?;
+        let ear = wake.listener_builder().create().map_err(|e| ChannelError::set_up("the ear", e)).map(Ear)?;
+        Ok(Self {
+            observation: Receiver::new(
+                &channels.observation,
+                open_channel(&domain, &channels.observation)?,
+                LOOP_BUFFER,
+            )?,
+            ear,
+            command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
+            learning: Sender::new(&channels.learning, open_channel(&domain, &channels.learning)?)?,
+            desk: open_desk(&domain, Role::Controller)?,
+            plant: read_board(&open_board(&domain, Role::Plant.name())?)?,
+            _domain: domain,
+        })
+    }
+}
+
+impl LoggerPorts {
+    /// Joins the run in the logger's place.
+    ///
+    /// # Errors
+    /// As for [`PlantPorts::open`].
+    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+        let (domain, _wake) = open_domain(name, identity, Role::Logger)?;
+        Ok(Self {
+            observation: Receiver::new(
+                &channels.observation,
+                open_channel(&domain, &channels.observation)?,
+                LOG_BUFFER,
+            )?,
+            command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOG_BUFFER)?,
+            learning: Receiver::new(&channels.learning, open_channel(&domain, &channels.learning)?, LOG_BUFFER)?,
+            desk: open_desk(&domain, Role::Logger)?,
+            plant: read_board(&open_board(&domain, Role::Plant.name())?)?,
+            controller: read_board(&open_board(&domain, Role::Controller.name())?)?,
+            _domain: domain,
+        })
+    }
+}
+
+fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
+    name.try_into().map_err(|e| ChannelError::set_up(format!("the name {name}"), e))
+}
+
+fn open_domain(name: &DomainName, identity: &Identity, role: Role) -> Result<(Domain, Event), ChannelError> {
+    let domain = Domain::join(name)?;
+    let wake = domain
+        .node
+        .service_builder(&service_name(WAKE)?)
+        .event()
+        .open()
+        .map_err(|e| ChannelError::set_up("the wake-up service", e))?;
+    identity.check(role, wake.attributes())?;
+    Ok((domain, wake))
+}
+
+fn create_channel<T: Payload>(domain: &Domain, name: &str) -> Result<Factory<T>, ChannelError> {
+    domain
+        .node
+        .service_builder(&service_name(name)?)
+        .publish_subscribe::<T>()
+        .max_publishers(1)
+        .max_subscribers(MAX_SUBSCRIBERS)
+        .max_nodes(MAX_NODES)
+        .subscriber_max_buffer_size(LOG_BUFFER)
+        .subscriber_max_borrowed_samples(2)
+        .history_size(0)
+        .enable_safe_overflow(true)
+        .create()
+        .map_err(|e| ChannelError::set_up(format!("channel {name}"), e))
+}
+
+fn open_channel<T: Payload>(domain: &Domain, name: &str) -> Result<Factory<T>, ChannelError> {
+    domain
+        .node
+        .service_builder(&service_name(name)?)
+        .publish_subscribe::<T>()
+        .open()
+        .map_err(|e| ChannelError::set_up(format!("channel {name}"), e))
+}
+
+fn open_desk(domain: &Domain, role: Role) -> Result<Desk, ChannelError> {
+    Ok(Desk {
+        control: read_board(&open_board(domain, CONTROL)?)?,
+        status: write_board(&open_board(domain, role.name())?)?,
+    })
+}
+
+fn create_board<T: Payload + Default>(domain: &Domain, name: &str) -> Result<Board, ChannelError> {
+    domain
+        .node
+        .service_builder(&service_name(&format!("board/{name}"))?)
+        .blackboard_creator::<u64>()
+        .max_readers(MAX_NODES)
+        .max_nodes(MAX_NODES)
+        .add::<T>(ENTRY, T::default())
+        .create()
+        .map_err(|e| ChannelError::set_up(format!("board {name}"), e))
+}
+
+fn open_board(domain: &Domain, name: &str) -> Result<Board, ChannelError> {
+    domain
+        .node
+        .service_builder(&service_name(&format!("board/{name}"))?)
+        .blackboard_opener::<u64>()
+        .open()
+        .map_err(|e| ChannelError::set_up(format!("board {name}"), e))
+}
+
+fn read_board<T: Payload>(board: &Board) -> Result<BoardReader<T>, ChannelError> {
+    let reader = board.reader_builder().create().map_err(|e| ChannelError::set_up("a board's reader", e))?;
+    reader.entry::<T>(&ENTRY).map(BoardReader).map_err(|e| ChannelError::set_up("a board's entry", e))
+}
+
+fn write_board<T: Payload>(board: &Board) -> Result<BoardWriter<T>, ChannelError> {
+    let writer = board.writer_builder().create().map_err(|e| ChannelError::set_up("a board's writer", e))?;
+    writer.entry::<T>(&ENTRY).map(BoardWriter).map_err(|e| ChannelError::set_up("a board's entry", e))
+}

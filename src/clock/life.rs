@@ -1,0 +1,47 @@
+//! Whether another process is still alive, without the races of process ids.
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fd::OwnedFd;
+use rustix::process::{Pid, PidfdFlags, pidfd_open, pidfd_send_signal};
+
+/// A handle on a process that stays valid when its id is reused.
+#[derive(Debug)]
+pub struct Life {
+    fd: OwnedFd,
+}
+
+impl Life {
+    /// A handle on process `pid`, or `None` when there is no such process any more (or no pidfd on this kernel).
+    pub fn of(pid: u32) -> Option<Self> {
+        let pid = Pid::from_raw(i32::try_from(pid).ok()?)?;
+        pidfd_open(pid, PidfdFlags::empty()).ok().map(|fd| Self { fd })
+    }
+
+    /// Whether the process has ended; a zombie counts as ended.
+    pub fn ended(&self) -> bool {
+        let mut fds = [PollFd::new(&self.fd, PollFlags::IN)];
+        let now = Timespec { tv_sec: 0, tv_nsec: 0 };
+        matches!(poll(&mut fds, Some(&now)), Ok(1))
+    }
+
+    /// Kills the process; one that has ended already is left alone.
+    pub fn kill(&self) {
+        let _ = pidfd_send_signal(&self.fd, rustix::process::Signal::KILL);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_child_lives_until_it_is_killed() {
+        let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+        let life = Life::of(child.id()).unwrap();
+        assert!(!life.ended());
+        life.kill();
+        child.wait().unwrap();
+        assert!(life.ended());
+        assert!(Life::of(0).is_none());
+    }
+}

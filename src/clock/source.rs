@@ -1,0 +1,174 @@
+//! One loop, two kinds of time: a source that is real, or stepped by the arrival of the peer's sample.
+//!
+//! In real time a tick begins at its absolute deadline and whatever has not arrived by then is missed. Stepped, a tick
+//! begins as soon as the awaited sample is there, and the clock reads the tick's scheduled instant, so that every stamp
+//! is a function of the tick alone.
+
+use super::{monotonic_ns, pause, sleep_until};
+
+/// How a wait for a tick ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wake {
+    /// The tick begins.
+    Tick,
+    /// The caller's look-around said to give up.
+    Cancelled,
+}
+
+/// Where a loop's time comes from. Tick k is scheduled at `t0 + k * period`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TimeSource {
+    /// CLOCK_MONOTONIC.
+    Real {
+        /// Start of tick 0, ns.
+        t0_ns: u64,
+        /// Period, ns.
+        period_ns: u64,
+    },
+    /// Virtual time, which starts at 0 and stands at the tick in progress.
+    Stepped {
+        /// Period, ns.
+        period_ns: u64,
+        /// The virtual now, ns.
+        now_ns: u64,
+    },
+}
+
+/// Longest uninterrupted sleep, ns: how soon a waiting loop notices that the run is to end.
+const SLICE_NS: u64 = 50_000_000;
+
+impl TimeSource {
+    /// A real source: tick 0 begins at `t0_ns` on CLOCK_MONOTONIC.
+    pub fn real(t0_ns: u64, period_ns: u64) -> Self {
+        Self::Real { t0_ns, period_ns }
+    }
+
+    /// A stepped source at tick 0.
+    pub fn stepped(period_ns: u64) -> Self {
+        Self::Stepped { period_ns, now_ns: 0 }
+    }
+
+    /// The instant for which tick `tick` is scheduled, ns.
+    pub fn scheduled(&self, tick: u64) -> u64 {
+        match *self {
+            Self::Real { t0_ns, period_ns } => t0_ns + tick * period_ns,
+            Self::Stepped { period_ns, .. } => tick * period_ns,
+        }
+    }
+
+    /// Now, ns.
+    pub fn now(&self) -> u64 {
+        match *self {
+            Self::Real { .. } => monotonic_ns(),
+            Self::Stepped { now_ns, .. } => now_ns,
+        }
+    }
+
+    /// Whether ticks follow the real clock.
+    pub fn is_real(&self) -> bool {
+        matches!(self, Self::Real { .. })
+    }
+
+    /// Moves a stepped source to `tick`, for a loop that is paced by its peer. A real source takes care of itself.
+    pub fn step_to(&mut self, tick: u64) {
+        let scheduled = self.scheduled(tick);
+        if let Self::Stepped { now_ns, .. } = self {
+            *now_ns = scheduled;
+        }
+    }
+
+    /// Waits until `tick` begins. In real time that is its deadline, and `arrived` is not asked; stepped, it is the
+    /// moment when `arrived` says that the peer's sample is there. `look_around` is asked now and then, about every
+    /// 50 ms at the latest; when it says true, the wait is cancelled.
+    pub fn await_tick(
+        &mut self,
+        tick: u64,
+        mut arrived: impl FnMut() -> bool,
+        mut look_around: impl FnMut() -> bool,
+    ) -> Wake {
+        let scheduled = self.scheduled(tick);
+        if self.is_real() {
+            loop {
+                let now = self.now();
+                if now >= scheduled {
+                    return if look_around() { Wake::Cancelled } else { Wake::Tick };
+                }
+                sleep_until(scheduled.min(now + SLICE_NS));
+                if scheduled > now + SLICE_NS && look_around() {
+                    return Wake::Cancelled;
+                }
+            }
+        }
+        let mut backoff = Backoff::default();
+        while !arrived() {
+            if backoff.pause() && look_around() {
+                return Wake::Cancelled;
+            }
+        }
+        self.step_to(tick);
+        Wake::Tick
+    }
+}
+
+/// How to wait for a peer that answers in microseconds without starving it of the core that both may share: yield on
+/// every turn, and after a while sleep.
+#[derive(Debug, Default)]
+pub struct Backoff {
+    turns: u32,
+}
+
+impl Backoff {
+    /// Turns of pure yielding: some milliseconds, far longer than a healthy peer takes.
+    const YIELDS: u32 = 4096;
+    /// The sleep after that, ns.
+    const NAP_NS: u64 = 50_000;
+
+    /// Gives way once. True when it is time to look around: every 64th turn, and after each nap.
+    #[inline]
+    pub fn pause(&mut self) -> bool {
+        if self.turns < Self::YIELDS {
+            self.turns += 1;
+            rustix::thread::sched_yield();
+            self.turns.is_multiple_of(64)
+        } else {
+            pause(Self::NAP_NS);
+            true
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stepped_time_is_a_function_of_the_tick() {
+        let mut time = TimeSource::stepped(50_000_000);
+        let mut asked = 0;
+        let wake = time.await_tick(
+            7,
+            || {
+                asked += 1;
+                asked == 3
+            },
+            || false,
+        );
+        assert_eq!((wake, asked, time.now()), (Wake::Tick, 3, 350_000_000));
+    }
+
+    #[test]
+    fn real_ticks_begin_at_their_absolute_instant_and_can_be_cancelled() {
+        let t0 = monotonic_ns();
+        let mut time = TimeSource::real(t0, 2_000_000);
+        assert_eq!(time.await_tick(5, || unreachable!(), || false), Wake::Tick);
+        assert!(time.now() >= t0 + 10_000_000);
+        let mut far = TimeSource::real(t0 + 3_600_000_000_000, 1);
+        assert_eq!(far.await_tick(0, || unreachable!(), || true), Wake::Cancelled);
+    }
+
+    #[test]
+    fn a_stepped_wait_can_be_cancelled() {
+        let mut time = TimeSource::stepped(1);
+        assert_eq!(time.await_tick(1, || false, || true), Wake::Cancelled);
+    }
+}

@@ -1,0 +1,109 @@
+//! The paper's rule: policy gradient with an eligibility trace (Daucé & Dutech 2010, section 3.2, step 3).
+//!
+//! With the noise `n_k = u_k - W g_k` that was applied in tick k and the reward `r_k` that came of it,
+//!
+//! ```text
+//! z_k     = beta z_{k-1} + (1 - beta) n_k g_k^T
+//! W_{k+1} = W_k + (alpha / sigma^2) r_k z_k
+//! ```
+//!
+//! The trace is kept in units of noise: the paper's `Sigma^-1` is inside `alpha / sigma^2`, which is also how the paper
+//! states its step. `beta = 0` is the open-loop rule.
+
+use glam::Vec4;
+
+use crate::policy::{Linear, Outputs, norm};
+
+/// The rule, its constants and its trace.
+#[derive(Debug, Clone)]
+pub struct Paper {
+    beta: f32,
+    rate: f32,
+    /// In the layout of the policy's weights.
+    trace: Vec<Vec<Vec4>>,
+}
+
+impl Paper {
+    /// The rule for a policy of `len` (padded) features and `outputs` outputs, with trace decay `beta` in [0, 1) and
+    /// `rate` = `alpha / sigma^2`.
+    pub fn new(len: usize, outputs: usize, beta: f32, rate: f32) -> Self {
+        Self { beta, rate, trace: vec![vec![Vec4::ZERO; len]; outputs.div_ceil(4)] }
+    }
+
+    /// Learns from one tick: `features` and `noise` are those of the tick that earned `reward`. Returns the factor with
+    /// which the trace was added to the weights, `rate * reward`.
+    pub fn learn(&mut self, policy: &mut Linear, features: &[f32], noise: &Outputs, reward: f32) -> f32 {
+        let step = self.rate * reward;
+        let lanes = noise.chunks_exact(4).map(Vec4::from_slice);
+        for ((weights, trace), noise) in policy.groups_mut().zip(&mut self.trace).zip(lanes) {
+            let gain = noise * (1.0 - self.beta);
+            for ((w, z), &g) in weights.iter_mut().zip(trace).zip(features) {
+                *z = *z * self.beta + gain * g;
+                *w += *z * step;
+            }
+        }
+        step
+    }
+
+    /// Forgets what was done: after a tick in which something else happened than the policy asked for, no credit
+    /// crosses over.
+    pub fn cut_trace(&mut self) {
+        for group in &mut self.trace {
+            group.fill(Vec4::ZERO);
+        }
+    }
+
+    /// Euclidean norm of the trace.
+    pub fn trace_norm(&self) -> f32 {
+        norm(&self.trace)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOISE: Outputs = [0.5, -0.25, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
+
+    #[test]
+    fn one_tick_is_the_equation() {
+        let mut policy = Linear::new(4, (0..4).collect(), 4);
+        let mut rule = Paper::new(4, 4, 0.75, 0.1);
+        let g = [1.0, 0.5, 0.0, 0.25];
+        assert_eq!(rule.learn(&mut policy, &g, &NOISE, -2.0), -0.2);
+        for output in 0..4 {
+            for (i, g) in g.iter().enumerate() {
+                let expected = -0.2 * 0.25 * NOISE[output] * g;
+                assert!((policy.weight(output, i) - expected).abs() < 1e-7);
+            }
+        }
+    }
+
+    #[test]
+    fn the_trace_decays_and_a_cut_clears_it() {
+        let mut policy = Linear::new(4, (0..4).collect(), 4);
+        let mut rule = Paper::new(4, 4, 0.5, 0.1);
+        rule.learn(&mut policy, &[1.0; 4], &NOISE, 0.0);
+        let norm = rule.trace_norm();
+        rule.learn(&mut policy, &[1.0; 4], &[0.0; 8], 0.0);
+        assert!((rule.trace_norm() - norm / 2.0).abs() < 1e-6);
+        rule.cut_trace();
+        assert_eq!(rule.trace_norm(), 0.0);
+        assert_eq!(policy.norm(), 0.0, "a reward of zero changes nothing");
+    }
+
+    #[test]
+    fn eight_outputs_learn_as_four_do() {
+        let (mut four, mut eight) = (Linear::new(4, (0..4).collect(), 4), Linear::new(4, (0..4).collect(), 8));
+        let (mut a, mut b) = (Paper::new(4, 4, 0.9, 0.1), Paper::new(4, 8, 0.9, 0.1));
+        let mut noise = NOISE;
+        noise[4..].copy_from_slice(&NOISE[..4]);
+        for k in 0..5 {
+            a.learn(&mut four, &[0.3; 4], &noise, k as f32);
+            b.learn(&mut eight, &[0.3; 4], &noise, k as f32);
+        }
+        for output in 0..8 {
+            assert_eq!(eight.weight(output, 2), four.weight(output % 4, 2));
+        }
+    }
+}
