@@ -5,7 +5,12 @@
 
 use std::fmt::{self, Display};
 
-use super::source::{Source, key_at, line_at};
+use toml::de::DeTable;
+
+use super::{
+    Scenario,
+    source::{Source, key_at, line_at, list_for_table},
+};
 
 /// Why a scenario cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -157,23 +162,27 @@ fn one_line(message: &str) -> String {
     message.chars().map(clean).take(4 * MAX_QUOTE).collect::<String>().trim().to_owned()
 }
 
-/// Puts an error of the `toml` crate into our words.
-pub(super) fn from_toml(error: &toml::de::Error, source: &Source) -> ScenarioError {
-    let text = source.text();
-    let span = error.span();
-    let line = span.as_ref().map(|span| line_at(text, span.start));
-    let place = Place { file: source.name().to_owned(), line };
-    let document = match toml::de::DeTable::parse(text) {
-        Ok(document) => document,
-        Err(_) => {
-            let reason = error.message();
-            let reason = one_line(reason.strip_suffix(", expected nothing").unwrap_or(reason));
-            return ScenarioError::Syntax { place, reason };
-        }
-    };
-    let key = span.and_then(|span| key_at(document.get_ref(), &span)).unwrap_or_default();
-    let message = error.message();
+/// Reads the tables out of a text.
+pub(super) fn tables(source: &Source) -> Result<Scenario, ScenarioError> {
+    let place = |offset: usize| Place { file: source.name().to_owned(), line: Some(line_at(source.text(), offset)) };
+    let document = DeTable::parse(source.text()).map_err(|error| {
+        let reason = error.message();
+        let reason = one_line(reason.strip_suffix(", expected nothing").unwrap_or(reason));
+        ScenarioError::Syntax { place: place(error.span().unwrap_or_default().start), reason }
+    })?;
+    if let Some((key, start)) = list_for_table(document.get_ref()) {
+        let (value, expected) = ("a list".to_owned(), expected_in_words("struct "));
+        return Err(ScenarioError::WrongType { place: place(start), key, value, expected });
+    }
+    toml::from_str(source.text()).map_err(|error| {
+        let span = error.span().unwrap_or_default();
+        let key = key_at(document.get_ref(), &span).unwrap_or_default();
+        refused(error.message(), place(span.start), key)
+    })
+}
 
+/// Puts what serde says about the value at a key into our words.
+fn refused(message: &str, place: Place, key: String) -> ScenarioError {
     if let Some((unknown, known)) = between(message, "unknown field `", "`, expected ") {
         // The name may hold dots of its own, so that the table is what is left of the path without it.
         let table = key.strip_suffix(unknown).map_or("", |table| table.trim_end_matches('.'));
@@ -298,7 +307,9 @@ fn expected_in_words(expected: &str) -> String {
         "a boolean" => "true or false".to_owned(),
         "a sequence" => "a list, in [ ]".to_owned(),
         "an array of length 2" => "a list of two numbers, such as [-1.0, 1.0]".to_owned(),
-        other if other.starts_with("struct ") => "a table, under a heading in [ ]".to_owned(),
+        other if other.starts_with("struct ") => {
+            "a table of keys and values, under a single [heading] or in { }".to_owned()
+        }
         other => one_line(other),
     }
 }

@@ -28,7 +28,7 @@ use std::{fs::File, io::Read, path::Path};
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::encoder::{Axis, Map};
-use error::{Problem, from_toml};
+use error::{Problem, tables};
 use signals::signals;
 
 /// Largest scenario file, bytes.
@@ -93,10 +93,8 @@ impl Scenario {
     /// If the text is not TOML, has an unknown key, lacks one that has no default, or has a value of the wrong type.
     pub fn parse(text: &str, source_name: &str) -> Result<Self, ScenarioError> {
         let source = Source::new(source_name, text);
-        match toml::from_str::<Self>(text) {
-            Ok(scenario) => Ok(Self { source, ..scenario }),
-            Err(error) => Err(from_toml(&error, &source)),
-        }
+        let scenario = tables(&source)?;
+        Ok(Self { source, ..scenario })
     }
 
     /// Checks the scenario and fills in what it leaves out.

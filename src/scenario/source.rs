@@ -32,24 +32,7 @@ impl Source {
     /// The line of a key such as `encoder.maps[0].units[1]`, or of the innermost table around it that the text has.
     pub(super) fn line_of(&self, key: &str) -> Option<usize> {
         let document = DeTable::parse(&self.text).ok()?;
-        let mut steps = key.split(['.', '[']);
-        let (first, value) = document.get_ref().get_key_value(steps.next()?)?;
-        let (mut start, mut value) = (first.span().start, value.get_ref());
-        for step in steps {
-            let next = match (value, step.strip_suffix(']')) {
-                (DeValue::Array(items), Some(index)) => {
-                    index.parse().ok().and_then(|i: usize| items.get(i)).map(|item| (item.span().start, item.get_ref()))
-                }
-                (DeValue::Table(table), None) => {
-                    table.get_key_value(step).map(|(key, value)| (key.span().start, value.get_ref()))
-                }
-                _ => None,
-            };
-            match next {
-                Some(next) => (start, value) = next,
-                None => break,
-            }
-        }
+        let (start, _, _) = follow(document.get_ref(), key)?;
         Some(line_at(&self.text, start))
     }
 
@@ -77,6 +60,59 @@ impl fmt::Debug for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_tuple("Source").field(&self.name).finish()
     }
+}
+
+/// Follows a path such as `encoder.maps[0].units[1]` as far as it leads: where the last step's key begins, its value, and
+/// whether that was the whole path. `None` if not even the first step is there.
+fn follow<'d, 'i>(document: &'d DeTable<'i>, path: &str) -> Option<(usize, &'d DeValue<'i>, bool)> {
+    let mut steps = path.split(['.', '[']);
+    let (first, value) = document.get_key_value(steps.next()?)?;
+    let (mut start, mut value) = (first.span().start, value.get_ref());
+    for step in steps {
+        let next = match (value, step.strip_suffix(']')) {
+            (DeValue::Array(items), Some(index)) => {
+                index.parse().ok().and_then(|i: usize| items.get(i)).map(|item| (item.span().start, item.get_ref()))
+            }
+            (DeValue::Table(table), None) => {
+                table.get_key_value(step).map(|(key, value)| (key.span().start, value.get_ref()))
+            }
+            _ => None,
+        };
+        match next {
+            Some(next) => (start, value) = next,
+            None => return Some((start, value, false)),
+        }
+    }
+    Some((start, value, true))
+}
+
+/// The first list that stands where a table belongs, and where it begins. serde would take its entries for the table's
+/// keys in the order of their declaration, which nobody means.
+pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> {
+    const TABLES: [&str; 10] = [
+        "plant",
+        "plant.arm",
+        "plant.arm.reward",
+        "plant.eye",
+        "encoder",
+        "policy",
+        "learner",
+        "gate",
+        "log",
+        "channels",
+    ];
+    const LISTS_OF_TABLES: [&str; 4] = ["plant.inputs", "plant.outputs", "plant.arm.block", "encoder.maps"];
+    let table = TABLES.iter().find_map(|path| match follow(document, path)? {
+        (start, DeValue::Array(_), true) => Some(((*path).to_owned(), start)),
+        _ => None,
+    });
+    table.or_else(|| {
+        LISTS_OF_TABLES.iter().find_map(|path| {
+            let (_, DeValue::Array(items), true) = follow(document, path)? else { return None };
+            let i = items.iter().position(|item| matches!(item.get_ref(), DeValue::Array(_)))?;
+            Some((format!("{path}[{i}]"), items[i].span().start))
+        })
+    })
 }
 
 /// The line, from 1, of a byte offset; the last line for an offset past the end.

@@ -142,7 +142,8 @@ fn check_map(key: &str, map: &MapTable, inputs: &[SignalTable]) -> Result<usize,
 
     for (list, length) in [("units", map.units.len()), ("ranges", map.ranges.len())] {
         if length != 0 && length != n {
-            let text = format!("has {length} entries and inputs has {n}; give one for each input, or leave it out");
+            let text =
+                format!("has length {length} and inputs has length {n}; give one for each input, or leave it out");
             return Err(Problem::new(format_args!("{key}.{list}"), text));
         }
     }
@@ -160,10 +161,10 @@ fn check_map(key: &str, map: &MapTable, inputs: &[SignalTable]) -> Result<usize,
         let spacing = (max - min) / (units - 1) as f64;
         if spacing > limits::SPACING_PER_RADIUS * map.radius {
             let remedy = format!(
-                "the units along {} are {} apart, so that inputs between them would hardly activate any; give a radius of \
+                "the units along {} are about {} apart, so that inputs between them would hardly activate any; give a radius of \
                  at least a tenth of that, or more units",
                 input.name,
-                show(spacing)
+                show(rounded(spacing))
             );
             return Err(Problem::value(format_args!("{key}.radius"), show(map.radius), remedy));
         }
@@ -255,14 +256,15 @@ fn different(list: &str, suffix: &str, names: &[impl AsRef<str>]) -> Result<(), 
         let name = name.as_ref();
         if !seen.insert(name) {
             let key = format!("{list}[{i}]{suffix}");
-            return Err(Problem::value(
-                key,
-                quoted(name),
-                "this name stands in the list before, and each may occur once",
-            ));
+            return Err(Problem::value(key, quoted(name), "this name is in the list already, and each may occur once"));
         }
     }
     Ok(())
+}
+
+/// Three significant digits, for numbers that we worked out and nobody wrote.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.2e}").parse().unwrap_or(value)
 }
 
 /// A number as TOML writes it, short even if it is huge.
