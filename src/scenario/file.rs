@@ -3,7 +3,14 @@
 //! Unknown keys are refused. What the types cannot say (ranges, references between tables) is checked by
 //! [`Scenario::plan`](super::Scenario::plan).
 
-use serde::{Deserialize, Serialize};
+use std::fmt;
+
+use serde::{
+    Deserialize, Deserializer, Serialize,
+    de::{Error, IgnoredAny, SeqAccess, Visitor},
+};
+
+use super::Source;
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -38,6 +45,9 @@ pub struct Scenario {
     /// The names of the channels.
     #[serde(default)]
     pub channels: ChannelsTable,
+    /// Where the scenario came from, for messages; not a key of the file, not compared and not hashed.
+    #[serde(skip)]
+    pub source: Source,
 }
 
 /// `[plant]`: the program in the plant's place, and what it says and takes.
@@ -89,15 +99,17 @@ pub struct ArmTable {
     /// Lengths of the segments, m; 1 to 8 of them.
     pub lengths: Vec<f64>,
     /// Position of the first joint, m.
+    #[serde(deserialize_with = "pair")]
     pub base: [f64; 2],
     /// Angular rate for a command of 1, rad/s.
     pub gain: f64,
     /// Targets lie in the square from `arena[0]` to `arena[1]` on both axes, m.
+    #[serde(deserialize_with = "pair")]
     pub arena: [f64; 2],
     /// A new target every so many ticks.
     pub target_every: u64,
     /// Given targets, m, taken in turn and from the start again; empty: drawn uniformly from what the arm can reach.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
     pub targets: Vec<[f64; 2]>,
     /// What a tick costs.
     pub reward: ArmRewardTable,
@@ -178,7 +190,7 @@ pub struct MapTable {
     /// Radius of the Gaussian kernel, in the unit of the inputs.
     pub radius: f64,
     /// Centre of the first and of the last unit along each input. Default: the input's range.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
     pub ranges: Vec<[f64; 2]>,
 }
 
@@ -242,6 +254,43 @@ pub struct ChannelsTable {
     pub command: String,
     /// Controller to logger.
     pub learning: String,
+}
+
+/// Two numbers, and no third: serde's own reader of arrays passes over what follows them.
+struct Pair([f64; 2]);
+
+impl<'de> Deserialize<'de> for Pair {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Two;
+        impl<'de> Visitor<'de> for Two {
+            type Value = Pair;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an array of length 2")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Pair, A::Error> {
+                let mut pair = [0.0; 2];
+                for (i, number) in pair.iter_mut().enumerate() {
+                    *number = list.next_element()?.ok_or_else(|| A::Error::invalid_length(i, &self))?;
+                }
+                let mut length = 2;
+                while list.next_element::<IgnoredAny>()?.is_some() {
+                    length += 1;
+                }
+                if length == 2 { Ok(Pair(pair)) } else { Err(A::Error::invalid_length(length, &self)) }
+            }
+        }
+        deserializer.deserialize_seq(Two)
+    }
+}
+
+fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+    Pair::deserialize(deserializer).map(|Pair(pair)| pair)
+}
+
+fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f64; 2]>, D::Error> {
+    Vec::<Pair>::deserialize(deserializer).map(|pairs| pairs.into_iter().map(|Pair(pair)| pair).collect())
 }
 
 fn one() -> u64 {

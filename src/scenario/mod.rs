@@ -1,10 +1,38 @@
 //! Scenario files: TOML in, a validated [`Plan`] out.
+//!
+//! A scenario says what to run: the plant, the encoder, the policy, the learner, and how long. It is read in two steps.
+//! [`Scenario::load`], [`Scenario::parse`] and [`Scenario::find`] turn text into tables, refusing unknown keys and wrong
+//! types; the caller may then change what the command line overrides (seed, ticks); and [`Scenario::plan`] checks every
+//! number and every reference between tables and fills in what the file leaves out. Past that point nothing is checked
+//! again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions panic.
 
+mod error;
 mod file;
+pub mod limits;
+mod presets;
+mod signals;
+mod source;
+mod validate;
+mod validate_plant;
 
+#[cfg(test)]
+mod tests;
+
+pub use error::{Place, ScenarioError};
 pub use file::*;
+pub use presets::{Preset, presets};
+pub use source::Source;
 
-use crate::encoder::Map;
+use std::{fs::File, io::Read, path::Path};
+
+use xxhash_rust::xxh3::xxh3_64;
+
+use crate::encoder::{Axis, Map};
+use error::{Problem, tables};
+use signals::signals;
+
+/// Largest scenario file, bytes.
+pub const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// A validated scenario: what the processes of a run are built from. Everything in it is finite, in range and consistent.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,6 +49,149 @@ pub struct Plan {
     pub measures: Vec<String>,
     /// The encoder's maps, in order, ranges and units resolved.
     pub maps: Vec<Map>,
-    /// 64-bit hash of the resolved scenario, as compared in the handshake.
+    /// 64-bit hash of the resolved scenario, as compared in the handshake: XXH3 of [`Scenario::to_toml`], so that it
+    /// covers every setting, seed and ticks included, but neither comments and layout nor the file's name.
     pub hash: u64,
+}
+
+impl Scenario {
+    /// Reads a scenario file.
+    ///
+    /// # Errors
+    ///
+    /// If the file is missing, a folder, unreadable, larger than [`MAX_FILE_BYTES`] or not UTF-8; otherwise as
+    /// [`parse`](Self::parse).
+    pub fn load(path: &Path) -> Result<Self, ScenarioError> {
+        let file = path.display().to_string();
+        if path.is_dir() {
+            return Err(ScenarioError::Folder { file });
+        }
+        let mut bytes = Vec::new();
+        // The limit is on what is read, not on what the metadata says: a device or a pipe has no length.
+        let read = File::open(path).and_then(|open| open.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes));
+        match read {
+            Ok(_) if bytes.len() as u64 > MAX_FILE_BYTES => return Err(ScenarioError::TooLarge { file }),
+            Ok(_) => {}
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Err(ScenarioError::Missing { file });
+            }
+            Err(source) => return Err(ScenarioError::Read { file, source }),
+        }
+        match str::from_utf8(&bytes) {
+            Ok(text) => Self::parse(text, &file),
+            Err(error) => {
+                let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
+                Err(ScenarioError::NotUtf8 { place: Place { file, line: Some(line) } })
+            }
+        }
+    }
+
+    /// Turns the text of a scenario into its tables; `source_name` is the file's name in messages.
+    ///
+    /// # Errors
+    ///
+    /// If the text is not TOML, has an unknown key, lacks one that has no default, or has a value of the wrong type.
+    pub fn parse(text: &str, source_name: &str) -> Result<Self, ScenarioError> {
+        let source = Source::new(source_name, text);
+        let scenario = tables(&source)?;
+        Ok(Self { source, ..scenario })
+    }
+
+    /// Checks the scenario and fills in what it leaves out.
+    ///
+    /// # Errors
+    ///
+    /// [`ScenarioError::Invalid`] for the first value that is out of range or does not fit the others.
+    pub fn plan(self) -> Result<Plan, ScenarioError> {
+        if let Err(Problem { key, text }) = validate::check(&self) {
+            let place = Place { file: self.source.name().to_owned(), line: self.line_of(&key) };
+            return Err(ScenarioError::Invalid { place, key, problem: text });
+        }
+        let scenario = self.resolved();
+        let signals = signals(&scenario);
+        let maps = scenario.encoder.maps.iter().filter_map(|map| built(map, &signals.inputs)).collect();
+        Ok(Plan {
+            // Exact: `check` has seen to it that the period is a whole number of ns.
+            period_ns: (scenario.period_ms * 1e6).round() as u64,
+            inputs: signals.inputs,
+            outputs: signals.outputs,
+            measures: signals.measures,
+            maps,
+            hash: xxh3_64(scenario.to_toml().as_bytes()),
+            scenario,
+        })
+    }
+
+    /// The scenario as a TOML file with every default written out. Parsed again, it gives the same plan and hash.
+    ///
+    /// Whole numbers that TOML cannot hold, which [`plan`](Self::plan) refuses, are written as the largest that it can.
+    pub fn to_toml(&self) -> String {
+        let mut scenario = self.resolved();
+        scenario.limit_integers();
+        // Tables of finite depth made of strings, numbers, lists and tables with string keys, and no integer beyond
+        // i64: nothing that the writer could refuse.
+        toml::to_string(&scenario).unwrap_or_else(|error| format!("# This scenario cannot be written: {error}\n"))
+    }
+
+    /// The same scenario with the units and ranges of its maps filled in where they follow from the inputs.
+    fn resolved(&self) -> Self {
+        let mut scenario = self.clone();
+        let inputs = signals(self).inputs;
+        for map in &mut scenario.encoder.maps {
+            if map.units.is_empty() {
+                map.units = vec![limits::DEFAULT_UNITS; map.inputs.len()];
+            }
+            if map.ranges.is_empty() {
+                let ranges: Option<Vec<_>> =
+                    map.inputs.iter().map(|name| find(&inputs, name).map(|i| [inputs[i].min, inputs[i].max])).collect();
+                map.ranges = ranges.unwrap_or_default();
+            }
+        }
+        scenario
+    }
+
+    fn limit_integers(&mut self) {
+        let limit = |number: &mut u64| *number = (*number).min(i64::MAX as u64);
+        let limit_size = |number: &mut usize| *number = (*number).min(i64::MAX as usize);
+        limit(&mut self.seed);
+        limit(&mut self.ticks);
+        limit(&mut self.log.every);
+        limit(&mut self.log.hash_every);
+        self.encoder.maps.iter_mut().flat_map(|map| &mut map.units).for_each(limit_size);
+        if let Some(arm) = &mut self.plant.arm {
+            limit(&mut arm.target_every);
+            for block in &mut arm.block {
+                limit(&mut block.tick);
+                limit_size(&mut block.joint);
+            }
+        }
+    }
+
+    /// The line of a key, unless its value no longer comes from the file.
+    fn line_of(&self, key: &str) -> Option<usize> {
+        let overridden = match key {
+            "seed" => self.source.whole_number(key) != Some(self.seed),
+            "ticks" => self.source.whole_number(key) != Some(self.ticks),
+            _ => false,
+        };
+        if overridden { None } else { self.source.line_of(key) }
+    }
+}
+
+/// The index of the input with this name.
+fn find(inputs: &[SignalTable], name: &str) -> Option<usize> {
+    inputs.iter().position(|input| input.name == name)
+}
+
+/// The encoder's map for a table whose units and ranges are resolved; `None` only for one that `check` refuses.
+fn built(map: &MapTable, inputs: &[SignalTable]) -> Option<Map> {
+    let axis = |i: usize| {
+        let [min, max] = *map.ranges.get(i)?;
+        Some(Axis { input: find(inputs, map.inputs.get(i)?)?, units: *map.units.get(i)?, min, max, radius: map.radius })
+    };
+    match map.inputs.len() {
+        1 => Some(Map::Line(axis(0)?)),
+        2 => Some(Map::Plane(axis(0)?, axis(1)?)),
+        _ => None,
+    }
 }

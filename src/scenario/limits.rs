@@ -1,0 +1,65 @@
+//! The bounds that a [`Plan`](super::Plan) keeps: what the rest of the program may rely on without checking again.
+//!
+//! Many are far beyond any use. They are there so that arithmetic further on (f32 kernels, nanoseconds in u64, buffers
+//! sized from the plan) cannot overflow, whatever a file says.
+
+use std::ops::RangeInclusive;
+
+/// Most characters of a scenario's name, a signal's name or a unit.
+pub const NAME_CHARS: usize = 32;
+/// Most characters of a channel's name.
+pub const CHANNEL_CHARS: usize = 64;
+/// Most characters of a program's name or of one of its arguments.
+pub const PROGRAM_CHARS: usize = 4096;
+/// Largest seed: TOML's largest integer.
+pub const MAX_SEED: u64 = i64::MAX as u64;
+/// Period of the tick, ms; always a whole number of ns.
+pub const PERIOD_MS: RangeInclusive<f64> = 1.0..=1000.0;
+/// Ticks of a run.
+pub const TICKS: RangeInclusive<u64> = 2..=1_000_000_000_000;
+/// Most ticks wherever a table counts in ticks (`target_every`, `every`, `hash_every`, a block's `tick`).
+pub const MAX_TICK: u64 = *TICKS.end();
+/// Number of an arm's joints.
+pub const JOINTS: RangeInclusive<usize> = 1..=8;
+/// Length of a segment, m.
+pub const LENGTH: RangeInclusive<f64> = 1e-3..=100.0;
+/// Largest coordinate of base and arena in magnitude, m.
+pub const COORDINATE: f64 = 1000.0;
+/// Largest gain of the arm in magnitude, rad/s for a command of 1; never 0.
+pub const GAIN: f64 = 1e6;
+/// Factor and weights of the arm's reward.
+pub const WEIGHT: RangeInclusive<f64> = 0.0..=1e6;
+/// Least share of the arena that the arm can reach when targets are drawn: below it, drawing until one can be reached
+/// would take too long.
+pub const REACHABLE_SHARE: f64 = 0.01;
+/// The log-polar distortion B.
+pub const DISTORTION: RangeInclusive<f64> = 1e-3..=1e6;
+/// Standard deviation of the eye's position and velocity, in retina coordinates.
+pub const SPREAD: RangeInclusive<f64> = 1e-6..=10.0;
+/// Largest constant in the eye's reward in magnitude.
+pub const BONUS: f64 = 1000.0;
+/// Largest end of a signal's or a map's range in magnitude, in the signal's unit.
+pub const RANGE: f64 = 1e9;
+/// Most maps of an encoder.
+pub const MAX_MAPS: usize = 64;
+/// Units of a map along one input.
+pub const UNITS: RangeInclusive<usize> = 2..=4096;
+/// Units of a map along one input when the file does not say.
+pub const DEFAULT_UNITS: usize = 16;
+/// Most units of an encoder, all maps together.
+pub const MAX_FEATURES: usize = 65_536;
+/// Radius of a kernel, in the unit of its inputs.
+pub const RADIUS: RangeInclusive<f64> = 1e-9..=1e9;
+/// Largest spacing of neighbouring units along an input, in radii. At
+/// 10, an input half-way between two units still activates both with `exp(-12.5)`, and a 2-D map with `exp(-25)`, whose
+/// square is a normal f32: the features of an input within the range never all vanish, and can be scaled to unit norm.
+pub const SPACING_PER_RADIUS: f64 = 10.0;
+/// Largest command in magnitude.
+pub const COMMAND: RangeInclusive<f64> = 1e-9..=1e6;
+/// Least standard deviation of the exploration noise; the greatest is the largest command.
+pub const MIN_SIGMA: f64 = 1e-9;
+/// The step `alpha / sigma^2`. Features of unit norm diverge above 2 for rewards of the order of 1; 1000 leaves room
+/// for rewards that are small.
+pub const STEP: RangeInclusive<f64> = 0.0..=1000.0;
+/// Most ticks of hold or decay.
+pub const MAX_HOLD: u32 = 1_000_000;

@@ -1,0 +1,74 @@
+//! What a plant says and takes: the inputs, outputs and measures of a scenario, given or known.
+
+use std::{f64::consts::PI, path::Path};
+
+use super::{ArmTable, EyeTable, Retina, Scenario, SignalTable};
+
+/// The name of the simulator's program.
+const SIMULATOR: &str = "tectum-simulator";
+
+/// The signals of a plant, in the order of the samples.
+pub(super) struct Signals {
+    pub(super) inputs: Vec<SignalTable>,
+    pub(super) outputs: Vec<SignalTable>,
+    pub(super) measures: Vec<String>,
+}
+
+/// Whether the plant's program is our simulator, wherever it is installed.
+pub(super) fn is_simulator(program: &str) -> bool {
+    Path::new(program).file_name().is_some_and(|name| name == SIMULATOR)
+}
+
+/// The signals that the scenario gives; those that it leaves out are the arm's or the eye's. Lists are empty if nothing
+/// says what they hold.
+pub(super) fn signals(scenario: &Scenario) -> Signals {
+    let plant = &scenario.plant;
+    let known = match (&plant.arm, &plant.eye) {
+        (Some(arm), _) => of_arm(arm, scenario.gate.max_command),
+        (None, Some(eye)) => of_eye(eye, scenario.gate.max_command),
+        (None, None) => Signals { inputs: Vec::new(), outputs: Vec::new(), measures: Vec::new() },
+    };
+    Signals {
+        inputs: if plant.inputs.is_empty() { known.inputs } else { plant.inputs.clone() },
+        outputs: if plant.outputs.is_empty() { known.outputs } else { plant.outputs.clone() },
+        measures: if plant.measures.is_empty() { known.measures } else { plant.measures.clone() },
+    }
+}
+
+fn of_arm(arm: &ArmTable, max_command: f64) -> Signals {
+    let joints = 1..=arm.lengths.len();
+    let mut inputs = vec![signal("target_x", "m", arm.arena), signal("target_y", "m", arm.arena)];
+    inputs.extend(joints.clone().map(|joint| signal(&format!("theta_{joint}"), "rad", [-PI, PI])));
+    Signals {
+        inputs,
+        outputs: joints.map(|joint| signal(&format!("rate_{joint}"), "1", [-max_command, max_command])).collect(),
+        measures: ["error", "end_x", "end_y"].map(String::from).to_vec(),
+    }
+}
+
+fn of_eye(eye: &EyeTable, max_command: f64) -> Signals {
+    let inputs = match eye.retina {
+        Retina::Linear => vec![
+            signal("position_x", "1", [-1.0, 1.0]),
+            signal("position_y", "1", [-1.0, 1.0]),
+            signal("velocity_x", "1/s", [-1.0, 1.0]),
+            signal("velocity_y", "1/s", [-1.0, 1.0]),
+        ],
+        // The radius of a velocity is a logarithm, so that it has no unit of its own.
+        Retina::LogPolar => vec![
+            signal("position_rho", "1", [0.0, 1.0]),
+            signal("position_phi", "rad", [-PI, PI]),
+            signal("velocity_rho", "1", [0.0, 1.0]),
+            signal("velocity_phi", "rad", [-PI, PI]),
+        ],
+    };
+    Signals {
+        inputs,
+        outputs: ["up", "down", "left", "right"].map(|name| signal(name, "1", [-max_command, max_command])).to_vec(),
+        measures: vec!["error".to_owned()],
+    }
+}
+
+fn signal(name: &str, unit: &str, [min, max]: [f64; 2]) -> SignalTable {
+    SignalTable { name: name.to_owned(), unit: unit.to_owned(), min, max }
+}

@@ -1,0 +1,146 @@
+//! Where a scenario's text came from, and on which line of it a key stands: what messages need beside the tables.
+
+use std::{fmt, ops::Range, sync::Arc};
+
+use toml::de::{DeTable, DeValue};
+
+/// The origin of a scenario: the name of its file and its text, kept for messages.
+///
+/// It is not part of what the scenario says: two scenarios that say the same are equal whatever their origin, and it is
+/// neither written by [`to_toml`](super::Scenario::to_toml) nor hashed.
+#[derive(Clone)]
+pub struct Source {
+    name: Arc<str>,
+    text: Arc<str>,
+}
+
+impl Source {
+    pub(super) fn new(name: &str, text: &str) -> Self {
+        Self { name: name.into(), text: text.into() }
+    }
+
+    /// The file as it was named; `scenario` for one that was built in memory.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The text of the file as it was read, without what the caller changed since; empty for a scenario built in memory.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The line of a key such as `encoder.maps[0].units[1]`, or of the innermost table around it that the text has.
+    pub(super) fn line_of(&self, key: &str) -> Option<usize> {
+        let document = DeTable::parse(&self.text).ok()?;
+        let (start, _, _) = follow(document.get_ref(), key)?;
+        Some(line_at(&self.text, start))
+    }
+
+    /// A top-level whole number as the text has it.
+    pub(super) fn whole_number(&self, key: &str) -> Option<u64> {
+        let document = DeTable::parse(&self.text).ok()?;
+        let number = document.get_ref().get(key)?.get_ref().as_integer()?;
+        u64::from_str_radix(number.as_str(), number.radix()).ok()
+    }
+}
+
+impl Default for Source {
+    fn default() -> Self {
+        Self::new("scenario", "")
+    }
+}
+
+impl PartialEq for Source {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl fmt::Debug for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Source").field(&self.name).finish()
+    }
+}
+
+/// Follows a path such as `encoder.maps[0].units[1]` as far as it leads: where the last step's key begins, its value, and
+/// whether that was the whole path. `None` if not even the first step is there.
+fn follow<'d, 'i>(document: &'d DeTable<'i>, path: &str) -> Option<(usize, &'d DeValue<'i>, bool)> {
+    let mut steps = path.split(['.', '[']);
+    let (first, value) = document.get_key_value(steps.next()?)?;
+    let (mut start, mut value) = (first.span().start, value.get_ref());
+    for step in steps {
+        let next = match (value, step.strip_suffix(']')) {
+            (DeValue::Array(items), Some(index)) => {
+                index.parse().ok().and_then(|i: usize| items.get(i)).map(|item| (item.span().start, item.get_ref()))
+            }
+            (DeValue::Table(table), None) => {
+                table.get_key_value(step).map(|(key, value)| (key.span().start, value.get_ref()))
+            }
+            _ => None,
+        };
+        match next {
+            Some(next) => (start, value) = next,
+            None => return Some((start, value, false)),
+        }
+    }
+    Some((start, value, true))
+}
+
+/// The first list that stands where a table belongs, and where it begins. serde would take its entries for the table's
+/// keys in the order of their declaration, which nobody means.
+pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> {
+    const TABLES: [&str; 10] = [
+        "plant",
+        "plant.arm",
+        "plant.arm.reward",
+        "plant.eye",
+        "encoder",
+        "policy",
+        "learner",
+        "gate",
+        "log",
+        "channels",
+    ];
+    const LISTS_OF_TABLES: [&str; 4] = ["plant.inputs", "plant.outputs", "plant.arm.block", "encoder.maps"];
+    let table = TABLES.iter().find_map(|path| match follow(document, path)? {
+        (start, DeValue::Array(_), true) => Some(((*path).to_owned(), start)),
+        _ => None,
+    });
+    table.or_else(|| {
+        LISTS_OF_TABLES.iter().find_map(|path| {
+            let (_, DeValue::Array(items), true) = follow(document, path)? else { return None };
+            let i = items.iter().position(|item| matches!(item.get_ref(), DeValue::Array(_)))?;
+            Some((format!("{path}[{i}]"), items[i].span().start))
+        })
+    })
+}
+
+/// The line, from 1, of a byte offset; the last line for an offset past the end.
+pub(super) fn line_at(text: &str, offset: usize) -> usize {
+    let before = &text.as_bytes()[..offset.min(text.len())];
+    1 + before.iter().filter(|&&byte| byte == b'\n').count()
+}
+
+/// The path of the key or value that has this span, the innermost one if several do.
+pub(super) fn key_at(table: &DeTable<'_>, span: &Range<usize>) -> Option<String> {
+    table.iter().find_map(|(key, value)| {
+        let inner = key_in(value.get_ref(), span);
+        match inner {
+            Some(inner) if inner.starts_with('[') => Some(format!("{}{inner}", key.get_ref())),
+            Some(inner) => Some(format!("{}.{inner}", key.get_ref())),
+            None => (key.span() == *span || value.span() == *span).then(|| key.get_ref().to_string()),
+        }
+    })
+}
+
+fn key_in(value: &DeValue<'_>, span: &Range<usize>) -> Option<String> {
+    match value {
+        DeValue::Table(table) => key_at(table, span),
+        DeValue::Array(items) => items.iter().enumerate().find_map(|(i, item)| match key_in(item.get_ref(), span) {
+            Some(inner) if inner.starts_with('[') => Some(format!("[{i}]{inner}")),
+            Some(inner) => Some(format!("[{i}].{inner}")),
+            None => (item.span() == *span).then(|| format!("[{i}]")),
+        }),
+        _ => None,
+    }
+}

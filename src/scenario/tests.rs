@@ -1,0 +1,274 @@
+//! Whatever a file says, reading and planning it ends in a plan that keeps its bounds or in a message; never in a panic.
+
+use std::f64::consts::PI;
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::wire::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
+
+/// Everything that the rest of the program relies on, in numbers written out here on purpose rather than taken from
+/// [`limits`], so that a slip there shows.
+fn assert_bounds(plan: &Plan) {
+    let s = &plan.scenario;
+    let fits = |text: &str, most: usize| (1..=most).contains(&text.chars().count());
+    assert!(fits(&s.name, 32) && s.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_'));
+    assert!(s.seed <= i64::MAX as u64);
+    assert!((1_000_000..=1_000_000_000).contains(&plan.period_ns));
+    assert_eq!(plan.period_ns as f64 / 1e6, s.period_ms);
+    assert!((2..=1_000_000_000_000).contains(&s.ticks));
+
+    for (signals, most) in [(&plan.inputs, MAX_INPUTS), (&plan.outputs, MAX_OUTPUTS)] {
+        assert!((1..=most).contains(&signals.len()));
+        for (i, signal) in signals.iter().enumerate() {
+            assert!(fits(&signal.name, 32) && signal.unit.chars().count() <= 32);
+            assert!(-1e9 <= signal.min && signal.min < signal.max && signal.max <= 1e9);
+            assert!(signals[..i].iter().all(|other| other.name != signal.name));
+        }
+    }
+    assert!(plan.measures.len() <= MAX_MEASURES && plan.measures.iter().all(|name| fits(name, 32)));
+
+    assert!((1..=64).contains(&plan.maps.len()));
+    assert_eq!(plan.maps.len(), s.encoder.maps.len());
+    let mut features = 0;
+    for map in &plan.maps {
+        let axes = match *map {
+            Map::Line(axis) => vec![axis],
+            Map::Plane(first, second) => {
+                assert_ne!(first.input, second.input);
+                vec![first, second]
+            }
+        };
+        for axis in &axes {
+            assert!(axis.input < plan.inputs.len() && (2..=4096).contains(&axis.units));
+            assert!(-1e9 <= axis.min && axis.min < axis.max && axis.max <= 1e9);
+            assert!((1e-9..=1e9).contains(&axis.radius));
+            assert!((axis.max - axis.min) / (axis.units - 1) as f64 <= 10.0 * axis.radius);
+        }
+        features += axes.iter().map(|axis| axis.units).product::<usize>();
+    }
+    assert!(features <= 65_536);
+
+    assert!(0.0 < s.gate.max_command && s.gate.max_command <= 1e6);
+    assert!(0.0 < s.policy.sigma && s.policy.sigma <= s.gate.max_command);
+    assert!(s.gate.hold_ticks <= 1_000_000 && s.gate.decay_ticks <= 1_000_000);
+    assert!((0.0..1.0).contains(&s.learner.beta) && (0.0..=1000.0).contains(&s.learner.alpha_over_variance));
+    assert!(s.log.every >= 1 && s.log.hash_every >= 1);
+    let channels = [&s.channels.observation, &s.channels.command, &s.channels.learning];
+    for (i, channel) in channels.iter().enumerate() {
+        assert!(fits(channel, 64) && !channels[..i].contains(channel));
+        assert!(channel.bytes().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || b"_-/".contains(&c)));
+    }
+
+    assert!(!s.plant.program.trim().is_empty());
+    if s.plant.program == "tectum-simulator" {
+        assert!(s.plant.arm.is_some() != s.plant.eye.is_some());
+    }
+    if let Some(arm) = &s.plant.arm {
+        assert!((1..=8).contains(&arm.lengths.len()) && arm.lengths.iter().all(|l| (1e-3..=100.0).contains(l)));
+        assert!(arm.base.iter().all(|b| b.abs() <= 1000.0) && arm.arena.iter().all(|a| a.abs() <= 1000.0));
+        assert!(arm.arena[0] < arm.arena[1] && arm.gain.abs() <= 1e6 && arm.gain != 0.0 && arm.target_every >= 1);
+        assert!(arm.targets.iter().flatten().all(|x| (arm.arena[0]..=arm.arena[1]).contains(x)));
+        let weights = [arm.reward.scale, arm.reward.speed, arm.reward.angle];
+        assert!(weights.iter().all(|w| (0.0..=1e6).contains(w)));
+        for (i, block) in arm.block.iter().enumerate() {
+            assert!((1..=arm.lengths.len()).contains(&block.joint) && block.angle.abs() <= PI);
+            assert!(arm.block[..i].iter().all(|other| (other.joint, other.tick) != (block.joint, block.tick)));
+        }
+    }
+    if let Some(eye) = &s.plant.eye {
+        assert!((1e-3..=1e6).contains(&eye.distortion) && (1e-6..=10.0).contains(&eye.spread));
+        assert!(eye.bonus.abs() <= 1000.0);
+    }
+}
+
+/// Reads and plans a text; whatever comes of it must hold up.
+fn survives(text: &str) {
+    match Scenario::parse(text, "x.toml") {
+        Ok(scenario) => {
+            let written = scenario.to_toml();
+            assert_eq!(Scenario::parse(&written, "y.toml").unwrap().to_toml(), written, "{written}");
+            match scenario.plan() {
+                Ok(plan) => {
+                    assert_bounds(&plan);
+                    assert_eq!(Scenario::parse(&plan.scenario.to_toml(), "y.toml").unwrap().plan().unwrap(), plan);
+                }
+                Err(error) => assert_message(&error),
+            }
+        }
+        Err(error) => assert_message(&error),
+    }
+}
+
+/// A message is one line of bearable length that begins with the file and does not show serde's innards.
+fn assert_message(error: &ScenarioError) {
+    let message = error.to_string();
+    assert!(message.starts_with("x.toml:"), "{message}");
+    assert!(message.chars().count() < 1000 && !message.chars().any(char::is_control), "{message}");
+    for word in ["invalid type", "invalid value", "unknown field", "missing field", "struct ", "f64", "usize"] {
+        assert!(!message.contains(word), "{message}");
+    }
+}
+
+/// Byte ranges of the numbers in a text, comments included, which then do nothing.
+fn numbers(text: &str) -> Vec<std::ops::Range<usize>> {
+    let bytes = text.as_bytes();
+    let digit = |i: usize| i < bytes.len() && (bytes[i].is_ascii_digit() || b"._".contains(&bytes[i]));
+    let starts = (1..bytes.len()).filter(|&i| bytes[i].is_ascii_digit() && b" [-".contains(&bytes[i - 1]));
+    starts.map(|start| start..(start..).find(|&i| !digit(i)).unwrap_or(bytes.len())).collect()
+}
+
+#[derive(Debug, Clone)]
+enum Edit {
+    Flip(prop::sample::Index, u8),
+    Delete(prop::sample::Index, usize),
+    Repeat(prop::sample::Index, usize),
+    Number(prop::sample::Index, &'static str),
+    DropLine(prop::sample::Index),
+}
+
+fn edit() -> impl Strategy<Value = Edit> {
+    let values = vec![
+        "nan",
+        "-nan",
+        "inf",
+        "-inf",
+        "-1",
+        "0",
+        "-0.0",
+        "1",
+        "2",
+        "3",
+        "1e300",
+        "-1e300",
+        "1e-300",
+        "5e-324",
+        "0.5",
+        "9223372036854775807",
+        "-9223372036854775808",
+        "9223372036854775808",
+        "1_000_000_000_001",
+        "65536",
+        "4096",
+        "0x7fffffff",
+        "true",
+        "\"x\"",
+        "[]",
+        "{}",
+        "1979-05-27",
+        "1.0",
+    ];
+    let at = any::<prop::sample::Index>;
+    prop_oneof![
+        2 => (at(), any::<u8>()).prop_map(|(at, byte)| Edit::Flip(at, byte)),
+        2 => (at(), 1..40usize).prop_map(|(at, n)| Edit::Delete(at, n)),
+        1 => (at(), 1..400usize).prop_map(|(at, n)| Edit::Repeat(at, n)),
+        6 => (at(), prop::sample::select(values)).prop_map(|(at, value)| Edit::Number(at, value)),
+        2 => at().prop_map(Edit::DropLine),
+    ]
+}
+
+fn applied(text: &str, edit: &Edit) -> String {
+    let mut bytes = text.as_bytes().to_vec();
+    if bytes.is_empty() {
+        return String::new();
+    }
+    match edit {
+        Edit::Flip(at, byte) => {
+            let at = at.index(bytes.len());
+            bytes[at] = *byte;
+        }
+        Edit::Delete(at, n) => {
+            let at = at.index(bytes.len());
+            bytes.drain(at..(at + n).min(text.len()));
+        }
+        Edit::Repeat(at, n) => {
+            let at = at.index(bytes.len());
+            let piece = bytes[at..(at + n).min(text.len())].to_vec();
+            bytes.splice(at..at, piece);
+        }
+        Edit::Number(at, value) => {
+            let numbers = numbers(text);
+            if !numbers.is_empty() {
+                bytes.splice(numbers[at.index(numbers.len())].clone(), value.bytes());
+            }
+        }
+        Edit::DropLine(at) => {
+            let lines: Vec<_> = text.lines().collect();
+            let at = at.index(lines.len());
+            bytes = [&lines[..at], &lines[at + 1..]].concat().join("\n").into_bytes();
+        }
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// The presets, and one text that has every table and key there is.
+fn texts() -> Vec<String> {
+    let everything = presets()[0].text.replace("# [[plant.arm.block]]\n# joint", "[[plant.arm.block]]\njoint");
+    let everything = everything.replace("# tick = ", "tick = ").replace("# angle = ", "angle = ");
+    let everything = everything.replace("# targets = ", "targets = ");
+    presets().iter().map(|preset| preset.text.to_owned()).chain([everything]).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn no_damage_to_a_file_does_harm(which in 0..4usize, edits in prop::collection::vec(edit(), 1..4)) {
+        let text = edits.iter().fold(texts()[which].clone(), |text, edit| applied(&text, edit));
+        survives(&text);
+    }
+
+    #[test]
+    fn no_text_at_all_does_harm(text in "(?s).{0,200}") {
+        survives(&text);
+    }
+}
+
+#[test]
+fn the_texts_under_test_are_good_ones() {
+    for text in texts() {
+        let plan = Scenario::parse(&text, "x.toml").unwrap().plan().unwrap();
+        assert_bounds(&plan);
+    }
+    let last = texts().pop().unwrap();
+    let arm = Scenario::parse(&last, "x.toml").unwrap().plant.arm.unwrap();
+    assert_eq!((arm.block.len(), arm.targets.len()), (1, 2), "the full text has its optional parts");
+}
+
+#[test]
+fn every_number_replaced_by_every_odd_one() {
+    for text in texts() {
+        for range in numbers(&text) {
+            for value in ["nan", "inf", "-inf", "-1", "0", "1e300", "9223372036854775807"] {
+                let mut text = text.clone();
+                text.replace_range(range.clone(), value);
+                survives(&text);
+            }
+        }
+    }
+}
+
+#[test]
+fn deep_and_long_texts_end_in_a_message() {
+    survives(&format!("name = {}", "[".repeat(100_000)));
+    survives(&"a.".repeat(100_000));
+    survives(&"[a]\n".repeat(10_000));
+    survives(&format!("name = \"{}\"\n", "\u{e9}".repeat(100_000)));
+    survives(&format!("{} = 1\n", "k".repeat(100_000)));
+    survives(&format!("seed = \"{}\"\n", "\\n".repeat(100_000)));
+    survives(&format!("seed = {}\n", "9".repeat(100_000)));
+    let targets = "[0.5, 0.0], ".repeat(50_000);
+    let arm = presets()[0].text.replace("# targets = [[0.5, 0.0], [-0.5, 0.2]]", &format!("targets = [{targets}]"));
+    survives(&arm);
+}
+
+#[test]
+fn a_scenario_made_by_hand_is_checked_too() {
+    let mut scenario = presets()[0].scenario().unwrap();
+    scenario.encoder.maps[0].units = vec![usize::MAX, usize::MAX];
+    scenario.log.every = u64::MAX;
+    survives(&scenario.to_toml());
+    let error = scenario.plan().unwrap_err();
+    assert!(error.to_string().contains("encoder.maps[0].units[0] is 18446744073709551615"), "{error}");
+}

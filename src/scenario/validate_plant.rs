@@ -1,0 +1,155 @@
+//! The checks of the `[plant]` table: which tables go with which program, and the geometry of arm and eye.
+
+use std::f64::consts::PI;
+
+use super::{
+    ArmTable, EyeTable, PlantTable, error::Problem, error::quoted, limits, signals::is_simulator, validate::number,
+    validate::ordered, validate::show, validate::ticks,
+};
+
+/// Checks the table; the lists of signals are checked where they are resolved.
+pub(super) fn check(plant: &PlantTable) -> Result<(), Problem> {
+    program(plant)?;
+    kind(plant)?;
+    plant.arm.as_ref().map_or(Ok(()), arm)?;
+    plant.eye.as_ref().map_or(Ok(()), eye)
+}
+
+fn program(plant: &PlantTable) -> Result<(), Problem> {
+    if plant.program.trim().is_empty() {
+        return Err(Problem::value("plant.program", quoted(&plant.program), "give the name or the path of a program"));
+    }
+    let args = plant.args.iter().enumerate().map(|(i, arg)| (format!("plant.args[{i}]"), arg));
+    for (key, text) in std::iter::once(("plant.program".to_owned(), &plant.program)).chain(args) {
+        // The operating system ends a program's name and arguments at a zero character.
+        if text.contains('\0') || text.chars().count() > limits::PROGRAM_CHARS {
+            return Err(Problem::value(
+                key,
+                quoted(text),
+                "give at most 4096 characters, none of them a zero character",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The simulator has exactly one of arm and eye and knows their signals; any other program may have an arm.
+fn kind(plant: &PlantTable) -> Result<(), Problem> {
+    if !is_simulator(&plant.program) {
+        if plant.eye.is_some() {
+            let program = quoted(&plant.program);
+            let text = format!("belongs to tectum-simulator and plant.program is {program}; take one of the two out");
+            return Err(Problem::new("plant.eye", text));
+        }
+        return Ok(());
+    }
+    match (&plant.arm, &plant.eye) {
+        (None, None) => {
+            return Err(Problem::new(
+                "plant",
+                "has neither an arm nor an eye to simulate; add [plant.arm] or [plant.eye]",
+            ));
+        }
+        (Some(_), Some(_)) => {
+            return Err(Problem::new("plant.eye", "stands beside plant.arm; keep one of the two"));
+        }
+        _ => {}
+    }
+    let given = [
+        ("plant.inputs", plant.inputs.is_empty()),
+        ("plant.outputs", plant.outputs.is_empty()),
+        ("plant.measures", plant.measures.is_empty()),
+    ];
+    match given.iter().find(|(_, empty)| !empty) {
+        Some((key, _)) => Err(Problem::new(key, "is given, but tectum-simulator knows its own; take it out")),
+        None => Ok(()),
+    }
+}
+
+fn arm(arm: &ArmTable) -> Result<(), Problem> {
+    let n = arm.lengths.len();
+    if !limits::JOINTS.contains(&n) {
+        return Err(Problem::new("plant.arm.lengths", format_args!("has {n} entries; give 1 to 8 lengths")));
+    }
+    for (i, &length) in arm.lengths.iter().enumerate() {
+        number(format_args!("plant.arm.lengths[{i}]"), length, limits::LENGTH, "give 0.001 to 100 m")?;
+    }
+    let coordinate = -limits::COORDINATE..=limits::COORDINATE;
+    for (i, &value) in arm.base.iter().enumerate() {
+        number(format_args!("plant.arm.base[{i}]"), value, coordinate.clone(), "give -1000 to 1000 m")?;
+    }
+    if arm.gain == 0.0 || !(-limits::GAIN..=limits::GAIN).contains(&arm.gain) {
+        let remedy = "give a rate other than 0, from -1e6 to 1e6 rad/s";
+        return Err(Problem::value("plant.arm.gain", show(arm.gain), remedy));
+    }
+    ordered("plant.arm.arena", arm.arena, limits::COORDINATE)?;
+    ticks("plant.arm.target_every", arm.target_every, 1)?;
+    targets(arm)?;
+    let reward = &arm.reward;
+    for (key, value) in [("scale", reward.scale), ("speed", reward.speed), ("angle", reward.angle)] {
+        number(format_args!("plant.arm.reward.{key}"), value, limits::WEIGHT, "give 0 to 1e6")?;
+    }
+    blocks(arm)
+}
+
+fn targets(arm: &ArmTable) -> Result<(), Problem> {
+    let [low, high] = arm.arena;
+    for (i, target) in arm.targets.iter().enumerate() {
+        if !target.iter().all(|value| (low..=high).contains(value)) {
+            let value = format!("[{}, {}]", show(target[0]), show(target[1]));
+            let remedy = format!("targets lie in plant.arm.arena, from {} to {} m on both axes", show(low), show(high));
+            return Err(Problem::value(format_args!("plant.arm.targets[{i}]"), value, remedy));
+        }
+    }
+    if arm.targets.is_empty() && reachable_share(arm) < limits::REACHABLE_SHARE {
+        let value = format!("[{}, {}]", show(low), show(high));
+        let remedy = "the arm can reach less than 1 % of it, so that no targets can be drawn; change arena, base or lengths, or give targets";
+        return Err(Problem::value("plant.arm.arena", value, remedy));
+    }
+    Ok(())
+}
+
+/// The share of the arena that the end-effector can reach, counted on a grid.
+///
+/// With joints that turn freely, the reach is a ring around the base: out to the sum of the lengths, and in to what the
+/// longest segment leaves when all others point back along it.
+fn reachable_share(arm: &ArmTable) -> f64 {
+    const STEPS: usize = 200;
+    let longest = arm.lengths.iter().copied().fold(0.0, f64::max);
+    let outer: f64 = arm.lengths.iter().sum();
+    let inner = (2.0 * longest - outer).max(0.0);
+    let [low, high] = arm.arena;
+    let at = |i: usize| low + (high - low) * (i as f64 + 0.5) / STEPS as f64;
+    let mut reached = 0;
+    for i in 0..STEPS {
+        for j in 0..STEPS {
+            let distance = (at(i) - arm.base[0]).hypot(at(j) - arm.base[1]);
+            reached += usize::from((inner..=outer).contains(&distance));
+        }
+    }
+    reached as f64 / (STEPS * STEPS) as f64
+}
+
+fn blocks(arm: &ArmTable) -> Result<(), Problem> {
+    let joints = arm.lengths.len();
+    for (i, block) in arm.block.iter().enumerate() {
+        if !(1..=joints).contains(&block.joint) {
+            let remedy = format!("the arm's joints are 1 to {joints}, counted from the base");
+            return Err(Problem::value(format_args!("plant.arm.block[{i}].joint"), block.joint, remedy));
+        }
+        ticks(format_args!("plant.arm.block[{i}].tick"), block.tick, 0)?;
+        number(format_args!("plant.arm.block[{i}].angle"), block.angle, -PI..=PI, "give -pi to pi rad")?;
+        let same = |other: &&super::BlockTable| (other.joint, other.tick) == (block.joint, block.tick);
+        if arm.block[..i].iter().any(|other| same(&other)) {
+            let text = format!("blocks joint {} at tick {} once more; keep one of the two", block.joint, block.tick);
+            return Err(Problem::new(format_args!("plant.arm.block[{i}]"), text));
+        }
+    }
+    Ok(())
+}
+
+fn eye(eye: &EyeTable) -> Result<(), Problem> {
+    number("plant.eye.distortion", eye.distortion, limits::DISTORTION, "give 0.001 to 1e6")?;
+    number("plant.eye.spread", eye.spread, limits::SPREAD, "give 1e-6 to 10, in retina coordinates")?;
+    number("plant.eye.bonus", eye.bonus, -limits::BONUS..=limits::BONUS, "give -1000 to 1000")
+}
