@@ -186,3 +186,69 @@ fn the_limit_on_a_files_size_is_named() {
     let records = log.by_ref().map(Result::unwrap).count();
     assert!(records > 100 && !log.finished(), "{records}");
 }
+
+/// A log for the scripts in `tests/python`, with the arm and the paper's learner as a few plain loops in single
+/// precision: `TECTUM_TEST_LOG=log.mcap cargo test --test log_file -- --ignored a_log_for_python`.
+#[test]
+#[ignore = "writes a file for the Python scripts; the path stands in TECTUM_TEST_LOG"]
+fn a_log_for_python() {
+    use rand_distr::{Distribution, Normal, Uniform};
+    use std::f32::consts::PI;
+    let path = std::env::var_os("TECTUM_TEST_LOG").expect("TECTUM_TEST_LOG names the log to write");
+    let path = Path::new(&path);
+    let mut rng = tectum::seed::stream(1, "python");
+    let (place, draw) = (Uniform::new(-1.0f32, 1.0).unwrap(), Normal::new(0.0f32, 0.003).unwrap());
+    let row = |x: f32, limit: f32| -> Vec<f32> {
+        (0..16).map(|i| (-(x + limit - 2.0 * limit * i as f32 / 15.0).powi(2) / 0.5).exp()).collect()
+    };
+    let mut log = LogWriter::create(path, &header()).unwrap();
+    let (mut theta, mut target, mut reward) = ([0.0f32; 4], [0.0f32; 2], 0.0f32);
+    let (mut w, mut z) = (vec![[0.0f32; 4]; 320], vec![[0.0f32; 4]; 320]);
+    let ticks = 2000;
+    for k in 0..ticks {
+        // Now and then a tick is not learned from, as after a late command.
+        let cut = k % 97 == 50;
+        let learned = k > 0 && !cut;
+        if k % 80 == 0 {
+            target = [place.sample(&mut rng), place.sample(&mut rng)];
+        }
+        if learned {
+            for (w, z) in w.iter_mut().zip(&z) {
+                (0..4).for_each(|d| w[d] += 0.01 * reward * z[d]);
+            }
+        }
+        if cut {
+            z.fill([0.0; 4]);
+        }
+        let (a, b) = (row(target[0], 1.0), row(target[1], 1.0));
+        let mut g: Vec<f32> = a.iter().flat_map(|a| b.iter().map(move |b| a * b)).collect();
+        g.extend(theta.iter().flat_map(|&t| row(t, PI)));
+        let norm = g.iter().map(|x| x * x).sum::<f32>().sqrt();
+        g.iter_mut().for_each(|x| *x /= norm);
+        let (mut observation, mut command, mut learning) = tick(k);
+        observation.inputs = [0.0; 16];
+        observation.inputs[..2].copy_from_slice(&target);
+        observation.inputs[2..6].copy_from_slice(&theta);
+        observation.reward = reward;
+        (command.mean, command.drawn, learning.noise) = ([0.0; 8], [0.0; 8], [0.0; 8]);
+        let (mut end, mut rates) = ([0.0f32, -1.0], 0.0);
+        for d in 0..4 {
+            let noise = draw.sample(&mut rng);
+            let mean = g.iter().zip(&w).map(|(g, w)| g * w[d]).sum::<f32>();
+            (command.mean[d], command.drawn[d], learning.noise[d]) = (mean, mean + noise, noise);
+            g.iter().zip(&mut z).for_each(|(g, z)| z[d] = 0.9 * z[d] + 0.1 * noise * g);
+            let rate = 200.0 * PI * (mean + noise);
+            theta[d] = (theta[d] + 0.05 * rate + PI).rem_euclid(2.0 * PI) - PI;
+            rates += rate * rate;
+            end = [end[0] + 0.5 * theta[d].cos(), end[1] + 0.5 * theta[d].sin()];
+        }
+        learning.header.flags = if learned { 1 << 16 } else { 0 } | if cut { 1 << 17 } else { 0 };
+        learning.reward = reward;
+        log.observation(&observation).unwrap();
+        log.command(&command).unwrap();
+        log.learning(&learning).unwrap();
+        let error = (end[0] - target[0]).powi(2) + (end[1] - target[1]).powi(2);
+        reward = -0.1 * (error + 0.025 * rates + 0.01 * theta.iter().map(|t| t * t).sum::<f32>());
+    }
+    log.finish(&Totals { last_tick: Some(ticks - 1), complete: true, ..Totals::default() }).unwrap();
+}
