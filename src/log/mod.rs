@@ -1,1 +1,150 @@
-//! (to come)
+//! The run's log: MCAP files, written one message at a time and read back, whole or torn.
+//!
+//! A log must be worth something without this program and after any death of the logger. So every sample goes into an
+//! unchunked MCAP file as `cdr` under a `ros2msg` schema, which MCAP tools in other languages decode unaided; the
+//! resolved scenario, units, build and clock stand at its start; and each message has left the process before the call
+//! that wrote it returns, so that killing the logger costs none that it had acknowledged.
+//!
+//! What a file holds, in order:
+//!
+//! 1. the attachment `scenario.toml`: the scenario with every default filled in;
+//! 2. the metadata record `tectum.run`: see [`LogHeader`];
+//! 3. schemas and channels: `/observation`, `/command` and `/learning` (or the scenario's names for them), and `/gap`;
+//! 4. the messages: four bytes of encapsulation (`00 01 00 00`) and then the sample's own bytes;
+//! 5. if the logger came to its end, the metadata record `tectum.totals` (see [`Totals`]), MCAP's summary, and checksums.
+//!
+//! `log_time` and `publish_time` of a message are its `published_ns`, moved from the run's clock to wall time by the two
+//! instants in `tectum.run`. In lockstep both are 0, so that equal runs write equal messages.
+
+mod error;
+mod header;
+mod parse;
+mod reader;
+mod writer;
+
+pub use error::LogError;
+pub use header::{Clock, LogHeader};
+pub use reader::LogReader;
+pub use writer::{LogWriter, Summary};
+
+use crate::wire::{Command, Gap, Learning, Observation, Sample};
+use std::collections::BTreeMap;
+
+/// Topic of the log's own statements about what it lacks.
+pub const GAP_TOPIC: &str = "/gap";
+/// Name of the attachment with the resolved scenario.
+pub const SCENARIO_ATTACHMENT: &str = "scenario.toml";
+/// Name of the metadata record that describes the run.
+pub const RUN_METADATA: &str = "tectum.run";
+/// Name of the metadata record that closes a log.
+pub const TOTALS_METADATA: &str = "tectum.totals";
+
+/// What a log takes beside its messages, bytes: schemas (twice), scenario, metadata and summary. An allowance for
+/// scenarios of a few kilobytes, not a bound.
+pub const FIXED_BYTES: u64 = 16 * 1024;
+
+/// CDR encapsulation, plain and little-endian: what stands before every sample's bytes.
+const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+/// What MCAP puts around a message's data: operation code and length (9), channel, sequence and two instants (22).
+const MESSAGE_OVERHEAD: usize = 9 + 22;
+
+/// The definition of a sample as readers of `ros2msg` take it: inside a definition, and in the `MSG:` line above a nested
+/// one, a type is `package/Type`; with `package/msg/Type` there, Python's decoder refuses the schema.
+fn definition<S: Sample>() -> String {
+    S::ros2msg().replace("/msg/", "/")
+}
+
+/// One message of a log.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Record {
+    /// From the plant.
+    Observation(Observation),
+    /// From the controller's policy.
+    Command(Command),
+    /// From the controller's learner.
+    Learning(Learning),
+    /// From the logger: samples are missing here.
+    Gap(Gap),
+}
+
+/// How a log ended, channel by channel. The three channels stand in the order observation, command, learning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Totals {
+    /// Samples that were sent and never reached the log.
+    pub lost: [u64; 3],
+    /// Samples left out on purpose, because only every N-th tick is written.
+    pub thinned: [u64; 3],
+    /// The last tick that the logger saw, written or not; `None` if it saw none.
+    pub last_tick: Option<u64>,
+    /// The run came to its planned end, and the logger saw it.
+    pub complete: bool,
+}
+
+/// Names of the three channels in metadata, in the order of [`Totals`].
+const CHANNELS: [&str; 3] = ["observation", "command", "learning"];
+
+impl Totals {
+    fn to_map(self, written: [u64; 4]) -> BTreeMap<String, String> {
+        let mut map = BTreeMap::new();
+        for (i, name) in CHANNELS.iter().enumerate() {
+            map.insert(format!("{name}.written"), written[i].to_string());
+            map.insert(format!("{name}.lost"), self.lost[i].to_string());
+            map.insert(format!("{name}.thinned"), self.thinned[i].to_string());
+        }
+        map.insert("gap.written".into(), written[3].to_string());
+        map.insert("last_tick".into(), self.last_tick.map_or(String::new(), |t| t.to_string()));
+        map.insert("complete".into(), self.complete.to_string());
+        map
+    }
+
+    /// `None` if a key is missing or does not hold what it should.
+    fn from_map(map: &BTreeMap<String, String>) -> Option<Totals> {
+        let mut totals = Totals::default();
+        for (i, name) in CHANNELS.iter().enumerate() {
+            totals.lost[i] = map.get(&format!("{name}.lost"))?.parse().ok()?;
+            totals.thinned[i] = map.get(&format!("{name}.thinned"))?.parse().ok()?;
+        }
+        let last = map.get("last_tick")?;
+        totals.last_tick = if last.is_empty() { None } else { Some(last.parse().ok()?) };
+        totals.complete = map.get("complete")?.parse().ok()?;
+        Some(totals)
+    }
+}
+
+/// Bytes that a tick adds to a log of which every `every`-th tick is written (0 counts as 1): three messages with their
+/// exact overhead, shared out over the ticks between. A whole log takes [`FIXED_BYTES`] more, or thereabouts.
+pub fn bytes_per_tick(every: u64) -> f64 {
+    let samples = size_of::<Observation>() + size_of::<Command>() + size_of::<Learning>();
+    let written = samples + 3 * (MESSAGE_OVERHEAD + ENCAPSULATION.len());
+    written as f64 / every.max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn totals_survive_their_map() {
+        let totals = Totals { lost: [1, 2, 3], thinned: [4, 5, 6], last_tick: Some(7), complete: true };
+        assert_eq!(Totals::from_map(&totals.to_map([8; 4])), Some(totals));
+        let none = Totals::default();
+        assert_eq!(Totals::from_map(&none.to_map([0; 4])), Some(none));
+        let mut broken = totals.to_map([8; 4]);
+        broken.insert("command.lost".into(), "some".into());
+        assert_eq!(Totals::from_map(&broken), None);
+    }
+
+    /// A decoder in another language found this the hard way.
+    #[test]
+    fn nested_types_have_two_parts() {
+        let text = definition::<Observation>();
+        assert!(text.starts_with("tectum/Header header\n") && text.contains("\nMSG: tectum/Header\n"), "{text}");
+    }
+
+    #[test]
+    fn thinning_divides_the_bytes() {
+        assert_eq!(bytes_per_tick(1), 521.0);
+        assert_eq!(bytes_per_tick(0), 521.0);
+        assert_eq!(bytes_per_tick(100), 5.21);
+    }
+}

@@ -1,0 +1,148 @@
+//! What can go wrong with a log, said so that somebody who only sees the message knows what to do.
+
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+
+/// Why a log cannot be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// Creating, writing or closing it failed.
+    #[error("the log {} cannot be written: {}; {}", path.display(), cause(error), remedy(error.kind()))]
+    Write {
+        /// The log's file.
+        path: PathBuf,
+        /// What the operating system said.
+        error: io::Error,
+    },
+    /// Opening or reading it failed.
+    #[error("the log {} cannot be read: {}", path.display(), cause(error))]
+    Read {
+        /// The log's file.
+        path: PathBuf,
+        /// What the operating system said.
+        error: io::Error,
+    },
+    /// The header handed in cannot go into a log.
+    #[error("the log {} cannot be described: {why}", path.display())]
+    Header {
+        /// The log's file.
+        path: PathBuf,
+        /// What is wrong with the header.
+        why: String,
+    },
+    /// The file is something else, or a log that was cut off inside its header.
+    #[error("{} is not a log of this program: {why}", path.display())]
+    NotALog {
+        /// The file.
+        path: PathBuf,
+        /// What is missing or wrong.
+        why: String,
+    },
+    /// The log was written by a build whose samples have another layout.
+    #[error(
+        "the log {} holds {found} on {topic}, and this build reads {expected}; read it with the build that wrote it \
+         ({build})", path.display()
+    )]
+    Version {
+        /// The log's file.
+        path: PathBuf,
+        /// Topic of the channel.
+        topic: String,
+        /// The sample type in the log.
+        found: String,
+        /// The sample type of this build.
+        expected: &'static str,
+        /// The build that wrote the log, as the log names it.
+        build: String,
+    },
+    /// A record in the middle makes no sense, or a checksum is wrong: the file was changed after it was written.
+    #[error("the log {} is damaged at byte {at}: {why}; records before that point were read", path.display())]
+    Damaged {
+        /// The log's file.
+        path: PathBuf,
+        /// Bytes from the start of the file to the record in question; for a checksum, to the end of what it covers.
+        at: u64,
+        /// What is wrong.
+        why: String,
+    },
+}
+
+impl LogError {
+    /// No room: the disk, the quota or the file-size limit is used up.
+    pub fn is_full(&self) -> bool {
+        let LogError::Write { error, .. } = self else { return false };
+        matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge)
+    }
+
+    pub(super) fn write(path: &Path, error: io::Error) -> LogError {
+        LogError::Write { path: path.to_owned(), error }
+    }
+
+    pub(super) fn read(path: &Path, error: io::Error) -> LogError {
+        LogError::Read { path: path.to_owned(), error }
+    }
+
+    pub(super) fn not_a_log(path: &Path, why: impl Into<String>) -> LogError {
+        LogError::NotALog { path: path.to_owned(), why: why.into() }
+    }
+}
+
+/// The cause in plain words; the operating system's own text for what we do not know better.
+fn cause(error: &io::Error) -> String {
+    match error.kind() {
+        ErrorKind::StorageFull => "no space left on device".into(),
+        ErrorKind::QuotaExceeded => "the disk quota is used up".into(),
+        ErrorKind::FileTooLarge => "the limit on the size of a file is reached".into(),
+        ErrorKind::PermissionDenied => "permission denied".into(),
+        ErrorKind::ReadOnlyFilesystem => "the file system is read-only".into(),
+        ErrorKind::AlreadyExists => "the file exists already".into(),
+        ErrorKind::NotADirectory => "a part of its path is a file, not a folder".into(),
+        ErrorKind::IsADirectory => "it is a folder".into(),
+        ErrorKind::NotFound => "there is no such file or folder".into(),
+        _ => error.to_string(),
+    }
+}
+
+fn remedy(kind: ErrorKind) -> &'static str {
+    match kind {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
+            "free some space, choose another --out or thin the log with [log] every"
+        }
+        ErrorKind::FileTooLarge => "raise the limit (ulimit -f) or thin the log with [log] every",
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "choose an --out that you may write to",
+        ErrorKind::AlreadyExists => "a log is never overwritten: choose another --out or move the file away",
+        ErrorKind::NotFound => "make the folder first or choose another --out",
+        _ => "choose another --out",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn says(code: i32) -> (String, bool) {
+        let e = LogError::write(Path::new("/x/log.mcap"), io::Error::from_raw_os_error(code));
+        (e.to_string(), e.is_full())
+    }
+
+    #[test]
+    fn messages_name_path_cause_and_remedy() {
+        let (enospc, efbig, eacces, eexist, enotdir) = (28, 27, 13, 17, 20);
+        assert_eq!(
+            says(enospc),
+            (
+                "the log /x/log.mcap cannot be written: no space left on device; free some space, choose another --out \
+                 or thin the log with [log] every"
+                    .into(),
+                true
+            )
+        );
+        let (text, full) = says(efbig);
+        assert!(text.contains("size of a file") && text.contains("ulimit -f") && full, "{text}");
+        for (code, words) in [(eacces, "permission denied"), (eexist, "exists already"), (enotdir, "not a folder")] {
+            let (text, full) = says(code);
+            assert!(text.contains("/x/log.mcap") && text.contains(words) && text.contains("--out"), "{text}");
+            assert!(!full);
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! What stands at the start of a log: everything that a reader needs to interpret it without this program.
+
+use super::{CHANNELS, LogError};
+use crate::scenario::{ChannelsTable, Plan, SignalTable};
+use crate::wire::{Command, Gap, Learning, Observation, Sample, flag, schema_hash};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// The clock whose instants the samples carry.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Clock {
+    /// Lockstep: tick k happens at `k * period`, starting from 0.
+    Virtual,
+    /// Real time: the system's monotonic clock.
+    Monotonic,
+}
+
+impl Clock {
+    /// The name in the log.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Clock::Virtual => "virtual",
+            Clock::Monotonic => "CLOCK_MONOTONIC",
+        }
+    }
+}
+
+/// A run's description. Every field goes into the metadata record `tectum.run` under its own name, hashes and the run's
+/// id in hexadecimal, lists as JSON, the machine's facts behind `machine.`; the scenario's text becomes an attachment.
+/// The record also names the version of each sample type (`wire.*`) and the bits of a header's flags (`flags`).
+#[derive(Debug, Clone, PartialEq)]
+pub struct LogHeader {
+    /// The scenario as TOML, every default filled in.
+    pub scenario: String,
+    /// Id of the run.
+    pub run: u64,
+    /// The scenario's name.
+    pub name: String,
+    /// Seed of every random stream.
+    pub seed: u64,
+    /// Ticks that the run is planned to have.
+    pub ticks: u64,
+    /// How ticks follow each other, for example `lockstep` or `real-time`.
+    pub mode: String,
+    /// Period of the tick, ns.
+    pub period_ns: u64,
+    /// Every how many ticks are written.
+    pub every: u64,
+    /// Hash over the layout of all samples.
+    pub schema_hash: u64,
+    /// Hash of the resolved scenario.
+    pub scenario_hash: u64,
+    /// Identity of the build that writes.
+    pub build: String,
+    /// Inputs of an observation, in order, with units and ranges.
+    pub inputs: Vec<SignalTable>,
+    /// Outputs of a command, in order, with units and ranges.
+    pub outputs: Vec<SignalTable>,
+    /// Names of an observation's measures, in order.
+    pub measures: Vec<String>,
+    /// Names of the channels; a topic is `/` and the name.
+    pub channels: ChannelsTable,
+    /// What is known of the machine: kernel, processor, cores, host and whatever else.
+    pub machine: BTreeMap<String, String>,
+    /// The clock of all instants.
+    pub clock: Clock,
+    /// Start of tick 0 on that clock, ns; 0 on the virtual clock.
+    pub t0_ns: u64,
+    /// Wall time at that instant, ns since 1970; 0 on the virtual clock.
+    pub wall_at_t0_ns: u64,
+}
+
+impl LogHeader {
+    /// The description of a run of `plan` on the virtual clock; for real time set [`clock`](Self::clock) and its two
+    /// instants.
+    pub fn new(plan: &Plan, run: u64, mode: &str, machine: BTreeMap<String, String>) -> LogHeader {
+        // A scenario came out of TOML, so it goes back; an empty text is refused when the log is created.
+        let scenario = toml::to_string(&plan.scenario).unwrap_or_default();
+        LogHeader {
+            scenario,
+            run,
+            name: plan.scenario.name.clone(),
+            seed: plan.scenario.seed,
+            ticks: plan.scenario.ticks,
+            mode: mode.to_owned(),
+            period_ns: plan.period_ns,
+            every: plan.scenario.log.every,
+            schema_hash: schema_hash(),
+            scenario_hash: plan.hash,
+            build: crate::BUILD.to_owned(),
+            inputs: plan.inputs.clone(),
+            outputs: plan.outputs.clone(),
+            measures: plan.measures.clone(),
+            channels: plan.scenario.channels.clone(),
+            machine,
+            clock: Clock::Virtual,
+            t0_ns: 0,
+            wall_at_t0_ns: 0,
+        }
+    }
+
+    /// Topics of observation, command and learning.
+    pub(super) fn topics(&self) -> [String; 3] {
+        [&self.channels.observation, &self.channels.command, &self.channels.learning].map(|name| format!("/{name}"))
+    }
+
+    /// The content of `tectum.run`.
+    pub(super) fn to_map(&self, path: &Path) -> Result<BTreeMap<String, String>, LogError> {
+        let bad = |why: String| LogError::Header { path: path.to_owned(), why };
+        if self.scenario.is_empty() {
+            return Err(bad("the scenario's text is empty".into()));
+        }
+        let json = |what: &str, value: serde_json::Result<String>| value.map_err(|e| bad(format!("{what}: {e}")));
+        let mut map: BTreeMap<String, String> =
+            self.machine.iter().map(|(k, v)| (format!("machine.{k}"), v.clone())).collect();
+        let mut put = |key: &str, value: String| map.insert(key.to_owned(), value);
+        put("run", format!("{:016x}", self.run));
+        put("name", self.name.clone());
+        put("seed", self.seed.to_string());
+        put("ticks", self.ticks.to_string());
+        put("mode", self.mode.clone());
+        put("period_ns", self.period_ns.to_string());
+        put("every", self.every.to_string());
+        put("schema_hash", format!("{:016x}", self.schema_hash));
+        put("scenario_hash", format!("{:016x}", self.scenario_hash));
+        put("build", self.build.clone());
+        put("inputs", json("inputs", serde_json::to_string(&self.inputs))?);
+        put("outputs", json("outputs", serde_json::to_string(&self.outputs))?);
+        put("measures", json("measures", serde_json::to_string(&self.measures))?);
+        put("flags", json("flags", serde_json::to_string(&BTreeMap::from(FLAGS)))?);
+        put("clock", self.clock.name().to_owned());
+        put("t0_ns", self.t0_ns.to_string());
+        put("wall_at_t0_ns", self.wall_at_t0_ns.to_string());
+        for (name, topic) in CHANNELS.iter().zip(self.topics()) {
+            put(&format!("topic.{name}"), topic);
+        }
+        put("wire.observation", Observation::NAME.to_owned());
+        put("wire.command", Command::NAME.to_owned());
+        put("wire.learning", Learning::NAME.to_owned());
+        put("wire.gap", Gap::NAME.to_owned());
+        Ok(map)
+    }
+}
+
+/// The bits of a header's flags by name.
+const FLAGS: [(&str, u32); 14] = [
+    ("FIRST", flag::FIRST),
+    ("MISSED", flag::MISSED),
+    ("HELD", flag::HELD),
+    ("DECAYED", flag::DECAYED),
+    ("STOPPED", flag::STOPPED),
+    ("CLAMPED", flag::CLAMPED),
+    ("NON_FINITE", flag::NON_FINITE),
+    ("SKIPPED", flag::SKIPPED),
+    ("NEW_TARGET", flag::NEW_TARGET),
+    ("LATE", flag::LATE),
+    ("INVALID", flag::INVALID),
+    ("LEARNED", flag::LEARNED),
+    ("TRACE_CUT", flag::TRACE_CUT),
+    ("HASHED", flag::HASHED),
+];
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// A header for tests, on the virtual clock.
+    pub fn sample_header() -> LogHeader {
+        let signal = |name: &str, unit: &str| SignalTable { name: name.into(), unit: unit.into(), min: -1.0, max: 1.0 };
+        LogHeader {
+            scenario: "name = \"test\"\nticks = 9\n".into(),
+            run: 0xabc,
+            name: "test".into(),
+            seed: 7,
+            ticks: 9,
+            mode: "lockstep".into(),
+            period_ns: 50_000_000,
+            every: 1,
+            schema_hash: schema_hash(),
+            scenario_hash: 0xdef,
+            build: "test".into(),
+            inputs: vec![signal("target_x", "m")],
+            outputs: vec![signal("rate_1", "rad/s")],
+            measures: vec!["error".into()],
+            channels: ChannelsTable::default(),
+            machine: BTreeMap::from([("kernel".into(), "Linux".into())]),
+            clock: Clock::Virtual,
+            t0_ns: 0,
+            wall_at_t0_ns: 0,
+        }
+    }
+
+    #[test]
+    fn the_map_says_what_a_stranger_needs() {
+        let map = sample_header().to_map(Path::new("x")).unwrap();
+        assert_eq!(map["run"], "0000000000000abc");
+        assert_eq!(map["inputs"], r#"[{"name":"target_x","unit":"m","min":-1.0,"max":1.0}]"#);
+        assert_eq!(map["wire.observation"], "tectum.Observation.v1");
+        assert_eq!(map["topic.command"], "/command");
+        assert_eq!(map["machine.kernel"], "Linux");
+        assert!(map["flags"].contains("\"LEARNED\":65536"));
+    }
+
+    #[test]
+    fn a_run_without_a_scenario_is_refused() {
+        let header = LogHeader { scenario: String::new(), ..sample_header() };
+        let error = header.to_map(Path::new("/x/log.mcap")).unwrap_err().to_string();
+        assert!(error.contains("/x/log.mcap") && error.contains("scenario"), "{error}");
+    }
+}

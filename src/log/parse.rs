@@ -1,0 +1,113 @@
+//! The bodies of the few MCAP record types that a log holds, read without trusting a byte of them.
+//!
+//! The `mcap` crate frames records and checks checksums; its own parser for bodies indexes past the end of a short
+//! attachment and reserves whatever a length field asks for, so a damaged file could take the reader down. Here a body
+//! that is too short is simply `None`.
+
+use std::collections::BTreeMap;
+
+/// Operation codes of the MCAP specification.
+pub(super) mod op {
+    pub const SCHEMA: u8 = 0x03;
+    pub const CHANNEL: u8 = 0x04;
+    pub const MESSAGE: u8 = 0x05;
+    pub const CHUNK: u8 = 0x06;
+    pub const ATTACHMENT: u8 = 0x09;
+    pub const METADATA: u8 = 0x0C;
+    pub const DATA_END: u8 = 0x0F;
+}
+
+/// Reads little-endian fields off the front of a record's body.
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn bytes(&mut self, n: usize) -> Option<&'a [u8]> {
+        let (head, tail) = self.0.split_at_checked(n)?;
+        self.0 = tail;
+        Some(head)
+    }
+
+    fn u16(&mut self) -> Option<u16> {
+        Some(u16::from_le_bytes(self.bytes(2)?.try_into().ok()?))
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        Some(u32::from_le_bytes(self.bytes(4)?.try_into().ok()?))
+    }
+
+    fn u64(&mut self) -> Option<u64> {
+        Some(u64::from_le_bytes(self.bytes(8)?.try_into().ok()?))
+    }
+
+    fn text(&mut self) -> Option<&'a str> {
+        let n = self.u32()?;
+        std::str::from_utf8(self.bytes(n as usize)?).ok()
+    }
+
+    fn map(&mut self) -> Option<BTreeMap<String, String>> {
+        let n = self.u32()?;
+        let mut inside = Fields(self.bytes(n as usize)?);
+        let mut map = BTreeMap::new();
+        while !inside.0.is_empty() {
+            map.insert(inside.text()?.to_owned(), inside.text()?.to_owned());
+        }
+        Some(map)
+    }
+}
+
+/// A schema's id, name, encoding and text.
+pub(super) fn schema(body: &[u8]) -> Option<(u16, &str, &str, &[u8])> {
+    let mut f = Fields(body);
+    let (id, name, encoding, n) = (f.u16()?, f.text()?, f.text()?, f.u32()?);
+    Some((id, name, encoding, f.bytes(n as usize)?))
+}
+
+/// A channel's id, schema, topic, encoding of messages and metadata.
+pub(super) fn channel(body: &[u8]) -> Option<(u16, u16, &str, &str, BTreeMap<String, String>)> {
+    let mut f = Fields(body);
+    Some((f.u16()?, f.u16()?, f.text()?, f.text()?, f.map()?))
+}
+
+/// A message's channel and data.
+pub(super) fn message(body: &[u8]) -> Option<(u16, &[u8])> {
+    let mut f = Fields(body);
+    let channel = f.u16()?;
+    // Sequence, log time and publish time repeat what the sample's own header says.
+    (f.u32()?, f.u64()?, f.u64()?);
+    Some((channel, f.0))
+}
+
+/// A metadata record's name and content.
+pub(super) fn metadata(body: &[u8]) -> Option<(&str, BTreeMap<String, String>)> {
+    let mut f = Fields(body);
+    Some((f.text()?, f.map()?))
+}
+
+/// An attachment's name and data.
+pub(super) fn attachment(body: &[u8]) -> Option<(&str, &[u8])> {
+    let mut f = Fields(body);
+    (f.u64()?, f.u64()?);
+    let (name, _media_type, n) = (f.text()?, f.text()?, f.u64()?);
+    let data = f.bytes(usize::try_from(n).ok()?)?;
+    // The checksum behind it is covered by that of the whole data section.
+    f.u32()?;
+    Some((name, data))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_that_lie_are_refused() {
+        assert_eq!(metadata(&[0xff; 8]), None);
+        let mut body = vec![1, 0, 0, 0, b'n'];
+        body.extend([13, 0, 0, 0, 1, 0, 0, 0, b'k', 4, 0, 0, 0]);
+        assert_eq!(metadata(&body), None, "the map is longer than the body");
+        body.extend(*b"four");
+        assert_eq!(metadata(&body), Some(("n", BTreeMap::from([("k".to_owned(), "four".to_owned())]))));
+        assert_eq!(message(&[0; 21]), None);
+        assert_eq!(message(&[0; 22]), Some((0, &[][..])));
+        assert_eq!(attachment(&[0; 20]), None);
+    }
+}

@@ -1,0 +1,318 @@
+//! Reading a log, a piece at a time: it may be larger than memory, torn, foreign, or damaged.
+//!
+//! A torn log (its logger was killed, the machine lost its power) ends where its last whole record ends, and
+//! [`LogReader::finished`] is then false. That is no error. A record that makes no sense, or a checksum that does not fit,
+//! is one: somebody or something changed the file after it was written.
+
+use super::parse::{self, op};
+use super::{ENCAPSULATION, LogError, RUN_METADATA, Record, SCENARIO_ATTACHMENT, TOTALS_METADATA, Totals, definition};
+use crate::wire::{Command, Gap, Learning, Observation, Sample};
+use mcap::McapError;
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{ErrorKind, Read};
+use std::path::{Path, PathBuf};
+
+#[cfg(test)]
+mod tests;
+
+/// Bytes asked of the file at a time.
+const PIECE: usize = 256 * 1024;
+/// No record of ours comes near this; a length field beyond it is damage, not a reason to reserve memory.
+const LARGEST_RECORD: usize = 16 * 1024 * 1024;
+
+/// A log being read: an iterator over its messages in the order of the file.
+///
+/// Memory stays at a few hundred kilobytes whatever the log's size. After an error, and after the end, it gives no more.
+pub struct LogReader {
+    source: Box<dyn Read + Send>,
+    linear: LinearReader,
+    contents: Contents,
+    /// Bytes up to the end of the last whole record.
+    at: u64,
+    /// The first message, met while looking for the run's description.
+    first: Option<Record>,
+    done: bool,
+    finished: bool,
+}
+
+/// What the records so far have said.
+struct Contents {
+    path: PathBuf,
+    metadata: BTreeMap<String, BTreeMap<String, String>>,
+    scenario: String,
+    /// Name and text of each schema.
+    schemas: BTreeMap<u16, (String, Vec<u8>)>,
+    /// What each channel carries; `None` for what is not ours.
+    channels: BTreeMap<u16, Option<Kind>>,
+    data_over: bool,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    Observation,
+    Command,
+    Learning,
+    Gap,
+}
+
+/// What a record means to the iterator.
+enum Step {
+    Message(Record),
+    Other,
+}
+
+impl LogReader {
+    /// Opens a log and reads up to its first message, so that its description is known.
+    ///
+    /// # Errors
+    ///
+    /// [`LogError::Read`] if the file cannot be opened or read, [`LogError::NotALog`] if it is something else or was
+    /// cut off inside its description, [`LogError::Version`] if its samples have another layout than this build's,
+    /// [`LogError::Damaged`] if a record makes no sense.
+    pub fn open(path: &Path) -> Result<LogReader, LogError> {
+        let file = File::open(path).map_err(|e| LogError::read(path, e))?;
+        Self::over(path, Box::new(file))
+    }
+
+    fn over(path: &Path, source: Box<dyn Read + Send>) -> Result<LogReader, LogError> {
+        let options = LinearReaderOptions::default()
+            // Chunks are not ours: they come as records, and are refused without being unpacked.
+            .with_emit_chunks(true)
+            .with_check_finishes_after_end_magic(true)
+            .with_validate_data_section_crc(true)
+            .with_validate_summary_section_crc(true)
+            .with_record_length_limit(LARGEST_RECORD);
+        let contents = Contents {
+            path: path.to_owned(),
+            metadata: BTreeMap::new(),
+            scenario: String::new(),
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            data_over: false,
+        };
+        let mut log = LogReader {
+            source,
+            linear: LinearReader::new_with_options(options),
+            contents,
+            at: mcap::MAGIC.len() as u64,
+            first: None,
+            done: false,
+            finished: false,
+        };
+        log.first = log.read_message()?;
+        if !log.contents.metadata.contains_key(RUN_METADATA) {
+            let why = if log.finished || log.first.is_some() {
+                "an MCAP file, but not one that describes a run"
+            } else {
+                "it ends before the description of its run does"
+            };
+            return Err(LogError::not_a_log(path, why));
+        }
+        Ok(log)
+    }
+
+    /// All metadata records read so far, by name; `tectum.run` is there from the start, `tectum.totals` stands behind
+    /// the last message.
+    pub fn metadata(&self) -> &BTreeMap<String, BTreeMap<String, String>> {
+        &self.contents.metadata
+    }
+
+    /// A value of the run's description, for example `seed` or `clock`.
+    pub fn run(&self, key: &str) -> Option<&str> {
+        self.contents.run(key)
+    }
+
+    /// The resolved scenario, TOML.
+    pub fn scenario(&self) -> &str {
+        &self.contents.scenario
+    }
+
+    /// What the logger said at its end; `None` before the last message was read, and for a torn log.
+    pub fn totals(&self) -> Option<Totals> {
+        Totals::from_map(self.contents.metadata.get(TOTALS_METADATA)?)
+    }
+
+    /// The file was read to an end that its logger wrote, and its checksums fit. False until the iterator has ended.
+    pub fn finished(&self) -> bool {
+        self.finished
+    }
+
+    /// Bytes from the file's start to the end of the last whole record read.
+    pub fn position(&self) -> u64 {
+        self.at
+    }
+
+    /// The next message, or `None` at the end, whole or torn.
+    fn read_message(&mut self) -> Result<Option<Record>, LogError> {
+        while !self.done {
+            match self.read_record() {
+                Ok(Some(Step::Message(record))) => return Ok(Some(record)),
+                Ok(Some(Step::Other)) => {}
+                Ok(None) => self.done = true,
+                Err(e) => {
+                    self.done = true;
+                    return Err(e);
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn read_record(&mut self) -> Result<Option<Step>, LogError> {
+        loop {
+            let event = match self.linear.next_event() {
+                None => {
+                    self.finished = true;
+                    return Ok(None);
+                }
+                Some(Err(McapError::UnexpectedEof)) if self.at > mcap::MAGIC.len() as u64 => return Ok(None),
+                Some(Err(McapError::UnexpectedEof)) => {
+                    return Err(LogError::not_a_log(&self.contents.path, "it is empty or ends within its first bytes"));
+                }
+                Some(Err(McapError::BadMagic)) if self.at == mcap::MAGIC.len() as u64 => {
+                    return Err(LogError::not_a_log(&self.contents.path, "it does not start like an MCAP file"));
+                }
+                Some(Err(e)) => return Err(damaged(&self.contents.path, self.at, &e.to_string())),
+                Some(Ok(event)) => event,
+            };
+            match event {
+                LinearReadEvent::ReadRequest(n) => {
+                    let room = self.linear.insert(n.max(PIECE));
+                    let got = loop {
+                        match self.source.read(room) {
+                            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                            other => break other.map_err(|e| LogError::read(&self.contents.path, e))?,
+                        }
+                    };
+                    self.linear.notify_read(got);
+                }
+                LinearReadEvent::Record { data, opcode } => {
+                    // Zeros are what a file system leaves of a page that never reached the disk.
+                    if opcode == 0 {
+                        return Ok(None);
+                    }
+                    let start = self.at;
+                    self.at += 9 + data.len() as u64;
+                    return self.contents.take(opcode, data, start).map(Some);
+                }
+            }
+        }
+    }
+}
+
+impl Contents {
+    fn run(&self, key: &str) -> Option<&str> {
+        self.metadata.get(RUN_METADATA)?.get(key).map(String::as_str)
+    }
+
+    fn take(&mut self, opcode: u8, body: &[u8], at: u64) -> Result<Step, LogError> {
+        // Behind the data stands MCAP's summary, which repeats schemas and channels.
+        if self.data_over {
+            return Ok(Step::Other);
+        }
+        let bad = |what: &str| damaged(&self.path, at, what);
+        match opcode {
+            op::MESSAGE => {
+                let (id, data) = parse::message(body).ok_or_else(|| bad("a message is cut short"))?;
+                return match self.channels.get(&id) {
+                    // Somebody else's channel in the same file is none of our business.
+                    Some(None) => Ok(Step::Other),
+                    Some(Some(kind)) => {
+                        kind.decode(data).map(Step::Message).ok_or_else(|| bad("a message has the wrong size"))
+                    }
+                    None => Err(bad("a message belongs to no channel")),
+                };
+            }
+            op::SCHEMA => {
+                let (id, name, encoding, text) = parse::schema(body).ok_or_else(|| bad("a schema is cut short"))?;
+                if encoding == "ros2msg" {
+                    self.schemas.insert(id, (name.to_owned(), text.to_vec()));
+                }
+            }
+            op::CHANNEL => {
+                let (id, schema, topic, encoding, map) =
+                    parse::channel(body).ok_or_else(|| bad("a channel is cut short"))?;
+                let kind = self.kind(schema, topic, encoding, &map)?;
+                self.channels.insert(id, kind);
+            }
+            op::METADATA => {
+                let (name, map) = parse::metadata(body).ok_or_else(|| bad("metadata is cut short"))?;
+                self.metadata.insert(name.to_owned(), map);
+            }
+            op::ATTACHMENT => {
+                let (name, data) = parse::attachment(body).ok_or_else(|| bad("an attachment is cut short"))?;
+                if name == SCENARIO_ATTACHMENT {
+                    let text = std::str::from_utf8(data).map_err(|_| bad("the scenario is not text"))?;
+                    self.scenario = text.to_owned();
+                }
+            }
+            op::CHUNK => {
+                let why = "its messages are in chunks, as another program writes them";
+                return Err(LogError::not_a_log(&self.path, why));
+            }
+            op::DATA_END => self.data_over = true,
+            _ => {}
+        }
+        Ok(Step::Other)
+    }
+
+    /// Which of our samples a channel carries, if any.
+    fn kind(
+        &self,
+        schema: u16,
+        topic: &str,
+        encoding: &str,
+        map: &BTreeMap<String, String>,
+    ) -> Result<Option<Kind>, LogError> {
+        let Some((name, text)) = self.schemas.get(&schema) else { return Ok(None) };
+        let check = |kind: Kind, expected: &'static str, ours: String| {
+            let version = map.get("sample").map_or("a sample without a version", String::as_str);
+            if version == expected && encoding == "cdr" && *text == ours.into_bytes() {
+                return Ok(Some(kind));
+            }
+            let found = match version == expected {
+                true => format!("another definition of {expected}"),
+                false => version.to_owned(),
+            };
+            let build = self.run("build").unwrap_or("unknown").to_owned();
+            Err(LogError::Version { path: self.path.clone(), topic: topic.to_owned(), found, expected, build })
+        };
+        match name.as_str() {
+            Observation::ROS_NAME => check(Kind::Observation, Observation::NAME, definition::<Observation>()),
+            Command::ROS_NAME => check(Kind::Command, Command::NAME, definition::<Command>()),
+            Learning::ROS_NAME => check(Kind::Learning, Learning::NAME, definition::<Learning>()),
+            Gap::ROS_NAME => check(Kind::Gap, Gap::NAME, definition::<Gap>()),
+            _ => Ok(None),
+        }
+    }
+}
+
+impl Iterator for LogReader {
+    type Item = Result<Record, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        match self.first.take() {
+            Some(record) => Some(Ok(record)),
+            None => self.read_message().transpose(),
+        }
+    }
+}
+
+impl Kind {
+    fn decode(self, data: &[u8]) -> Option<Record> {
+        let body = data.strip_prefix(&ENCAPSULATION[..])?;
+        // The sample lies anywhere in the file's bytes, so it is copied, not cast.
+        Some(match self {
+            Kind::Observation => Record::Observation(bytemuck::try_pod_read_unaligned(body).ok()?),
+            Kind::Command => Record::Command(bytemuck::try_pod_read_unaligned(body).ok()?),
+            Kind::Learning => Record::Learning(bytemuck::try_pod_read_unaligned(body).ok()?),
+            Kind::Gap => Record::Gap(bytemuck::try_pod_read_unaligned(body).ok()?),
+        })
+    }
+}
+
+fn damaged(path: &Path, at: u64, why: &str) -> LogError {
+    LogError::Damaged { path: path.to_owned(), at, why: why.to_owned() }
+}

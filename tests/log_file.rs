@@ -1,0 +1,254 @@
+//! The log as its users meet it: written by one hand, read by another, through the file system.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command as Process;
+use tectum::log::{Clock, FIXED_BYTES, LogError, LogHeader, LogReader, LogWriter, Record, Totals, bytes_per_tick};
+use tectum::scenario::{ChannelsTable, SignalTable};
+use tectum::wire::{Command, Gap, Header, Learning, Observation, schema_hash};
+
+/// Counts what each thread allocates.
+struct Counting;
+
+thread_local!(static ALLOCATIONS: Cell<u64> = const { Cell::new(0) });
+
+// SAFETY: every call is handed to the system's allocator as it came; the counter is a plain number of this thread.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
+        // SAFETY: the caller's promise about `layout` is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: `at` came from `System` with this layout, as the caller promises.
+        unsafe { System.dealloc(at, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn header() -> LogHeader {
+    let signal = |name: &str, unit: &str| SignalTable { name: name.into(), unit: unit.into(), min: -1.0, max: 1.0 };
+    LogHeader {
+        scenario: "name = \"synthetic\"\n".repeat(50),
+        run: 42,
+        name: "synthetic".into(),
+        seed: 1,
+        ticks: 1000,
+        mode: "lockstep".into(),
+        period_ns: 50_000_000,
+        every: 1,
+        schema_hash: schema_hash(),
+        scenario_hash: 1,
+        build: tectum::BUILD.into(),
+        inputs: vec![signal("target_x", "m"), signal("target_y", "m")],
+        outputs: vec![signal("rate_1", "rad/s")],
+        measures: vec!["error".into()],
+        channels: ChannelsTable::default(),
+        machine: BTreeMap::new(),
+        clock: Clock::Virtual,
+        t0_ns: 0,
+        wall_at_t0_ns: 0,
+    }
+}
+
+fn tick(k: u64) -> (Observation, Command, Learning) {
+    let header = Header { run: 42, tick: k, sequence: k, published_ns: k * 50_000_000, ..Header::default() };
+    let x = k as f32 / 1000.0;
+    (
+        Observation { header, inputs: [x; 16], reward: -x, ..Observation::default() },
+        Command { header, mean: [x; 8], drawn: [-x; 8] },
+        Learning { header, noise: [x; 8], ..Learning::default() },
+    )
+}
+
+fn write_ticks(log: &mut LogWriter, ticks: std::ops::Range<u64>) -> Result<(), LogError> {
+    for k in ticks {
+        let (observation, command, learning) = tick(k);
+        log.observation(&observation)?;
+        log.command(&command)?;
+        log.learning(&learning)?;
+    }
+    Ok(())
+}
+
+fn write(path: &Path, ticks: u64) -> u64 {
+    let mut log = LogWriter::create(path, &header()).unwrap();
+    write_ticks(&mut log, 0..ticks).unwrap();
+    log.finish(&Totals { last_tick: ticks.checked_sub(1), complete: true, ..Totals::default() }).unwrap().bytes
+}
+
+#[test]
+fn a_log_comes_back_as_it_was_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let mut log = LogWriter::create(&path, &header()).unwrap();
+    write_ticks(&mut log, 0..10).unwrap();
+    let gap = Gap { channel: 1, first: 10, count: 2, total: 2 };
+    log.gap(&gap).unwrap();
+    let totals = Totals { lost: [0, 2, 0], thinned: [9, 9, 9], last_tick: Some(99), complete: false };
+    let summary = log.finish(&totals).unwrap();
+    assert_eq!(summary.bytes, std::fs::metadata(&path).unwrap().len());
+
+    let mut log = LogReader::open(&path).unwrap();
+    assert_eq!(log.scenario(), header().scenario);
+    let records: Vec<Record> = log.by_ref().collect::<Result<_, _>>().unwrap();
+    assert_eq!(records.len(), 31);
+    let (observation, command, learning) = tick(9);
+    let last =
+        [Record::Observation(observation), Record::Command(command), Record::Learning(learning), Record::Gap(gap)];
+    assert_eq!(records[27..], last);
+    assert!(log.finished());
+    assert_eq!(log.totals(), Some(totals));
+}
+
+#[test]
+fn a_torn_log_keeps_every_message_that_was_acknowledged() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let mut log = LogWriter::create(&path, &header()).unwrap();
+    write_ticks(&mut log, 0..100).unwrap();
+    // The writer is still there, as in a process that a signal is about to end: only what is in the file counts.
+    let mut seen = LogReader::open(&path).unwrap();
+    assert_eq!(seen.by_ref().map(Result::unwrap).count(), 300);
+    assert!(!seen.finished() && seen.totals().is_none());
+    std::mem::forget(log);
+}
+
+#[test]
+fn equal_runs_give_equal_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let [a, b] = ["a", "b"].map(|name| folder.path().join(name));
+    write(&a, 200);
+    write(&b, 200);
+    assert_eq!(std::fs::read(a).unwrap(), std::fs::read(b).unwrap());
+}
+
+#[test]
+fn the_size_of_a_log_can_be_foretold() {
+    let folder = tempfile::tempdir().unwrap();
+    let (ticks, long) = (1_000, 11_000);
+    let short = write(&folder.path().join("short"), ticks);
+    let long_bytes = write(&folder.path().join("long"), long);
+    let per_tick = (long_bytes - short) as f64 / (long - ticks) as f64;
+    // But for the digits of the totals.
+    assert!((per_tick - bytes_per_tick(1)).abs() < 0.01, "{per_tick}");
+    let foretold = FIXED_BYTES as f64 + long as f64 * bytes_per_tick(1);
+    assert!((foretold / long_bytes as f64 - 1.0).abs() < 0.01, "{foretold} against {long_bytes}");
+}
+
+#[test]
+fn a_message_costs_no_allocation() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = LogWriter::create(&folder.path().join("log.mcap"), &header()).unwrap();
+    // The checksum's batch buffer grows to its size within the first 32 KiB.
+    write_ticks(&mut log, 0..200).unwrap();
+    let before = ALLOCATIONS.get();
+    write_ticks(&mut log, 200..1200).unwrap();
+    for _ in 0..1000 {
+        log.append(&Record::Gap(Gap::default())).unwrap();
+    }
+    log.flush().unwrap();
+    assert_eq!(ALLOCATIONS.get() - before, 0);
+}
+
+/// A process under a limit on the size of its files, as `ulimit -f` sets it, gets to know what happened, and what it had
+/// written stays readable.
+#[test]
+fn the_limit_on_a_files_size_is_named() {
+    if let Some(path) = std::env::var_os("TECTUM_TEST_LIMITED_LOG") {
+        let mut log = LogWriter::create(Path::new(&path), &header()).unwrap();
+        let error = write_ticks(&mut log, 0..1_000_000).unwrap_err();
+        assert!(error.is_full(), "{error}");
+        assert!(error.to_string().contains("the limit on the size of a file is reached; raise the limit"), "{error}");
+        // The same again, and nothing else is tried.
+        assert_eq!(log.flush().unwrap_err().to_string(), error.to_string());
+        let again = log.finish(&Totals::default()).unwrap_err();
+        assert_eq!(again.to_string(), error.to_string());
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let this = std::env::current_exe().unwrap();
+    let output = Process::new("sh")
+        // Without the trap the kernel ends the process with SIGXFSZ.
+        .args(["-c", "trap '' XFSZ; ulimit -f 128; exec \"$0\" --exact the_limit_on_a_files_size_is_named --nocapture"])
+        .arg(this)
+        .env("TECTUM_TEST_LIMITED_LOG", &path)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let mut log = LogReader::open(&path).unwrap();
+    let records = log.by_ref().map(Result::unwrap).count();
+    assert!(records > 100 && !log.finished(), "{records}");
+}
+
+/// A log for the scripts in `tests/python`, with the arm and the paper's learner as a few plain loops in single
+/// precision: `TECTUM_TEST_LOG=log.mcap cargo test --test log_file -- --ignored a_log_for_python`.
+#[test]
+#[ignore = "writes a file for the Python scripts; the path stands in TECTUM_TEST_LOG"]
+fn a_log_for_python() {
+    use rand_distr::{Distribution, Normal, Uniform};
+    use std::f32::consts::PI;
+    let path = std::env::var_os("TECTUM_TEST_LOG").expect("TECTUM_TEST_LOG names the log to write");
+    let path = Path::new(&path);
+    let mut rng = tectum::seed::stream(1, "python");
+    let (place, draw) = (Uniform::new(-1.0f32, 1.0).unwrap(), Normal::new(0.0f32, 0.003).unwrap());
+    let row = |x: f32, limit: f32| -> Vec<f32> {
+        (0..16).map(|i| (-(x + limit - 2.0 * limit * i as f32 / 15.0).powi(2) / 0.5).exp()).collect()
+    };
+    let mut log = LogWriter::create(path, &header()).unwrap();
+    let (mut theta, mut target, mut reward) = ([0.0f32; 4], [0.0f32; 2], 0.0f32);
+    let (mut w, mut z) = (vec![[0.0f32; 4]; 320], vec![[0.0f32; 4]; 320]);
+    let ticks = 2000;
+    for k in 0..ticks {
+        // Now and then a tick is not learned from, as after a late command.
+        let cut = k % 97 == 50;
+        let learned = k > 0 && !cut;
+        if k % 80 == 0 {
+            target = [place.sample(&mut rng), place.sample(&mut rng)];
+        }
+        if learned {
+            for (w, z) in w.iter_mut().zip(&z) {
+                (0..4).for_each(|d| w[d] += 0.01 * reward * z[d]);
+            }
+        }
+        if cut {
+            z.fill([0.0; 4]);
+        }
+        let (a, b) = (row(target[0], 1.0), row(target[1], 1.0));
+        let mut g: Vec<f32> = a.iter().flat_map(|a| b.iter().map(move |b| a * b)).collect();
+        g.extend(theta.iter().flat_map(|&t| row(t, PI)));
+        let norm = g.iter().map(|x| x * x).sum::<f32>().sqrt();
+        g.iter_mut().for_each(|x| *x /= norm);
+        let (mut observation, mut command, mut learning) = tick(k);
+        observation.inputs = [0.0; 16];
+        observation.inputs[..2].copy_from_slice(&target);
+        observation.inputs[2..6].copy_from_slice(&theta);
+        observation.reward = reward;
+        (command.mean, command.drawn, learning.noise) = ([0.0; 8], [0.0; 8], [0.0; 8]);
+        let (mut end, mut rates) = ([0.0f32, -1.0], 0.0);
+        for d in 0..4 {
+            let noise = draw.sample(&mut rng);
+            let mean = g.iter().zip(&w).map(|(g, w)| g * w[d]).sum::<f32>();
+            (command.mean[d], command.drawn[d], learning.noise[d]) = (mean, mean + noise, noise);
+            g.iter().zip(&mut z).for_each(|(g, z)| z[d] = 0.9 * z[d] + 0.1 * noise * g);
+            let rate = 200.0 * PI * (mean + noise);
+            theta[d] = (theta[d] + 0.05 * rate + PI).rem_euclid(2.0 * PI) - PI;
+            rates += rate * rate;
+            end = [end[0] + 0.5 * theta[d].cos(), end[1] + 0.5 * theta[d].sin()];
+        }
+        learning.header.flags = if learned { 1 << 16 } else { 0 } | if cut { 1 << 17 } else { 0 };
+        learning.reward = reward;
+        log.observation(&observation).unwrap();
+        log.command(&command).unwrap();
+        log.learning(&learning).unwrap();
+        let error = (end[0] - target[0]).powi(2) + (end[1] - target[1]).powi(2);
+        reward = -0.1 * (error + 0.025 * rates + 0.01 * theta.iter().map(|t| t * t).sum::<f32>());
+    }
+    log.finish(&Totals { last_tick: Some(ticks - 1), complete: true, ..Totals::default() }).unwrap();
+}
