@@ -123,14 +123,11 @@ impl Scenario {
     }
 
     /// The scenario as a TOML file with every default written out. Parsed again, it gives the same plan and hash.
-    ///
-    /// Whole numbers that TOML cannot hold, which [`plan`](Self::plan) refuses, are written as the largest that it can.
     pub fn to_toml(&self) -> String {
-        let mut scenario = self.resolved();
-        scenario.limit_integers();
-        // Tables of finite depth made of strings, numbers, lists and tables with string keys, and no integer beyond
-        // i64: nothing that the writer could refuse.
-        toml::to_string(&scenario).unwrap_or_else(|error| format!("# This scenario cannot be written: {error}\n"))
+        // Tables of finite depth made of strings, numbers, lists and tables with string keys: nothing that the writer
+        // could refuse. Should it ever, the text says so and does not pass for a scenario.
+        toml::to_string(&self.resolved())
+            .unwrap_or_else(|error| format!("# This scenario cannot be written: {error}\n"))
     }
 
     /// The same scenario with the units and ranges of its maps filled in where they follow from the inputs.
@@ -148,23 +145,6 @@ impl Scenario {
             }
         }
         scenario
-    }
-
-    fn limit_integers(&mut self) {
-        let limit = |number: &mut u64| *number = (*number).min(i64::MAX as u64);
-        let limit_size = |number: &mut usize| *number = (*number).min(i64::MAX as usize);
-        limit(&mut self.seed);
-        limit(&mut self.ticks);
-        limit(&mut self.log.every);
-        limit(&mut self.log.hash_every);
-        self.encoder.maps.iter_mut().flat_map(|map| &mut map.units).for_each(limit_size);
-        if let Some(arm) = &mut self.plant.arm {
-            limit(&mut arm.target_every);
-            for block in &mut arm.block {
-                limit(&mut block.tick);
-                limit_size(&mut block.joint);
-            }
-        }
     }
 
     /// The line of a key, unless its value no longer comes from the file.
