@@ -14,6 +14,7 @@ pub mod learner;
 pub mod log;
 pub mod plant;
 pub mod policy;
+pub mod process;
 pub mod report;
 pub mod runtime;
 pub mod scenario;

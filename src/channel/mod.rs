@@ -13,7 +13,7 @@ mod ports;
 mod services;
 
 pub use domain::{Domain, DomainName};
-pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Receiver, Sender};
+pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Payload, Receiver, Sender};
 pub use services::{ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts};
 
 /// Samples that a logger can be behind before the oldest is lost.

@@ -143,8 +143,6 @@ pub struct PlantPorts {
     pub bell: Bell,
     /// Commands, newest two.
     pub command: Receiver<Command>,
-    /// The launcher's board and this process's own.
-    pub desk: Desk,
     /// How far the logger is.
     pub logger: BoardReader<Status>,
     _domain: Domain,
@@ -160,8 +158,6 @@ pub struct ControllerPorts {
     pub command: Sender<Command>,
     /// What was learned, to the logger.
     pub learning: Sender<Learning>,
-    /// The launcher's board and this process's own.
-    pub desk: Desk,
     /// How far the plant is.
     pub plant: BoardReader<Status>,
     _domain: Domain,
@@ -175,8 +171,6 @@ pub struct LoggerPorts {
     pub command: Receiver<Command>,
     /// Learning records, the last [`LOG_BUFFER`].
     pub learning: Receiver<Learning>,
-    /// The launcher's board and this process's own.
-    pub desk: Desk,
     /// How far the plant is.
     pub plant: BoardReader<Status>,
     /// How far the controller is.
@@ -190,17 +184,22 @@ impl PlantPorts {
     /// # Errors
     /// [`ChannelError::Mismatch`] when the process does not fit the run, [`ChannelError::SetUp`] when there is no such
     /// run or its plant is there already.
-    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+    pub fn open(
+        name: &DomainName,
+        identity: &Identity,
+        channels: &ChannelsTable,
+    ) -> Result<(Self, Desk), ChannelError> {
         let (domain, wake) = open_domain(name, identity, Role::Plant)?;
         let bell = wake.notifier_builder().create().map_err(|e| ChannelError::set_up("the bell", e)).map(Bell)?;
-        Ok(Self {
+        let desk = open_desk(&domain, Role::Plant)?;
+        let ports = Self {
             observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
             bell,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
-            desk: open_desk(&domain, Role::Plant)?,
             logger: read_board(&open_board(&domain, Role::Logger.name())?)?,
             _domain: domain,
-        })
+        };
+        Ok((ports, desk))
     }
 }
 
@@ -209,10 +208,15 @@ impl ControllerPorts {
     ///
     /// # Errors
     /// As for [`PlantPorts::open`].
-    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+    pub fn open(
+        name: &DomainName,
+        identity: &Identity,
+        channels: &ChannelsTable,
+    ) -> Result<(Self, Desk), ChannelError> {
         let (domain, wake) = open_domain(name, identity, Role::Controller)?;
         let ear = wake.listener_builder().create().map_err(|e| ChannelError::set_up("the ear", e)).map(Ear)?;
-        Ok(Self {
+        let desk = open_desk(&domain, Role::Controller)?;
+        let ports = Self {
             observation: Receiver::new(
                 &channels.observation,
                 open_channel(&domain, &channels.observation)?,
@@ -221,10 +225,10 @@ impl ControllerPorts {
             ear,
             command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
             learning: Sender::new(&channels.learning, open_channel(&domain, &channels.learning)?)?,
-            desk: open_desk(&domain, Role::Controller)?,
             plant: read_board(&open_board(&domain, Role::Plant.name())?)?,
             _domain: domain,
-        })
+        };
+        Ok((ports, desk))
     }
 }
 
@@ -233,9 +237,14 @@ impl LoggerPorts {
     ///
     /// # Errors
     /// As for [`PlantPorts::open`].
-    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+    pub fn open(
+        name: &DomainName,
+        identity: &Identity,
+        channels: &ChannelsTable,
+    ) -> Result<(Self, Desk), ChannelError> {
         let (domain, _wake) = open_domain(name, identity, Role::Logger)?;
-        Ok(Self {
+        let desk = open_desk(&domain, Role::Logger)?;
+        let ports = Self {
             observation: Receiver::new(
                 &channels.observation,
                 open_channel(&domain, &channels.observation)?,
@@ -243,11 +252,11 @@ impl LoggerPorts {
             )?,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOG_BUFFER)?,
             learning: Receiver::new(&channels.learning, open_channel(&domain, &channels.learning)?, LOG_BUFFER)?,
-            desk: open_desk(&domain, Role::Logger)?,
             plant: read_board(&open_board(&domain, Role::Plant.name())?)?,
             controller: read_board(&open_board(&domain, Role::Controller.name())?)?,
             _domain: domain,
-        })
+        };
+        Ok((ports, desk))
     }
 }
 

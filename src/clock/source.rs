@@ -64,6 +64,14 @@ impl TimeSource {
         }
     }
 
+    /// The last tick whose scheduled instant has come; stepped, the tick in progress.
+    pub fn due(&self) -> u64 {
+        match *self {
+            Self::Real { t0_ns, period_ns } => self.now().saturating_sub(t0_ns) / period_ns,
+            Self::Stepped { period_ns, now_ns } => now_ns / period_ns,
+        }
+    }
+
     /// Whether ticks follow the real clock.
     pub fn is_real(&self) -> bool {
         matches!(self, Self::Real { .. })

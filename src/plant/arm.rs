@@ -38,8 +38,8 @@ pub struct Arm {
 /// Where targets come from.
 #[derive(Debug, Clone)]
 enum Targets {
-    /// Uniform in the square `arena`, as far as the arm reaches.
-    Drawn { rng: Rng, arena: [f32; 2], reach: f32 },
+    /// Uniform in the square `arena`, as near to and far from the base as the arm reaches.
+    Drawn { rng: Rng, arena: [f32; 2], near: f32, far: f32 },
     /// A list, from the start again when it ends.
     Given(Vec<[f32; 2]>),
 }
@@ -48,10 +48,11 @@ impl Targets {
     fn take(&mut self, number: u64, base: [f32; 2]) -> [f32; 2] {
         match self {
             Self::Given(list) => list[(number % list.len() as u64) as usize],
-            Self::Drawn { rng, arena, reach } => loop {
+            Self::Drawn { rng, arena, near, far } => loop {
                 let mut draw = || arena[0] + (arena[1] - arena[0]) * rng.random::<f32>();
                 let target = [draw(), draw()];
-                if square(target[0] - base[0]) + square(target[1] - base[1]) <= square(*reach) {
+                let distance = square(target[0] - base[0]) + square(target[1] - base[1]);
+                if (square(*near)..=square(*far)).contains(&distance) {
                     return target;
                 }
             },
@@ -75,8 +76,10 @@ impl Arm {
         let lengths: Vec<f32> = table.lengths.iter().map(|&l| l as f32).collect();
         let pair = |[a, b]: [f64; 2]| [a as f32, b as f32];
         let targets = if table.targets.is_empty() {
-            let reach = lengths.iter().sum();
-            Targets::Drawn { rng: stream(seed, "targets"), arena: pair(table.arena), reach }
+            let far: f32 = lengths.iter().sum();
+            // What the longest segment leaves when all others fold back on it.
+            let near = lengths.iter().map(|l| 2.0 * l - far).fold(0.0, f32::max);
+            Targets::Drawn { rng: stream(seed, "targets"), arena: pair(table.arena), near, far }
         } else {
             Targets::Given(table.targets.iter().copied().map(pair).collect())
         };
@@ -185,6 +188,18 @@ mod tests {
     fn a_straight_arm_reaches_as_far_as_its_segments() {
         let arm = Arm::new(&ArmTable::default(), 0.05, 1);
         assert_eq!(arm.end(), [2.0, -1.0]);
+    }
+
+    #[test]
+    fn targets_keep_as_far_from_the_base_as_a_long_segment_keeps_the_end() {
+        let table = ArmTable { lengths: vec![1.5, 0.3], ..Default::default() };
+        let mut arm = Arm::new(&table, 0.05, 1);
+        let mut inputs = [0.0; 4];
+        for tick in (0..8000).step_by(80) {
+            arm.sense(tick, &mut inputs);
+            let distance = inputs[0].hypot(inputs[1] + 1.0);
+            assert!((1.2..=1.8).contains(&distance), "{distance}");
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@
 mod arm;
 mod eye;
 
-pub use arm::Arm;
+pub use arm::{Arm, noise_share, posture};
 pub use eye::{Eye, Stimulus, log_polar};
 
 use crate::scenario::Plan;

@@ -1,1 +1,29 @@
-//! (to come)
+//! The loops: plant, controller and logger, joined to channels and time.
+//!
+//! Each of the plant and the controller has an inner half without transport and clock ([`PlantSide`], [`Controller`]),
+//! which holds the tick's whole logic, and a loop around it that waits, receives and sends. The loops run over real or
+//! stepped time; [`in_process`] joins the same two halves directly. That is why the three ways give the same numbers.
+//!
+//! The contract of a tick (`ARCHITECTURE.md` has the reasons): at tick k the plant takes the command of tick k-1, or
+//! lets the hold policy answer; the gate limits it; the body lives through tick k-1 with it; observation k tells the
+//! inputs now and the reward of tick k-1. The controller learns from that reward, encodes, draws command k and sends it.
+
+mod controller;
+mod error;
+mod gate;
+mod in_process;
+mod logger;
+mod plant;
+mod reports;
+mod seat;
+mod tally;
+
+pub use controller::{Controller, run_controller};
+pub use error::{RuntimeError, exit};
+pub use gate::{Applied, Gate};
+pub use in_process::{InProcess, in_process};
+pub use logger::run_logger;
+pub use plant::{PlantSide, run_plant};
+pub use reports::{ControllerReport, LoggerReport, Percentiles, PlantReport, read as read_report, report_path};
+pub use seat::{Card, End, Mode, Seat, Session, identity};
+pub use tally::{Snapshot, Tally};

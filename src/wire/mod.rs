@@ -1,7 +1,7 @@
 //! The samples that processes exchange: plain, fixed-size, versioned data.
 //!
 //! Every sample is `#[repr(C)]`, made of naturally aligned primitives without implicit padding, so that its bytes are at
-//! once its shared-memory layout and (behind four bytes of encapsulation) its CDR encoding. The [`sample!`] macro is the
+//! once its shared-memory layout and (behind four bytes of encapsulation) its CDR encoding. The `sample!` macro is the
 //! one source of the Rust type, of its field table and of its `ros2msg` text; [`schema_hash`] covers all of them and is
 //! compared when a process joins a run.
 //!

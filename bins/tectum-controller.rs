@@ -1,0 +1,10 @@
+//! The controller process: encoder, policy and learner.
+
+use std::process::ExitCode;
+
+use tectum::runtime::run_controller;
+use tectum::wire::Role;
+
+fn main() -> ExitCode {
+    tectum::process::main(Role::Controller, "Answers a plant's observations, and learns while it does", run_controller)
+}

@@ -1,0 +1,156 @@
+//! The user's command. Every mode and every exit code passes through here.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use tectum::runtime::{Mode, exit};
+use tectum::scenario::Scenario;
+use tectum::supervise::{Launch, LaunchError, Summary, run, study};
+use tectum::wire::Role;
+
+/// A shared-memory control runtime in which the controller learns on line
+#[derive(Debug, Parser)]
+#[command(name = "tectum", version = tectum::BUILD, arg_required_else_help = true, after_help = "\
+Example: tectum run                    the arm learns to reach, as fast as the machine goes
+
+Exit codes:
+  0    all went well
+  1    an error that no other code names
+  2    bad input: arguments, scenario, folder, or a disk without room
+  3    a process does not fit the run it was to join
+  4    a process of the run failed or died
+  130  ended by Ctrl-C (SIGINT)
+  143  ended by SIGTERM")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run a scenario: plant, controller and logger as processes of their own
+    Run(RunArguments),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  tectum run                                   scenarios/arm.toml in lockstep
+  tectum run paper --seed 7 --ticks 1000000    another scenario, seed and length
+  tectum run --mode realtime --ticks 200       ten seconds on the real clock
+  tectum run --name demo --by-hand controller  wait for a controller that you start yourself")]
+struct RunArguments {
+    /// A scenario file, or the name of a built-in scenario
+    #[arg(default_value = "scenarios/arm.toml")]
+    scenario: PathBuf,
+    /// How ticks follow each other
+    #[arg(long, value_enum, default_value_t = ModeArgument::Lockstep)]
+    mode: ModeArgument,
+    /// Number of ticks, in place of the scenario's
+    #[arg(long, value_name = "N")]
+    ticks: Option<u64>,
+    /// Seed, in place of the scenario's
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Folder for log, figure and accounts [default: runs/<scenario>-<n>]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Name of the run: its folder is runs/<NAME>
+    #[arg(long, value_name = "NAME", conflicts_with = "out", value_parser = run_name)]
+    name: Option<String>,
+    /// A process that you start yourself; may be given more than once
+    #[arg(long, value_enum, value_name = "PROCESS")]
+    by_hand: Vec<RoleArgument>,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum ModeArgument {
+    /// As fast as the processes go
+    Lockstep,
+    /// At the scenario's period on the real clock
+    Realtime,
+    /// Plant and controller in one process, without log
+    InProcess,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum RoleArgument {
+    Plant,
+    Controller,
+    Logger,
+}
+
+/// A run's name is a folder's name and nothing more.
+fn run_name(text: &str) -> Result<String, String> {
+    let fine = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_');
+    if !text.is_empty() && text.len() <= 64 && text.chars().all(fine) {
+        Ok(text.to_owned())
+    } else {
+        Err("give up to 64 letters, digits, - and _".to_owned())
+    }
+}
+
+fn main() -> ExitCode {
+    let Command::Run(arguments) = Arguments::parse().command;
+    match launch(&arguments) {
+        Ok(summary) => {
+            tell(&summary, arguments.json);
+            ExitCode::from(summary.exit_code())
+        }
+        Err(error) => {
+            eprintln!("tectum: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+fn launch(arguments: &RunArguments) -> Result<Summary, LaunchError> {
+    let launch = plan(arguments)?;
+    match launch.mode {
+        Mode::InProcess => study(&launch),
+        Mode::Lockstep | Mode::Realtime => run(&launch),
+    }
+}
+
+/// From what was asked for to what will be done; every check that needs nothing started happens here.
+fn plan(arguments: &RunArguments) -> Result<Launch, LaunchError> {
+    let mut scenario = Scenario::find(Path::new(&arguments.scenario))?;
+    scenario.ticks = arguments.ticks.unwrap_or(scenario.ticks);
+    scenario.seed = arguments.seed.unwrap_or(scenario.seed);
+    Ok(Launch {
+        plan: scenario.plan()?,
+        mode: match arguments.mode {
+            ModeArgument::Lockstep => Mode::Lockstep,
+            ModeArgument::Realtime => Mode::Realtime,
+            ModeArgument::InProcess => Mode::InProcess,
+        },
+        out: arguments.out.clone(),
+        name: arguments.name.clone(),
+        by_hand: arguments
+            .by_hand
+            .iter()
+            .map(|role| match role {
+                RoleArgument::Plant => Role::Plant,
+                RoleArgument::Controller => Role::Controller,
+                RoleArgument::Logger => Role::Logger,
+            })
+            .collect(),
+        progress: true,
+    })
+}
+
+fn tell(summary: &Summary, json: bool) {
+    if let Some(failure) = &summary.failure {
+        eprintln!("tectum: {failure}");
+    }
+    if json {
+        println!("{}", summary.to_json());
+    } else {
+        print!("{}", summary.to_text());
+    }
+    debug_assert!(summary.failure.is_none() || summary.exit_code() != exit::OK);
+}

@@ -1,0 +1,66 @@
+//! The front of every program that takes a place in a run: arguments, errors, exit codes. The programs in `bins/`, and a
+//! plant of your own, are this and a body.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{CommandFactory as _, FromArgMatches as _, Parser};
+use serde::Serialize;
+
+use crate::runtime::{RuntimeError, Seat};
+use crate::wire::Role;
+
+/// What every process of a run is told.
+#[derive(Debug, Parser)]
+#[command(version = crate::BUILD)]
+struct Arguments {
+    /// The run to join: its folder, or its name under runs/
+    #[arg(long, value_name = "RUN")]
+    run: PathBuf,
+    /// Read this scenario instead of the run's own copy; it must be the same
+    #[arg(long, value_name = "FILE")]
+    scenario: Option<PathBuf>,
+    /// Print the process's account as one JSON object when its loop is over
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs one process of a run: parses the command line, takes the place of `role`, and hands over to `work`. `about` is
+/// one sentence for `--help`.
+pub fn main<R: Serialize>(
+    role: Role,
+    about: &'static str,
+    work: impl FnOnce(Seat) -> Result<R, RuntimeError>,
+) -> ExitCode {
+    let example = format!(
+        "A run's launcher starts this program by itself. To start it in a terminal of its own:\n  \
+         tectum run --name demo --by-hand {role}\n  {program} --run demo",
+        role = role.name(),
+        program = program(),
+    );
+    let command = Arguments::command().name(program()).about(about).after_help(example);
+    let matches = command.get_matches();
+    let arguments = match Arguments::from_arg_matches(&matches) {
+        Ok(arguments) => arguments,
+        Err(error) => error.exit(),
+    };
+    let result = Seat::take(&arguments.run, role, arguments.scenario.as_deref()).and_then(work);
+    match result {
+        Ok(report) => {
+            if arguments.json {
+                println!("{}", serde_json::to_string(&report).unwrap_or_default());
+            }
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("{}: {error}", program());
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+/// The name under which the program was started.
+fn program() -> String {
+    let path = std::env::args_os().next().map(PathBuf::from).unwrap_or_default();
+    path.file_name().map_or_else(|| "tectum".to_owned(), |name| name.to_string_lossy().into_owned())
+}

@@ -1,0 +1,326 @@
+//! The controller's side of the tick, and its loop: learn, encode, draw, answer.
+
+use std::time::Duration;
+
+use super::{ControllerReport, RuntimeError, Seat, Session, Tally};
+use crate::channel::ControllerPorts;
+use crate::clock::{Backoff, TimeSource};
+use crate::encoder::{Encoder, Features};
+use crate::learner::Paper;
+use crate::policy::{Exploration, Linear, Outputs};
+use crate::scenario::Plan;
+use crate::wire::{Command, Header, Learning, MAX_OUTPUTS, Observation, State, flag};
+
+/// Encoder, policy and learner: the controller's half of every tick, without clock and transport.
+///
+/// A tick has two parts. [`respond`](Self::respond) is what a command waits for; [`settle`](Self::settle) and
+/// [`record`](Self::record) come after it has gone out.
+#[derive(Debug, Clone)]
+pub struct Controller {
+    encoder: Encoder,
+    policy: Linear,
+    exploration: Exploration,
+    rule: Paper,
+    inputs: usize,
+    ticks: u64,
+    hash_every: u64,
+    /// The tick answered last, unless its answer was not the policy's.
+    answered: Option<u64>,
+    /// Features, mean and noise of that answer.
+    features: Features,
+    mean: Outputs,
+    noise: Outputs,
+    /// What the learner did in this tick.
+    flags: u32,
+    step: f32,
+    tally: Tally,
+    report: ControllerReport,
+}
+
+/// What makes an observation's reward another tick's than the one that the policy answered and the gate let through.
+const NOT_OURS: u32 = flag::FIRST | flag::MISSED | flag::SKIPPED;
+
+impl Controller {
+    /// The controller of `plan`, with weights 0.
+    pub fn new(plan: &Plan) -> Self {
+        let scenario = &plan.scenario;
+        let outputs = plan.outputs.len();
+        let encoder = Encoder::new(&plan.maps, scenario.encoder.normalise);
+        let (len, order) = (encoder.len(), encoder.order().collect());
+        let learner = &scenario.learner;
+        Self {
+            policy: Linear::new(len, order, outputs),
+            exploration: Exploration::new(scenario.seed, scenario.policy.sigma as f32, outputs),
+            rule: Paper::new(len, outputs, learner.beta as f32, learner.alpha_over_variance as f32),
+            inputs: plan.inputs.len(),
+            ticks: scenario.ticks,
+            hash_every: scenario.log.hash_every,
+            answered: None,
+            features: encoder.features(),
+            encoder,
+            mean: [0.0; MAX_OUTPUTS],
+            noise: [0.0; MAX_OUTPUTS],
+            flags: 0,
+            step: 0.0,
+            tally: Tally::new(plan),
+            report: ControllerReport::default(),
+        }
+    }
+
+    /// Learns from the observation's reward and answers its inputs. Fills mean, drawn output, tick and flags.
+    ///
+    /// Credit goes to what was applied: when the gate limited the command, the noise is what the applied command differs
+    /// from the mean by. When the command was not applied at all, or observations are missing in between, nothing is
+    /// learned and the trace is cut. An observation with a value that is not a number is answered with zero.
+    pub fn respond(&mut self, observation: &Observation, command: &mut Command) {
+        let tick = observation.header.tick;
+        let inputs = &observation.inputs[..self.inputs];
+        let blind = !inputs.iter().all(|x| x.is_finite());
+        self.learn(observation, blind);
+
+        command.header.tick = tick;
+        command.header.flags = 0;
+        if blind {
+            self.answered = None;
+            self.mean = [0.0; MAX_OUTPUTS];
+            self.noise = [0.0; MAX_OUTPUTS];
+            command.header.flags = flag::INVALID;
+        } else {
+            self.encoder.encode(inputs, &mut self.features);
+            self.mean = self.policy.mean(self.features.as_slice());
+            self.noise = self.exploration.draw();
+            self.answered = Some(tick);
+        }
+        command.mean = self.mean;
+        for (drawn, (mean, noise)) in command.drawn.iter_mut().zip(self.mean.iter().zip(self.noise)) {
+            *drawn = mean + noise;
+        }
+    }
+
+    fn learn(&mut self, observation: &Observation, blind: bool) {
+        let flags = observation.header.flags;
+        self.flags = 0;
+        self.step = 0.0;
+        let Some(answered) = self.answered else { return };
+        let ours = flags & NOT_OURS == 0 && observation.header.tick == answered + 1;
+        if ours && !blind && observation.reward.is_finite() {
+            if flags & flag::CLAMPED != 0 {
+                for (noise, (applied, mean)) in self.noise.iter_mut().zip(observation.applied.iter().zip(self.mean)) {
+                    *noise = applied - mean;
+                }
+            }
+            self.step = self.rule.learn(&mut self.policy, self.features.as_slice(), &self.noise, observation.reward);
+            self.flags = flag::LEARNED;
+            self.report.learned += 1;
+        } else {
+            self.rule.cut_trace();
+            self.flags = flag::TRACE_CUT;
+            self.report.cuts += 1;
+        }
+    }
+
+    /// Brings the account up to date with the observation.
+    pub fn settle(&mut self, observation: &Observation) {
+        self.tally.observe(observation);
+        self.report.ticks += 1;
+        self.report.invalid += u64::from(observation.header.flags & flag::INVALID != 0);
+    }
+
+    /// Fills the learning record of the tick that was answered last.
+    pub fn record(&self, observation: &Observation, learning: &mut Learning) {
+        let tick = observation.header.tick;
+        let hashed = tick.is_multiple_of(self.hash_every) || tick + 1 == self.ticks;
+        learning.header.tick = tick;
+        learning.header.flags = self.flags | if hashed { flag::HASHED } else { 0 };
+        learning.noise = self.noise;
+        learning.reward = if self.flags & flag::LEARNED != 0 { observation.reward } else { 0.0 };
+        learning.step = self.step;
+        learning.weights_norm = self.policy.norm();
+        learning.trace_norm = self.rule.trace_norm();
+        learning.weights_hash = if hashed { self.policy.hash() } else { 0 };
+    }
+
+    /// The policy as it is now.
+    pub fn policy(&self) -> &Linear {
+        &self.policy
+    }
+
+    /// The account as it is now.
+    pub fn tally(&self) -> &Tally {
+        &self.tally
+    }
+
+    /// Ends the run: the account, with the hash of the final weights.
+    pub fn finish(self) -> ControllerReport {
+        let (windows, first_switch, last_switch) = self.tally.finish();
+        let weights_hash = format!("{:016x}", self.policy.hash());
+        ControllerReport { weights_hash, windows, first_switch, last_switch, ..self.report }
+    }
+}
+
+/// Longest sleep while waiting for an observation in real time: how soon the end of a run is noticed.
+const EAR_TIMEOUT: Duration = Duration::from_millis(100);
+
+/// Waits for the next observation; in real time for the newest. `None` when there will be none.
+fn await_observation(
+    ports: &ControllerPorts,
+    session: &Session,
+    real: bool,
+) -> Result<Option<Observation>, RuntimeError> {
+    let mut backoff = Backoff::default();
+    loop {
+        // Asked before the channel is: what the plant sent before it finished is still received.
+        let over = ports.plant.get().state() >= State::Finished;
+        if let Some(mut newest) = ports.observation.receive()? {
+            // After a stall only the present counts; what was passed by shows in the sequence numbers.
+            while let Some(newer) = if real { ports.observation.receive()? } else { None } {
+                newest = newer;
+            }
+            return Ok(Some(newest));
+        }
+        if over {
+            return Ok(None);
+        }
+        if real {
+            ports.ear.listen(EAR_TIMEOUT);
+            session.check()?;
+        } else if backoff.pause() {
+            session.check()?;
+        }
+    }
+}
+
+/// The controller's loop.
+///
+/// # Errors
+/// When the process does not fit the run, or the run ends in disorder.
+pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
+    let mut controller = Controller::new(&seat.plan);
+    let (ports, desk) = seat.open(ControllerPorts::open)?;
+    // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the logger.
+    let (mut session, mut time) = seat.begin(desk, || {
+        Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 2 && ports.learning.connect()? >= 1)
+    })?;
+    let real = time.is_real();
+    let (mut command, mut learning) = (Command::default(), Learning::default());
+    command.header.run = session.seat.card.run_id();
+    learning.header.run = command.header.run;
+    let mut expected = 0;
+
+    while let Some(observation) = await_observation(&ports, &session, real)? {
+        let seen = &observation.header;
+        time.step_to(seen.tick);
+        controller.respond(&observation, &mut command);
+        stamp(&mut command.header, seen, &time);
+        ports.command.send(&command)?;
+
+        // From here on nobody waits.
+        controller.settle(&observation);
+        controller.record(&observation, &mut learning);
+        stamp(&mut learning.header, seen, &time);
+        ports.learning.send(&learning)?;
+
+        controller.report.unseen += seen.sequence - expected;
+        expected = seen.sequence + 1;
+        command.header.sequence += 1;
+        learning.header.sequence += 1;
+        let status = &mut session.status;
+        status.ticks = seen.tick + 1;
+        status.sent = command.header.sequence;
+        status.lost = controller.report.unseen;
+        (status.loss, status.end_error) = controller.tally.now();
+        session.show();
+    }
+    let report = controller.finish();
+    session.finish(&report)?;
+    Ok(report)
+}
+
+/// Stamps a sample of the observation's tick just before it is sent.
+fn stamp(header: &mut Header, observation: &Header, time: &TimeSource) {
+    header.scheduled_ns = observation.scheduled_ns;
+    header.sensed_ns = observation.sensed_ns;
+    header.published_ns = time.now();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Scenario;
+
+    fn controller() -> Controller {
+        Controller::new(&Scenario::find("arm").unwrap().plan().unwrap())
+    }
+
+    fn observation(tick: u64, flags: u32) -> Observation {
+        let mut observation = Observation { reward: -1.0, ..Observation::default() };
+        observation.header.tick = tick;
+        observation.header.flags = flags;
+        observation.inputs[..6].copy_from_slice(&[0.1, -0.2, 0.3, 0.4, -0.5, 0.6]);
+        observation
+    }
+
+    fn answer(controller: &mut Controller, observation: &Observation) -> (Command, u32) {
+        let mut command = Command::default();
+        controller.respond(observation, &mut command);
+        (command, controller.flags)
+    }
+
+    #[test]
+    fn a_reward_is_learned_from_only_if_it_is_the_policys_own() {
+        for (flags, skip, expected) in [
+            (0, 0, flag::LEARNED),
+            (flag::NEW_TARGET, 0, flag::LEARNED),
+            (flag::CLAMPED, 0, flag::LEARNED),
+            (flag::MISSED | flag::HELD, 0, flag::TRACE_CUT),
+            (flag::SKIPPED, 2, flag::TRACE_CUT),
+            (flag::FIRST, 0, flag::TRACE_CUT),
+            (0, 1, flag::TRACE_CUT),
+        ] {
+            let mut controller = controller();
+            assert_eq!(answer(&mut controller, &observation(0, flag::FIRST)).1, 0);
+            assert_eq!(answer(&mut controller, &observation(1, 0)).1, flag::LEARNED);
+            let before = controller.policy.hash();
+            assert_eq!(answer(&mut controller, &observation(2 + skip, flags)).1, expected, "flags {flags:x}");
+            let learned = controller.policy.hash() != before;
+            assert_eq!(learned, expected == flag::LEARNED, "flags {flags:x}");
+            if expected == flag::TRACE_CUT {
+                assert_eq!(controller.rule.trace_norm(), 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn credit_goes_to_the_applied_command() {
+        let mut limited = controller();
+        let mut explicit = controller();
+        let (command, _) = answer(&mut limited, &observation(0, flag::FIRST));
+        answer(&mut explicit, &observation(0, flag::FIRST));
+        let mut applied = observation(1, flag::CLAMPED);
+        applied.applied = command.drawn;
+        applied.applied[0] = 0.001;
+        explicit.noise[0] = 0.001 - command.mean[0];
+        for i in 1..4 {
+            explicit.noise[i] = command.drawn[i] - command.mean[i];
+        }
+        answer(&mut limited, &applied);
+        answer(&mut explicit, &observation(1, 0));
+        assert_eq!(limited.policy.hash(), explicit.policy.hash());
+    }
+
+    #[test]
+    fn values_that_are_not_numbers_are_answered_with_zero_and_not_learned_from() {
+        let mut controller = controller();
+        answer(&mut controller, &observation(0, flag::FIRST));
+        let mut blind = observation(1, 0);
+        blind.inputs[3] = f32::NAN;
+        let (command, flags) = answer(&mut controller, &blind);
+        assert_eq!((command.drawn, command.header.flags, flags), ([0.0; 8], flag::INVALID, flag::TRACE_CUT));
+        assert_eq!(answer(&mut controller, &observation(2, 0)).1, 0, "nothing to credit after a blind answer");
+        let mut worthless = observation(3, 0);
+        worthless.reward = f32::INFINITY;
+        assert_eq!(answer(&mut controller, &worthless).1, flag::TRACE_CUT);
+        assert_eq!(controller.policy.norm(), 0.0);
+        assert_eq!(answer(&mut controller, &observation(4, 0)).1, flag::LEARNED);
+    }
+}

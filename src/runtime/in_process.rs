@@ -1,0 +1,33 @@
+//! Plant and controller in one process, without transport and log: the third way to run a tick, for studies.
+
+use super::{Controller, ControllerReport, PlantReport, PlantSide, Tally};
+use crate::plant::Plant;
+use crate::scenario::Plan;
+use crate::wire::{Command, Observation};
+
+/// What comes of a run in one process.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InProcess {
+    /// The plant's account.
+    pub plant: PlantReport,
+    /// The controller's account.
+    pub controller: ControllerReport,
+}
+
+/// Runs `plan` with `body`: the same ticks, in the same order, as three processes in lockstep. `watch` is called with
+/// the ticks done and the account so far, every 4096 ticks; when it says false the run ends there.
+pub fn in_process<P: Plant>(plan: &Plan, body: P, mut watch: impl FnMut(u64, &Tally) -> bool) -> InProcess {
+    let mut side = PlantSide::new(body, plan);
+    let mut controller = Controller::new(plan);
+    let (mut observation, mut command) = (Observation::default(), Command::default());
+    for tick in 0..plan.scenario.ticks {
+        if tick.is_multiple_of(4096) && !watch(tick, controller.tally()) {
+            break;
+        }
+        side.observe(tick, 0, 0, &mut observation);
+        controller.respond(&observation, &mut command);
+        controller.settle(&observation);
+        side.live(tick, Some(&command));
+    }
+    InProcess { plant: side.report, controller: controller.finish() }
+}

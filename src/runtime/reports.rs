@@ -1,0 +1,119 @@
+//! What each process leaves in the run's folder when its loop is over, for the launcher's summary.
+
+use std::path::{Path, PathBuf};
+
+use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use super::{RuntimeError, Snapshot};
+use crate::report::Window;
+use crate::wire::Role;
+
+/// Percentiles of a duration, us.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Percentiles {
+    /// Number of values.
+    pub count: u64,
+    /// Median.
+    pub p50: f64,
+    /// 90th percentile.
+    pub p90: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// 99.9th percentile.
+    pub p999: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl Percentiles {
+    /// The percentiles of a histogram of nanoseconds; `None` when it is empty.
+    pub fn of(histogram: &Histogram<u64>) -> Option<Self> {
+        let at = |q| histogram.value_at_quantile(q) as f64 / 1000.0;
+        (!histogram.is_empty()).then(|| Self {
+            count: histogram.len(),
+            p50: at(0.5),
+            p90: at(0.9),
+            p99: at(0.99),
+            p999: at(0.999),
+            max: histogram.max() as f64 / 1000.0,
+        })
+    }
+}
+
+/// The plant's account.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlantReport {
+    /// Ticks begun.
+    pub ticks: u64,
+    /// Ticks whose command was not applied: it was not there in time, was not a number, or the plant passed the tick over.
+    pub missed: u64,
+    /// Commands that came after their tick, and were dropped.
+    pub late: u64,
+    /// Ticks passed over because the plant itself was late.
+    pub skipped: u64,
+    /// Commands that the gate limited.
+    pub clamped: u64,
+    /// Commands that held a value that is not a number.
+    pub non_finite: u64,
+    /// Real time: from a tick's scheduled instant to the plant's waking up for it.
+    pub wake_up: Option<Percentiles>,
+    /// Real time: from the sensing of an observation to the sending of the command that answers it.
+    pub observation_to_command: Option<Percentiles>,
+}
+
+/// The controller's account.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct ControllerReport {
+    /// Observations answered.
+    pub ticks: u64,
+    /// Observations that it never saw.
+    pub unseen: u64,
+    /// Ticks learned from.
+    pub learned: u64,
+    /// Times that the trace was cut.
+    pub cuts: u64,
+    /// Observations with an input or a reward that is not a number.
+    pub invalid: u64,
+    /// XXH3-64 of the weights at the end, hexadecimal.
+    pub weights_hash: String,
+    /// Losses and errors over the run.
+    pub windows: Vec<Window>,
+    /// Inputs around the first whole target switch.
+    pub first_switch: Vec<Snapshot>,
+    /// Inputs around the last whole target switch.
+    pub last_switch: Vec<Snapshot>,
+}
+
+/// The logger's account. The three channels stand in the order observation, command, learning.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct LoggerReport {
+    /// Messages written.
+    pub written: [u64; 3],
+    /// Samples lost.
+    pub lost: [u64; 3],
+    /// Samples left out on purpose.
+    pub thinned: [u64; 3],
+    /// Size of the log, bytes.
+    pub bytes: u64,
+}
+
+/// Where the report of `role` lies in the run's folder.
+pub fn report_path(folder: &Path, role: Role) -> PathBuf {
+    folder.join(format!("{}.json", role.name()))
+}
+
+/// Writes a report, whole or not at all.
+pub(super) fn write<T: Serialize>(folder: &Path, role: Role, report: &T) -> Result<(), RuntimeError> {
+    let path = report_path(folder, role);
+    let failed = |cause| RuntimeError::File { path: path.display().to_string(), cause };
+    let text = serde_json::to_string_pretty(report).map_err(|e| failed(e.into()))?;
+    let draft = path.with_extension("json.part");
+    std::fs::write(&draft, text).and_then(|()| std::fs::rename(&draft, &path)).map_err(failed)
+}
+
+/// Reads a report; `None` when the process left none.
+pub fn read<T: DeserializeOwned>(folder: &Path, role: Role) -> Option<T> {
+    let text = std::fs::read_to_string(report_path(folder, role)).ok()?;
+    serde_json::from_str(&text).ok()
+}

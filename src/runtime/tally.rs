@@ -1,0 +1,138 @@
+//! The run's own account of how learning goes: losses and errors by window, and the inputs around target switches.
+//!
+//! The controller keeps it, because it sees every observation of any plant; it is for people alone and touches nothing
+//! that is learned. All memory is taken at the start.
+
+use crate::report::Window;
+use crate::scenario::Plan;
+use crate::wire::{MAX_INPUTS, Observation, flag};
+
+/// Windows of a run.
+const WINDOWS: u64 = 200;
+/// Ticks kept around a target switch: the switch and 30 movements.
+const KEPT: usize = 31;
+
+/// The inputs of one tick.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Snapshot {
+    /// The tick.
+    pub tick: u64,
+    /// Its inputs.
+    pub inputs: [f32; MAX_INPUTS],
+}
+
+/// Sums of one window.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    ticks: u64,
+    loss: f64,
+    squares: f64,
+    ends: u64,
+    end_error: f64,
+}
+
+/// The account.
+#[derive(Debug, Clone)]
+pub struct Tally {
+    length: u64,
+    /// Index of the measure called `error`.
+    error: Option<usize>,
+    windows: Vec<Window>,
+    current: Sums,
+    from: u64,
+    last_error: f64,
+    switch: Vec<Snapshot>,
+    first: Vec<Snapshot>,
+    last: Vec<Snapshot>,
+}
+
+impl Tally {
+    /// The account of a run of `plan`.
+    pub fn new(plan: &Plan) -> Self {
+        Self {
+            length: plan.scenario.ticks.div_ceil(WINDOWS),
+            error: plan.measures.iter().position(|name| name == "error"),
+            windows: Vec::with_capacity(WINDOWS as usize + 1),
+            current: Sums::default(),
+            from: 0,
+            last_error: 0.0,
+            switch: Vec::with_capacity(KEPT),
+            first: Vec::with_capacity(KEPT),
+            last: Vec::with_capacity(KEPT),
+        }
+    }
+
+    /// Takes observation k into the account: the reward and measures of tick k-1, the inputs of tick k.
+    pub fn observe(&mut self, observation: &Observation) {
+        let flags = observation.header.flags;
+        if flags & (flag::FIRST | flag::INVALID) == 0 {
+            let tick = observation.header.tick - 1;
+            if tick / self.length != self.from / self.length {
+                self.close();
+                self.from = tick;
+            }
+            let sums = &mut self.current;
+            sums.ticks += 1;
+            sums.loss -= f64::from(observation.reward);
+            if let Some(index) = self.error {
+                self.last_error = f64::from(observation.measures[index]);
+                sums.squares += self.last_error * self.last_error;
+                if flags & flag::NEW_TARGET != 0 {
+                    sums.ends += 1;
+                    sums.end_error += self.last_error;
+                }
+            }
+        }
+        self.keep(observation);
+    }
+
+    fn keep(&mut self, observation: &Observation) {
+        let tick = observation.header.tick;
+        if observation.header.flags & flag::NEW_TARGET != 0 {
+            self.switch.clear();
+        } else if self.switch.last().is_none_or(|s| s.tick + 1 != tick) || self.switch.len() == KEPT {
+            // Not a gapless row from a switch on.
+            return;
+        }
+        self.switch.push(Snapshot { tick, inputs: observation.inputs });
+        if self.switch.len() == KEPT {
+            let kept = if self.first.is_empty() { &mut self.first } else { &mut self.last };
+            kept.clone_from(&self.switch);
+        }
+    }
+
+    fn close(&mut self) {
+        let sums = std::mem::take(&mut self.current);
+        if sums.ticks == 0 || self.windows.len() == self.windows.capacity() {
+            return;
+        }
+        let n = sums.ticks as f64;
+        self.windows.push(Window {
+            from: self.from,
+            ticks: sums.ticks,
+            loss: sums.loss / n,
+            mean_squared_error: self.error.map(|_| sums.squares / n),
+            end_error: (sums.ends > 0).then(|| sums.end_error / sums.ends as f64),
+            ends: sums.ends,
+        });
+    }
+
+    /// Mean loss a tick and mean error at the end of a target, in the window in progress or, when that is young, the one
+    /// before: NaN where there is none.
+    pub fn now(&self) -> (f32, f32) {
+        let young = self.current.ticks < self.length / 2;
+        match self.windows.last() {
+            Some(w) if young => (w.loss as f32, w.end_error.unwrap_or(f64::NAN) as f32),
+            _ => {
+                let sums = &self.current;
+                ((sums.loss / sums.ticks as f64) as f32, (sums.end_error / sums.ends as f64) as f32)
+            }
+        }
+    }
+
+    /// The windows, and the inputs around the first and the last whole target switch.
+    pub fn finish(mut self) -> (Vec<Window>, Vec<Snapshot>, Vec<Snapshot>) {
+        self.close();
+        (self.windows, self.first, self.last)
+    }
+}

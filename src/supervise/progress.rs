@@ -1,0 +1,108 @@
+//! One line that shows how the run goes, on standard error, and only when that is a terminal.
+
+use std::io::{IsTerminal as _, Write as _};
+
+use super::Launch;
+use super::folder::RunFolder;
+use super::summary::thousands;
+use crate::channel::Hub;
+use crate::clock::monotonic_ns;
+use crate::runtime::Mode;
+use crate::wire::Role;
+
+/// How often the line is drawn anew, ns.
+const EVERY_NS: u64 = 200_000_000;
+
+/// The progress line.
+#[derive(Debug)]
+pub(super) struct Progress {
+    shown: bool,
+    name: String,
+    ticks: u64,
+    realtime: bool,
+    /// When it was drawn last, and the ticks then.
+    last: (u64, u64),
+}
+
+impl Progress {
+    /// A line for the run, silent unless it is wanted and standard error is a terminal. Says at once which processes are
+    /// waited for, because those must be started by somebody.
+    pub fn new(launch: &Launch, folder: &RunFolder) -> Self {
+        for role in &launch.by_hand {
+            let program = match role {
+                Role::Plant => launch.plan.scenario.plant.program.as_str(),
+                Role::Controller => "tectum-controller",
+                Role::Logger => "tectum-logger",
+            };
+            eprintln!("waiting for the {}: {program} --run {}", role.name(), folder.path().display());
+        }
+        let mut progress = Self::silent(&launch.plan.scenario.name, launch.plan.scenario.ticks);
+        progress.shown = launch.progress && std::io::stderr().is_terminal();
+        progress.realtime = launch.mode == Mode::Realtime;
+        progress
+    }
+
+    fn silent(name: &str, ticks: u64) -> Self {
+        Self { shown: false, name: name.to_owned(), ticks, realtime: false, last: (0, 0) }
+    }
+
+    /// A line for a run in one process.
+    pub fn study(name: &str, ticks: u64, wanted: bool) -> Self {
+        Self { shown: wanted && std::io::stderr().is_terminal(), ..Self::silent(name, ticks) }
+    }
+
+    /// Draws the line from the boards, if it is time.
+    pub fn show(&mut self, hub: &Hub) {
+        if self.shown && self.due() {
+            let (plant, controller) = (hub.status(Role::Plant), hub.status(Role::Controller));
+            let trouble = match (self.realtime, plant.missed, hub.status(Role::Logger).lost) {
+                (true, missed, lost) => format!("  missed {missed}  lost {lost}"),
+                _ => String::new(),
+            };
+            self.draw(plant.ticks, controller.loss, controller.end_error, &trouble);
+        }
+    }
+
+    /// Draws the line from what is known in one process, if it is time.
+    pub fn show_study(&mut self, tick: u64, (loss, end_error): (f32, f32)) {
+        if self.shown && self.due() {
+            self.draw(tick, loss, end_error, "");
+        }
+    }
+
+    fn due(&self) -> bool {
+        monotonic_ns() - self.last.0 >= EVERY_NS
+    }
+
+    fn draw(&mut self, tick: u64, loss: f32, end_error: f32, trouble: &str) {
+        let now = monotonic_ns();
+        let rate = match self.last {
+            (0, _) => 0.0,
+            (then, ticks) => tick.saturating_sub(ticks) as f64 * 1e9 / (now - then) as f64,
+        };
+        let value = |label: &str, x: f32, unit: &str| {
+            if x.is_finite() { format!("  {label} {x:.3}{unit}") } else { String::new() }
+        };
+        let mut stderr = std::io::stderr().lock();
+        // A progress line that cannot be drawn is no reason to end a run.
+        let _ = write!(
+            stderr,
+            "\r{}  {} of {} ticks  {} ticks/s{}{}{trouble}\x1b[K",
+            self.name,
+            thousands(tick),
+            thousands(self.ticks),
+            thousands(rate as u64),
+            value("loss", loss, ""),
+            value("end error", end_error, " m"),
+        );
+        let _ = stderr.flush();
+        self.last = (now, tick);
+    }
+
+    /// Takes the line away.
+    pub fn clear(&self) {
+        if self.shown {
+            eprint!("\r\x1b[K");
+        }
+    }
+}

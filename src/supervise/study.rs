@@ -1,0 +1,35 @@
+//! A run in one process, without transport and log.
+
+use super::folder::RunFolder;
+use super::progress::Progress;
+use super::summary::{Ended, Summary};
+use super::{Launch, LaunchError};
+use crate::clock::{Signals, monotonic_ns};
+use crate::plant::Body;
+use crate::runtime::in_process;
+
+/// Runs a scenario with plant and controller in this process: the numbers of lockstep, without log.
+///
+/// # Errors
+/// When the run cannot begin.
+pub fn study(launch: &Launch) -> Result<Summary, LaunchError> {
+    let signals = Signals::install().map_err(LaunchError::Signals)?;
+    let plan = &launch.plan;
+    let body = Body::of(plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+    let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
+    folder.write_scenario(plan)?;
+    folder.keep();
+    let mut progress = Progress::study(&plan.scenario.name, plan.scenario.ticks, launch.progress);
+    let began = monotonic_ns();
+    let result = in_process(plan, body, |tick, tally| {
+        progress.show_study(tick, tally.now());
+        signals.received() == 0
+    });
+    let seconds = (monotonic_ns() - began) as f64 / 1e9;
+    progress.clear();
+    let ended = match signals.received() {
+        0 => Ended::Complete,
+        number => Ended::Signal(number),
+    };
+    Ok(Summary::of_study(launch, folder.path(), ended, result, seconds))
+}
