@@ -1,1 +1,249 @@
-//! (to come)
+//! What a run's end shows: a figure and a table of how the controller learned.
+//!
+//! A [`Story`] is plain numbers, collected window by window by whoever watches the run, and handed on as JSON if that is
+//! another process. [`figure::draw`] makes one SVG of it, [`table`] a few lines of text. Both only see the story: they
+//! give the same bytes for the same numbers, on every machine.
+
+pub mod figure;
+
+use serde::{Deserialize, Deserializer, Serialize};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// Means over some ticks in a row. Errors are in the story's [`unit`](Story::unit).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Window {
+    /// First tick.
+    pub from: u64,
+    /// Number of ticks.
+    pub ticks: u64,
+    /// Mean loss (reward with its sign turned) per tick; not a number if a reward was none.
+    #[serde(deserialize_with = "number")]
+    pub loss: f64,
+    /// Mean squared error, in squared units; `None` for a plant that measures none.
+    pub mean_squared_error: Option<f64>,
+    /// Mean error at the end of the targets that ended here; `None` if none did.
+    pub end_error: Option<f64>,
+    /// Number of targets that ended here.
+    pub ends: u64,
+}
+
+/// A movement towards one target, posture by posture.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reach {
+    /// First tick.
+    pub from: u64,
+    /// The target's place.
+    pub target: [f64; 2],
+    /// One polyline a tick, from the base over the joints to the end-effector.
+    #[serde(deserialize_with = "points")]
+    pub postures: Vec<Vec<[f64; 2]>>,
+}
+
+/// How a run went.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Story {
+    /// Title of the figure.
+    pub title: String,
+    /// Unit of errors and places, `m` for the arm; may be empty.
+    pub unit: String,
+    /// Period of a tick, s.
+    pub period_s: f64,
+    /// What exploration noise alone costs a tick, in the loss's terms; 0 if unknown.
+    pub noise_share: f64,
+    /// In the order of time.
+    pub windows: Vec<Window>,
+    /// What happened at which tick, for example `joint 3 blocked`.
+    pub marks: Vec<(u64, String)>,
+    /// A reach from the run's beginning, if the plant has postures.
+    pub first_reach: Option<Reach>,
+    /// A reach from its end.
+    pub last_reach: Option<Reach>,
+}
+
+/// Why a report cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// The drawing library refused.
+    #[error("the figure cannot be drawn: {0}")]
+    Draw(String),
+    /// The file cannot be written.
+    #[error("the figure {} cannot be written: {error}; choose another --out", path.display())]
+    Write {
+        /// The figure's file.
+        path: PathBuf,
+        /// What the operating system said.
+        error: std::io::Error,
+    },
+}
+
+/// JSON has no "not a number" and says null for it; a run that diverged must still get its report.
+fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::<f64>::deserialize(from)?.unwrap_or(f64::NAN))
+}
+
+fn points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<[f64; 2]>>, D::Error> {
+    let lines = Vec::<Vec<[Option<f64>; 2]>>::deserialize(from)?;
+    let point = |p: [Option<f64>; 2]| p.map(|x| x.unwrap_or(f64::NAN));
+    Ok(lines.into_iter().map(|line| line.into_iter().map(point).collect()).collect())
+}
+
+impl Window {
+    /// Square root of the mean squared error, in the story's unit.
+    pub fn rms_error(&self) -> Option<f64> {
+        self.mean_squared_error.map(f64::sqrt)
+    }
+}
+
+/// First and last window as text, one line each under a head with the units. `-` is a value that there is not.
+pub fn table(story: &Story) -> String {
+    let unit = match story.unit.as_str() {
+        "" => String::new(),
+        unit => format!(" ({unit})"),
+    };
+    let mut rows = vec![[
+        "ticks".to_owned(),
+        "loss a tick".to_owned(),
+        "without noise".to_owned(),
+        format!("RMS error{unit}"),
+        format!("error at a target's end{unit}"),
+    ]];
+    let last = story.windows.len().saturating_sub(1);
+    for (_, w) in story.windows.iter().enumerate().filter(|(i, _)| *i == 0 || *i == last) {
+        rows.push([
+            format!("{} to {}", w.from, w.from.saturating_add(w.ticks).saturating_sub(1)),
+            figures(Some(w.loss)),
+            figures(Some(w.loss - story.noise_share)),
+            figures(w.rms_error()),
+            figures(w.end_error),
+        ]);
+    }
+    if story.windows.is_empty() {
+        rows.push(std::array::from_fn(|_| "-".to_owned()));
+    }
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: [usize; 5] = std::array::from_fn(width);
+    let mut text = String::new();
+    for row in &rows {
+        let _ = write!(text, "{:<1$}", row[0], widths[0]);
+        for (cell, width) in row.iter().zip(widths).skip(1) {
+            let _ = write!(text, "  {cell:>width$}");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+/// Three significant figures, which is what a mean over a window is good for.
+fn figures(value: Option<f64>) -> String {
+    let Some(x) = value.filter(|x| x.is_finite()) else { return "-".into() };
+    if x == 0.0 {
+        return "0".into();
+    }
+    let magnitude = x.abs().log10().floor();
+    if !(-5.0..6.0).contains(&magnitude) {
+        return format!("{x:.2e}");
+    }
+    format!("{x:.*}", (2.0 - magnitude).max(0.0) as usize)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// The shape of the paper's run: 120 windows, a joint blocked at the 93rd.
+    pub fn arm_story() -> Story {
+        let window = |i: u64| {
+            let t = i as f64 / 20.0;
+            let hurt = if i >= 93 { 0.012 * (-(i as f64 - 93.0) / 8.0).exp() + 0.004 } else { 0.0 };
+            let wiggle = 0.0015 * (i as f64 * 2.3).sin();
+            let error = 0.42 + 0.75 * (-t).exp() + 5.0 * hurt + 3.0 * wiggle;
+            Window {
+                from: i * 100_000,
+                ticks: 100_000,
+                loss: 0.071 + 0.14 * (-t).exp() + hurt + wiggle,
+                mean_squared_error: Some(error * error),
+                end_error: Some(error - 0.16),
+                ends: 1250,
+            }
+        };
+        Story {
+            title: "Closed-loop arm, the paper's rule, seed 1".into(),
+            unit: "m".into(),
+            period_s: 0.05,
+            noise_share: 0.0355,
+            windows: (0..120).map(window).collect(),
+            marks: vec![(9_300_000, "joint 3 blocked".into())],
+            first_reach: Some(reach(80, [0.6, 0.5], 0.15)),
+            last_reach: Some(reach(11_999_920, [-0.55, 0.35], 1.0)),
+        }
+    }
+
+    fn reach(from: u64, target: [f64; 2], skill: f64) -> Reach {
+        let start = [0.3, 0.9, 1.3, 0.4];
+        let end = [2.6, 2.0, 1.6, 1.9];
+        let posture = |k: usize| {
+            let s = skill * (1.0 - (-(k as f64) / 6.0).exp());
+            let mut at = [0.0, -1.0];
+            let mut line = vec![at];
+            for d in 0..4 {
+                let shake = 0.05 * ((k * (d + 2)) as f64).sin();
+                let angle: f64 = start[d] + s * (end[d] - start[d]) + shake;
+                at = [at[0] + 0.5 * angle.cos(), at[1] + 0.5 * angle.sin()];
+                line.push(at);
+            }
+            line
+        };
+        Reach { from, target, postures: (0..30).map(posture).collect() }
+    }
+
+    #[test]
+    fn the_table_has_first_and_last_window_under_units() {
+        let mut story = arm_story();
+        story.windows.truncate(3);
+        story.windows[0] = Window {
+            from: 0,
+            ticks: 1000,
+            loss: 0.1655,
+            mean_squared_error: Some(1.21),
+            end_error: Some(0.87654),
+            ends: 12,
+        };
+        story.windows[2] =
+            Window { from: 2000, ticks: 500, loss: 0.0728, mean_squared_error: None, end_error: None, ends: 0 };
+        let expected = "\
+ticks         loss a tick  without noise  RMS error (m)  error at a target's end (m)
+0 to 999            0.166          0.130           1.10                        0.877
+2000 to 2499       0.0728         0.0373              -                            -
+";
+        assert_eq!(table(&story), expected);
+        story.windows.truncate(1);
+        assert_eq!(table(&story).lines().count(), 2);
+        story.windows.clear();
+        assert!(table(&story).lines().last().unwrap().starts_with("-  "));
+    }
+
+    #[test]
+    fn three_figures_whatever_the_size() {
+        let all = [12.3456, 0.0, 1234.0, 0.00123456, 1e9, -0.5, f64::NAN].map(|x| figures(Some(x)));
+        assert_eq!(all, ["12.3", "0", "1234", "0.00123", "1.00e9", "-0.500", "-"]);
+    }
+
+    #[test]
+    fn a_story_travels_as_json() {
+        let story = arm_story();
+        let back: Story = serde_json::from_str(&serde_json::to_string(&story).unwrap()).unwrap();
+        assert!(back == story, "to the last bit");
+        let mut diverged = arm_story();
+        diverged.windows[7].loss = f64::NAN;
+        diverged.windows[7].end_error = Some(f64::INFINITY);
+        diverged.last_reach.as_mut().unwrap().postures[3][2] = [f64::NAN; 2];
+        let back: Story = serde_json::from_str(&serde_json::to_string(&diverged).unwrap()).unwrap();
+        assert!(back.windows[7].loss.is_nan() && back.windows[7].end_error.is_none());
+        assert!(back.last_reach.unwrap().postures[3][2][0].is_nan());
+        assert!(table(&Story { windows: back.windows[7..8].to_vec(), ..story }).contains(" - "));
+    }
+}

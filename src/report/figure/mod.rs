@@ -1,0 +1,215 @@
+//! One SVG of a run: how loss and error fell, and how the arm moved at the beginning and at the end.
+//!
+//! The drawing library only knows whole pixels, too coarse for postures a hundred pixels tall; so everything is drawn on a
+//! canvas four times as fine, and the file says how large it is meant. Text stays text, in whatever sans-serif font the
+//! viewer has. Colours are those of Okabe and Ito, which colour-blind readers can tell apart; lines differ in weight too.
+
+mod curves;
+mod postures;
+
+use super::{ReportError, Story};
+use plotters::coord::Shift;
+use plotters::element::DashedPathElement;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use std::path::Path;
+
+/// Canvas units to a pixel.
+const FINE: u32 = 4;
+/// Size of the figure, pixels; without postures it is as wide as its curves.
+const HEIGHT: u32 = 640;
+const CURVES_WIDTH: u32 = 700;
+const POSTURES_WIDTH: u32 = 310;
+const TITLE_HEIGHT: u32 = 44;
+
+const BLUE: RGBColor = RGBColor(0, 114, 178);
+const SKY: RGBColor = RGBColor(86, 180, 233);
+const VERMILION: RGBColor = RGBColor(213, 94, 0);
+const GREY: RGBColor = RGBColor(140, 140, 140);
+const INK: RGBColor = RGBColor(40, 40, 40);
+const FAINT: RGBColor = RGBColor(228, 228, 228);
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+/// Draws `story` into a new file at `path`, in place of one that is there.
+///
+/// # Errors
+///
+/// [`ReportError`] if the file cannot be written.
+pub fn draw(story: &Story, path: &Path) -> Result<(), ReportError> {
+    let svg = svg(story)?;
+    std::fs::write(path, svg).map_err(|error| ReportError::Write { path: path.to_owned(), error })
+}
+
+/// The figure's text.
+fn svg(story: &Story) -> Result<String, ReportError> {
+    let reaches: Vec<_> = [("first reach", &story.first_reach), ("last reach", &story.last_reach)]
+        .into_iter()
+        .filter_map(|(name, reach)| Some((name, reach.as_ref()?)))
+        .filter(|(_, reach)| reach.postures.iter().any(|line| line.iter().flatten().all(|&x| drawable(x))))
+        .collect();
+    let width = CURVES_WIDTH + if reaches.is_empty() { 0 } else { POSTURES_WIDTH };
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, (width * FINE, HEIGHT * FINE)).into_drawing_area();
+        root.fill(&WHITE).map_err(refused)?;
+        let (title, rest) = root.split_vertically(px(TITLE_HEIGHT));
+        title.draw(&Text::new(story.title.clone(), (px(16), px(14)), font(16.0, INK))).map_err(refused)?;
+        let (left, right) = rest.split_horizontally(px(CURVES_WIDTH));
+        curves::draw(story, &left)?;
+        if !reaches.is_empty() {
+            postures::legend(&title, px(CURVES_WIDTH))?;
+            postures::draw(story, &reaches, &right)?;
+        }
+        root.present().map_err(refused)?;
+    }
+    // The canvas keeps its fine coordinates as the view box, and is shown at its true size.
+    let fine = format!("<svg width=\"{}\" height=\"{}\" ", width * FINE, HEIGHT * FINE);
+    Ok(svg.replacen(&fine, &format!("<svg width=\"{width}\" height=\"{HEIGHT}\" "), 1))
+}
+
+fn px(pixels: u32) -> i32 {
+    (pixels * FINE) as i32
+}
+
+/// A line's width or a dot's radius in pixels.
+fn fine(pixels: f64) -> u32 {
+    (pixels * f64::from(FINE)).round() as u32
+}
+
+/// A font of so many pixels. The SVG backend divides the size that it is given by 1.24.
+fn font(pixels: f64, colour: RGBColor) -> TextStyle<'static> {
+    ("sans-serif", pixels * 1.24 * f64::from(FINE)).into_font().color(&colour)
+}
+
+fn anchored(style: TextStyle<'static>, h: HPos, v: VPos) -> TextStyle<'static> {
+    style.pos(Pos::new(h, v))
+}
+
+fn refused<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -> ReportError {
+    ReportError::Draw(error.to_string())
+}
+
+/// A number that an axis can reach. What a diverged run leaves may be finite and still beyond drawing.
+fn drawable(x: f64) -> bool {
+    x.abs() < 1e30
+}
+
+/// An axis label without needless digits: 0.1, 0.25, 3, 1e-5.
+fn label(x: &f64) -> String {
+    if x.abs() >= 1e6 {
+        return format!("{x:e}");
+    }
+    let rounded = format!("{x:.4}");
+    let short = rounded.trim_end_matches('0').trim_end_matches('.');
+    match short {
+        "-0" => "0".into(),
+        "0" if x.abs() > 1e-12 => format!("{x:e}"),
+        _ => short.to_owned(),
+    }
+}
+
+/// `name (unit)`, or the name alone.
+fn with_unit(name: &str, unit: &str) -> String {
+    if unit.is_empty() { name.to_owned() } else { format!("{name} ({unit})") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::tests::arm_story;
+
+    #[test]
+    fn equal_stories_give_equal_bytes_and_different_ones_do_not() {
+        let one = svg(&arm_story()).unwrap();
+        assert_eq!(one, svg(&arm_story()).unwrap());
+        let mut other = arm_story();
+        other.windows[60].loss *= 1.1;
+        assert_ne!(one, svg(&other).unwrap());
+    }
+
+    #[test]
+    fn the_figure_says_what_it_shows() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("figure.svg");
+        draw(&arm_story(), &path).unwrap();
+        let svg = std::fs::read_to_string(&path).unwrap();
+        assert!(svg.starts_with("<svg width=\"1010\" height=\"640\" viewBox=\"0 0 4040 2560\""), "{}", &svg[..80]);
+        for words in [
+            "the paper&apos;s rule",
+            "loss per tick",
+            "without exploration noise",
+            "error (m)",
+            "at the end of a target",
+            "time (days)",
+            "joint 3 blocked",
+            "first reach",
+            "last reach",
+            "x (m)",
+        ] {
+            assert!(svg.contains(words), "{words}");
+        }
+    }
+
+    #[test]
+    fn parts_that_are_missing_are_left_out() {
+        let story = arm_story();
+        let bare = svg(&Story { first_reach: None, last_reach: None, ..story.clone() }).unwrap();
+        assert!(bare.starts_with("<svg width=\"700\"") && !bare.contains("reach"));
+        let half = svg(&Story { first_reach: None, ..story.clone() }).unwrap();
+        assert!(half.contains("last reach") && !half.contains("first reach"));
+        let mut blind = story.clone();
+        for w in &mut blind.windows {
+            (w.mean_squared_error, w.end_error) = (None, None);
+        }
+        let blind = svg(&blind).unwrap();
+        assert!(blind.contains("loss per tick") && !blind.contains("error (m)"));
+        let silent = svg(&Story { noise_share: 0.0, ..story.clone() }).unwrap();
+        assert!(!silent.contains("without exploration noise"));
+        assert!(svg(&Story { windows: Vec::new(), ..story }).unwrap().contains("no window was completed"));
+    }
+
+    #[test]
+    fn a_run_that_diverged_is_drawn_as_far_as_it_went() {
+        let mut story = arm_story();
+        for w in &mut story.windows[50..] {
+            (w.loss, w.mean_squared_error, w.end_error) = (f64::NAN, Some(f64::INFINITY), Some(f64::NAN));
+        }
+        story.last_reach.as_mut().unwrap().postures[5][3] = [f64::NAN, 0.0];
+        story.first_reach.as_mut().unwrap().postures.clear();
+        let svg = svg(&story).unwrap();
+        assert!(svg.contains("last reach") && !svg.contains("first reach"));
+        for period_s in [f64::NAN, 0.0, 1e-300, 1e300] {
+            super::svg(&Story { period_s, ..story.clone() }).unwrap();
+        }
+    }
+
+    /// The drawing library steps along an axis; steps too small for the numbers on it would never arrive.
+    #[test]
+    fn extreme_numbers_are_drawn_in_finite_time() {
+        for (loss, place) in [(1e300, 1e300), (1e25, 1e25), (1e-300, 1e-300), (-1e20, 3.0), (0.0, 0.0)] {
+            let mut story = arm_story();
+            story.windows[3].loss = loss;
+            story.windows.truncate(4);
+            story.windows.drain(..3);
+            story.windows[0].from = u64::MAX - 1;
+            let mut reach = story.last_reach.clone().unwrap();
+            reach.target = [place; 2];
+            reach.postures = vec![vec![[place, place * (1.0 + 1e-15)]; 3]; 2];
+            (story.first_reach, story.last_reach) = (None, Some(reach));
+            svg(&story).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_place_that_cannot_be_written_is_named() {
+        let error = draw(&arm_story(), Path::new("/no/such/figure.svg")).unwrap_err().to_string();
+        assert!(error.contains("/no/such/figure.svg") && error.contains("--out"), "{error}");
+    }
+
+    #[test]
+    fn labels_have_no_needless_digits() {
+        let all = [0.0, -0.0, 0.1, 0.30000000000000004, 12.0, 0.25, 0.00001, 2e7].map(|x| label(&x));
+        assert_eq!(all, ["0", "0", "0.1", "0.3", "12", "0.25", "1e-5", "2e7"]);
+    }
+}

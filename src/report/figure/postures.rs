@@ -1,0 +1,146 @@
+//! The right half: the arm on its way to a target, light at first and dark at the end.
+
+use super::*;
+use crate::report::Reach;
+
+const LEGEND_HEIGHT: u32 = 26;
+const LEFT_LABELS: u32 = 46;
+const BOTTOM_LABELS: u32 = 38;
+
+/// Panels below each other, all to one scale, so that they can be compared.
+pub(super) fn draw(story: &Story, reaches: &[(&str, &Reach)], area: &Area) -> Result<(), ReportError> {
+    let (centre, half) = frame(reaches);
+    for ((name, reach), area) in reaches.iter().zip(area.split_evenly((2, 1))) {
+        let (head, rest) = area.split_vertically(px(LEGEND_HEIGHT));
+        let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
+        let title = format!("{name}, from tick {}", grouped(reach.from));
+        head.draw(&Text::new(title, (px(LEFT_LABELS), px(LEGEND_HEIGHT) * 3 / 5), text)).map_err(refused)?;
+        panel(story, reach, centre, half, &rest)?;
+    }
+    Ok(())
+}
+
+/// What cross and coloured line mean, for the strip above the panels that starts at `left`.
+pub(super) fn legend(strip: &Area, left: i32) -> Result<(), ReportError> {
+    let style = || anchored(font(12.0, INK), HPos::Left, VPos::Center);
+    let (x, y) = (left + px(LEFT_LABELS), px(26));
+    strip.draw(&Cross::new((x + px(5), y), fine(5.0), INK.stroke_width(fine(2.0)))).map_err(refused)?;
+    strip.draw(&Text::new("target", (x + px(17), y), style())).map_err(refused)?;
+    let line = [(x + px(72), y), (x + px(94), y)];
+    strip.draw(&PathElement::new(line, VERMILION.stroke_width(fine(1.8)))).map_err(refused)?;
+    strip.draw(&Text::new("path of the end-effector", (x + px(100), y), style())).map_err(refused)
+}
+
+/// 11,999,920 instead of 11999920.
+fn grouped(tick: u64) -> String {
+    let digits = tick.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i) % 3 == 0 {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+fn panel(story: &Story, reach: &Reach, centre: [f64; 2], half: f64, area: &Area) -> Result<(), ReportError> {
+    // A metre is as long across as it is upwards: the plot is made square within what there is.
+    let (width, height) = area.dim_in_pixel();
+    let side = (width as i32 - px(LEFT_LABELS + 16)).min(height as i32 - px(BOTTOM_LABELS + 8));
+    let mut chart = ChartBuilder::on(area)
+        .margin_right(width as i32 - px(LEFT_LABELS) - side)
+        .margin_bottom(height as i32 - px(BOTTOM_LABELS) - side)
+        .set_label_area_size(LabelAreaPosition::Left, px(LEFT_LABELS))
+        .set_label_area_size(LabelAreaPosition::Bottom, px(BOTTOM_LABELS))
+        .build_cartesian_2d(centre[0] - half..centre[0] + half, centre[1] - half..centre[1] + half)
+        .map_err(refused)?;
+    chart
+        .configure_mesh()
+        .disable_mesh()
+        .axis_style(GREY.stroke_width(fine(1.0)))
+        .label_style(font(11.0, INK))
+        .axis_desc_style(font(12.0, INK))
+        .x_labels(5)
+        .y_labels(5)
+        .set_all_tick_mark_size(px(4))
+        .x_label_formatter(&label)
+        .y_label_formatter(&label)
+        .x_desc(with_unit("x", &story.unit))
+        .y_desc(with_unit("y", &story.unit))
+        .draw()
+        .map_err(refused)?;
+    let whole: Vec<&Vec<[f64; 2]>> =
+        reach.postures.iter().filter(|line| !line.is_empty() && line.iter().flatten().all(|&x| drawable(x))).collect();
+    let last = whole.len().saturating_sub(1);
+    for (i, line) in whole.iter().enumerate() {
+        let (age, points) = (i as f64 / last.max(1) as f64, line.iter().map(|p| (p[0], p[1])));
+        let width = if i == last { 2.6 } else { 1.2 };
+        let path = PathElement::new(points.clone().collect::<Vec<_>>(), faded(age).stroke_width(fine(width)));
+        chart.draw_series([path]).map_err(refused)?;
+        if i == last {
+            let joints = points.map(|p| Circle::new(p, fine(3.0), faded(age).filled()));
+            chart.draw_series(joints).map_err(refused)?;
+        }
+    }
+    let path: Vec<_> = whole.iter().filter_map(|line| line.last()).map(|p| (p[0], p[1])).collect();
+    if let Some(&end) = path.last() {
+        chart.draw_series([PathElement::new(path, VERMILION.stroke_width(fine(1.8)))]).map_err(refused)?;
+        chart.draw_series([Circle::new(end, fine(3.4), VERMILION.filled())]).map_err(refused)?;
+    }
+    if reach.target.iter().all(|&x| drawable(x)) {
+        let target = (reach.target[0], reach.target[1]);
+        chart.draw_series([Cross::new(target, fine(6.0), INK.stroke_width(fine(2.2)))]).map_err(refused)?;
+    }
+    Ok(())
+}
+
+/// From a light grey-blue to a dark one.
+fn faded(age: f64) -> RGBColor {
+    let mix = |light: f64, dark: f64| (light + age * (dark - light)).round() as u8;
+    RGBColor(mix(214.0, 0.0), mix(226.0, 68.0), mix(238.0, 116.0))
+}
+
+/// Centre and half the side of a square that holds everything with a little room.
+fn frame(reaches: &[(&str, &Reach)]) -> ([f64; 2], f64) {
+    let mut low = [f64::INFINITY; 2];
+    let mut high = [f64::NEG_INFINITY; 2];
+    let points = reaches.iter().flat_map(|(_, reach)| reach.postures.iter().flatten().chain([&reach.target]));
+    for p in points.filter(|p| p.iter().all(|&x| drawable(x))) {
+        for axis in 0..2 {
+            low[axis] = low[axis].min(p[axis]);
+            high[axis] = high[axis].max(p[axis]);
+        }
+    }
+    let half = (0..2).map(|axis| (high[axis] - low[axis]) / 2.0).fold(0.0, f64::max);
+    let far = low.iter().chain(&high).fold(0.0, |far: f64, x| far.max(x.abs()));
+    // A single point has no extent, and gets some; next to nothing, far out, would be too fine for the numbers.
+    let half = if half.is_finite() && half > 1e-30 && half > 1e-9 * far { 1.06 * half } else { far.max(1.0) };
+    (std::array::from_fn(|axis| (low[axis] + high[axis]) / 2.0), half)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_frame_is_a_square_around_everything() {
+        let reach = Reach { from: 0, target: [3.0, 0.0], postures: vec![vec![[-1.0, 0.0], [0.0, 1.0]]] };
+        let (centre, half) = frame(&[("first", &reach)]);
+        assert_eq!(centre, [1.0, 0.5]);
+        assert!((half - 2.12).abs() < 1e-12);
+        let point = Reach { from: 0, target: [3.0, 0.0], postures: vec![vec![[3.0, 0.0]]] };
+        assert_eq!(frame(&[("first", &point)]), ([3.0, 0.0], 3.0));
+    }
+
+    #[test]
+    fn ticks_are_grouped_by_thousands() {
+        assert_eq!([0, 80, 999, 1000, 11_999_920].map(grouped), ["0", "80", "999", "1,000", "11,999,920"]);
+    }
+
+    #[test]
+    fn later_postures_are_darker() {
+        let [early, late] = [faded(0.0), faded(1.0)].map(|c| u32::from(c.0) + u32::from(c.1) + u32::from(c.2));
+        assert!(early > 600 && late < 200);
+    }
+}
