@@ -61,7 +61,7 @@ fn panel(
     let top = values().fold(0.0, f64::max);
     let bottom = values().fold(0.0, f64::min);
     // Nothing, or a flat line at 0, still needs an axis.
-    let span = if top - bottom > 1e-30 { top - bottom } else { 1.0 };
+    let span = if top > bottom { top - bottom } else { 1.0 };
     let low = if bottom < 0.0 { bottom - 0.06 * span } else { 0.0 };
     let mut chart = ChartBuilder::on(&rest)
         .margin_left(px(MARGIN))
@@ -154,7 +154,7 @@ impl TimeAxis {
         let ticks = story.windows.iter().map(|w| w.from.saturating_add(w.ticks)).max().unwrap_or(0).max(1) as f64;
         let seconds = ticks * story.period_s;
         // A story without a sensible period is told in ticks.
-        if !(drawable(seconds) && seconds > 1e-30) {
+        if !(drawable(seconds) && seconds > 0.0) {
             return TimeAxis { unit: "ticks", per_tick: 1.0, end: ticks };
         }
         let (unit, size) = match seconds {

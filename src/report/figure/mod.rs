@@ -90,7 +90,8 @@ fn refused<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -
     ReportError::Draw(error.to_string())
 }
 
-/// A number that an axis can reach. What a diverged run leaves may be finite and still beyond drawing.
+/// A number that an axis can reach: what a diverged run leaves may be finite, and the end of the axis beyond it no longer.
+/// The drawing library would look for its labels for ever.
 fn drawable(x: f64) -> bool {
     x.abs() < 1e30
 }
@@ -126,6 +127,21 @@ mod tests {
         let mut other = arm_story();
         other.windows[60].loss *= 1.1;
         assert_ne!(one, svg(&other).unwrap());
+    }
+
+    #[test]
+    fn the_noises_share_is_taken_out_of_one_curve() {
+        let with = |noise_share| {
+            let svg = svg(&Story { noise_share, ..arm_story() }).unwrap();
+            let curve = |stroke: &str| {
+                let lines = svg.lines().filter(|l| l.contains("<polyline") && l.contains(stroke));
+                lines.max_by_key(|l| l.len()).unwrap().to_owned()
+            };
+            (curve("#8C8C8C"), curve("#0072B2"))
+        };
+        let (few, many) = (with(0.01), with(0.03));
+        assert_eq!(few.0, many.0);
+        assert_ne!(few.1, many.1);
     }
 
     #[test]
@@ -184,10 +200,9 @@ mod tests {
         }
     }
 
-    /// The drawing library steps along an axis; steps too small for the numbers on it would never arrive.
     #[test]
     fn extreme_numbers_are_drawn_in_finite_time() {
-        for (loss, place) in [(1e300, 1e300), (1e25, 1e25), (1e-300, 1e-300), (-1e20, 3.0), (0.0, 0.0)] {
+        for (loss, place) in [(f64::MAX, f64::MAX), (1e25, 1e25), (1e-300, 1e-300), (-1e20, 3.0), (0.0, 0.0)] {
             let mut story = arm_story();
             story.windows[3].loss = loss;
             story.windows.truncate(4);

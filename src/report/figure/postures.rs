@@ -36,7 +36,7 @@ fn grouped(tick: u64) -> String {
     let digits = tick.to_string();
     let mut text = String::new();
     for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i) % 3 == 0 {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
             text.push(',');
         }
         text.push(digit);
@@ -113,9 +113,8 @@ fn frame(reaches: &[(&str, &Reach)]) -> ([f64; 2], f64) {
         }
     }
     let half = (0..2).map(|axis| (high[axis] - low[axis]) / 2.0).fold(0.0, f64::max);
-    let far = low.iter().chain(&high).fold(0.0, |far: f64, x| far.max(x.abs()));
-    // A single point has no extent, and gets some; next to nothing, far out, would be too fine for the numbers.
-    let half = if half.is_finite() && half > 1e-30 && half > 1e-9 * far { 1.06 * half } else { far.max(1.0) };
+    // A single point has no extent, and gets some.
+    let half = if half > 0.0 { 1.06 * half } else { 1.0 };
     (std::array::from_fn(|axis| (low[axis] + high[axis]) / 2.0), half)
 }
 
@@ -130,7 +129,7 @@ mod tests {
         assert_eq!(centre, [1.0, 0.5]);
         assert!((half - 2.12).abs() < 1e-12);
         let point = Reach { from: 0, target: [3.0, 0.0], postures: vec![vec![[3.0, 0.0]]] };
-        assert_eq!(frame(&[("first", &point)]), ([3.0, 0.0], 3.0));
+        assert_eq!(frame(&[("first", &point)]), ([3.0, 0.0], 1.0));
     }
 
     #[test]
