@@ -165,7 +165,10 @@ fn the_limit_on_a_files_size_is_named() {
         let error = write_ticks(&mut log, 0..1_000_000).unwrap_err();
         assert!(error.is_full(), "{error}");
         assert!(error.to_string().contains("the limit on the size of a file is reached; raise the limit"), "{error}");
-        // The same again, and nothing else is tried.
+        // There is room again, but half a message may stand at the end, and nothing is put behind it.
+        use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+        let most = getrlimit(Resource::Fsize).maximum;
+        setrlimit(Resource::Fsize, Rlimit { current: most, maximum: most }).unwrap();
         assert_eq!(log.flush().unwrap_err().to_string(), error.to_string());
         let again = log.finish(&Totals::default()).unwrap_err();
         assert_eq!(again.to_string(), error.to_string());
@@ -176,7 +179,10 @@ fn the_limit_on_a_files_size_is_named() {
     let this = std::env::current_exe().unwrap();
     let output = Process::new("sh")
         // Without the trap the kernel ends the process with SIGXFSZ.
-        .args(["-c", "trap '' XFSZ; ulimit -f 128; exec \"$0\" --exact the_limit_on_a_files_size_is_named --nocapture"])
+        .args([
+            "-c",
+            "trap '' XFSZ; ulimit -S -f 128; exec \"$0\" --exact the_limit_on_a_files_size_is_named --nocapture",
+        ])
         .arg(this)
         .env("TECTUM_TEST_LIMITED_LOG", &path)
         .output()

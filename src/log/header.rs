@@ -108,7 +108,7 @@ impl LogHeader {
     pub(super) fn to_map(&self, path: &Path) -> Result<BTreeMap<String, String>, LogError> {
         let bad = |why: String| LogError::Header { path: path.to_owned(), why };
         if self.scenario.is_empty() {
-            return Err(bad("the scenario's text is empty".into()));
+            return Err(bad("its scenario has no text, or none that TOML can hold".into()));
         }
         let json = |what: &str, value: serde_json::Result<String>| value.map_err(|e| bad(format!("{what}: {e}")));
         let mut map: BTreeMap<String, String> =
@@ -199,6 +199,28 @@ pub(super) mod tests {
         assert_eq!(map["topic.command"], "/command");
         assert_eq!(map["machine.kernel"], "Linux");
         assert!(map["flags"].contains("\"LEARNED\":65536"));
+    }
+
+    #[test]
+    fn a_plans_scenario_comes_back_from_its_header() {
+        let text = "name = \"reach\"\nticks = 9\n[plant.arm]\n[encoder]\nmaps = [{ inputs = [\"x\"], radius = 0.5 }]\n";
+        let mut plan = Plan {
+            scenario: toml::from_str(text).unwrap(),
+            period_ns: 50_000_000,
+            inputs: Vec::new(),
+            outputs: Vec::new(),
+            measures: Vec::new(),
+            maps: Vec::new(),
+            hash: 5,
+        };
+        let header = LogHeader::new(&plan, 3, "lockstep", BTreeMap::new());
+        assert_eq!(toml::from_str::<crate::scenario::Scenario>(&header.scenario).unwrap(), plan.scenario);
+        assert_eq!((header.run, header.seed, header.every, header.scenario_hash), (3, 1, 1, 5));
+        assert_eq!((header.clock, header.t0_ns, header.wall_at_t0_ns), (Clock::Virtual, 0, 0));
+        // A seed from elsewhere may be larger than what TOML promises for integers.
+        plan.scenario.seed = u64::MAX;
+        let header = LogHeader::new(&plan, 3, "lockstep", BTreeMap::new());
+        assert_eq!(toml::from_str::<crate::scenario::Scenario>(&header.scenario).unwrap().seed, u64::MAX);
     }
 
     #[test]

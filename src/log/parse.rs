@@ -62,10 +62,19 @@ pub(super) fn schema(body: &[u8]) -> Option<(u16, &str, &str, &[u8])> {
     Some((id, name, encoding, f.bytes(n as usize)?))
 }
 
-/// A channel's id, schema, topic, encoding of messages and metadata.
-pub(super) fn channel(body: &[u8]) -> Option<(u16, u16, &str, &str, BTreeMap<String, String>)> {
+/// A channel.
+pub(super) struct Channel<'a> {
+    pub id: u16,
+    pub schema: u16,
+    pub topic: &'a str,
+    /// Encoding of its messages.
+    pub encoding: &'a str,
+    pub metadata: BTreeMap<String, String>,
+}
+
+pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
     let mut f = Fields(body);
-    Some((f.u16()?, f.u16()?, f.text()?, f.text()?, f.map()?))
+    Some(Channel { id: f.u16()?, schema: f.u16()?, topic: f.text()?, encoding: f.text()?, metadata: f.map()? })
 }
 
 /// A message's channel and data.
@@ -73,7 +82,7 @@ pub(super) fn message(body: &[u8]) -> Option<(u16, &[u8])> {
     let mut f = Fields(body);
     let channel = f.u16()?;
     // Sequence, log time and publish time repeat what the sample's own header says.
-    (f.u32()?, f.u64()?, f.u64()?);
+    f.bytes(4 + 8 + 8)?;
     Some((channel, f.0))
 }
 
@@ -86,7 +95,8 @@ pub(super) fn metadata(body: &[u8]) -> Option<(&str, BTreeMap<String, String>)> 
 /// An attachment's name and data.
 pub(super) fn attachment(body: &[u8]) -> Option<(&str, &[u8])> {
     let mut f = Fields(body);
-    (f.u64()?, f.u64()?);
+    // Log time and creation time.
+    f.bytes(8 + 8)?;
     let (name, _media_type, n) = (f.text()?, f.text()?, f.u64()?);
     let data = f.bytes(usize::try_from(n).ok()?)?;
     // The checksum behind it is covered by that of the whole data section.

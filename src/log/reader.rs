@@ -232,10 +232,9 @@ impl Contents {
                 }
             }
             op::CHANNEL => {
-                let (id, schema, topic, encoding, map) =
-                    parse::channel(body).ok_or_else(|| bad("a channel is cut short"))?;
-                let kind = self.kind(schema, topic, encoding, &map)?;
-                self.channels.insert(id, kind);
+                let channel = parse::channel(body).ok_or_else(|| bad("a channel is cut short"))?;
+                let kind = self.kind(&channel)?;
+                self.channels.insert(channel.id, kind);
             }
             op::METADATA => {
                 let (name, map) = parse::metadata(body).ok_or_else(|| bad("metadata is cut short"))?;
@@ -259,17 +258,11 @@ impl Contents {
     }
 
     /// Which of our samples a channel carries, if any.
-    fn kind(
-        &self,
-        schema: u16,
-        topic: &str,
-        encoding: &str,
-        map: &BTreeMap<String, String>,
-    ) -> Result<Option<Kind>, LogError> {
-        let Some((name, text)) = self.schemas.get(&schema) else { return Ok(None) };
+    fn kind(&self, channel: &parse::Channel) -> Result<Option<Kind>, LogError> {
+        let Some((name, text)) = self.schemas.get(&channel.schema) else { return Ok(None) };
         let check = |kind: Kind, expected: &'static str, ours: String| {
-            let version = map.get("sample").map_or("a sample without a version", String::as_str);
-            if version == expected && encoding == "cdr" && *text == ours.into_bytes() {
+            let version = channel.metadata.get("sample").map_or("a sample without a version", String::as_str);
+            if version == expected && channel.encoding == "cdr" && *text == ours.into_bytes() {
                 return Ok(Some(kind));
             }
             let found = match version == expected {
@@ -277,7 +270,7 @@ impl Contents {
                 false => version.to_owned(),
             };
             let build = self.run("build").unwrap_or("unknown").to_owned();
-            Err(LogError::Version { path: self.path.clone(), topic: topic.to_owned(), found, expected, build })
+            Err(LogError::Version { path: self.path.clone(), topic: channel.topic.to_owned(), found, expected, build })
         };
         match name.as_str() {
             Observation::ROS_NAME => check(Kind::Observation, Observation::NAME, definition::<Observation>()),

@@ -4,8 +4,9 @@
     recompute_means.py LOG TOLERANCE
 
 For a log of the arm (4 segments, 16 x 16 units for the target, 16 for each angle, radius 0.5 throughout, unit norm) of
-which every tick is written. Prints, as JSON, the number of ticks and the largest absolute difference between the policy's
-means as logged and as computed here, and the largest mean for comparison; ends with 1 if that is above TOLERANCE, or not a number.
+which every tick is written. Prints, as JSON, the number of ticks, the largest absolute difference between the policy's
+means as logged and as computed here, and the largest mean for comparison. Ends with 1 if the difference is above
+TOLERANCE, or not a number.
 """
 import json
 import sys

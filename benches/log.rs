@@ -1,0 +1,94 @@
+//! What a tick's three messages cost the logger: handed to the operating system one by one, or together.
+//!
+//! The file lies in the system's temporary folder and is made anew every now and then, so that it never outgrows the
+//! page cache.
+
+use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tectum::log::{Clock, LogHeader, LogWriter, Record};
+use tectum::scenario::ChannelsTable;
+use tectum::wire::{Command, Learning, Observation, schema_hash};
+
+/// Ticks in a file before the next one is started: about 10 MB.
+const TICKS_IN_A_FILE: u64 = 20_000;
+
+fn header() -> LogHeader {
+    LogHeader {
+        scenario: "name = \"bench\"\n".into(),
+        run: 1,
+        name: "bench".into(),
+        seed: 1,
+        ticks: 1,
+        mode: "lockstep".into(),
+        period_ns: 50_000_000,
+        every: 1,
+        schema_hash: schema_hash(),
+        scenario_hash: 0,
+        build: tectum::BUILD.into(),
+        inputs: Vec::new(),
+        outputs: Vec::new(),
+        measures: Vec::new(),
+        channels: ChannelsTable::default(),
+        machine: BTreeMap::new(),
+        clock: Clock::Virtual,
+        t0_ns: 0,
+        wall_at_t0_ns: 0,
+    }
+}
+
+fn fresh(path: &Path) -> LogWriter {
+    let _ = std::fs::remove_file(path);
+    LogWriter::create(path, &header()).expect("a log in the temporary folder")
+}
+
+/// Times `ticks` runs of `tick`, the making of files left out.
+fn timed(path: &Path, ticks: u64, mut tick: impl FnMut(&mut LogWriter)) -> Duration {
+    let mut total = Duration::ZERO;
+    let mut left = ticks;
+    while left > 0 {
+        let mut log = fresh(path);
+        let now = left.min(TICKS_IN_A_FILE);
+        let start = Instant::now();
+        for _ in 0..now {
+            tick(&mut log);
+        }
+        total += start.elapsed();
+        left -= now;
+    }
+    total
+}
+
+fn append(c: &mut Criterion) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("log.mcap");
+    let (observation, command, learning) = (Observation::default(), Command::default(), Learning::default());
+    let mut group = c.benchmark_group("log/tick of 3 messages");
+    group.bench_function("flush per message", |b| {
+        b.iter_custom(|ticks| {
+            timed(&path, ticks, |log| {
+                log.observation(&observation).expect("room");
+                log.command(&command).expect("room");
+                log.learning(&learning).expect("room");
+            })
+        });
+    });
+    group.bench_function("flush per tick", |b| {
+        b.iter_custom(|ticks| {
+            timed(&path, ticks, |log| {
+                log.append(&Record::Observation(observation)).expect("room");
+                log.append(&Record::Command(command)).expect("room");
+                log.append(&Record::Learning(learning)).expect("room");
+                log.flush().expect("room");
+            })
+        });
+    });
+    group.finish();
+    c.bench_function("log/finish with fsync", |b| {
+        b.iter_batched(|| fresh(&path), |log| log.finish(&Default::default()).expect("room"), BatchSize::PerIteration);
+    });
+}
+
+criterion_group!(benches, append);
+criterion_main!(benches);
