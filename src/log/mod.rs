@@ -27,7 +27,7 @@ pub use header::{Clock, LogHeader};
 pub use reader::LogReader;
 pub use writer::{LogWriter, Summary};
 
-use crate::wire::{Command, Gap, Learning, Observation, Sample};
+use crate::wire::{Command, Gap, Learning, Observation};
 use std::collections::BTreeMap;
 
 /// Topic of the log's own statements about what it lacks.
@@ -47,12 +47,6 @@ pub const FIXED_BYTES: u64 = 16 * 1024;
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 /// What MCAP puts around a message's data: operation code and length (9), channel, sequence and two instants (22).
 const MESSAGE_OVERHEAD: usize = 9 + 22;
-
-/// The definition of a sample as readers of `ros2msg` take it: inside a definition, and in the `MSG:` line above a nested
-/// one, a type is `package/Type`; with `package/msg/Type` there, Python's decoder refuses the schema.
-fn definition<S: Sample>() -> String {
-    S::ros2msg().replace("/msg/", "/")
-}
 
 /// One message of a log.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -122,6 +116,7 @@ pub fn bytes_per_tick(every: u64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::Sample as _;
 
     #[test]
     fn totals_survive_their_map() {
@@ -137,7 +132,7 @@ mod tests {
     /// A decoder in another language found this the hard way.
     #[test]
     fn nested_types_have_two_parts() {
-        let text = definition::<Observation>();
+        let text = Observation::ros2msg();
         assert!(text.starts_with("tectum/Header header\n") && text.contains("\nMSG: tectum/Header\n"), "{text}");
     }
 

@@ -5,7 +5,7 @@
 //! is one: somebody or something changed the file after it was written.
 
 use super::parse::{self, op};
-use super::{ENCAPSULATION, LogError, RUN_METADATA, Record, SCENARIO_ATTACHMENT, TOTALS_METADATA, Totals, definition};
+use super::{ENCAPSULATION, LogError, RUN_METADATA, Record, SCENARIO_ATTACHMENT, TOTALS_METADATA, Totals};
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
 use mcap::McapError;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -273,10 +273,10 @@ impl Contents {
             Err(LogError::Version { path: self.path.clone(), topic: channel.topic.to_owned(), found, expected, build })
         };
         match name.as_str() {
-            Observation::ROS_NAME => check(Kind::Observation, Observation::NAME, definition::<Observation>()),
-            Command::ROS_NAME => check(Kind::Command, Command::NAME, definition::<Command>()),
-            Learning::ROS_NAME => check(Kind::Learning, Learning::NAME, definition::<Learning>()),
-            Gap::ROS_NAME => check(Kind::Gap, Gap::NAME, definition::<Gap>()),
+            Observation::ROS_NAME => check(Kind::Observation, Observation::NAME, Observation::ros2msg()),
+            Command::ROS_NAME => check(Kind::Command, Command::NAME, Command::ros2msg()),
+            Learning::ROS_NAME => check(Kind::Learning, Learning::NAME, Learning::ros2msg()),
+            Gap::ROS_NAME => check(Kind::Gap, Gap::NAME, Gap::ros2msg()),
             _ => Ok(None),
         }
     }

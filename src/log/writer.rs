@@ -9,7 +9,6 @@
 
 use super::{
     ENCAPSULATION, GAP_TOPIC, LogError, LogHeader, RUN_METADATA, Record, SCENARIO_ATTACHMENT, TOTALS_METADATA, Totals,
-    definition,
 };
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
 use mcap::records::MessageHeader;
@@ -258,7 +257,7 @@ fn describe(mcap: &mut Mcap, header: &LogHeader, run: BTreeMap<String, String>) 
 }
 
 fn channel<S: Sample>(mcap: &mut Mcap, topic: &str) -> mcap::McapResult<u16> {
-    let schema = mcap.add_schema(S::ROS_NAME, "ros2msg", definition::<S>().as_bytes())?;
+    let schema = mcap.add_schema(S::ROS_NAME, "ros2msg", S::ros2msg().as_bytes())?;
     mcap.add_channel(schema, topic, "cdr", &BTreeMap::from([("sample".to_owned(), S::NAME.to_owned())]))
 }
 

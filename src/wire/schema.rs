@@ -20,7 +20,7 @@ pub struct Field {
 pub trait Sample: bytemuck::Pod {
     /// Versioned type name; it changes whenever the layout or a field's meaning does.
     const NAME: &'static str;
-    /// Name in `ros2msg` form, `package/msg/Type`.
+    /// Name of the schema in `ros2msg` form, `package/msg/Type`. Inside a definition it is [`Element::ELEMENT`].
     const ROS_NAME: &'static str;
     /// All fields in order.
     const FIELDS: &'static [Field];
@@ -29,9 +29,9 @@ pub trait Sample: bytemuck::Pod {
     fn ros2msg() -> String {
         let mut text = String::new();
         write_fields(&mut text, Self::FIELDS);
-        if Self::FIELDS.iter().any(|f| f.element == super::Header::ROS_NAME) {
+        if Self::FIELDS.iter().any(|f| f.element == super::Header::ELEMENT) {
             let rule = "=".repeat(80);
-            let _ = write!(text, "{rule}\nMSG: {}\n", super::Header::ROS_NAME);
+            let _ = write!(text, "{rule}\nMSG: {}\n", super::Header::ELEMENT);
             write_fields(&mut text, super::Header::FIELDS);
         }
         text
@@ -40,7 +40,6 @@ pub trait Sample: bytemuck::Pod {
 
 fn write_fields(text: &mut String, fields: &[Field]) {
     for f in fields {
-        // A nested type is written `package/Type` inside a definition.
         let element = f.element;
         let _ = match f.count {
             1 => writeln!(text, "{element} {}", f.name),
@@ -97,7 +96,8 @@ macro_rules! sample {
         }
 
         impl $crate::wire::schema::Element for $name {
-            const ELEMENT: &'static str = <Self as $crate::wire::schema::Sample>::ROS_NAME;
+            // Without `msg`: with it, Python's decoder refuses a nested type.
+            const ELEMENT: &'static str = concat!("tectum/", stringify!($name));
         }
     };
 }
@@ -117,6 +117,7 @@ pub fn schema_hash() -> u64 {
     add::<super::Observation>(&mut text);
     add::<super::Command>(&mut text);
     add::<super::Learning>(&mut text);
+    add::<super::Gap>(&mut text);
     add::<super::Control>(&mut text);
     add::<super::Status>(&mut text);
     xxh3_64(text.as_bytes())
@@ -136,7 +137,7 @@ mod tests {
             let size = match f.element {
                 "uint32" | "float32" => 4,
                 "uint64" => 8,
-                name if name == Header::ROS_NAME => size_of::<Header>(),
+                name if name == Header::ELEMENT => size_of::<Header>(),
                 other => panic!("unexpected element {other}"),
             };
             assert_eq!(at % size.min(8), 0, "{}.{}", S::NAME, f.name);
@@ -158,8 +159,8 @@ mod tests {
     #[test]
     fn definitions_name_every_field_and_nest_the_header() {
         let text = Observation::ros2msg();
-        assert!(text.starts_with("tectum/msg/Header header\nfloat32[16] inputs\n"), "{text}");
-        assert!(text.contains("MSG: tectum/msg/Header\nuint64 run\n"), "{text}");
+        assert!(text.starts_with("tectum/Header header\nfloat32[16] inputs\n"), "{text}");
+        assert!(text.contains("MSG: tectum/Header\nuint64 run\n"), "{text}");
         assert!(!Header::ros2msg().contains("MSG:"));
     }
 
