@@ -12,7 +12,7 @@ mod domain;
 mod ports;
 mod services;
 
-pub use domain::{Domain, DomainName};
+pub use domain::{Domain, DomainName, wipe};
 pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Payload, Receiver, Sender};
 pub use services::{ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts};
 

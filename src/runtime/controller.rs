@@ -81,20 +81,32 @@ impl Controller {
         command.header.tick = tick;
         command.header.flags = 0;
         if blind {
-            self.answered = None;
-            self.mean = [0.0; MAX_OUTPUTS];
-            self.noise = [0.0; MAX_OUTPUTS];
+            self.answer_zero();
             command.header.flags = flag::INVALID;
+            self.report.invalid += 1;
         } else {
             self.encoder.encode(inputs, &mut self.features);
             self.mean = self.policy.mean(self.features.as_slice());
             self.noise = self.exploration.draw();
             self.answered = Some(tick);
+            if !self.mean.iter().all(|u| u.is_finite()) {
+                self.answer_zero();
+                self.flags |= flag::DIVERGED;
+                command.header.flags = flag::DIVERGED;
+                self.report.diverged_at.get_or_insert(tick);
+            }
         }
         command.mean = self.mean;
         for (drawn, (mean, noise)) in command.drawn.iter_mut().zip(self.mean.iter().zip(self.noise)) {
             *drawn = mean + noise;
         }
+    }
+
+    /// An answer that is not the policy's.
+    fn answer_zero(&mut self) {
+        self.answered = None;
+        self.mean = [0.0; MAX_OUTPUTS];
+        self.noise = [0.0; MAX_OUTPUTS];
     }
 
     fn learn(&mut self, observation: &Observation, blind: bool) {
@@ -123,7 +135,6 @@ impl Controller {
     pub fn settle(&mut self, observation: &Observation) {
         self.tally.observe(observation);
         self.report.ticks += 1;
-        self.report.invalid += u64::from(observation.header.flags & flag::INVALID != 0);
     }
 
     /// Fills the learning record of the tick that was answered last.
@@ -306,6 +317,23 @@ mod tests {
         answer(&mut limited, &applied);
         answer(&mut explicit, &observation(1, 0));
         assert_eq!(limited.policy.hash(), explicit.policy.hash());
+    }
+
+    #[test]
+    fn weights_that_are_no_longer_numbers_move_nothing() {
+        let mut scenario = Scenario::find("arm").unwrap();
+        scenario.learner.alpha_over_variance = 1000.0;
+        let mut controller = Controller::new(&scenario.plan().unwrap());
+        let mut flags = 0;
+        for tick in 0..100 {
+            let mut observation = observation(tick, if tick == 0 { flag::FIRST } else { 0 });
+            observation.reward = -1e36;
+            let (command, _) = answer(&mut controller, &observation);
+            assert!(command.drawn.iter().all(|u| u.is_finite()), "{command:?}");
+            flags = command.header.flags;
+        }
+        assert_eq!(flags, flag::DIVERGED);
+        assert!(controller.report.diverged_at.is_some());
     }
 
     #[test]

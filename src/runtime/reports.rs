@@ -73,8 +73,10 @@ pub struct ControllerReport {
     pub learned: u64,
     /// Times that the trace was cut.
     pub cuts: u64,
-    /// Observations with an input or a reward that is not a number.
+    /// Observations with an input that is not a number.
     pub invalid: u64,
+    /// The first tick at which the weights were no longer numbers.
+    pub diverged_at: Option<u64>,
     /// XXH3-64 of the weights at the end, hexadecimal.
     pub weights_hash: String,
     /// Losses and errors over the run.

@@ -65,7 +65,7 @@ impl Tally {
     /// Takes observation k into the account: the reward and measures of tick k-1, the inputs of tick k.
     pub fn observe(&mut self, observation: &Observation) {
         let flags = observation.header.flags;
-        if flags & (flag::FIRST | flag::INVALID) == 0 {
+        if flags & flag::FIRST == 0 {
             let tick = observation.header.tick - 1;
             if tick / self.length != self.from / self.length {
                 self.close();

@@ -52,6 +52,14 @@ pub enum LaunchError {
         /// How long it had.
         seconds: u64,
     },
+    /// A process ended before the run had begun.
+    #[error("{message}")]
+    Refused {
+        /// The exit code that says how.
+        code: u8,
+        /// The process's own words.
+        message: String,
+    },
     /// The simulator cannot simulate it.
     #[error("the plant is `{0}`, which cannot run in one process with the controller; use --mode lockstep or realtime")]
     NotSimulated(String),
@@ -66,6 +74,7 @@ impl LaunchError {
         match self {
             Self::Scenario(_) | Self::Folder { .. } | Self::NoRoom { .. } | Self::NotSimulated(_) => exit::INPUT,
             Self::Start { .. } => exit::INPUT,
+            Self::Refused { code, .. } => *code,
             Self::NotReady { .. } => exit::PROCESS,
             Self::Channel(_) | Self::Signals(_) => exit::ERROR,
         }

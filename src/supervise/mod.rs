@@ -136,8 +136,11 @@ impl Run {
             let began = monotonic_ns();
             while Role::ALL.iter().any(|&role| self.state(role) < state) {
                 if self.look() {
-                    self.enter(Phase::Abort);
-                    return Ok(());
+                    return match self.crew.failure() {
+                        // Nothing has begun yet, so nothing is left.
+                        Some(failure) => Err(LaunchError::Refused { code: failure.code, message: failure.message }),
+                        None => Ok(()),
+                    };
                 }
                 let waited = Duration::from_nanos(monotonic_ns() - began);
                 if launch.by_hand.is_empty() && waited > SET_UP_LIMIT {

@@ -77,6 +77,8 @@ pub struct Summary {
     pub lost_by_channel: [u64; 3],
     /// XXH3-64 of the final weights, hexadecimal.
     pub weights_hash: Option<String>,
+    /// The first tick at which the weights were no longer numbers; null where they are.
+    pub diverged_at: Option<u64>,
     /// Loss a tick over the last twentieth of the run.
     pub loss_per_tick: Option<f64>,
     /// Mean error at the end of a target over the last twentieth of the run, m.
@@ -184,6 +186,7 @@ impl Summary {
             lost: 0,
             lost_by_channel: [0; 3],
             weights_hash: controller.as_ref().map(|c| c.weights_hash.clone()),
+            diverged_at: controller.as_ref().and_then(|c| c.diverged_at),
             loss_per_tick: last.as_ref().map(|s| s.loss),
             end_error_m: last.as_ref().and_then(|s| s.end_error_m),
             first,
@@ -206,24 +209,34 @@ impl Summary {
         }
     }
 
-    /// Draws the figure and leaves the summary in the run's folder.
+    /// Says what is wrong with a run that came to its end, draws the figure and leaves the summary in the run's folder.
     fn conclude(&mut self) {
+        if let Some(tick) = self.diverged_at {
+            self.complain(
+                exit::ERROR,
+                format!(
+                    "the learner diverged: from tick {} on its weights are not numbers and the command is zero; \
+                     try a smaller learner.alpha_over_variance",
+                    thousands(tick)
+                ),
+            );
+        }
         if let Some(story) = &self.story {
             let path = self.folder.join("figure.svg");
             match report::figure::draw(story, &path) {
                 Ok(()) => self.figure = Some(path),
-                Err(error) => self.complain(error.to_string()),
+                Err(error) => self.complain(exit::INPUT, error.to_string()),
             }
         }
         let path = self.folder.join("summary.json");
         if let Err(error) = std::fs::write(&path, self.to_json()) {
-            self.complain(format!("{} cannot be written: {error}", path.display()));
+            self.complain(exit::INPUT, format!("{} cannot be written: {error}", path.display()));
         }
     }
 
-    fn complain(&mut self, message: String) {
+    fn complain(&mut self, code: u8, message: String) {
         if self.code == exit::OK {
-            self.code = exit::INPUT;
+            self.code = code;
         }
         self.failure.get_or_insert(message);
     }

@@ -111,8 +111,10 @@ pub mod flag {
     pub const NEW_TARGET: u32 = 1 << 8;
     /// Observation: a command arrived after its tick and was dropped.
     pub const LATE: u32 = 1 << 9;
-    /// Observation: an input or the reward is not a number; the controller does not learn from it.
+    /// Command: an input was not a number, so the answer is zero.
     pub const INVALID: u32 = 1 << 10;
+    /// Command and learning: the weights are no longer numbers; the answer is zero, and nothing is learned any more.
+    pub const DIVERGED: u32 = 1 << 11;
     /// Learning: the weights were changed with the reward of tick k-1.
     pub const LEARNED: u32 = 1 << 16;
     /// Learning: the trace was cleared, because what happened in tick k-1 is not what the policy asked for.

@@ -1,0 +1,121 @@
+//! Bad input: exit code 2, one message that names the place and the remedy, nothing started, nothing left.
+
+mod support;
+
+use support::{Outcome, Place, TECTUM, assert_no_debris};
+
+/// Runs with bad input and checks the promise.
+#[track_caller]
+fn refused(place: &Place, arguments: &[&str]) -> String {
+    let outcome = place.run(arguments).wait();
+    let message = said_once(&outcome);
+    assert!(!place.run_folder().exists(), "nothing is left: {message}");
+    message
+}
+
+#[track_caller]
+fn said_once(outcome: &Outcome) -> String {
+    assert_eq!(outcome.code, Some(2), "{outcome:#?}");
+    assert_eq!(outcome.stderr.lines().count(), 1, "one message: {outcome:#?}");
+    outcome.stderr.trim().to_owned()
+}
+
+/// `scenarios/arm.toml` with one change.
+#[track_caller]
+fn changed(from: &str, to: &str) -> String {
+    let text = std::fs::read_to_string("scenarios/arm.toml").unwrap();
+    assert!(text.contains(from), "{from}");
+    let place = Place::new();
+    let path = place.file("s.toml", text.replacen(from, to, 1));
+    refused(&place, &[path.to_str().unwrap()]).replace(&format!("{}/", place.path().display()), "")
+}
+
+#[test]
+fn scenarios_that_are_not() {
+    let place = Place::new();
+    assert_eq!(
+        refused(&place, &["nowhere.toml"]),
+        "tectum: there is no file \"nowhere.toml\" and no built-in scenario of that name; \
+         the built-in ones are arm, paper and eye"
+    );
+    let broken = place.file("broken.toml", "name = \"x\"\nticks = = 5\n");
+    assert!(refused(&place, &[broken.to_str().unwrap()]).contains("broken.toml:2: "));
+}
+
+#[test]
+fn values_that_cannot_be() {
+    for (from, to, message) in [
+        ("period_ms = 50", "perod_ms = 50", "tectum: s.toml:8: unknown key \"perod_ms\"; did you mean \"period_ms\"?"),
+        ("period_ms = 50", "period_ms = \"x\"", "tectum: s.toml:8: period_ms is "),
+        ("period_ms = 50", "period_ms = 0", "tectum: s.toml:8: period_ms is 0; "),
+        ("units = [16, 16]", "units = [16, 0]", "encoder.maps[0].units[1] is 0; "),
+        ("units = [16, 16]", "units = [1000000, 16]", "encoder.maps[0].units[0] is 1000000; "),
+        ("radius = 0.5", "radius = nan", "encoder.maps[0].radius is nan; "),
+        ("sigma = 0.003", "sigma = inf", "policy.sigma is inf; "),
+        ("learning = \"learning\"", "learning = \"command\"", "channels."),
+    ] {
+        let said = changed(from, to);
+        assert!(said.contains(message), "{to}: {said}");
+    }
+}
+
+#[test]
+fn arguments_that_cannot_be() {
+    let place = Place::new();
+    assert!(refused(&place, &["--ticks", "0"]).contains("ticks is 0; "));
+    for arguments in [&["--ticks", "many"][..], &["--mode", "fast"], &["--colour"]] {
+        let outcome = place.run(arguments).wait().expect(2);
+        assert!(outcome.stderr.starts_with("error: "), "{outcome:#?}");
+        assert!(!place.run_folder().exists());
+    }
+}
+
+#[test]
+fn folders_that_cannot_be_used() {
+    let place = Place::new();
+    place.file("file", "");
+    let outcome = place.start(TECTUM, &["run", "--out", "file/run"]).wait();
+    let message = said_once(&outcome);
+    assert!(message.starts_with("tectum: the run's folder file/run cannot be used: "), "{message}");
+    assert!(message.ends_with("; choose another with --out"), "{message}");
+
+    // A folder with a run in it is never written over.
+    place.run(&["--ticks", "10"]).wait().expect(0);
+    let before = std::fs::read(place.run_folder().join("log.mcap")).unwrap();
+    let message = said_once(&place.run(&["--ticks", "10"]).wait());
+    assert!(message.contains("it holds a run already"), "{message}");
+    assert!(before == std::fs::read(place.run_folder().join("log.mcap")).unwrap());
+}
+
+#[test]
+fn a_log_that_cannot_fit_is_refused_before_the_start() {
+    let place = Place::new();
+    let message = refused(&place, &["--ticks", "1000000000000"]);
+    assert!(message.starts_with("tectum: the log needs about "), "{message}");
+    assert!(message.contains("[log] every"), "{message}");
+}
+
+/// A disk that fills up, by way of a limit on the size of files, which anybody may set. (It counts for shared memory
+/// too, so it lies above what the channels need.)
+#[test]
+fn a_disk_that_fills_up_ends_the_run() {
+    let place = Place::new();
+    let text = std::fs::read_to_string("scenarios/arm.toml").unwrap().replace("every = 20", "every = 1 ");
+    let path = place.file("s.toml", text);
+    let limited = format!("ulimit -f 8192; exec {TECTUM} run {} --ticks 50000 --out run", path.display());
+    let outcome = place.start("/bin/sh", &["-c", &limited]).wait();
+    let message = said_once(&outcome);
+    assert!(message.contains("log.mcap cannot be written: "), "{message}");
+    assert!(message.contains("choose another --out or thin the log with [log] every"), "{message}");
+    assert_no_debris(&place.run_folder());
+    // What was written before can be read.
+    let log = tectum::log::LogReader::open(&place.run_folder().join("log.mcap")).unwrap();
+    assert!(log.map(|record| record.unwrap()).count() > 1000);
+}
+
+#[test]
+fn a_plant_that_is_not_there() {
+    assert!(
+        changed("program = \"tectum-simulator\"", "program = \"./nothing\"").contains("the plant cannot be started")
+    );
+}

@@ -1,0 +1,157 @@
+//! The log of a real run: complete in lockstep, honest about losses in real time, thinned on request.
+
+mod support;
+
+use std::path::Path;
+
+use support::{Place, assert_no_debris, signal_process};
+use tectum::log::{LogReader, Record};
+use tectum::wire::{Command, Gap, Learning, Observation, flag};
+
+#[derive(Default)]
+struct Content {
+    observations: Vec<Observation>,
+    commands: Vec<Command>,
+    learnings: Vec<Learning>,
+    gaps: Vec<Gap>,
+    order: Vec<(u64, u8)>,
+}
+
+fn read(path: &Path) -> (LogReader, Content) {
+    let mut reader = LogReader::open(path).unwrap();
+    let mut content = Content::default();
+    for record in reader.by_ref() {
+        match record.unwrap() {
+            Record::Observation(s) => {
+                content.order.push((s.header.tick, 0));
+                content.observations.push(s);
+            }
+            Record::Command(s) => {
+                content.order.push((s.header.tick, 1));
+                content.commands.push(s);
+            }
+            Record::Learning(s) => {
+                content.order.push((s.header.tick, 2));
+                content.learnings.push(s);
+            }
+            Record::Gap(s) => content.gaps.push(s),
+        }
+    }
+    (reader, content)
+}
+
+fn arm(place: &Place, changes: &[(&str, &str)]) -> String {
+    let mut scenario = std::fs::read_to_string("scenarios/arm.toml").unwrap();
+    for (from, to) in changes {
+        assert!(scenario.contains(from), "{from}");
+        scenario = scenario.replace(from, to);
+    }
+    place.file("scenario.toml", scenario).to_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_lockstep_log_holds_every_tick_in_order() {
+    let place = Place::new();
+    let scenario = arm(&place, &[(EVERY, "every = 1 ")]);
+    let summary = place.run(&[&scenario, "--ticks", "20000", "--json"]).wait().expect(0).json();
+    assert_no_debris(&place.run_folder());
+    let (reader, content) = read(&place.run_folder().join("log.mcap"));
+    assert!(reader.finished());
+    let expected: Vec<(u64, u8)> = (0..20000).flat_map(|tick| [(tick, 0), (tick, 1), (tick, 2)]).collect();
+    assert!(content.order == expected, "every tick once, its samples in order");
+    assert!(content.gaps.is_empty());
+    let totals = reader.totals().unwrap();
+    assert_eq!((totals.lost, totals.thinned, totals.complete), ([0; 3], [0; 3], true));
+
+    for (tick, (o, c)) in content.observations.iter().zip(&content.commands).enumerate() {
+        let tick = tick as u64;
+        for header in [&o.header, &c.header] {
+            assert_eq!((header.tick, header.sequence, header.incarnation), (tick, tick, 0));
+            assert_eq!(header.scheduled_ns, tick * 50_000_000, "lockstep has virtual time");
+        }
+        assert_eq!(o.header.flags & flag::FIRST != 0, tick == 0);
+    }
+    // The command of tick k is applied in tick k, which observation k+1 tells.
+    for (c, o) in content.commands.iter().zip(&content.observations[1..]) {
+        assert_eq!(c.drawn, o.applied);
+    }
+    for (c, l) in content.commands.iter().zip(&content.learnings) {
+        for i in 0..8 {
+            assert_eq!(c.drawn[i], c.mean[i] + l.noise[i]);
+        }
+        assert_eq!(l.header.flags & flag::LEARNED != 0, l.header.tick > 0);
+        assert_eq!(l.header.flags & flag::HASHED != 0, l.header.tick % 1000 == 0 || l.header.tick == 19999);
+    }
+    let last = content.learnings.last().unwrap();
+    assert_eq!(summary["weights_hash"], format!("{:016x}", last.weights_hash));
+}
+
+#[test]
+fn two_lockstep_logs_have_the_same_messages() {
+    let records = || {
+        let place = Place::new();
+        place.run(&["--ticks", "3000", "--seed", "5"]).wait().expect(0);
+        let (_, mut content) = read(&place.run_folder().join("log.mcap"));
+        // The run's id differs from run to run; nothing else does.
+        content.observations.iter_mut().for_each(|s| s.header.run = 0);
+        content.learnings.iter_mut().for_each(|s| s.header.run = 0);
+        (content.observations, content.learnings)
+    };
+    assert!(records() == records());
+}
+
+#[test]
+fn a_thinned_log_says_so() {
+    let place = Place::new();
+    let scenario = arm(&place, &[(EVERY, "every = 7 ")]);
+    place.run(&[&scenario, "--ticks", "1000"]).wait().expect(0);
+    let (reader, content) = read(&place.run_folder().join("log.mcap"));
+    let ticks: Vec<u64> = content.observations.iter().map(|o| o.header.tick).collect();
+    assert_eq!(ticks, (0..1000).step_by(7).collect::<Vec<u64>>());
+    assert_eq!(reader.run("every"), Some("7"));
+    let totals = reader.totals().unwrap();
+    assert_eq!((totals.thinned, totals.lost), ([1000 - 143; 3], [0; 3]));
+}
+
+/// I8. The logger is stopped for longer than its buffer lasts; the loop goes on, and the log says what it lacks.
+#[test]
+fn a_slow_logger_loses_samples_and_says_which() {
+    let place = Place::new();
+    let scenario = arm(&place, &[(EVERY, "every = 1 "), ("period_ms = 50", "period_ms = 1")]);
+    let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", "4000", "--json"]);
+    let logger = run.member("tectum-logger");
+    run.until_ticking();
+    signal_process(logger, "STOP");
+    // The fault itself: as long as it takes for the buffer of 1024 samples to overflow, and half as much again.
+    std::thread::sleep(std::time::Duration::from_millis(1536));
+    signal_process(logger, "CONT");
+    let summary = run.wait().expect(0).json();
+    assert!(summary["lost"].as_u64() > Some(0), "{summary}");
+    let (reader, content) = read(&place.run_folder().join("log.mcap"));
+    assert!(reader.finished());
+    let totals = reader.totals().unwrap();
+    // What is said is what is missing, channel by channel.
+    let sequences: [Vec<u64>; 3] = [
+        content.observations.iter().map(|s| s.header.sequence).collect(),
+        content.commands.iter().map(|s| s.header.sequence).collect(),
+        content.learnings.iter().map(|s| s.header.sequence).collect(),
+    ];
+    for (channel, sequences) in sequences.iter().enumerate() {
+        let stated: Vec<&Gap> = content.gaps.iter().filter(|g| g.channel == channel as u64).collect();
+        let said: u64 = stated.iter().map(|g| g.count).sum();
+        assert_eq!(said, totals.lost[channel]);
+        assert_eq!(Some(totals.lost[channel]), summary["lost_by_channel"][channel].as_u64());
+        let mut expected = 0;
+        let mut missing = Vec::new();
+        for &sequence in sequences {
+            if sequence > expected {
+                missing.push((expected, sequence - expected));
+            }
+            expected = sequence + 1;
+        }
+        assert_eq!(missing, stated.iter().map(|g| (g.first, g.count)).collect::<Vec<_>>());
+    }
+}
+
+/// As it stands in scenarios/arm.toml.
+const EVERY: &str = "every = 20";
