@@ -20,11 +20,10 @@ pub(super) const MAGIC: f32 = 12_582_912.0;
 /// Places between the lowest bit of a float and its exponent.
 pub(super) const MANTISSA_BITS: u32 = 23;
 
-/// `2^g` on [-1/2, 1/2], from the constant term up: least relative error, 9.5e-8, among polynomials of degree 5 with
-/// these rounded coefficients.
+/// `2^g` on [-1/2, 1/2], from the constant term up: relative error at most 9.5e-8.
 ///
-/// Found by Remez exchange, and then by a search over neighbouring `f32` with the constant held at 1, so that a unit
-/// that is hit exactly answers with exactly 1.
+/// Found by Remez exchange, then by a random search over neighbouring `f32` with the constant held at 1, so that a unit
+/// that is hit exactly answers with exactly 1, and a pad with exactly 0.
 pub(super) const POLYNOMIAL: [f32; 6] = [1.0, 0.693_146_94, 0.240_222_35, 0.055_508_06, 0.009_671_954, 0.001_323_709_6];
 
 /// `2^96`, the unit in which sums of squares are kept.
