@@ -1,7 +1,7 @@
 //! A plant of your own in the simulator's place: a point on a line that is to follow a target.
 //!
 //! ```text
-//! cargo build --release --examples
+//! cargo build --release --bins --examples
 //! target/release/tectum run examples/point.toml
 //! ```
 //!

@@ -1,7 +1,7 @@
 //! Where features lie in memory: one flat run of `f32`, aligned so that no vector load or store is ever split.
 //!
-//! The learner downstream walks over all features once or twice a tick and reads each as a splat, so what it wants is a
-//! plain slice. The kernel wants blocks of four lanes. [`Features`] is both, over memory aligned to a cache line: a
+//! The learner downstream walks over all features once or twice a tick and reads each as a splat, so what it wants is
+//! a plain slice. The kernel wants blocks of four lanes. [`Features`] is both, over memory aligned to a cache line: a
 //! block of 4 (or, one day, of 8 or 16) lanes then never straddles two lines.
 
 use bytemuck::{Pod, Zeroable};
@@ -21,8 +21,9 @@ struct CacheLine([f32; 16]);
 
 /// The features of one tick, in the encoder's padded order.
 ///
-/// Made by [`Encoder::features`](super::Encoder::features), filled by [`Encoder::encode`](super::Encoder::encode). Pads
-/// are exactly 0 in any that an encoder made or filled, so sums over the whole slice are sums over the true features.
+/// Made by [`Encoder::features`](super::Encoder::features), filled by [`Encoder::encode`](super::Encoder::encode).
+/// Pads are exactly 0 in any that an encoder made or filled, so sums over the whole slice are sums over the true
+/// features.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Features {
     lines: Vec<CacheLine>,

@@ -1,8 +1,8 @@
 //! Baselines: the same features written down the plain way, to measure the kernel's speed and its error against.
 //!
-//! Nothing in a run uses them. [`reference`](fn@reference) is the definition in double precision; [`Naive`] is what one
-//! would write first, one standard `exp` per feature and a second pass for the norm; [`Separable`] is what one would
-//! write next, one `exp` per unit of a line. All use the true feature order, without pads.
+//! Nothing in a run uses them. [`reference`](fn@reference) is the definition in double precision; [`Naive`] is what
+//! one would write first, one standard `exp` per feature and a second pass for the norm; [`Separable`] is what one
+//! would write next, one `exp` per unit of a line. All use the true feature order, without pads.
 
 use super::{Axis, Map};
 

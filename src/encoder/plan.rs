@@ -14,67 +14,78 @@ pub(super) const GROUP: usize = 4;
 /// Units of a group.
 pub(super) const GROUP_UNITS: usize = GROUP * LANES;
 
-/// A group of units of one line: what the kernel has to know besides the tables.
+/// What the kernel has to know about a group of units besides the tables.
 #[derive(Debug, Clone)]
 pub(super) struct Group {
     /// Index of the input that the line encodes.
     pub input: usize,
-    /// `sqrt(log2(e) / 2) / radius`: turns a distance into the root of the (negative) binary exponent.
-    pub sharpness: f32,
+    /// `sqrt(log2(e) / 2) / radius`: in this unit of length an activation is 2 to the minus square of the distance.
+    pub scale: f32,
 }
 
-/// One line of units: where it lies in the tables.
+/// A plane: the outer product of a slow and a fast line.
 #[derive(Debug, Clone)]
-pub(super) struct Line {
-    /// Units, without pads.
+pub(super) struct Plane {
+    /// First group of the slow line in the tables.
+    pub slow: usize,
+    /// First group of the fast line, directly after the slow one's last.
+    pub fast: usize,
+    /// First group after the plane.
+    pub end: usize,
+    /// Units of the slow line: rows in memory.
+    pub rows: usize,
+    /// Blocks of the fast line that hold a unit: length of a row in memory.
+    pub stride: usize,
+    /// First block in the features.
+    pub start: usize,
+}
+
+/// Blocks of lines that are next to each other in the tables and in the features: they are only scaled and copied.
+#[derive(Debug, Clone)]
+pub(super) struct Run {
+    /// First block in the tables.
+    pub from: usize,
+    /// First block in the features.
+    pub to: usize,
+    /// Number of blocks.
+    pub blocks: usize,
+}
+
+/// Where one map's features are.
+#[derive(Debug, Clone)]
+pub(super) struct Place {
+    /// Position of the first feature.
+    pub start: usize,
+    /// Rows along the slow axis; 1 for a line.
+    pub rows: usize,
+    /// Units in a row, without pads.
     pub units: usize,
-    /// First group.
-    pub start: usize,
-    /// Groups.
-    pub groups: usize,
 }
 
-impl Line {
-    /// Blocks that hold a unit.
-    pub fn blocks(&self) -> usize {
-        self.units.div_ceil(LANES)
-    }
-}
-
-/// One map: a line, or the outer product of a slow and a fast one.
-#[derive(Debug, Clone)]
-pub(super) struct Shape {
-    /// The slow axis; none if the map is a line.
-    pub slow: Option<Line>,
-    /// The fast axis: the one whose rows lie in memory, padded.
-    pub fast: Line,
-    /// Position of the map's first feature.
-    pub start: usize,
-}
-
-impl Shape {
-    /// Rows along the slow axis.
-    pub fn rows(&self) -> usize {
-        self.slow.as_ref().map_or(1, |slow| slow.units)
-    }
-
+impl Place {
     /// Padded length of a row.
     pub fn stride(&self) -> usize {
-        self.fast.blocks() * LANES
+        self.units.next_multiple_of(LANES)
     }
 }
 
 /// All maps.
 #[derive(Debug, Clone)]
 pub(super) struct Plan {
-    /// The maps in the order of the features.
-    pub shapes: Vec<Shape>,
-    /// The groups of all lines, line after line.
+    /// The groups of all lines: those of planes first, then those of maps that are lines.
     pub groups: Vec<Group>,
-    /// Centres of the units, group after group, in the unit of the inputs; infinity in the pads.
+    /// Centres of the units, group after group, scaled as the inputs will be; infinity in the pads.
     pub centres: Features,
     /// Upper limits of the binary exponents: [`FLOOR`] for a unit, [`VANISH`] for a pad.
     pub floors: Features,
+    /// The planes.
+    pub planes: Vec<Plane>,
+    /// The first group that belongs to no plane.
+    pub lines: usize,
+    /// The lines.
+    pub runs: Vec<Run>,
+    /// Where the maps' features are, in the order of the maps.
+    pub places: Vec<Place>,
     /// Whether the features are scaled to unit Euclidean norm.
     pub normalise: bool,
     /// Length of the features with the pads.
@@ -84,35 +95,78 @@ pub(super) struct Plan {
 impl Plan {
     /// Works out the tables.
     pub fn new(maps: &[Map], normalise: bool) -> Self {
-        let mut groups = Vec::new();
-        let (mut centres, mut floors) = (Vec::new(), Vec::new());
-        let mut line = |axis: &Axis| {
-            debug_assert!(axis.units >= 2 && axis.radius > 0.0 && axis.max > axis.min, "unchecked axis {axis:?}");
-            let spacing = (axis.max - axis.min) / (axis.units - 1) as f64;
-            centres.extend((0..axis.units).map(|unit| (axis.min + spacing * unit as f64) as f32));
-            floors.resize(centres.len(), FLOOR);
-            let line = Line { units: axis.units, start: groups.len(), groups: axis.units.div_ceil(GROUP_UNITS) };
-            // The limits keep 0 * infinity (NaN) away from a unit that is hit exactly, and from the pads.
-            let sharpness = ((std::f64::consts::LOG2_E / 2.0).sqrt() / axis.radius) as f32;
-            let sharpness = sharpness.clamp(f32::MIN_POSITIVE, f32::MAX);
-            groups.resize(line.start + line.groups, Group { input: axis.input, sharpness });
-            centres.resize(groups.len() * GROUP_UNITS, f32::INFINITY);
-            floors.resize(centres.len(), VANISH);
-            line
-        };
-
         let mut len = 0;
-        let mut shapes = Vec::with_capacity(maps.len());
-        for map in maps {
-            let (slow, fast) = match map {
-                Map::Line(axis) => (None, line(axis)),
-                Map::Plane(slow, fast) => (Some(line(slow)), line(fast)),
+        let place = |map: &Map| {
+            let (rows, units) = match map {
+                Map::Line(axis) => (1, axis.units),
+                Map::Plane(slow, fast) => (slow.units, fast.units),
             };
-            let shape = Shape { slow, fast, start: len };
-            len += shape.rows() * shape.stride();
-            shapes.push(shape);
+            let place = Place { start: len, rows, units };
+            len += rows * place.stride();
+            place
+        };
+        let places: Vec<Place> = maps.iter().map(place).collect();
+
+        let mut tables = Tables::default();
+        let mut planes = Vec::new();
+        for (map, place) in maps.iter().zip(&places) {
+            if let Map::Plane(slow, fast) = map {
+                let (slow, fast) = (tables.line(slow), tables.line(fast));
+                let (end, rows) = (tables.groups.len(), place.rows);
+                planes.push(Plane {
+                    slow,
+                    fast,
+                    end,
+                    rows,
+                    stride: place.stride() / LANES,
+                    start: place.start / LANES,
+                });
+            }
         }
-        let (centres, floors) = (Features::from_slice(&centres), Features::from_slice(&floors));
-        Self { shapes, groups, centres, floors, normalise, len }
+        let lines = tables.groups.len();
+        let mut runs: Vec<Run> = Vec::new();
+        for (map, place) in maps.iter().zip(&places) {
+            if let Map::Line(axis) = map {
+                let run =
+                    Run { from: tables.line(axis) * GROUP, to: place.start / LANES, blocks: place.stride() / LANES };
+                match runs.last_mut() {
+                    Some(last) if last.from + last.blocks == run.from && last.to + last.blocks == run.to => {
+                        last.blocks += run.blocks;
+                    }
+                    _ => runs.push(run),
+                }
+            }
+        }
+        let (centres, floors) = (Features::from_slice(&tables.centres), Features::from_slice(&tables.floors));
+        Self { groups: tables.groups, centres, floors, planes, lines, runs, places, normalise, len }
+    }
+}
+
+/// The tables while they grow.
+#[derive(Default)]
+struct Tables {
+    groups: Vec<Group>,
+    centres: Vec<f32>,
+    floors: Vec<f32>,
+}
+
+impl Tables {
+    /// Adds a line; returns its first group.
+    fn line(&mut self, axis: &Axis) -> usize {
+        debug_assert!(axis.units >= 2 && axis.radius > 0.0 && axis.max > axis.min, "unchecked axis {axis:?}");
+        // Two limits for absurd radii: a unit that is hit exactly must not become 0 * infinity.
+        let scale = ((std::f64::consts::LOG2_E / 2.0).sqrt() / axis.radius) as f32;
+        let group = Group { input: axis.input, scale: scale.clamp(f32::MIN_POSITIVE, f32::MAX) };
+        // By the rounded scale, not the exact one: inputs meet the same, and its error cancels out of the distance.
+        let scale = f64::from(group.scale);
+        let spacing = (axis.max - axis.min) / (axis.units - 1) as f64;
+        self.centres.extend((0..axis.units).map(|unit| ((axis.min + spacing * unit as f64) * scale) as f32));
+        self.floors.resize(self.centres.len(), FLOOR);
+
+        let start = self.groups.len();
+        self.groups.resize(start + axis.units.div_ceil(GROUP_UNITS), group);
+        self.centres.resize(self.groups.len() * GROUP_UNITS, f32::INFINITY);
+        self.floors.resize(self.centres.len(), VANISH);
+        start
     }
 }

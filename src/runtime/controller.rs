@@ -46,7 +46,7 @@ impl Controller {
         let scenario = &plan.scenario;
         let outputs = plan.outputs.len();
         let encoder = Encoder::new(&plan.maps, scenario.encoder.normalise);
-        let (len, order) = (encoder.len(), encoder.order().collect());
+        let (len, order) = (encoder.len(), encoder.positions().collect());
         let learner = &scenario.learner;
         Self {
             policy: Linear::new(len, order, outputs),
