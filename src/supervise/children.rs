@@ -173,8 +173,9 @@ fn failure_of(role: Role, status: ExitStatus, stderr: &Path, tick: u64) -> Optio
     }
     let role = role.name();
     let said = std::fs::read_to_string(stderr).unwrap_or_default();
-    let said = said.trim();
-    let message = match (status.signal(), said.lines().last()) {
+    // A program's message opens with its own name, which here says nothing new.
+    let last = said.trim().lines().last().map(|line| line.split_once(": ").map_or(line, |(_, rest)| rest));
+    let message = match (status.signal(), last) {
         (Some(signal), _) => format!("the {role} was killed by signal {signal} at tick {tick}"),
         (None, Some(line)) => format!("the {role} ended: {line}"),
         (None, None) => format!("the {role} ended at tick {tick} with exit code {}", status.code().unwrap_or(-1)),
