@@ -1,0 +1,109 @@
+//! The way of an observation to another process and of a command back, over a run's own channels: polled with a yield,
+//! as in lockstep, and with the bell, as in real time. The peer is a second process (this program, started again), never
+//! a thread.
+//!
+//! These are back-to-back round trips with warm caches: a floor for the transport, not the latency of a control loop.
+//! For that see the percentiles that `tectum run --mode realtime` prints.
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::process::{Child, Command as Program, Stdio};
+use std::time::Duration;
+
+use criterion::Criterion;
+use tectum::channel::{ControllerPorts, DomainName, Hub, PlantPorts};
+use tectum::clock::{Backoff, Life, monotonic_ns, precise_timers};
+use tectum::runtime::identity;
+use tectum::scenario::{Plan, Scenario};
+use tectum::wire::{Command, Observation};
+
+/// Tells the second process which run's domain to join, and how to wait.
+const PEER: &str = "TECTUM_BENCH_PEER";
+
+fn plan() -> Plan {
+    Scenario::find("arm").unwrap().plan().unwrap()
+}
+
+fn main() {
+    match std::env::var(PEER) {
+        Ok(task) => answer(&task),
+        Err(_) => measure(),
+    }
+}
+
+/// The second process: answers every observation with a command, until its parent ends.
+fn answer(task: &str) {
+    let (run, wait) = task.split_once(' ').unwrap();
+    let plan = plan();
+    let name = DomainName::of(run.parse().unwrap());
+    let (ports, _desk) = ControllerPorts::open(&name, &identity(&plan), &plan.scenario.channels).unwrap();
+    let parent = Life::of(rustix::process::getppid().unwrap().as_raw_pid() as u32).unwrap();
+    precise_timers();
+    println!("ready");
+    std::io::stdout().flush().unwrap();
+    let mut command = Command::default();
+    let mut backoff = Backoff::default();
+    loop {
+        while let Some(observation) = ports.observation.receive().unwrap() {
+            command.header.tick = observation.header.tick;
+            ports.command.send(&command).unwrap();
+            backoff = Backoff::default();
+        }
+        let look = if wait == "bell" {
+            ports.ear.listen(Duration::from_millis(100));
+            true
+        } else {
+            backoff.pause()
+        };
+        if look && parent.ended() {
+            return;
+        }
+    }
+}
+
+struct Peer(Child);
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn measure() {
+    let mut c = Criterion::default().configure_from_args();
+    let plan = plan();
+    let (channels, identity) = (&plan.scenario.channels, identity(&plan));
+    for wait in ["poll and yield", "bell"] {
+        let run = u64::from(std::process::id()) << 32 | wait.len() as u64;
+        let name = DomainName::of(run);
+        let _hub = Hub::create(&name, &identity, channels).unwrap();
+        let (ports, _desk) = PlantPorts::open(&name, &identity, channels).unwrap();
+        let child = Program::new(std::env::current_exe().unwrap())
+            .env(PEER, format!("{run} {wait}"))
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut peer = Peer(child);
+        let mut ready = String::new();
+        BufReader::new(peer.0.stdout.take().unwrap()).read_line(&mut ready).unwrap();
+
+        let mut observation = Observation::default();
+        c.bench_function(&format!("transport/round trip, {wait}"), |b| {
+            b.iter(|| {
+                observation.header.tick += 1;
+                ports.observation.send(&observation).unwrap();
+                if wait == "bell" {
+                    ports.bell.ring();
+                }
+                let began = monotonic_ns();
+                let mut backoff = Backoff::default();
+                while ports.command.receive().unwrap().is_none_or(|c| c.header.tick != observation.header.tick) {
+                    if backoff.pause() {
+                        assert!(monotonic_ns() - began < 60_000_000_000, "the peer does not answer");
+                    }
+                }
+            });
+        });
+    }
+    c.final_summary();
+}
