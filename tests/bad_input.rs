@@ -100,9 +100,8 @@ fn a_log_that_cannot_fit_is_refused_before_the_start() {
 #[test]
 fn a_disk_that_fills_up_ends_the_run() {
     let place = Place::new();
-    let text = std::fs::read_to_string("scenarios/arm.toml").unwrap().replace("every = 20", "every = 1 ");
-    let path = place.file("s.toml", text);
-    let limited = format!("ulimit -f 8192; exec {TECTUM} run {} --ticks 50000 --out run", path.display());
+    let scenario = place.arm(&[("every", "1")]);
+    let limited = format!("ulimit -f 8192; exec {TECTUM} run {scenario} --ticks 50000 --out run");
     let outcome = place.start("/bin/sh", &["-c", &limited]).wait();
     let message = said_once(&outcome);
     assert!(message.contains("log.mcap cannot be written: "), "{message}");
@@ -110,7 +109,7 @@ fn a_disk_that_fills_up_ends_the_run() {
     assert_no_debris(&place.run_folder());
     // What was written before can be read.
     let log = tectum::log::LogReader::open(&place.run_folder().join("log.mcap")).unwrap();
-    assert!(log.map(|record| record.unwrap()).count() > 1000);
+    assert!(log.collect::<Result<Vec<_>, _>>().unwrap().len() > 1000);
 }
 
 #[test]

@@ -19,10 +19,8 @@ enum Moment {
 const MOMENTS: [Moment; 3] = [Moment::SetUp, Moment::First, Moment::Middle];
 
 fn start(place: &Place, mode: &str, moment: Moment) -> Process {
-    let scenario = std::fs::read_to_string("scenarios/arm.toml").unwrap();
-    let scenario = scenario.replace("every = 20", "every = 1 ").replace("period_ms = 50", "period_ms = 5");
-    let path = place.file("scenario.toml", scenario);
-    let mut run = place.run(&[path.to_str().unwrap(), "--mode", mode, "--ticks", "10000000", "--json"]);
+    let scenario = place.arm(&[("every", "1"), ("period_ms", "5")]);
+    let mut run = place.run(&[&scenario, "--mode", mode, "--ticks", "10000000", "--json"]);
     let (card, log) = (place.run_folder().join("run.json"), place.run_folder().join("log.mcap"));
     match moment {
         Moment::SetUp => run.until("the run's card", || card.exists()),

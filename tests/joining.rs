@@ -51,12 +51,11 @@ fn every_process_can_be_started_by_hand() {
 #[test]
 fn a_process_with_another_scenario_is_refused_in_one_sentence() {
     let place = Place::new();
-    let text = std::fs::read_to_string("scenarios/arm.toml").unwrap().replace("beta = 0.9 ", "beta = 0.8 ");
-    let other = place.file("other.toml", text);
+    let other = place.arm(&[("beta", "0.8")]);
     let mut run = place.start(TECTUM, &["run", "--name", "demo", "--by-hand", "controller", "--ticks", "2000"]);
     let card = place.path().join("runs/demo/run.json");
     run.until("the run's card", || card.exists());
-    let stranger = ["--run", "demo", "--scenario", other.to_str().unwrap()];
+    let stranger = ["--run", "demo", "--scenario", &other];
     let outcome = place.start(program("tectum-controller"), &stranger).wait().expect(3);
     assert_eq!(outcome.stderr.lines().count(), 1, "{outcome:#?}");
     assert!(

@@ -40,19 +40,10 @@ fn read(path: &Path) -> (LogReader, Content) {
     (reader, content)
 }
 
-fn arm(place: &Place, changes: &[(&str, &str)]) -> String {
-    let mut scenario = std::fs::read_to_string("scenarios/arm.toml").unwrap();
-    for (from, to) in changes {
-        assert!(scenario.contains(from), "{from}");
-        scenario = scenario.replace(from, to);
-    }
-    place.file("scenario.toml", scenario).to_str().unwrap().to_owned()
-}
-
 #[test]
 fn a_lockstep_log_holds_every_tick_in_order() {
     let place = Place::new();
-    let scenario = arm(&place, &[(EVERY, "every = 1 ")]);
+    let scenario = place.arm(&[("every", "1")]);
     let summary = place.run(&[&scenario, "--ticks", "20000", "--json"]).wait().expect(0).json();
     assert_no_debris(&place.run_folder());
     let (reader, content) = read(&place.run_folder().join("log.mcap"));
@@ -90,7 +81,8 @@ fn a_lockstep_log_holds_every_tick_in_order() {
 fn two_lockstep_logs_have_the_same_messages() {
     let records = || {
         let place = Place::new();
-        place.run(&["--ticks", "3000", "--seed", "5"]).wait().expect(0);
+        let scenario = place.arm(&[("every", "1")]);
+        place.run(&[&scenario, "--ticks", "3000", "--seed", "5"]).wait().expect(0);
         let (_, mut content) = read(&place.run_folder().join("log.mcap"));
         // The run's id differs from run to run; nothing else does.
         content.observations.iter_mut().for_each(|s| s.header.run = 0);
@@ -103,7 +95,7 @@ fn two_lockstep_logs_have_the_same_messages() {
 #[test]
 fn a_thinned_log_says_so() {
     let place = Place::new();
-    let scenario = arm(&place, &[(EVERY, "every = 7 ")]);
+    let scenario = place.arm(&[("every", "7")]);
     place.run(&[&scenario, "--ticks", "1000"]).wait().expect(0);
     let (reader, content) = read(&place.run_folder().join("log.mcap"));
     let ticks: Vec<u64> = content.observations.iter().map(|o| o.header.tick).collect();
@@ -117,7 +109,7 @@ fn a_thinned_log_says_so() {
 #[test]
 fn a_slow_logger_loses_samples_and_says_which() {
     let place = Place::new();
-    let scenario = arm(&place, &[(EVERY, "every = 1 "), ("period_ms = 50", "period_ms = 1")]);
+    let scenario = place.arm(&[("every", "1"), ("period_ms", "1")]);
     let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", "4000", "--json"]);
     let logger = run.member("tectum-logger");
     run.until_ticking();
@@ -152,6 +144,3 @@ fn a_slow_logger_loses_samples_and_says_which() {
         assert_eq!(missing, stated.iter().map(|g| (g.first, g.count)).collect::<Vec<_>>());
     }
 }
-
-/// As it stands in scenarios/arm.toml.
-const EVERY: &str = "every = 20";

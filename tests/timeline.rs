@@ -44,12 +44,10 @@ const PINNED: &str = "9df8dfa9cf01f16f";
 #[test]
 fn real_time_without_a_miss_is_lockstep() {
     let place = Place::new();
-    let scenario = std::fs::read_to_string("scenarios/arm.toml").unwrap().replace("period_ms = 50", "period_ms = 10");
-    let path = place.file("fast.toml", scenario);
-    let path = path.to_str().unwrap();
-    let lockstep = run(&[path, "--ticks", "200"]);
+    let scenario = place.arm(&[("period_ms", "10")]);
+    let lockstep = run(&[&scenario, "--ticks", "200"]);
     for _ in 0..5 {
-        let real = run(&[path, "--ticks", "200", "--mode", "realtime"]);
+        let real = run(&[&scenario, "--ticks", "200", "--mode", "realtime"]);
         assert!(real["seconds"].as_f64().unwrap() >= 2.0, "real time runs by the clock: {real}");
         let (wake, answer) = (&real["wake_up_lateness_us"], &real["observation_to_command_us"]);
         assert!(wake["p50"].as_f64() > Some(0.0) && answer["p99"].as_f64() > Some(0.0), "{real}");

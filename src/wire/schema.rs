@@ -20,7 +20,7 @@ pub struct Field {
 pub trait Sample: bytemuck::Pod {
     /// Versioned type name; it changes whenever the layout or a field's meaning does.
     const NAME: &'static str;
-    /// Name of the schema in `ros2msg` form, `package/msg/Type`. Inside a definition it is [`Element::ELEMENT`].
+    /// Name of the schema in `ros2msg` form, `package/msg/Type`. Inside a definition `msg` is left out.
     const ROS_NAME: &'static str;
     /// All fields in order.
     const FIELDS: &'static [Field];
