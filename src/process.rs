@@ -1,6 +1,7 @@
 //! The front of every program that takes a place in a run: arguments, errors, exit codes. The programs in `bins/`, and a
 //! plant of your own, are this and a body.
 
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -48,7 +49,8 @@ pub fn main<R: Serialize>(
     match result {
         Ok(report) => {
             if arguments.json {
-                println!("{}", serde_json::to_string(&report).unwrap_or_default());
+                let text = serde_json::to_string(&report).unwrap_or_default();
+                let _ = writeln!(std::io::stdout(), "{text}");
             }
             ExitCode::SUCCESS
         }
