@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use tectum::process::say;
 use tectum::runtime::Mode;
 use tectum::scenario::Scenario;
 use tectum::supervise::{Launch, LaunchError, Summary, run, study};
@@ -103,7 +104,7 @@ fn main() -> ExitCode {
             ExitCode::from(summary.exit_code())
         }
         Err(error) => {
-            eprintln!("tectum: {error}");
+            say(&format!("tectum: {error}"));
             ExitCode::from(error.exit_code())
         }
     }
@@ -146,7 +147,7 @@ fn plan(arguments: &RunArguments) -> Result<Launch, LaunchError> {
 
 fn tell(summary: &Summary, json: bool) {
     if let Some(failure) = &summary.failure {
-        eprintln!("tectum: {failure}");
+        say(&format!("tectum: {failure}"));
     }
     let text = if json { summary.to_json() + "\n" } else { summary.to_text() };
     // Whoever reads may have left; the summary is in the run's folder all the same.

@@ -55,10 +55,16 @@ pub fn main<R: Serialize>(
             ExitCode::SUCCESS
         }
         Err(error) => {
-            eprintln!("{}: {error}", program());
+            say(&format!("{}: {error}", program()));
             ExitCode::from(error.exit_code())
         }
     }
+}
+
+/// Writes a line to standard error. A standard error that cannot be written (a full disk, a reader that left) is no reason
+/// to end otherwise than meant, as `eprintln!` would.
+pub fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 /// The name under which the program was started.

@@ -1,9 +1,10 @@
 //! The run's processes: starting them, knowing how they ended, and, if nothing else helps, killing them.
 
-use std::fs::File;
+use std::io::Read;
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::thread::JoinHandle;
 
 use super::LaunchError;
 use super::folder::RunFolder;
@@ -17,7 +18,7 @@ use crate::wire::{Role, State};
 #[derive(Debug)]
 enum Member {
     /// Started by the launcher.
-    Child { child: Child, status: Option<ExitStatus>, stderr: PathBuf },
+    Child { child: Child, status: Option<ExitStatus>, said: Option<JoinHandle<String>> },
     /// Started by somebody else; known from its board once it is there.
     ByHand { life: Option<Life>, ended: bool, finished: bool },
 }
@@ -29,6 +30,8 @@ pub(super) struct Failure {
     pub code: u8,
     /// One sentence.
     pub message: String,
+    /// The process, and all that it wrote to its standard error.
+    pub said: (Role, String),
 }
 
 /// All processes, by [`Role`].
@@ -68,7 +71,7 @@ impl Crew {
         }
         for (role, command) in commands {
             let member = match command {
-                Some(command) => start(role, command, folder.stderr_path(role))?,
+                Some(command) => start(role, command)?,
                 None => Member::ByHand { life: None, ended: false, finished: false },
             };
             crew.members.push((role, member));
@@ -82,9 +85,9 @@ impl Crew {
             let board = hub.status(*role);
             let failure = match member {
                 Member::Child { status: Some(_), .. } | Member::ByHand { ended: true, .. } => continue,
-                Member::Child { child, status, stderr } => {
+                Member::Child { child, status, said } => {
                     *status = child.try_wait().ok().flatten();
-                    status.and_then(|s| failure_of(*role, s, stderr, board.ticks))
+                    status.and_then(|status| failure_of(*role, status, said.take(), board.ticks))
                 }
                 Member::ByHand { life, ended, finished } => {
                     *finished = board.state() == State::Finished;
@@ -96,6 +99,7 @@ impl Crew {
                     (*ended && !*finished).then(|| Failure {
                         code: exit::PROCESS,
                         message: format!("the {} ended before the run was over, at tick {}", role.name(), board.ticks),
+                        said: (*role, String::new()),
                     })
                 }
             };
@@ -144,17 +148,23 @@ impl Drop for Crew {
     }
 }
 
-fn start(role: Role, mut command: Command, stderr: PathBuf) -> Result<Member, LaunchError> {
+fn start(role: Role, mut command: Command) -> Result<Member, LaunchError> {
     let program = command.get_program().to_string_lossy().into_owned();
-    let failed = |cause: std::io::Error| LaunchError::Start { role: role.name(), program, cause: cause.to_string() };
-    let file = match File::create(&stderr) {
-        Ok(file) => file,
-        Err(e) => return Err(failed(e)),
-    };
     // A process group of its own: a Ctrl-C at the terminal reaches the launcher alone, which ends the run in order.
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(file).process_group(0);
-    let child = command.spawn().map_err(failed)?;
-    Ok(Member::Child { child, status: None, stderr })
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).process_group(0);
+    let mut child =
+        command.spawn().map_err(|cause| LaunchError::Start { role: role.name(), program, cause: cause.to_string() })?;
+    let said = child.stderr.take().map(|pipe| std::thread::spawn(move || listen(pipe)));
+    Ok(Member::Child { child, status: None, said })
+}
+
+/// Reads all that a process says, so that it never waits for a reader, and keeps the beginning.
+fn listen(mut pipe: impl Read) -> String {
+    const KEPT: u64 = 64 << 10;
+    let mut said = Vec::new();
+    let _ = pipe.by_ref().take(KEPT).read_to_end(&mut said);
+    let _ = std::io::copy(&mut pipe, &mut std::io::sink());
+    String::from_utf8_lossy(&said).into_owned()
 }
 
 /// A program given by path, beside this one, or in `PATH`.
@@ -167,18 +177,18 @@ fn find(name: &str) -> Option<PathBuf> {
     beside.into_iter().chain(std::env::split_paths(&path).map(|folder| folder.join(name))).find(|p| p.is_file())
 }
 
-fn failure_of(role: Role, status: ExitStatus, stderr: &Path, tick: u64) -> Option<Failure> {
+fn failure_of(role: Role, status: ExitStatus, said: Option<JoinHandle<String>>, tick: u64) -> Option<Failure> {
     if status.success() {
         return None;
     }
-    let role = role.name();
-    let said = std::fs::read_to_string(stderr).unwrap_or_default();
+    let said = said.and_then(|listener| listener.join().ok()).unwrap_or_default();
+    let name = role.name();
     // A program's message opens with its own name, which here says nothing new.
     let last = said.trim().lines().last().map(|line| line.split_once(": ").map_or(line, |(_, rest)| rest));
     let message = match (status.signal(), last) {
-        (Some(signal), _) => format!("the {role} was killed by signal {signal} at tick {tick}"),
-        (None, Some(line)) => format!("the {role} ended: {line}"),
-        (None, None) => format!("the {role} ended at tick {tick} with exit code {}", status.code().unwrap_or(-1)),
+        (Some(signal), _) => format!("the {name} was killed by signal {signal} at tick {tick}"),
+        (None, Some(line)) => format!("the {name} ended: {line}"),
+        (None, None) => format!("the {name} ended at tick {tick} with exit code {}", status.code().unwrap_or(-1)),
     };
     // Codes that say what the user can do are taken over; all others say that a process failed.
     let code = match status.code() {
@@ -186,5 +196,5 @@ fn failure_of(role: Role, status: ExitStatus, stderr: &Path, tick: u64) -> Optio
         Some(code) if code == i32::from(exit::MISMATCH) => exit::MISMATCH,
         _ => exit::PROCESS,
     };
-    Some(Failure { code, message })
+    Some(Failure { code, message, said: (role, said) })
 }

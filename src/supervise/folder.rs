@@ -9,7 +9,6 @@ use super::children::Failure;
 use crate::log::{FIXED_BYTES, bytes_per_tick};
 use crate::runtime::Card;
 use crate::scenario::Plan;
-use crate::wire::Role;
 
 /// Where runs go that name no folder.
 const RUNS: &str = "runs";
@@ -94,23 +93,16 @@ impl RunFolder {
             .map_err(|e| refuse(&self.path, &e.to_string()))
     }
 
-    /// Where a process's standard error goes.
-    pub fn stderr_path(&self, role: Role) -> PathBuf {
-        self.path.join(format!("{}.stderr", role.name()))
-    }
-
     /// The run has begun: the folder stays.
     pub fn keep(&self) {
         self.kept.set(true);
     }
 
-    /// Takes away what says nothing.
-    pub fn tidy(&self, failure: &Option<Failure>) {
-        for role in Role::ALL {
-            let path = self.stderr_path(role);
-            if failure.is_none() || fs::metadata(&path).is_ok_and(|m| m.len() == 0) {
-                let _ = fs::remove_file(path);
-            }
+    /// Keeps all that a process said which failed, for those who look into it. Best effort: the summary has the essence.
+    pub fn keep_words(&self, failure: &Failure) {
+        let (role, said) = &failure.said;
+        if !said.is_empty() {
+            let _ = fs::write(self.path.join(format!("{}.stderr", role.name())), said);
         }
     }
 }
@@ -122,9 +114,6 @@ impl Drop for RunFolder {
         }
         for path in [Card::path(&self.path), Card::scenario_path(&self.path)] {
             let _ = fs::remove_file(path);
-        }
-        for role in Role::ALL {
-            let _ = fs::remove_file(self.stderr_path(role));
         }
         if self.made {
             // Fails, as it should, when somebody has put something else there.

@@ -96,9 +96,12 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
     // The domain goes with the hub, before anything is drawn or printed.
     let Run { hub, crew, ended, .. } = run;
     let failure = crew.failure();
+    let boards = Role::ALL.map(|role| hub.status(role));
     drop(hub);
-    folder.tidy(&failure);
-    Ok(Summary::of_run(launch, folder.path(), ended.unwrap_or(Ended::Complete), failure, seconds))
+    if let Some(failure) = &failure {
+        folder.keep_words(failure);
+    }
+    Ok(Summary::of_run(launch, folder.path(), &boards, ended.unwrap_or(Ended::Complete), failure, seconds))
 }
 
 /// A run's id: different for every run on this machine, also for two that start at the same instant.

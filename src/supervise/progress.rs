@@ -7,6 +7,7 @@ use super::folder::RunFolder;
 use super::summary::thousands;
 use crate::channel::Hub;
 use crate::clock::monotonic_ns;
+use crate::process::say;
 use crate::runtime::Mode;
 use crate::wire::Role;
 
@@ -34,7 +35,7 @@ impl Progress {
                 Role::Controller => "tectum-controller",
                 Role::Logger => "tectum-logger",
             };
-            eprintln!("waiting for the {}: {program} --run {}", role.name(), folder.path().display());
+            say(&format!("waiting for the {}: {program} --run {}", role.name(), folder.path().display()));
         }
         let mut progress = Self::silent(&launch.plan.scenario.name, launch.plan.scenario.ticks);
         progress.shown = launch.progress && std::io::stderr().is_terminal();
@@ -102,7 +103,7 @@ impl Progress {
     /// Takes the line away.
     pub fn clear(&self) {
         if self.shown {
-            eprint!("\r\x1b[K");
+            let _ = std::io::stderr().write_all(b"\r\x1b[K");
         }
     }
 }

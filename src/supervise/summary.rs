@@ -13,7 +13,7 @@ use crate::runtime::{
     Card, ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, Snapshot, exit, read_report,
 };
 use crate::scenario::{ArmTable, Plan};
-use crate::wire::Role;
+use crate::wire::{Role, Status};
 
 /// How a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -115,9 +115,24 @@ pub struct Summary {
 const SHARE: u64 = 20;
 
 impl Summary {
-    /// The summary of a run of processes, from what they left in its folder.
-    pub(super) fn of_run(launch: &Launch, folder: &Path, ended: Ended, failure: Option<Failure>, seconds: f64) -> Self {
-        let plant: PlantReport = read_report(folder, Role::Plant).unwrap_or_default();
+    /// The summary of a run of processes, from what they left in its folder; for one that left nothing, from what its
+    /// board said last.
+    pub(super) fn of_run(
+        launch: &Launch,
+        folder: &Path,
+        boards: &[Status; 3],
+        ended: Ended,
+        failure: Option<Failure>,
+        seconds: f64,
+    ) -> Self {
+        let board = &boards[Role::Plant as usize];
+        let plant = read_report(folder, Role::Plant).unwrap_or_else(|| PlantReport {
+            ticks: board.sent,
+            missed: board.missed,
+            late: board.late,
+            skipped: board.lost,
+            ..PlantReport::default()
+        });
         let controller: Option<ControllerReport> = read_report(folder, Role::Controller);
         let logger: LoggerReport = read_report(folder, Role::Logger).unwrap_or_default();
         let mut summary = Self::new(launch, folder, ended, seconds, &plant, controller);
@@ -126,7 +141,7 @@ impl Summary {
         summary.log = log.exists().then_some(log);
         summary.lost_by_channel = logger.lost;
         summary.lost = logger.lost.iter().sum();
-        if let Some(Failure { code, message }) = failure {
+        if let Some(Failure { code, message, .. }) = failure {
             summary.failure = Some(message);
             if ended == Ended::Failed {
                 summary.code = code;

@@ -101,7 +101,7 @@ pub struct Outcome {
     pub code: Option<i32>,
     pub stdout: String,
     pub stderr: String,
-    /// What the run's processes wrote to their standard error.
+    /// What a process of the run that failed wrote to its standard error.
     pub said: String,
 }
 
