@@ -283,7 +283,7 @@ impl Summary {
             self.seed,
             thousands(self.ticks),
             self.seconds,
-            thousands(self.ticks_per_second as u64),
+            thousands(self.ticks_per_second.round() as u64),
         );
         if let (Some(story), Some([first, last])) = (&self.story, &self.windows) {
             let windows = vec![first.clone(), last.clone()];
