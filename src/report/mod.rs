@@ -21,6 +21,8 @@ pub struct Window {
     /// Mean loss (reward with its sign turned) per tick; not a number if a reward was none.
     #[serde(deserialize_with = "number")]
     pub loss: f64,
+    /// What exploration noise alone costs a tick, part of the loss; 0 if unknown.
+    pub noise_share: f64,
     /// Mean squared error, in squared units; `None` for a plant that measures none.
     pub mean_squared_error: Option<f64>,
     /// Mean error at the end of the targets that ended here; `None` if none did.
@@ -52,8 +54,6 @@ pub struct Story {
     pub unit: String,
     /// Period of a tick, s.
     pub period_s: f64,
-    /// What exploration noise alone costs a tick, in the loss's terms; 0 if unknown.
-    pub noise_share: f64,
     /// In the order of time.
     pub windows: Vec<Window>,
     /// What happened at which tick, for example `joint 3 blocked`.
@@ -92,6 +92,11 @@ fn points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<[f64; 2]>>, D::E
 }
 
 impl Window {
+    /// Mean loss a tick without what exploration noise alone costs.
+    pub fn loss_without_noise(&self) -> f64 {
+        self.loss - self.noise_share
+    }
+
     /// Square root of the mean squared error, in the story's unit.
     pub fn rms_error(&self) -> Option<f64> {
         self.mean_squared_error.map(f64::sqrt)
@@ -114,9 +119,9 @@ pub fn table(story: &Story) -> String {
     let last = story.windows.len().saturating_sub(1);
     for (_, w) in story.windows.iter().enumerate().filter(|(i, _)| *i == 0 || *i == last) {
         rows.push([
-            format!("{} to {}", w.from, w.from.saturating_add(w.ticks).saturating_sub(1)),
+            format!("{} to {}", thousands(w.from), thousands(w.from.saturating_add(w.ticks).saturating_sub(1))),
             figures(Some(w.loss)),
-            figures(Some(w.loss - story.noise_share)),
+            figures(Some(w.loss_without_noise())),
             figures(w.rms_error()),
             figures(w.end_error),
         ]);
@@ -133,6 +138,19 @@ pub fn table(story: &Story) -> String {
             let _ = write!(text, "  {cell:>width$}");
         }
         text.push('\n');
+    }
+    text
+}
+
+/// A whole number with its thousands set apart: 11,999,920 instead of 11999920.
+pub fn thousands(n: u64) -> String {
+    let digits = n.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
     }
     text
 }
@@ -154,6 +172,11 @@ fn figures(value: Option<f64>) -> String {
 pub(crate) mod tests {
     use super::*;
 
+    #[test]
+    fn thousands_are_set_apart() {
+        assert_eq!([0, 80, 999, 1000, 11_999_920].map(thousands), ["0", "80", "999", "1,000", "11,999,920"]);
+    }
+
     /// The shape of the paper's run: 120 windows, a joint blocked at the 93rd.
     pub fn arm_story() -> Story {
         let window = |i: u64| {
@@ -164,6 +187,7 @@ pub(crate) mod tests {
             Window {
                 from: i * 100_000,
                 ticks: 100_000,
+                noise_share: 0.0355,
                 loss: 0.071 + 0.14 * (-t).exp() + hurt + wiggle,
                 mean_squared_error: Some(error * error),
                 end_error: Some(error - 0.16),
@@ -174,7 +198,6 @@ pub(crate) mod tests {
             title: "Closed-loop arm, the paper's rule, seed 1".into(),
             unit: "m".into(),
             period_s: 0.05,
-            noise_share: 0.0355,
             windows: (0..120).map(window).collect(),
             marks: vec![(9_300_000, "joint 3 blocked".into())],
             first_reach: Some(reach(80, [0.6, 0.5], 0.15)),
@@ -208,16 +231,24 @@ pub(crate) mod tests {
             from: 0,
             ticks: 1000,
             loss: 0.1655,
+            noise_share: 0.0355,
             mean_squared_error: Some(1.21),
             end_error: Some(0.87654),
             ends: 12,
         };
-        story.windows[2] =
-            Window { from: 2000, ticks: 500, loss: 0.0728, mean_squared_error: None, end_error: None, ends: 0 };
+        story.windows[2] = Window {
+            from: 2000,
+            ticks: 500,
+            loss: 0.0728,
+            noise_share: 0.0355,
+            mean_squared_error: None,
+            end_error: None,
+            ends: 0,
+        };
         let expected = "\
-ticks         loss a tick  without noise  RMS error (m)  error at a target's end (m)
-0 to 999            0.166          0.130           1.10                        0.877
-2000 to 2499       0.0728         0.0373              -                            -
+ticks           loss a tick  without noise  RMS error (m)  error at a target's end (m)
+0 to 999              0.166          0.130           1.10                        0.877
+2,000 to 2,499       0.0728         0.0373              -                            -
 ";
         assert_eq!(table(&story), expected);
         story.windows.truncate(1);

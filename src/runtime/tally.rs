@@ -3,8 +3,9 @@
 //! The controller keeps it, because it sees every observation of any plant; it is for people alone and touches nothing
 //! that is learned. All memory is taken at the start.
 
+use crate::plant::noise_share;
 use crate::report::Window;
-use crate::scenario::Plan;
+use crate::scenario::{ArmTable, Plan};
 use crate::wire::{MAX_INPUTS, Observation, flag};
 
 /// Windows of a run.
@@ -41,6 +42,8 @@ pub struct Tally {
     current: Sums,
     from: u64,
     last_error: f64,
+    /// What exploration costs, where that is known: the arm, and the noise's standard deviation.
+    arm: Option<(ArmTable, f64)>,
     switch: Vec<Snapshot>,
     first: Vec<Snapshot>,
     last: Vec<Snapshot>,
@@ -56,6 +59,7 @@ impl Tally {
             current: Sums::default(),
             from: 0,
             last_error: 0.0,
+            arm: plan.scenario.plant.arm.clone().map(|arm| (arm, plan.scenario.policy.sigma)),
             switch: Vec::with_capacity(KEPT),
             first: Vec::with_capacity(KEPT),
             last: Vec::with_capacity(KEPT),
@@ -111,6 +115,7 @@ impl Tally {
             from: self.from,
             ticks: sums.ticks,
             loss: sums.loss / n,
+            noise_share: self.arm.as_ref().map_or(0.0, |(arm, sigma)| noise_share(arm, *sigma, self.from)),
             mean_squared_error: self.error.map(|_| sums.squares / n),
             end_error: (sums.ends > 0).then(|| sums.end_error / sums.ends as f64),
             ends: sums.ends,

@@ -2,12 +2,11 @@
 
 use std::io::Read;
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::thread::JoinHandle;
 
 use super::LaunchError;
-use super::folder::RunFolder;
 use crate::channel::Hub;
 use crate::clock::Life;
 use crate::runtime::exit;
@@ -44,7 +43,7 @@ pub(super) struct Crew {
 
 impl Crew {
     /// Starts all processes but those in `by_hand`.
-    pub fn start(plan: &Plan, folder: &RunFolder, by_hand: &[Role]) -> Result<Self, LaunchError> {
+    pub fn start(plan: &Plan, folder: &Path, by_hand: &[Role]) -> Result<Self, LaunchError> {
         let mut crew = Self { members: Vec::new(), failure: None };
         // All programs are found before any is started.
         let mut commands = Vec::new();
@@ -66,7 +65,7 @@ impl Crew {
                     .to_owned(),
             })?;
             let mut command = Command::new(program);
-            command.args(arguments).arg("--run").arg(folder.path());
+            command.args(arguments).arg("--run").arg(folder);
             commands.push((role, Some(command)));
         }
         for (role, command) in commands {

@@ -9,6 +9,7 @@ mod children;
 mod error;
 mod folder;
 mod progress;
+mod story;
 mod study;
 mod summary;
 
@@ -79,7 +80,7 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
 
     let mut control = Control::default();
     hub.control.put(control);
-    let crew = Crew::start(plan, &folder, &launch.by_hand)?;
+    let crew = Crew::start(plan, folder.path(), &launch.by_hand)?;
     let mut run = Run { hub, crew, control, signals, progress: Progress::new(launch, &folder), ended: None };
     run.set_up(launch)?;
     folder.keep();

@@ -4,10 +4,10 @@ use std::io::{IsTerminal as _, Write as _};
 
 use super::Launch;
 use super::folder::RunFolder;
-use super::summary::thousands;
 use crate::channel::Hub;
 use crate::clock::monotonic_ns;
 use crate::process::say;
+use crate::report::thousands;
 use crate::runtime::Mode;
 use crate::wire::Role;
 

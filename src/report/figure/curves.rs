@@ -25,10 +25,10 @@ pub(super) fn draw(story: &Story, area: &Area) -> Result<(), ReportError> {
         width,
         points: story.windows.iter().map(|w| (clock.middle(w), value(w).unwrap_or(f64::NAN))).collect(),
     };
-    let losses = if story.noise_share.is_finite() && story.noise_share > 0.0 {
+    let losses = if story.windows.iter().any(|w| w.noise_share > 0.0) {
         vec![
             curve("loss", GREY, 1.4, &|w| Some(w.loss)),
-            curve("without exploration noise", BLUE, 2.2, &|w| Some(w.loss - story.noise_share)),
+            curve("without exploration noise", BLUE, 2.2, &|w| Some(w.loss_without_noise())),
         ]
     } else {
         vec![curve("loss", BLUE, 2.2, &|w| Some(w.loss))]

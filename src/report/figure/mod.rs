@@ -132,7 +132,9 @@ mod tests {
     #[test]
     fn the_noises_share_is_taken_out_of_one_curve() {
         let with = |noise_share| {
-            let svg = svg(&Story { noise_share, ..arm_story() }).unwrap();
+            let mut story = arm_story();
+            story.windows.iter_mut().for_each(|w| w.noise_share = noise_share);
+            let svg = svg(&story).unwrap();
             let curve = |stroke: &str| {
                 let lines = svg.lines().filter(|l| l.contains("<polyline") && l.contains(stroke));
                 lines.max_by_key(|l| l.len()).unwrap().to_owned()
@@ -180,7 +182,9 @@ mod tests {
         }
         let blind = svg(&blind).unwrap();
         assert!(blind.contains("loss per tick") && !blind.contains("error (m)"));
-        let silent = svg(&Story { noise_share: 0.0, ..story.clone() }).unwrap();
+        let mut silent = story.clone();
+        silent.windows.iter_mut().for_each(|w| w.noise_share = 0.0);
+        let silent = svg(&silent).unwrap();
         assert!(!silent.contains("without exploration noise"));
         assert!(svg(&Story { windows: Vec::new(), ..story }).unwrap().contains("no window was completed"));
     }

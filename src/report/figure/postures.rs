@@ -1,7 +1,7 @@
 //! The right half: the arm on its way to a target, light at first and dark at the end.
 
 use super::*;
-use crate::report::Reach;
+use crate::report::{Reach, thousands};
 
 const LEGEND_HEIGHT: u32 = 26;
 const LEFT_LABELS: u32 = 46;
@@ -13,7 +13,7 @@ pub(super) fn draw(story: &Story, reaches: &[(&str, &Reach)], area: &Area) -> Re
     for ((name, reach), area) in reaches.iter().zip(area.split_evenly((2, 1))) {
         let (head, rest) = area.split_vertically(px(LEGEND_HEIGHT));
         let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
-        let title = format!("{name}, from tick {}", grouped(reach.from));
+        let title = format!("{name}, from tick {}", thousands(reach.from));
         head.draw(&Text::new(title, (px(LEFT_LABELS), px(LEGEND_HEIGHT) * 3 / 5), text)).map_err(refused)?;
         panel(story, reach, centre, half, &rest)?;
     }
@@ -29,19 +29,6 @@ pub(super) fn legend(strip: &Area, left: i32) -> Result<(), ReportError> {
     let line = [(x + px(72), y), (x + px(94), y)];
     strip.draw(&PathElement::new(line, VERMILION.stroke_width(fine(1.8)))).map_err(refused)?;
     strip.draw(&Text::new("path of the end-effector", (x + px(100), y), style())).map_err(refused)
-}
-
-/// 11,999,920 instead of 11999920.
-fn grouped(tick: u64) -> String {
-    let digits = tick.to_string();
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
 }
 
 fn panel(story: &Story, reach: &Reach, centre: [f64; 2], half: f64, area: &Area) -> Result<(), ReportError> {
@@ -130,11 +117,6 @@ mod tests {
         assert!((half - 2.12).abs() < 1e-12);
         let point = Reach { from: 0, target: [3.0, 0.0], postures: vec![vec![[3.0, 0.0]]] };
         assert_eq!(frame(&[("first", &point)]), ([3.0, 0.0], 1.0));
-    }
-
-    #[test]
-    fn ticks_are_grouped_by_thousands() {
-        assert_eq!([0, 80, 999, 1000, 11_999_920].map(grouped), ["0", "80", "999", "1,000", "11,999,920"]);
     }
 
     #[test]

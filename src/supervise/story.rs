@@ -1,0 +1,110 @@
+//! From the controller's account to what table and figure show: windows put together, postures from angles.
+
+use crate::plant::posture;
+use crate::report::{Reach, Story, Window};
+use crate::runtime::{ControllerReport, Mode, Snapshot};
+use crate::scenario::{ArmTable, Plan};
+
+/// Part of the run that the first and the last window of the table take.
+const SHARE: u64 = 20;
+
+/// The first and the last twentieth of a run, or what there is.
+pub(super) fn ends(windows: &[Window]) -> Option<[Window; 2]> {
+    let total: u64 = windows.iter().map(|w| w.ticks).sum();
+    let share = total / SHARE;
+    Some([merge(windows.iter(), share)?, merge(windows.iter().rev(), share)?])
+}
+
+/// Merges windows from the front of `windows` until they hold at least `ticks`.
+fn merge<'a>(windows: impl Iterator<Item = &'a Window>, ticks: u64) -> Option<Window> {
+    let mut sum: Option<Window> = None;
+    for w in windows {
+        sum = Some(match sum {
+            None => w.clone(),
+            Some(s) if s.ticks >= ticks => return Some(s),
+            Some(s) => together(&s, w),
+        });
+    }
+    sum
+}
+
+/// Two windows as one.
+fn together(a: &Window, b: &Window) -> Window {
+    let mean = |x: f64, n: u64, y: f64, m: u64| (x * n as f64 + y * m as f64) / (n + m) as f64;
+    Window {
+        from: a.from.min(b.from),
+        ticks: a.ticks + b.ticks,
+        noise_share: mean(a.noise_share, a.ticks, b.noise_share, b.ticks),
+        loss: mean(a.loss, a.ticks, b.loss, b.ticks),
+        mean_squared_error: a.mean_squared_error.zip(b.mean_squared_error).map(|(x, y)| mean(x, a.ticks, y, b.ticks)),
+        end_error: match (a.end_error, b.end_error) {
+            (Some(x), Some(y)) => Some(mean(x, a.ends, y, b.ends)),
+            (x, y) => x.or(y),
+        },
+        ends: a.ends + b.ends,
+    }
+}
+
+/// The story that the figure tells.
+pub(super) fn story(plan: &Plan, mode: Mode, controller: ControllerReport) -> Story {
+    let scenario = &plan.scenario;
+    let arm = scenario.plant.arm.as_ref();
+    let reach = |switch: &[Snapshot]| arm.and_then(|arm| reach(arm, switch));
+    let marks = arm.map_or(&[][..], |arm| &arm.block).iter();
+    Story {
+        title: format!("{}, {}, seed {}", scenario.name, mode.name(), scenario.seed),
+        unit: if arm.is_some() { "m".to_owned() } else { String::new() },
+        period_s: plan.period_ns as f64 / 1e9,
+        marks: marks
+            .filter(|b| b.tick < controller.ticks + controller.unseen)
+            .map(|b| (b.tick, format!("joint {} blocked", b.joint)))
+            .collect(),
+        first_reach: reach(&controller.first_switch),
+        last_reach: reach(&controller.last_switch),
+        windows: controller.windows,
+    }
+}
+
+fn reach(arm: &ArmTable, switch: &[Snapshot]) -> Option<Reach> {
+    let first = switch.first()?;
+    let joints = arm.lengths.len();
+    Some(Reach {
+        from: first.tick,
+        target: [f64::from(first.inputs[0]), f64::from(first.inputs[1])],
+        postures: switch.iter().map(|s| posture(arm, &s.inputs[2..2 + joints])).collect(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn window(from: u64, loss: f64, end_error: Option<f64>) -> Window {
+        Window {
+            from,
+            ticks: 10,
+            loss,
+            noise_share: 0.0,
+            mean_squared_error: Some(loss),
+            end_error,
+            ends: u64::from(end_error.is_some()),
+        }
+    }
+
+    #[test]
+    fn the_ends_of_a_run_are_its_first_and_last_twentieth() {
+        let windows: Vec<Window> = (0..40).map(|i| window(i * 10, i as f64, Some(i as f64))).collect();
+        let [first, last] = ends(&windows).unwrap();
+        assert_eq!((first.from, first.ticks, first.loss, first.ends), (0, 20, 0.5, 2));
+        assert_eq!((last.from, last.ticks, last.loss), (380, 20, 38.5));
+        let [first, last] = ends(&windows[..1]).unwrap();
+        assert_eq!(first, last);
+        assert_eq!(ends(&[]), None);
+    }
+
+    #[test]
+    fn windows_without_an_end_do_not_dilute_those_with_one() {
+        let both = together(&window(0, 1.0, None), &window(10, 3.0, Some(0.5)));
+        assert_eq!((both.loss, both.end_error, both.ends), (2.0, Some(0.5), 1));
+    }
+}

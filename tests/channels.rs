@@ -1,0 +1,81 @@
+//! The channels by themselves: who is let in, and that no writer ever waits.
+
+use tectum::channel::{ChannelError, ControllerPorts, DomainName, Hub, Identity, LOG_BUFFER, LoggerPorts, PlantPorts};
+use tectum::scenario::ChannelsTable;
+use tectum::wire::Observation;
+
+fn identity() -> Identity {
+    Identity { schema: 1, scenario: 2, build: "0.1.0+abc".into() }
+}
+
+fn domain(salt: u64) -> DomainName {
+    DomainName::of(u64::from(std::process::id()) << 32 | 0xc4a0 | salt << 16)
+}
+
+/// Schema, scenario and build are each compared, and the difference is named.
+#[test]
+fn the_handshake_compares_all_three() {
+    let (name, channels) = (domain(1), ChannelsTable::default());
+    let _hub = Hub::create(&name, &identity(), &channels).unwrap();
+    for (stranger, what, ours, theirs) in [
+        (Identity { schema: 9, ..identity() }, "schema", "0000000000000009", "0000000000000001"),
+        (Identity { scenario: 9, ..identity() }, "scenario", "0000000000000009", "0000000000000002"),
+        (Identity { build: "0.2.0+def".into(), ..identity() }, "build", "0.2.0+def", "0.1.0+abc"),
+    ] {
+        let Err(ChannelError::Mismatch(mismatch)) = PlantPorts::open(&name, &stranger, &channels) else {
+            panic!("{what} must be compared");
+        };
+        assert_eq!((mismatch.what, mismatch.ours.as_str(), mismatch.theirs.as_str()), (what, ours, theirs));
+        assert_eq!(
+            mismatch.to_string(),
+            format!(
+                "the plant does not fit the run: its {what} is {ours}, the run's is {theirs}; \
+                 start it from the same build and with the same scenario as the run"
+            )
+        );
+    }
+    PlantPorts::open(&name, &identity(), &channels).unwrap();
+}
+
+/// A reader that does not read loses the oldest samples; the writer never notices.
+#[test]
+fn a_full_reader_loses_its_oldest() {
+    let (name, channels) = (domain(2), ChannelsTable::default());
+    let _hub = Hub::create(&name, &identity(), &channels).unwrap();
+    let (plant, _desk) = PlantPorts::open(&name, &identity(), &channels).unwrap();
+    let (controller, _desk) = ControllerPorts::open(&name, &identity(), &channels).unwrap();
+    let (logger, _desk) = LoggerPorts::open(&name, &identity(), &channels).unwrap();
+    let mut observation = Observation::default();
+    let sent = 3 * LOG_BUFFER as u64;
+    for tick in 0..sent {
+        observation.header.tick = tick;
+        plant.observation.send(&observation).unwrap();
+    }
+    let rest = |receive: &dyn Fn() -> Option<Observation>| {
+        std::iter::from_fn(receive).map(|o| o.header.tick).collect::<Vec<u64>>()
+    };
+    let newest = rest(&|| controller.observation.receive().unwrap());
+    assert_eq!(newest, [sent - 2, sent - 1], "the loop reads the newest");
+    let log = rest(&|| logger.observation.receive().unwrap());
+    assert_eq!(log, (sent - LOG_BUFFER as u64..sent).collect::<Vec<u64>>());
+}
+
+#[test]
+fn a_domain_is_wiped_with_its_hub() {
+    let (name, channels) = (domain(3), ChannelsTable::default());
+    let here = || {
+        let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
+        let prefix = name.prefix();
+        let prefix = prefix.trim_end_matches('_').to_owned();
+        entries.filter(|e| e.file_name().to_string_lossy().starts_with(&prefix)).count()
+    };
+    let hub = Hub::create(&name, &identity(), &channels).unwrap();
+    assert!(here() > 0);
+    drop(hub);
+    assert_eq!(here(), 0);
+    let Err(ChannelError::SetUp { hint, .. }) = PlantPorts::open(&name, &identity(), &channels) else {
+        panic!("there is no run any more");
+    };
+    assert_eq!(hint, "; the run is over or was never started");
+    tectum::channel::wipe(&name);
+}
