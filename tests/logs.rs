@@ -2,43 +2,8 @@
 
 mod support;
 
-use std::path::Path;
-
-use support::{Place, assert_no_debris, signal_process};
-use tectum::log::{LogReader, Record};
-use tectum::wire::{Command, Gap, Learning, Observation, flag};
-
-#[derive(Default)]
-struct Content {
-    observations: Vec<Observation>,
-    commands: Vec<Command>,
-    learnings: Vec<Learning>,
-    gaps: Vec<Gap>,
-    order: Vec<(u64, u8)>,
-}
-
-fn read(path: &Path) -> (LogReader, Content) {
-    let mut reader = LogReader::open(path).unwrap();
-    let mut content = Content::default();
-    for record in reader.by_ref() {
-        match record.unwrap() {
-            Record::Observation(s) => {
-                content.order.push((s.header.tick, 0));
-                content.observations.push(s);
-            }
-            Record::Command(s) => {
-                content.order.push((s.header.tick, 1));
-                content.commands.push(s);
-            }
-            Record::Learning(s) => {
-                content.order.push((s.header.tick, 2));
-                content.learnings.push(s);
-            }
-            Record::Gap(s) => content.gaps.push(s),
-        }
-    }
-    (reader, content)
-}
+use support::{Place, assert_no_debris, content::read, signal_process};
+use tectum::wire::{Gap, flag};
 
 #[test]
 fn a_lockstep_log_holds_every_tick_in_order() {
@@ -103,6 +68,24 @@ fn a_thinned_log_says_so() {
     assert_eq!(reader.run("every"), Some("7"));
     let totals = reader.totals().unwrap();
     assert_eq!((totals.thinned, totals.lost), ([1000 - 143; 3], [0; 3]));
+}
+
+/// The logger is inside the barrier: the loop waits for it rather than lose a sample.
+#[test]
+fn lockstep_waits_for_a_logger_that_is_held_up() {
+    let place = Place::new();
+    let scenario = place.arm(&[("every", "1")]);
+    let mut run = place.run(&[&scenario, "--ticks", "60000", "--json"]);
+    let logger = run.member("tectum-logger");
+    run.until_ticking();
+    signal_process(logger, "STOP");
+    // The fault itself: far longer than the loop needs to fill the logger's buffer of 1024 samples.
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    signal_process(logger, "CONT");
+    let summary = run.wait().expect(0).json();
+    assert_eq!((&summary["ticks"], &summary["lost"]), (&60000.into(), &0.into()));
+    let (_, content) = read(&place.run_folder().join("log.mcap"));
+    assert!(content.observations.iter().map(|o| o.header.tick).eq(0..60000));
 }
 
 /// I8. The logger is stopped for longer than its buffer lasts; the loop goes on, and the log says what it lacks.

@@ -6,6 +6,8 @@
 
 #![allow(dead_code)] // Each test binary uses its own part.
 
+pub mod content;
+
 use std::fs;
 use std::io::Read as _;
 use std::os::unix::process::CommandExt as _;

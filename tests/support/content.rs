@@ -1,0 +1,40 @@
+//! A log, read whole.
+
+use std::path::Path;
+
+use tectum::log::{LogReader, Record};
+use tectum::wire::{Command, Gap, Learning, Observation};
+
+/// Everything in a log.
+#[derive(Default)]
+pub struct Content {
+    pub observations: Vec<Observation>,
+    pub commands: Vec<Command>,
+    pub learnings: Vec<Learning>,
+    pub gaps: Vec<Gap>,
+    /// Tick and channel of every sample, in the order of the file.
+    pub order: Vec<(u64, u8)>,
+}
+
+pub fn read(path: &Path) -> (LogReader, Content) {
+    let mut reader = LogReader::open(path).unwrap();
+    let mut content = Content::default();
+    for record in reader.by_ref() {
+        match record.unwrap() {
+            Record::Observation(s) => {
+                content.order.push((s.header.tick, 0));
+                content.observations.push(s);
+            }
+            Record::Command(s) => {
+                content.order.push((s.header.tick, 1));
+                content.commands.push(s);
+            }
+            Record::Learning(s) => {
+                content.order.push((s.header.tick, 2));
+                content.learnings.push(s);
+            }
+            Record::Gap(s) => content.gaps.push(s),
+        }
+    }
+    (reader, content)
+}
