@@ -67,6 +67,22 @@ fn tick_of(record: &Record) -> u64 {
     }
 }
 
+/// The head that comes first by (tick, channel).
+#[derive(Debug, PartialEq)]
+struct First {
+    tick: u64,
+    lane: usize,
+    /// No sample that belongs before it can still come: every other lane has a later head, or has had the tick.
+    settled: bool,
+}
+
+fn first(lanes: &[Lane; 3]) -> Option<First> {
+    let heads = lanes.iter().enumerate().filter_map(|(i, lane)| Some((tick_of(lane.head.as_ref()?), i)));
+    let (tick, lane) = heads.min()?;
+    let settled = lanes.iter().all(|lane| lane.head.is_some() || lane.last.is_some_and(|last| last >= tick));
+    Some(First { tick, lane, settled })
+}
+
 /// The three lanes and the file.
 struct Merge {
     lanes: [Lane; 3],
@@ -89,12 +105,10 @@ impl Merge {
         Ok(())
     }
 
-    /// Writes the head that comes first by (tick, channel), if no earlier one can still come; with `force` in any case.
-    /// False when there was nothing to write.
+    /// Writes the head that comes first, if no earlier sample can still come; with `force` in any case. False when there
+    /// was nothing to write.
     fn write_first(&mut self, force: bool) -> Result<bool, LogError> {
-        let heads = self.lanes.iter().enumerate().filter_map(|(i, lane)| Some((tick_of(lane.head.as_ref()?), i)));
-        let Some((tick, first)) = heads.min() else { return Ok(false) };
-        let settled = self.lanes.iter().all(|lane| lane.head.is_some() || lane.last.is_some_and(|last| last >= tick));
+        let Some(First { tick, lane: first, settled }) = first(&self.lanes) else { return Ok(false) };
         if !settled && !force {
             return Ok(false);
         }
@@ -223,4 +237,47 @@ fn header(plan: &Plan, card: &Card, time: &TimeSource) -> LogHeader {
         header.wall_at_t0_ns = (wall_ns() + header.t0_ns).saturating_sub(monotonic_ns());
     }
     header
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A lane that received `last` last and still holds it, or not.
+    fn lane(channel: u64, last: Option<u64>, held: bool) -> Lane {
+        let head = last.filter(|_| held).map(|tick| {
+            let mut sample = Learning::default();
+            sample.header.tick = tick;
+            Record::Learning(sample)
+        });
+        Lane { head, last, ..Lane::new(channel) }
+    }
+
+    #[test]
+    fn a_sample_waits_for_those_that_belong_before_it() {
+        let lanes = |a, b, c| [a, b, c];
+        // The command of tick 5 is there, its observation is not yet.
+        let early = lanes(lane(0, Some(4), false), lane(1, Some(5), true), lane(2, Some(4), false));
+        assert_eq!(first(&early), Some(First { tick: 5, lane: 1, settled: false }));
+        // With the observation there, that one comes first, and nothing of tick 4 is missing.
+        let both = lanes(lane(0, Some(5), true), lane(1, Some(5), true), lane(2, Some(5), true));
+        assert_eq!(first(&both), Some(First { tick: 5, lane: 0, settled: true }));
+        // Observation and command of tick 5 are written; the next observation may be a while.
+        let last = lanes(lane(0, Some(5), false), lane(1, Some(5), false), lane(2, Some(5), true));
+        assert_eq!(first(&last), Some(First { tick: 5, lane: 2, settled: true }));
+        // At the start nothing is known of the others.
+        let start = lanes(lane(0, Some(0), true), lane(1, None, false), lane(2, None, false));
+        assert_eq!(first(&start), Some(First { tick: 0, lane: 0, settled: false }));
+        assert_eq!(first(&[0, 1, 2].map(Lane::new)), None);
+    }
+
+    #[test]
+    fn gaps_are_counted_once_and_added_up() {
+        let mut lane = Lane::new(2);
+        assert_eq!(lane.gap_until(0), None);
+        lane.expected = 4;
+        assert_eq!(lane.gap_until(7), Some(Gap { channel: 2, first: 4, count: 3, total: 3 }));
+        assert_eq!(lane.gap_until(7), None);
+        assert_eq!(lane.gap_until(8), Some(Gap { channel: 2, first: 7, count: 1, total: 4 }));
+    }
 }
