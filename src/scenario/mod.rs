@@ -133,6 +133,7 @@ impl Scenario {
     /// The same scenario with the units and ranges of its maps filled in where they follow from the inputs.
     fn resolved(&self) -> Self {
         let mut scenario = self.clone();
+        scenario.learner = scenario.learner.resolved();
         let inputs = signals(self).inputs;
         for map in &mut scenario.encoder.maps {
             if map.units.is_empty() {

@@ -1,0 +1,224 @@
+//! The learned-reward rule: learn what the reward depends on, and improve the policy through that.
+//!
+//! The agent sees only inputs, reward and its own commands. From these it learns, one tick at a time, a model of the reward
+//! (`reward.rs`) and one of how its commands move its inputs (`movement.rs`). After each command has gone out it imagines
+//! movements from states it has been in to places anywhere in the box of inputs, and descends the imagined cost along the
+//! weights of the policy (`rehearsal.rs`), which is the paper's `u = W g + noise` still. Sources: value gradients (Heess et
+//! al. 2015, *Learning Continuous Control Policies by Stochastic Value Gradients*), model-based policy search (Deisenroth &
+//! Rasmussen 2011, *PILCO*), Dyna's use of the time between actions (Sutton 1990), Adam (Kingma & Ba 2015).
+//!
+//! Inputs that no command moves (the target) hold within an imagined movement. That places are imagined which were never
+//! shown is what makes it fast: at the second target the model has seen two, the policy has rehearsed hundreds.
+
+mod basis;
+mod movement;
+mod rehearsal;
+mod reward;
+mod sight;
+
+use glam::Vec4;
+use rand::RngExt as _;
+
+use super::{LearningRule, Tick};
+use crate::encoder::Encoder;
+use crate::policy::Linear;
+use crate::scenario::{ModelTable, Plan};
+use crate::seed::{Rng, stream};
+use crate::wire::MAX_INPUTS;
+use movement::Movement;
+use rehearsal::{Rehearsal, wrap};
+use reward::Reward;
+use sight::Sight;
+
+/// Adam's decays, and what keeps its quotient finite.
+const DECAYS: [f32; 2] = [0.9, 0.999];
+const TINY: f32 = 1e-8;
+
+/// The rule, its models and its memory.
+#[derive(Debug, Clone)]
+pub struct LearnedReward {
+    table: ModelTable,
+    /// The inputs in the model's order: still ones first, then the moved ones.
+    inputs: Vec<usize>,
+    /// The ranges of the still ones.
+    box_: Vec<[f32; 2]>,
+    wraps: Vec<bool>,
+    reward: Reward,
+    movement: Movement,
+    rehearsal: Rehearsal,
+    /// Adam's moments, in the layout of the rehearsal's slope.
+    means: [Vec<Vec<Vec4>>; 2],
+    squares: [Vec<Vec<Vec4>>; 2],
+    /// What is left of their start at 0.
+    starts: [f32; 2],
+    /// States in the model's order, a ring.
+    memory: Vec<[f32; MAX_INPUTS]>,
+    remembered: u64,
+    rng: Rng,
+    /// Ticks learned from since the start or since the world changed.
+    age: u64,
+    learned: u64,
+    slope_norm: f32,
+    halted: bool,
+}
+
+impl LearnedReward {
+    /// The rule of `plan`, for a policy on features of `encoder`.
+    pub fn of(plan: &Plan, encoder: &Encoder) -> Self {
+        let table = plan.scenario.learner.model.clone().unwrap_or_default();
+        let (count, outputs) = (plan.inputs.len(), plan.outputs.len());
+        let moves = |i: usize| {
+            if table.moved.is_empty() { i + outputs >= count } else { table.moved.contains(&plan.inputs[i].name) }
+        };
+        let mut inputs: Vec<_> = (0..count).filter(|&i| !moves(i)).collect();
+        let still = inputs.len();
+        inputs.extend((0..count).filter(|&i| moves(i)));
+        let mut rank = vec![0; count];
+        inputs.iter().enumerate().for_each(|(place, &input)| rank[input] = place);
+
+        let signals: Vec<_> = inputs.iter().map(|&i| plan.inputs[i].clone()).collect();
+        let reward = Reward::new(&table, &signals, still);
+        let wraps: Vec<_> = signals[still..].iter().map(basis::wraps).collect();
+        let sights = Sight::of(&plan.maps, encoder, &rank, still);
+        let rehearsal = Rehearsal::new(
+            sights,
+            &reward,
+            outputs,
+            wraps.clone(),
+            plan.scenario.encoder.normalise,
+            table.horizon,
+            table.last_counts as f32,
+        );
+        Self {
+            inputs,
+            box_: signals[..still].iter().map(|s| [s.min as f32, s.max as f32]).collect(),
+            movement: Movement::new(outputs, wraps.len(), plan.scenario.policy.sigma),
+            wraps,
+            reward,
+            means: rehearsal.slope.clone(),
+            squares: rehearsal.slope.clone(),
+            starts: [1.0; 2],
+            rehearsal,
+            memory: vec![[0.0; MAX_INPUTS]; table.memory],
+            remembered: 0,
+            rng: stream(plan.scenario.seed, "rehearsal"),
+            age: 0,
+            learned: 0,
+            slope_norm: 0.0,
+            halted: false,
+            table,
+        }
+    }
+
+    /// Number of features of the reward model.
+    pub fn model_size(&self) -> usize {
+        self.reward.len()
+    }
+
+    /// A state that was, with the place to go to there, or one anywhere in the box.
+    fn imagine(&mut self) -> [f32; MAX_INPUTS] {
+        let known = (self.remembered as usize).min(self.memory.len());
+        let mut state = self.memory[self.rng.random_range(0..known)];
+        if self.rng.random::<f64>() < self.table.imagined {
+            for (x, [low, high]) in state.iter_mut().zip(&self.box_) {
+                *x = low + (high - low) * self.rng.random::<f32>();
+            }
+        }
+        state
+    }
+
+    /// The size of the step at this age.
+    fn step(&self) -> f32 {
+        let fade = 1.0 / (1.0 + self.age as f64 / self.table.half_life);
+        (self.table.step * fade.max(self.table.floor)) as f32
+    }
+
+    /// One step down the slope that was summed up over some imagined movements.
+    fn descend(&mut self, policy: &mut Linear) {
+        let share = 1.0 / (self.table.movements * self.table.horizon) as f32;
+        let squares: f32 = self.rehearsal.slope.iter().flatten().flatten().map(|s| s.length_squared()).sum();
+        let norm = squares.sqrt() * share;
+        if !norm.is_finite() {
+            self.halted = true;
+            return;
+        }
+        self.slope_norm = norm;
+        let share = share / norm.max(1.0);
+        let step = self.step();
+        let [b1, b2] = DECAYS;
+        self.starts[0] *= b1;
+        self.starts[1] *= b2;
+        let (c1, c2) = (1.0 / (1.0 - self.starts[0]), 1.0 / (1.0 - self.starts[1]));
+        for (sight, positions) in self.rehearsal.positions().into_iter().enumerate() {
+            for (group, weights) in policy.groups_mut().enumerate() {
+                let slopes = &self.rehearsal.slope[sight][group];
+                let moments = self.means[sight][group].iter_mut().zip(&mut self.squares[sight][group]);
+                for ((&at, slope), (mean, square)) in positions.iter().zip(slopes).zip(moments) {
+                    let slope = *slope * share;
+                    *mean = *mean * b1 + slope * (1.0 - b1);
+                    *square = *square * b2 + slope * slope * (1.0 - b2);
+                    let size = Vec4::from_array((*square * c2).to_array().map(f32::sqrt));
+                    weights[at] -= *mean * (step * c1) / (size + TINY);
+                }
+            }
+        }
+    }
+}
+
+impl LearningRule for LearnedReward {
+    fn learn(&mut self, _policy: &mut Linear, tick: &Tick) -> f32 {
+        if self.halted {
+            return 0.0;
+        }
+        let still = self.box_.len();
+        let (mut before, mut after) = ([0.0; MAX_INPUTS], [0.0; MAX_INPUTS]);
+        let mut changes = [0.0; MAX_INPUTS];
+        for (place, &input) in self.inputs.iter().enumerate() {
+            before[place] = tick.inputs[input];
+            // The reward was for the place shown then, and for where the movement led.
+            after[place] = if place < still { tick.inputs[input] } else { tick.next_inputs[input] };
+        }
+        for (i, &wraps) in self.wraps.iter().enumerate() {
+            let change = after[still + i] - before[still + i];
+            changes[i] = if wraps { wrap(change) } else { change };
+        }
+        let moved = self.wraps.len();
+        let changed = self.reward.learn(&after[..self.inputs.len()], &changes[..moved], tick.reward);
+        self.movement.learn(tick.applied, &changes[..moved]);
+        let at = self.remembered as usize % self.memory.len();
+        self.memory[at] = before;
+        self.remembered += 1;
+        match changed {
+            Some(changed) => self.age = if changed { 0 } else { self.age + 1 },
+            None => self.halted = true,
+        }
+        self.learned += 1;
+        self.step()
+    }
+
+    fn improve(&mut self, policy: &mut Linear) {
+        if self.halted || self.learned < self.table.start || !self.movement.ready() {
+            return;
+        }
+        for _ in 0..self.table.steps {
+            self.rehearsal.begin(policy);
+            for _ in 0..self.table.movements {
+                let state = self.imagine();
+                self.rehearsal.imagine(&mut self.reward, &self.movement, &state[..self.inputs.len()]);
+            }
+            self.descend(policy);
+        }
+    }
+
+    /// There is no trace: what was learned of the world stays true.
+    fn cut_trace(&mut self) {}
+
+    /// The norm of the imagined cost's slope.
+    fn trace_norm(&self) -> f32 {
+        self.slope_norm
+    }
+
+    fn halted(&self) -> bool {
+        self.halted
+    }
+}
