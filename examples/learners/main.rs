@@ -142,7 +142,8 @@ fn plan(learner: &LearnerTable, seed: u64, ticks: u64) -> Plan {
 
 /// The test's targets: what the arm can reach after `changes`.
 fn tests(changes: &[Change]) -> Vec<[f64; 2]> {
-    let mut world = World::new(TEST_SEED, Vec::new(), &changes.iter().map(|c| Change { tick: 0, ..*c }).collect::<Vec<_>>());
+    let mut world =
+        World::new(TEST_SEED, Vec::new(), &changes.iter().map(|c| Change { tick: 0, ..*c }).collect::<Vec<_>>());
     let mut inputs = [0.0; 16];
     (0..TARGETS as u64)
         .map(|i| {

@@ -124,10 +124,8 @@ impl Arm<'_> {
         for &target in targets {
             let mut best: Option<(f64, Vec<Vector>)> = None;
             for start in 0..STARTS {
-                let goal: Vector = from
-                    .iter()
-                    .map(|f| if start == 0 { *f } else { f + TURN * (rng.random::<f64>() - 0.5) })
-                    .collect();
+                let goal: Vector =
+                    from.iter().map(|f| if start == 0 { *f } else { f + TURN * (rng.random::<f64>() - 0.5) }).collect();
                 let mut path: Vec<Vector> = (1..=ticks)
                     .map(|k| {
                         let done = 1.0 - (-(k as f64) / 3.0).exp();

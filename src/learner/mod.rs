@@ -91,7 +91,9 @@ impl Learner {
         let critic = || Critic::of(&table.critic.clone().unwrap_or_default());
         match table.rule {
             Rule::Paper => Self::Paper(paper()),
-            Rule::Baseline => Self::Baseline(Baseline::new(paper(), table.baseline.clone().unwrap_or_default().ticks as f32)),
+            Rule::Baseline => {
+                Self::Baseline(Baseline::new(paper(), table.baseline.clone().unwrap_or_default().ticks as f32))
+            }
             Rule::ActorCritic => {
                 let step = table.alpha_over_variance as f32;
                 Self::ActorCritic(ActorCritic::new(len, outputs, table.beta as f32, step, critic(), None))
@@ -145,3 +147,6 @@ impl LearningRule for Learner {
         self.rule().halted()
     }
 }
+
+#[cfg(test)]
+mod tests;

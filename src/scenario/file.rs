@@ -480,14 +480,7 @@ impl Default for PolicyTable {
 
 impl Default for LearnerTable {
     fn default() -> Self {
-        Self {
-            rule: Rule::Paper,
-            beta: 0.9,
-            alpha_over_variance: 0.01,
-            baseline: None,
-            critic: None,
-            model: None,
-        }
+        Self { rule: Rule::Paper, beta: 0.9, alpha_over_variance: 0.01, baseline: None, critic: None, model: None }
     }
 }
 

@@ -13,6 +13,7 @@ mod presets;
 mod signals;
 mod source;
 mod validate;
+mod validate_learner;
 mod validate_plant;
 
 #[cfg(test)]

@@ -16,12 +16,11 @@ mod rehearsal;
 mod reward;
 mod sight;
 
-use glam::Vec4;
 use rand::RngExt as _;
 
 use super::{LearningRule, Tick};
 use crate::encoder::Encoder;
-use crate::policy::Linear;
+use crate::policy::{Linear, Outputs};
 use crate::scenario::{ModelTable, Plan};
 use crate::seed::{Rng, stream};
 use crate::wire::MAX_INPUTS;
@@ -33,6 +32,19 @@ use sight::Sight;
 /// Adam's decays, and what keeps its quotient finite.
 const DECAYS: [f32; 2] = [0.9, 0.999];
 const TINY: f32 = 1e-8;
+
+/// A tick to be learned from when there is time.
+#[derive(Debug, Clone)]
+struct Waiting {
+    /// Still inputs of the tick, moved ones after it.
+    inputs: [f32; MAX_INPUTS],
+    /// All inputs of the tick.
+    before: [f32; MAX_INPUTS],
+    /// How the moved ones changed.
+    changes: [f32; MAX_INPUTS],
+    applied: Outputs,
+    reward: f32,
+}
 
 /// The rule, its models and its memory.
 #[derive(Debug, Clone)]
@@ -47,8 +59,8 @@ pub struct LearnedReward {
     movement: Movement,
     rehearsal: Rehearsal,
     /// Adam's moments, in the layout of the rehearsal's slope.
-    means: [Vec<Vec<Vec4>>; 2],
-    squares: [Vec<Vec<Vec4>>; 2],
+    means: [Vec<f32>; 2],
+    squares: [Vec<f32>; 2],
     /// What is left of their start at 0.
     starts: [f32; 2],
     /// States in the model's order, a ring.
@@ -57,7 +69,7 @@ pub struct LearnedReward {
     rng: Rng,
     /// Ticks learned from since the start or since the world changed.
     age: u64,
-    learned: u64,
+    waiting: Option<Waiting>,
     slope_norm: f32,
     halted: bool,
 }
@@ -103,7 +115,7 @@ impl LearnedReward {
             remembered: 0,
             rng: stream(plan.scenario.seed, "rehearsal"),
             age: 0,
-            learned: 0,
+            waiting: None,
             slope_norm: 0.0,
             halted: false,
             table,
@@ -134,9 +146,9 @@ impl LearnedReward {
     }
 
     /// One step down the slope that was summed up over some imagined movements.
-    fn descend(&mut self, policy: &mut Linear) {
+    fn descend(&mut self) {
         let share = 1.0 / (self.table.movements * self.table.horizon) as f32;
-        let squares: f32 = self.rehearsal.slope.iter().flatten().flatten().map(|s| s.length_squared()).sum();
+        let squares: f32 = self.rehearsal.slope.iter().flatten().map(|s| s * s).sum();
         let norm = squares.sqrt() * share;
         if !norm.is_finite() {
             self.halted = true;
@@ -149,18 +161,31 @@ impl LearnedReward {
         self.starts[0] *= b1;
         self.starts[1] *= b2;
         let (c1, c2) = (1.0 / (1.0 - self.starts[0]), 1.0 / (1.0 - self.starts[1]));
-        for (sight, positions) in self.rehearsal.positions().into_iter().enumerate() {
-            for (group, weights) in policy.groups_mut().enumerate() {
-                let slopes = &self.rehearsal.slope[sight][group];
-                let moments = self.means[sight][group].iter_mut().zip(&mut self.squares[sight][group]);
-                for ((&at, slope), (mean, square)) in positions.iter().zip(slopes).zip(moments) {
-                    let slope = *slope * share;
-                    *mean = *mean * b1 + slope * (1.0 - b1);
-                    *square = *square * b2 + slope * slope * (1.0 - b2);
-                    let size = Vec4::from_array((*square * c2).to_array().map(f32::sqrt));
-                    weights[at] -= *mean * (step * c1) / (size + TINY);
-                }
+        let moments = self.means.iter_mut().zip(&mut self.squares);
+        for ((weights, slopes), (means, squares)) in self.rehearsal.both().zip(moments) {
+            let moments = means.iter_mut().zip(squares);
+            for ((w, slope), (mean, square)) in weights.iter_mut().zip(slopes).zip(moments) {
+                let s = *slope * share;
+                *slope = 0.0;
+                *mean = *mean * b1 + s * (1.0 - b1);
+                *square = *square * b2 + s * s * (1.0 - b2);
+                *w -= *mean * (step * c1) / ((*square * c2).sqrt() + TINY);
             }
+        }
+    }
+
+    /// Takes in the tick that waits to be learned from.
+    fn absorb(&mut self) {
+        let Some(Waiting { inputs, before, changes, applied, reward }) = self.waiting.take() else { return };
+        let (count, moved) = (self.inputs.len(), self.wraps.len());
+        let changed = self.reward.learn(&inputs[..count], &changes[..moved], reward);
+        self.movement.learn(&applied, &changes[..moved]);
+        let at = self.remembered as usize % self.memory.len();
+        self.memory[at] = before;
+        self.remembered += 1;
+        match changed {
+            Some(changed) => self.age = if changed { 0 } else { self.age + 1 },
+            None => self.halted = true,
         }
     }
 }
@@ -182,32 +207,25 @@ impl LearningRule for LearnedReward {
             let change = after[still + i] - before[still + i];
             changes[i] = if wraps { wrap(change) } else { change };
         }
-        let moved = self.wraps.len();
-        let changed = self.reward.learn(&after[..self.inputs.len()], &changes[..moved], tick.reward);
-        self.movement.learn(tick.applied, &changes[..moved]);
-        let at = self.remembered as usize % self.memory.len();
-        self.memory[at] = before;
-        self.remembered += 1;
-        match changed {
-            Some(changed) => self.age = if changed { 0 } else { self.age + 1 },
-            None => self.halted = true,
-        }
-        self.learned += 1;
+        self.waiting = Some(Waiting { inputs: after, before, changes, applied: *tick.applied, reward: tick.reward });
         self.step()
     }
 
     fn improve(&mut self, policy: &mut Linear) {
-        if self.halted || self.learned < self.table.start || !self.movement.ready() {
+        self.absorb();
+        if self.halted || self.remembered < self.table.start || !self.movement.ready() {
             return;
         }
+        self.reward.freeze();
+        self.rehearsal.begin(policy);
         for _ in 0..self.table.steps {
-            self.rehearsal.begin(policy);
             for _ in 0..self.table.movements {
                 let state = self.imagine();
                 self.rehearsal.imagine(&mut self.reward, &self.movement, &state[..self.inputs.len()]);
             }
-            self.descend(policy);
+            self.descend();
         }
+        self.rehearsal.end(policy);
     }
 
     /// There is no trace: what was learned of the world stays true.
@@ -222,3 +240,6 @@ impl LearningRule for LearnedReward {
         self.halted
     }
 }
+
+#[cfg(test)]
+mod tests;

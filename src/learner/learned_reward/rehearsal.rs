@@ -4,8 +4,6 @@
 //! the chain rule runs back through reward, movement and policy (a value gradient in the sense of Heess et al. 2015, with
 //! both models learned). The last tick may count several times: it stands for those that would follow.
 
-use glam::Vec4;
-
 use super::{movement::Movement, reward::Reward, sight::Sight};
 use crate::policy::{Linear, Outputs};
 use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
@@ -34,9 +32,9 @@ pub(super) struct Rehearsal {
     wraps: Vec<bool>,
     /// Maps of the still and of the moved inputs.
     sights: [Sight; 2],
-    /// By sight, group of outputs, feature: the policy's weights, and the slope along them.
-    weights: [Vec<Vec<Vec4>>; 2],
-    pub slope: [Vec<Vec<Vec4>>; 2],
+    /// By sight: the policy's weights, output by output, and the slope along them.
+    weights: [Vec<f32>; 2],
+    pub slope: [Vec<f32>; 2],
     moments: Vec<Moment>,
     values: Vec<f32>,
     slopes: Vec<f32>,
@@ -63,7 +61,7 @@ impl Rehearsal {
         horizon: usize,
         last_counts: f32,
     ) -> Self {
-        let zeros = |sight: &Sight| vec![vec![Vec4::ZERO; sight.len()]; outputs.div_ceil(4)];
+        let zeros = |sight: &Sight| vec![0.0; sight.len() * outputs];
         let moment = Moment {
             values: vec![0.0; sights[1].lines],
             slopes: vec![0.0; sights[1].lines],
@@ -94,13 +92,37 @@ impl Rehearsal {
     /// Takes over the weights of `policy` and starts a new sum of slopes.
     pub fn begin(&mut self, policy: &mut Linear) {
         for (sight, weights) in self.sights.iter().zip(&mut self.weights) {
-            for (from, to) in policy.groups_mut().zip(weights) {
-                for (to, &at) in to.iter_mut().zip(&sight.positions) {
-                    *to = from[at];
+            for (output, row) in weights.chunks_exact_mut(sight.len().max(1)).enumerate() {
+                let from = policy.groups_mut().nth(output / 4).unwrap_or_default();
+                for (to, &at) in row.iter_mut().zip(&sight.positions) {
+                    *to = from[at][output % 4];
                 }
             }
         }
-        self.slope.iter_mut().flatten().for_each(|group| group.fill(Vec4::ZERO));
+        self.slope.iter_mut().for_each(|slope| slope.fill(0.0));
+    }
+
+    /// Gives the weights back to `policy`.
+    pub fn end(&self, policy: &mut Linear) {
+        for (sight, weights) in self.sights.iter().zip(&self.weights) {
+            for (output, row) in weights.chunks_exact(sight.len().max(1)).enumerate() {
+                let to = policy.groups_mut().nth(output / 4).unwrap_or_default();
+                for (from, &at) in row.iter().zip(&sight.positions) {
+                    to[at][output % 4] = *from;
+                }
+            }
+        }
+    }
+
+    /// By sight: where the features stand in the policy.
+    #[cfg(test)]
+    pub fn positions(&self) -> [&[usize]; 2] {
+        [&self.sights[0].positions, &self.sights[1].positions]
+    }
+
+    /// The weights and the slope that has been summed up along them.
+    pub fn both(&mut self) -> impl Iterator<Item = (&mut Vec<f32>, &mut Vec<f32>)> {
+        self.weights.iter_mut().zip(&mut self.slope)
     }
 
     /// Imagines a movement that starts from `inputs` (in the model's order) and adds the slope of its cost. Returns the
@@ -110,8 +132,8 @@ impl Rehearsal {
         reward.given(inputs, &mut self.linear);
         let squares = self.sights[0].look(inputs, &mut self.values, &mut self.slopes, &mut self.features);
         let mut given = [0.0; MAX_OUTPUTS];
-        for (group, lanes) in self.weights[0].iter().zip(given.chunks_exact_mut(4)) {
-            sum(group, &self.features).write_to_slice(lanes);
+        for (given, row) in given.iter_mut().zip(self.weights[0].chunks_exact(self.features.len().max(1))) {
+            *given = dot(row, &self.features);
         }
 
         let mut state = [0.0; MAX_INPUTS];
@@ -119,11 +141,9 @@ impl Rehearsal {
         for moment in &mut self.moments {
             let more = self.sights[1].look(&state, &mut moment.values, &mut moment.slopes, &mut moment.features);
             moment.scale = if self.normalise { 1.0 / (squares + more).sqrt() } else { 1.0 };
-            for (group, (lanes, given)) in
-                self.weights[1].iter().zip(moment.mean.chunks_exact_mut(4).zip(given.chunks_exact(4)))
-            {
-                let mean = (Vec4::from_slice(given) + sum(group, &moment.features)) * moment.scale;
-                mean.write_to_slice(lanes);
+            let rows = self.weights[1].chunks_exact(moment.features.len().max(1));
+            for ((mean, given), row) in moment.mean.iter_mut().zip(given).zip(rows) {
+                *mean = (given + dot(row, &moment.features)) * moment.scale;
             }
             for (i, &wraps) in self.wraps.iter().enumerate() {
                 let change = movement.gains[i].iter().zip(&moment.mean).map(|(b, u)| b * u).sum();
@@ -162,38 +182,42 @@ impl Rehearsal {
             for (g, given) in given.iter_mut().zip(output) {
                 *g += given * scale;
             }
-            let groups = self.weights[1].iter().zip(&mut self.slope[1]).zip(output.chunks_exact(4));
-            for ((weights, slope), output) in groups {
-                let output = Vec4::from_slice(output) * scale;
-                for (((w, slope), along), &f) in
-                    weights.iter().zip(slope).zip(&mut self.along).zip(&moment.features)
-                {
-                    *slope += output * f;
-                    *along += w.dot(output);
-                }
+            let n = moment.features.len().max(1);
+            let rows = self.weights[1].chunks_exact(n).zip(self.slope[1].chunks_exact_mut(n));
+            for ((weights, slope), output) in rows.zip(output) {
+                add(slope, &moment.features, output * scale);
+                add(&mut self.along, weights, output * scale);
             }
             self.sights[1].back(&moment.values, &moment.slopes, &self.along, self.still, &mut later);
         }
-        for (slope, given) in self.slope[0].iter_mut().zip(given.chunks_exact(4)) {
-            let given = Vec4::from_slice(given);
-            for (slope, &f) in slope.iter_mut().zip(&self.features) {
-                *slope += given * f;
-            }
+        for (slope, given) in self.slope[0].chunks_exact_mut(self.features.len().max(1)).zip(given) {
+            add(slope, &self.features, given);
         }
-    }
-
-    /// By sight: where the features stand in the policy.
-    pub fn positions(&self) -> [&[usize]; 2] {
-        [&self.sights[0].positions, &self.sights[1].positions]
     }
 }
 
-fn sum(weights: &[Vec4], features: &[f32]) -> Vec4 {
-    let mut sums = [Vec4::ZERO; 4];
-    for (w, f) in weights.chunks(4).zip(features.chunks(4)) {
-        for ((sum, w), &f) in sums.iter_mut().zip(w).zip(f) {
-            *sum += *w * f;
+/// `to += factor * from`.
+fn add(to: &mut [f32], from: &[f32], factor: f32) {
+    for (t, f) in to.iter_mut().zip(from) {
+        *t += factor * f;
+    }
+}
+
+/// The sum of products, in a fixed order.
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let (a, b) = (a.as_chunks::<16>(), b.as_chunks::<16>());
+    let mut sums = [0.0; 16];
+    for (a, b) in a.0.iter().zip(b.0) {
+        for i in 0..16 {
+            sums[i] += a[i] * b[i];
         }
     }
-    (sums[0] + sums[1]) + (sums[2] + sums[3])
+    let rest: f32 = a.1.iter().zip(b.1).map(|(a, b)| a * b).sum();
+    let [mut four, more @ ..]: [[f32; 4]; 4] = bytemuck::cast(sums);
+    for more in more {
+        for i in 0..4 {
+            four[i] += more[i];
+        }
+    }
+    (four[0] + four[2]) + (four[1] + four[3]) + rest
 }

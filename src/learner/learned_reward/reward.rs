@@ -40,6 +40,8 @@ pub(super) struct Reward {
     weights: Vec<f64>,
     /// The same in single precision, for rehearsal.
     single: Vec<f32>,
+    /// The cost's coefficients of the products of two moved inputs' functions: a symmetric matrix, row by row.
+    products: Vec<f32>,
     /// Upper triangle, row after row.
     covariance: Vec<f64>,
     prior: Vec<f64>,
@@ -85,6 +87,7 @@ impl Reward {
         prior.iter_mut().for_each(|p| *p *= table.spread * table.spread);
 
         let n = prior.len();
+        let of_moved = total - starts[still];
         let mut model = Self {
             bases,
             starts,
@@ -94,6 +97,7 @@ impl Reward {
             squares,
             weights: vec![0.0; n],
             single: vec![0.0; n],
+            products: vec![0.0; of_moved * of_moved],
             covariance: vec![0.0; n * (n + 1) / 2],
             prior,
             noise: table.reward_noise * table.reward_noise,
@@ -151,19 +155,10 @@ impl Reward {
         for i in 0..n {
             let (row, after) = rest.split_at(n - i);
             rest = after;
-            let own = self.psi[i];
-            let (psi, gain) = (&self.psi[i + 1..], &mut self.gain[i..]);
-            let mut sums = [0.0; 4];
-            let (row_chunks, psi_chunks) = (row[1..].chunks(4), psi.chunks(4));
-            for ((p, psi), gain) in row_chunks.zip(psi_chunks).zip(gain[1..].chunks_mut(4)) {
-                for (k, ((p, psi), gain)) in p.iter().zip(psi).zip(gain).enumerate() {
-                    sums[k] += p * psi;
-                    *gain += p * own;
-                }
-            }
-            gain[0] += row[0] * own + (sums[0] + sums[1]) + (sums[2] + sums[3]);
+            let (row, after_row) = (&row[1..], row[0] * self.psi[i]);
+            add(&mut self.gain[i + 1..], row, self.psi[i]);
+            self.gain[i] += after_row + dot(row, &self.psi[i + 1..]);
         }
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let variance = dot(&self.gain, &self.psi);
         let error = f64::from(reward) - dot(&self.weights, &self.psi);
         if !(variance.is_finite() && error.is_finite()) {
@@ -176,10 +171,7 @@ impl Reward {
         }
         let scale = variance + self.noise;
         let step = error / scale;
-        for ((w, single), gain) in self.weights.iter_mut().zip(&mut self.single).zip(&self.gain) {
-            *w += step * gain;
-            *single = *w as f32;
-        }
+        add(&mut self.weights, &self.gain, step);
         self.alarm += NEWEST * ((error * step).min(MOST) - self.alarm);
         let changed = self.alarm > ALARM;
         let leak = if changed { DOUBT } else { LEAK };
@@ -194,6 +186,24 @@ impl Reward {
             row[0] += leak * self.prior[i];
         }
         Some(changed)
+    }
+
+    /// Takes the weights over for rehearsal.
+    pub fn freeze(&mut self) {
+        let (first, size) = (self.starts[self.still], self.moved_functions());
+        for (single, w) in self.single.iter_mut().zip(&self.weights) {
+            *single = *w as f32;
+        }
+        for &(i, j, start) in self.pairs.iter().filter(|(i, _, _)| *i >= self.still) {
+            let columns = self.bases[j].len();
+            for (a, row) in self.single[start..].chunks_exact(columns).take(self.bases[i].len()).enumerate() {
+                for (b, w) in row.iter().enumerate() {
+                    let (a, b) = (self.starts[i] - first + a, self.starts[j] - first + b);
+                    self.products[a * size + b] = -w;
+                    self.products[b * size + a] = -w;
+                }
+            }
+        }
     }
 
     /// The cost's (negative reward's) coefficients of the moved inputs' functions, given the still inputs `inputs`.
@@ -232,19 +242,9 @@ impl Reward {
             self.bases[input].eval(x, &mut self.values[start..], &mut self.slopes[start..]);
         }
         scratch.copy_from_slice(linear);
-        for &(i, j, start) in self.pairs.iter().filter(|(i, _, _)| *i >= self.still) {
-            let (rows, columns) = (self.bases[i].len(), self.bases[j].len());
-            let (a, b) = (&self.values[self.starts[i]..][..rows], &self.values[self.starts[j]..][..columns]);
-            // i < j: the functions of i lie before those of j.
-            let (before, after) = scratch.split_at_mut(self.starts[j] - first);
-            let before = &mut before[self.starts[i] - first..][..rows];
-            for ((row, a), out) in self.single[start..].chunks_exact(columns).zip(a).zip(before) {
-                let mut sum = 0.0;
-                for ((w, b), out) in row.iter().zip(b).zip(&mut *after) {
-                    sum += w * b;
-                    *out -= w * a;
-                }
-                *out -= sum;
+        for (row, v) in self.products.chunks_exact(scratch.len()).zip(&self.values[first..]) {
+            for (out, w) in scratch.iter_mut().zip(row) {
+                *out += v * w;
             }
         }
         for (input, slope) in (self.still..self.bases.len()).zip(slopes) {
@@ -274,4 +274,24 @@ impl Reward {
         self.features(inputs, changes);
         self.weights.iter().zip(&self.psi).map(|(w, p)| w * p).sum()
     }
+}
+
+/// `to += factor * from`.
+fn add(to: &mut [f64], from: &[f64], factor: f64) {
+    for (t, f) in to.iter_mut().zip(from) {
+        *t += factor * f;
+    }
+}
+
+/// The sum of products, in a fixed order.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (a, b) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    let mut sums = [0.0; 8];
+    for (a, b) in a.0.iter().zip(b.0) {
+        for i in 0..8 {
+            sums[i] += a[i] * b[i];
+        }
+    }
+    let rest: f64 = a.1.iter().zip(b.1).map(|(a, b)| a * b).sum();
+    sums.iter().sum::<f64>() + rest
 }
