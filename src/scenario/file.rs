@@ -305,6 +305,8 @@ pub struct ModelTable {
     pub half_life: f64,
     /// Share of the first size that it never falls below.
     pub floor: f64,
+    /// Ticks after which a policy that starts from nothing is tried beside the one in use, and again; 0 for never.
+    pub challenge: u64,
 }
 
 /// The bases of the reward model.
@@ -514,7 +516,7 @@ impl Default for ModelTable {
             reward_noise: 0.001,
             moved: Vec::new(),
             start: 20,
-            movements: 64,
+            movements: 16,
             horizon: 15,
             last_counts: 10.0,
             imagined: 0.8,
@@ -523,6 +525,7 @@ impl Default for ModelTable {
             step: 3e-4,
             half_life: 500.0,
             floor: 0.1,
+            challenge: 400,
         }
     }
 }

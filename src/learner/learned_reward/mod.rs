@@ -7,10 +7,15 @@
 //! al. 2015, *Learning Continuous Control Policies by Stochastic Value Gradients*), model-based policy search (Deisenroth &
 //! Rasmussen 2011, *PILCO*), Dyna's use of the time between actions (Sutton 1990), Adam (Kingma & Ba 2015).
 //!
+//! Descent may end in a minimum that is not the best: an arm can reach in more than one way. So the policy, the champion,
+//! has a challenger, which starts from nothing every so often and is rehearsed on the same movements; when it costs less it
+//! takes over. After a change of the body it is usually a challenger that finds the new way.
+//!
 //! Inputs that no command moves (the target) hold within an imagined movement. That places are imagined which were never
 //! shown is what makes it fast: at the second target the model has seen two, the policy has rehearsed hundreds.
 
 mod basis;
+mod candidate;
 mod movement;
 mod rehearsal;
 mod reward;
@@ -24,14 +29,16 @@ use crate::policy::{Linear, Outputs};
 use crate::scenario::{ModelTable, Plan};
 use crate::seed::{Rng, stream};
 use crate::wire::MAX_INPUTS;
+use candidate::Candidate;
 use movement::Movement;
 use rehearsal::{Rehearsal, wrap};
 use reward::Reward;
 use sight::Sight;
 
-/// Adam's decays, and what keeps its quotient finite.
-const DECAYS: [f32; 2] = [0.9, 0.999];
-const TINY: f32 = 1e-8;
+/// A challenger takes over when its mean cost is below this share of the champion's,
+const BETTER: f32 = 0.99;
+/// and not before this age, in ticks.
+const GROWN: u64 = 100;
 
 /// A tick to be learned from when there is time.
 #[derive(Debug, Clone)]
@@ -58,17 +65,13 @@ pub struct LearnedReward {
     reward: Reward,
     movement: Movement,
     rehearsal: Rehearsal,
-    /// Adam's moments, in the layout of the rehearsal's slope.
-    means: [Vec<f32>; 2],
-    squares: [Vec<f32>; 2],
-    /// What is left of their start at 0.
-    starts: [f32; 2],
+    /// The policy, and one that starts from nothing every so often and may do better.
+    champion: Candidate,
+    challenger: Candidate,
     /// States in the model's order, a ring.
     memory: Vec<[f32; MAX_INPUTS]>,
     remembered: u64,
     rng: Rng,
-    /// Ticks learned from since the start or since the world changed.
-    age: u64,
     waiting: Option<Waiting>,
     slope_norm: f32,
     halted: bool,
@@ -95,7 +98,6 @@ impl LearnedReward {
         let rehearsal = Rehearsal::new(
             sights,
             &reward,
-            outputs,
             wraps.clone(),
             plan.scenario.encoder.normalise,
             table.horizon,
@@ -107,14 +109,12 @@ impl LearnedReward {
             movement: Movement::new(outputs, wraps.len(), plan.scenario.policy.sigma),
             wraps,
             reward,
-            means: rehearsal.slope.clone(),
-            squares: rehearsal.slope.clone(),
-            starts: [1.0; 2],
+            champion: Candidate::new(&rehearsal.sights, outputs),
+            challenger: Candidate::new(&rehearsal.sights, outputs),
             rehearsal,
             memory: vec![[0.0; MAX_INPUTS]; table.memory],
             remembered: 0,
             rng: stream(plan.scenario.seed, "rehearsal"),
-            age: 0,
             waiting: None,
             slope_norm: 0.0,
             halted: false,
@@ -139,39 +139,33 @@ impl LearnedReward {
         state
     }
 
-    /// The size of the step at this age.
-    fn step(&self) -> f32 {
-        let fade = 1.0 / (1.0 + self.age as f64 / self.table.half_life);
+    /// The size of a step at an age.
+    fn step(&self, age: u64) -> f32 {
+        let fade = 1.0 / (1.0 + age as f64 / self.table.half_life);
         (self.table.step * fade.max(self.table.floor)) as f32
     }
 
-    /// One step down the slope that was summed up over some imagined movements.
-    fn descend(&mut self) {
-        let share = 1.0 / (self.table.movements * self.table.horizon) as f32;
-        let squares: f32 = self.rehearsal.slope.iter().flatten().map(|s| s * s).sum();
-        let norm = squares.sqrt() * share;
-        if !norm.is_finite() {
-            self.halted = true;
-            return;
-        }
-        self.slope_norm = norm;
-        let share = share / norm.max(1.0);
-        let step = self.step();
-        let [b1, b2] = DECAYS;
-        self.starts[0] *= b1;
-        self.starts[1] *= b2;
-        let (c1, c2) = (1.0 / (1.0 - self.starts[0]), 1.0 / (1.0 - self.starts[1]));
-        let moments = self.means.iter_mut().zip(&mut self.squares);
-        for ((weights, slopes), (means, squares)) in self.rehearsal.both().zip(moments) {
-            let moments = means.iter_mut().zip(squares);
-            for ((w, slope), (mean, square)) in weights.iter_mut().zip(slopes).zip(moments) {
-                let s = *slope * share;
-                *slope = 0.0;
-                *mean = *mean * b1 + s * (1.0 - b1);
-                *square = *square * b2 + s * s * (1.0 - b2);
-                *w -= *mean * (step * c1) / ((*square * c2).sqrt() + TINY);
+    /// Rehearses both candidates on the same movements, one step each.
+    fn rehearse(&mut self, rivals: bool) {
+        for _ in 0..self.table.movements {
+            let state = self.imagine();
+            let inputs = &state[..self.inputs.len()];
+            self.rehearsal.imagine(&mut self.champion, &mut self.reward, &self.movement, inputs);
+            if rivals {
+                self.rehearsal.imagine(&mut self.challenger, &mut self.reward, &self.movement, inputs);
             }
         }
+        let ticks = self.table.movements * self.table.horizon;
+        self.slope_norm = self.champion.descend(ticks, self.step(self.champion.age));
+        self.halted = !self.slope_norm.is_finite();
+        if rivals && !self.challenger.descend(ticks, self.step(self.challenger.age)).is_finite() {
+            self.renew();
+        }
+    }
+
+    /// Sends a new challenger.
+    fn renew(&mut self) {
+        self.challenger.be_born(self.table.step as f32, &mut self.rng);
     }
 
     /// Takes in the tick that waits to be learned from.
@@ -179,13 +173,15 @@ impl LearnedReward {
         let Some(Waiting { inputs, before, changes, applied, reward }) = self.waiting.take() else { return };
         let (count, moved) = (self.inputs.len(), self.wraps.len());
         let changed = self.reward.learn(&inputs[..count], &changes[..moved], reward);
-        self.movement.learn(&applied, &changes[..moved]);
+        let other_body = self.movement.learn(&applied, &changes[..moved]);
         let at = self.remembered as usize % self.memory.len();
         self.memory[at] = before;
         self.remembered += 1;
-        match changed {
-            Some(changed) => self.age = if changed { 0 } else { self.age + 1 },
-            None => self.halted = true,
+        self.halted = changed.is_none();
+        if changed == Some(true) || other_body {
+            self.champion.age = 0;
+            self.champion.mean_cost = 0.0;
+            self.renew();
         }
     }
 }
@@ -208,7 +204,7 @@ impl LearningRule for LearnedReward {
             changes[i] = if wraps { wrap(change) } else { change };
         }
         self.waiting = Some(Waiting { inputs: after, before, changes, applied: *tick.applied, reward: tick.reward });
-        self.step()
+        self.step(self.champion.age)
     }
 
     fn improve(&mut self, policy: &mut Linear) {
@@ -216,16 +212,27 @@ impl LearningRule for LearnedReward {
         if self.halted || self.remembered < self.table.start || !self.movement.ready() {
             return;
         }
-        self.reward.freeze();
-        self.rehearsal.begin(policy);
-        for _ in 0..self.table.steps {
-            for _ in 0..self.table.movements {
-                let state = self.imagine();
-                self.rehearsal.imagine(&mut self.reward, &self.movement, &state[..self.inputs.len()]);
-            }
-            self.descend();
+        let rivals = self.table.challenge > 0 && self.remembered > self.table.challenge;
+        if rivals && (self.challenger.age == 0 || self.challenger.age > self.table.challenge) {
+            self.renew();
         }
-        self.rehearsal.end(policy);
+        self.reward.freeze();
+        self.champion.take(policy, &self.rehearsal.sights);
+        for _ in 0..self.table.steps {
+            if !self.halted {
+                self.rehearse(rivals);
+            }
+        }
+        let movements = self.table.steps * self.table.movements;
+        self.champion.settle(movements);
+        if rivals {
+            self.challenger.settle(movements);
+            if self.challenger.age > GROWN && self.challenger.mean_cost < BETTER * self.champion.mean_cost {
+                self.champion.become_like(&self.challenger);
+                self.renew();
+            }
+        }
+        self.champion.give(policy, &self.rehearsal.sights);
     }
 
     /// There is no trace: what was learned of the world stays true.

@@ -63,8 +63,8 @@ impl Movement {
         }
     }
 
-    /// Learns that `applied` changed the moved inputs by `changes`.
-    pub fn learn(&mut self, applied: &Outputs, changes: &[f32]) {
+    /// Learns that `applied` changed the moved inputs by `changes`. Returns whether the body seems to have changed.
+    pub fn learn(&mut self, applied: &Outputs, changes: &[f32]) -> bool {
         let n = self.outputs;
         let mut gain = [0.0; MAX_OUTPUTS];
         let mut scale = KEPT;
@@ -93,11 +93,13 @@ impl Movement {
         }
         self.since += 1;
         // Once it has doubted, as many ticks as there are outputs must be heard out.
-        if self.since > self.outputs && worst > CHANGED * self.usual {
+        let changed = self.since > self.outputs && worst > CHANGED * self.usual;
+        if changed {
             self.doubt();
         }
         self.seen += 1;
         self.usual += (square - self.usual) / self.seen.min(100) as f64;
+        changed
     }
 }
 

@@ -4,8 +4,8 @@
 //! the chain rule runs back through reward, movement and policy (a value gradient in the sense of Heess et al. 2015, with
 //! both models learned). The last tick may count several times: it stands for those that would follow.
 
-use super::{movement::Movement, reward::Reward, sight::Sight};
-use crate::policy::{Linear, Outputs};
+use super::{candidate::Candidate, movement::Movement, reward::Reward, sight::Sight};
+use crate::policy::Outputs;
 use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
 
 /// One imagined tick.
@@ -22,7 +22,7 @@ struct Moment {
     cost: [f32; MAX_INPUTS],
 }
 
-/// Memory for imagined movements, and the slope that they add up to.
+/// Memory for imagined movements.
 #[derive(Debug, Clone)]
 pub(super) struct Rehearsal {
     still: usize,
@@ -31,10 +31,7 @@ pub(super) struct Rehearsal {
     /// Which of the moved inputs come round.
     wraps: Vec<bool>,
     /// Maps of the still and of the moved inputs.
-    sights: [Sight; 2],
-    /// By sight: the policy's weights, output by output, and the slope along them.
-    weights: [Vec<f32>; 2],
-    pub slope: [Vec<f32>; 2],
+    pub sights: [Sight; 2],
     moments: Vec<Moment>,
     values: Vec<f32>,
     slopes: Vec<f32>,
@@ -55,13 +52,11 @@ impl Rehearsal {
     pub fn new(
         sights: [Sight; 2],
         reward: &Reward,
-        outputs: usize,
         wraps: Vec<bool>,
         normalise: bool,
         horizon: usize,
         last_counts: f32,
     ) -> Self {
-        let zeros = |sight: &Sight| vec![0.0; sight.len() * outputs];
         let moment = Moment {
             values: vec![0.0; sights[1].lines],
             slopes: vec![0.0; sights[1].lines],
@@ -76,8 +71,6 @@ impl Rehearsal {
             normalise,
             last_counts,
             wraps,
-            weights: [zeros(&sights[0]), zeros(&sights[1])],
-            slope: [zeros(&sights[0]), zeros(&sights[1])],
             moments: vec![moment; horizon],
             values: vec![0.0; sights[0].lines],
             slopes: vec![0.0; sights[0].lines],
@@ -89,59 +82,24 @@ impl Rehearsal {
         }
     }
 
-    /// Takes over the weights of `policy` and starts a new sum of slopes.
-    pub fn begin(&mut self, policy: &mut Linear) {
-        for (sight, weights) in self.sights.iter().zip(&mut self.weights) {
-            for (output, row) in weights.chunks_exact_mut(sight.len().max(1)).enumerate() {
-                let from = policy.groups_mut().nth(output / 4).unwrap_or_default();
-                for (to, &at) in row.iter_mut().zip(&sight.positions) {
-                    *to = from[at][output % 4];
-                }
-            }
-        }
-        self.slope.iter_mut().for_each(|slope| slope.fill(0.0));
-    }
-
-    /// Gives the weights back to `policy`.
-    pub fn end(&self, policy: &mut Linear) {
-        for (sight, weights) in self.sights.iter().zip(&self.weights) {
-            for (output, row) in weights.chunks_exact(sight.len().max(1)).enumerate() {
-                let to = policy.groups_mut().nth(output / 4).unwrap_or_default();
-                for (from, &at) in row.iter().zip(&sight.positions) {
-                    to[at][output % 4] = *from;
-                }
-            }
-        }
-    }
-
-    /// By sight: where the features stand in the policy.
-    #[cfg(test)]
-    pub fn positions(&self) -> [&[usize]; 2] {
-        [&self.sights[0].positions, &self.sights[1].positions]
-    }
-
-    /// The weights and the slope that has been summed up along them.
-    pub fn both(&mut self) -> impl Iterator<Item = (&mut Vec<f32>, &mut Vec<f32>)> {
-        self.weights.iter_mut().zip(&mut self.slope)
-    }
-
-    /// Imagines a movement that starts from `inputs` (in the model's order) and adds the slope of its cost. Returns the
-    /// cost's gradient only; what it costs is nowhere needed.
-    pub fn imagine(&mut self, reward: &mut Reward, movement: &Movement, inputs: &[f32]) {
+    /// Imagines how `candidate` would move from `inputs` (in the model's order), and adds what it costs and the slope of
+    /// that to the candidate's account.
+    pub fn imagine(&mut self, candidate: &mut Candidate, reward: &mut Reward, movement: &Movement, inputs: &[f32]) {
         let still = self.still;
-        reward.given(inputs, &mut self.linear);
+        let alone = reward.given(inputs, &mut self.linear);
         let squares = self.sights[0].look(inputs, &mut self.values, &mut self.slopes, &mut self.features);
         let mut given = [0.0; MAX_OUTPUTS];
-        for (given, row) in given.iter_mut().zip(self.weights[0].chunks_exact(self.features.len().max(1))) {
+        for (given, row) in given.iter_mut().zip(candidate.weights[0].chunks_exact(self.features.len().max(1))) {
             *given = dot(row, &self.features);
         }
 
+        let mut last = 0.0;
         let mut state = [0.0; MAX_INPUTS];
         state[..inputs.len()].copy_from_slice(inputs);
         for moment in &mut self.moments {
             let more = self.sights[1].look(&state, &mut moment.values, &mut moment.slopes, &mut moment.features);
             moment.scale = if self.normalise { 1.0 / (squares + more).sqrt() } else { 1.0 };
-            let rows = self.weights[1].chunks_exact(moment.features.len().max(1));
+            let rows = candidate.weights[1].chunks_exact(moment.features.len().max(1));
             for ((mean, given), row) in moment.mean.iter_mut().zip(given).zip(rows) {
                 *mean = (given + dot(row, &moment.features)) * moment.scale;
             }
@@ -151,13 +109,17 @@ impl Rehearsal {
                 let there = state[still + i] + change;
                 state[still + i] = if wraps { wrap(there) } else { there };
             }
-            reward.slopes(&state[still..], &self.linear, &mut self.scratch, &mut moment.cost[..self.wraps.len()]);
+            let cost = &mut moment.cost[..self.wraps.len()];
+            last = alone + reward.slopes(&state[still..], &self.linear, &mut self.scratch, cost);
+            let changes = moment.changes.iter().enumerate().take(self.wraps.len());
+            candidate.cost += last + changes.map(|(i, c)| reward.effort(i) * c * c).sum::<f32>();
         }
-        self.back(reward, movement);
+        candidate.cost += (self.last_counts - 1.0) * last;
+        self.back(candidate, reward, movement);
     }
 
     /// Runs back through the moments.
-    fn back(&mut self, reward: &Reward, movement: &Movement) {
+    fn back(&mut self, candidate: &mut Candidate, reward: &Reward, movement: &Movement) {
         let (moved, normalise) = (self.wraps.len(), self.normalise);
         // Slopes of all later cost along the moved inputs.
         let mut later = [0.0; MAX_INPUTS];
@@ -183,14 +145,14 @@ impl Rehearsal {
                 *g += given * scale;
             }
             let n = moment.features.len().max(1);
-            let rows = self.weights[1].chunks_exact(n).zip(self.slope[1].chunks_exact_mut(n));
+            let rows = candidate.weights[1].chunks_exact(n).zip(candidate.slope[1].chunks_exact_mut(n));
             for ((weights, slope), output) in rows.zip(output) {
                 add(slope, &moment.features, output * scale);
                 add(&mut self.along, weights, output * scale);
             }
             self.sights[1].back(&moment.values, &moment.slopes, &self.along, self.still, &mut later);
         }
-        for (slope, given) in self.slope[0].chunks_exact_mut(self.features.len().max(1)).zip(given) {
+        for (slope, given) in candidate.slope[0].chunks_exact_mut(self.features.len().max(1)).zip(given) {
             add(slope, &self.features, given);
         }
     }

@@ -207,7 +207,8 @@ impl Reward {
     }
 
     /// The cost's (negative reward's) coefficients of the moved inputs' functions, given the still inputs `inputs`.
-    pub fn given(&mut self, inputs: &[f32], linear: &mut [f32]) {
+    /// Returns the part of the cost that does not depend on the moved ones.
+    pub fn given(&mut self, inputs: &[f32], linear: &mut [f32]) -> f32 {
         let first = self.starts[self.still];
         for (input, &x) in inputs.iter().enumerate().take(self.still) {
             let start = self.starts[input];
@@ -221,21 +222,32 @@ impl Reward {
             }
             None => linear.fill(0.0),
         }
-        for &(i, j, start) in self.pairs.iter().filter(|(i, j, _)| *i < self.still && *j >= self.still) {
+        let mut alone = -self.single[0];
+        if let Some(singles) = self.singles {
+            alone -= self.values[..first].iter().zip(&self.single[singles..]).map(|(v, w)| v * w).sum::<f32>();
+        }
+        for &(i, j, start) in self.pairs.iter().filter(|(i, _, _)| *i < self.still) {
             let columns = self.bases[j].len();
+            let rows = self.single[start..].chunks_exact(columns).zip(&self.values[self.starts[i]..]);
+            let rows = rows.take(self.bases[i].len());
+            if j < self.still {
+                let b = &self.values[self.starts[j]..];
+                alone -= rows.map(|(row, a)| a * row.iter().zip(b).map(|(w, b)| w * b).sum::<f32>()).sum::<f32>();
+                continue;
+            }
             let linear = &mut linear[self.starts[j] - first..][..columns];
-            let values = &self.values[self.starts[i]..][..self.bases[i].len()];
-            for (row, v) in self.single[start..].chunks_exact(columns).zip(values) {
+            for (row, v) in rows {
                 for (l, w) in linear.iter_mut().zip(row) {
                     *l -= v * w;
                 }
             }
         }
+        alone
     }
 
     /// The slopes of the cost along the moved inputs, at `inputs` (the moved ones), with `linear` from
-    /// [`given`](Self::given). `scratch` is as long as `linear`.
-    pub fn slopes(&mut self, inputs: &[f32], linear: &[f32], scratch: &mut [f32], slopes: &mut [f32]) {
+    /// [`given`](Self::given). `scratch` is as long as `linear`. Returns the part of the cost that depends on them.
+    pub fn slopes(&mut self, inputs: &[f32], linear: &[f32], scratch: &mut [f32], slopes: &mut [f32]) -> f32 {
         let first = self.starts[self.still];
         for (input, &x) in (self.still..self.bases.len()).zip(inputs) {
             let start = self.starts[input];
@@ -252,6 +264,9 @@ impl Reward {
             let pairs = scratch[start - first..][..len].iter().zip(&self.slopes[start..]);
             *slope = pairs.map(|(g, d)| g * d).sum();
         }
+        // What depends on one input counts once, what depends on two was met from both sides.
+        let twice = scratch.iter().zip(linear).zip(&self.values[first..]);
+        0.5 * twice.map(|((s, l), v)| (s + l) * v).sum::<f32>()
     }
 
     /// What a squared change of moved input `moved` costs.

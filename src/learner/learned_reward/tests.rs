@@ -104,10 +104,12 @@ fn the_slope_is_the_numerical_one() {
         }
     }
     let state = [0.4, -0.3, 0.5, -1.0, 0.8, 2.0];
-    rule.rehearsal.begin(&mut policy);
-    rule.rehearsal.imagine(&mut rule.reward, &rule.movement, &state);
-    let positions = rule.rehearsal.positions().map(<[usize]>::to_vec);
-    let slopes = rule.rehearsal.slope.clone();
+    rule.champion.take(&mut policy, &rule.rehearsal.sights);
+    rule.rehearsal.imagine(&mut rule.champion, &mut rule.reward, &rule.movement, &state);
+    let positions = rule.rehearsal.sights.clone().map(|sight| sight.positions);
+    let slopes = rule.champion.slope.clone();
+    let cost = imagined_cost(&mut rule, &plan, &policy, &state);
+    assert!((f64::from(rule.champion.cost) - cost).abs() < 1e-3 * cost, "{} {cost}", rule.champion.cost);
     for (sight, feature, output) in [(0, 100, 0), (0, 200, 3), (1, 5, 1), (1, 30, 2), (1, 40, 0), (1, 60, 3)] {
         let at = positions[sight][feature];
         let mut along = |step: f32| {
