@@ -19,7 +19,7 @@
 
 use glam::Vec4;
 
-use super::{LearningRule, Metric, Tick};
+use super::{LearningRule, Metric, Tick, dot};
 use crate::policy::{Linear, Outputs, norm};
 use crate::scenario::CriticTable;
 
@@ -100,14 +100,7 @@ impl ActorCritic {
 
     /// The value of `features` after `reward`.
     fn value(&self, features: &[f32], reward: f32) -> f32 {
-        const SUMS: usize = 16;
-        let mut sums = [0.0; SUMS];
-        for (v, g) in self.values.chunks(SUMS).zip(features.chunks(SUMS)) {
-            for ((sum, v), g) in sums.iter_mut().zip(v).zip(g) {
-                *sum += v * g;
-            }
-        }
-        sums.iter().sum::<f32>() + self.last[0] * self.critic.reward_feature * reward
+        dot(&self.values, features) + self.last[0] * self.critic.reward_feature * reward
     }
 
     /// The error as far as it may count.
@@ -211,7 +204,7 @@ mod tests {
         rule.learn(&mut policy, &tick(&a, &noise, -2.0, &b));
         // No value yet: delta = r. v = 0.5 * -2 * a; the last reward was 0, so its weight stays.
         assert_eq!(rule.values, [-1.0, 0.0, -0.5, 0.0]);
-        assert!((policy.weight(1, 0) - 0.1 * -2.0 * -1.0).abs() < 1e-6);
+        assert!((policy.weight(1, 0) - 0.2).abs() < 1e-6);
         // delta = -1 + 0.9 * -0.5 - -0.25.
         rule.learn(&mut policy, &tick(&b, &noise, -1.0, &c));
         let delta = -1.0 + 0.9 * -0.5 + 0.25_f32;

@@ -8,6 +8,7 @@
 
 use rand::RngExt as _;
 
+use super::dot;
 use crate::encoder::Encoder;
 use crate::scenario::Plan;
 use crate::seed::stream;
@@ -60,15 +61,8 @@ impl Metric {
 
     /// Multiplies.
     pub fn apply(&mut self, features: &[f32]) {
-        const SUMS: usize = 16;
         for (result, row) in self.result.iter_mut().zip(self.inverse.chunks_exact(features.len())) {
-            let mut sums = [0.0; SUMS];
-            for (m, g) in row.chunks(SUMS).zip(features.chunks(SUMS)) {
-                for ((sum, m), g) in sums.iter_mut().zip(m).zip(g) {
-                    *sum += m * g;
-                }
-            }
-            *result = sums.iter().sum();
+            *result = dot(row, features);
         }
     }
 

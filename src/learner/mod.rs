@@ -148,5 +148,31 @@ impl LearningRule for Learner {
     }
 }
 
+/// `to += factor * from`.
+fn add(to: &mut [f32], from: &[f32], factor: f32) {
+    for (t, f) in to.iter_mut().zip(from) {
+        *t += factor * f;
+    }
+}
+
+/// The sum of products, in a fixed order.
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let (a, b) = (a.as_chunks::<16>(), b.as_chunks::<16>());
+    let mut sums = [0.0; 16];
+    for (a, b) in a.0.iter().zip(b.0) {
+        for i in 0..16 {
+            sums[i] += a[i] * b[i];
+        }
+    }
+    let rest: f32 = a.1.iter().zip(b.1).map(|(a, b)| a * b).sum();
+    let [mut four, more @ ..]: [[f32; 4]; 4] = bytemuck::cast(sums);
+    for more in more {
+        for i in 0..4 {
+            four[i] += more[i];
+        }
+    }
+    (four[0] + four[2]) + (four[1] + four[3]) + rest
+}
+
 #[cfg(test)]
 mod tests;

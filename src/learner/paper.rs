@@ -75,9 +75,9 @@ mod tests {
         let mut rule = Paper::new(4, 4, 0.75, 0.1);
         let g = [1.0, 0.5, 0.0, 0.25];
         assert_eq!(rule.step(&mut policy, &g, &NOISE, -2.0), -0.2);
-        for output in 0..4 {
+        for (output, noise) in NOISE.iter().enumerate().take(4) {
             for (i, g) in g.iter().enumerate() {
-                let expected = -0.2 * 0.25 * NOISE[output] * g;
+                let expected = -0.2 * 0.25 * noise * g;
                 assert!((policy.weight(output, i) - expected).abs() < 1e-7);
             }
         }

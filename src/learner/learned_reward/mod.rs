@@ -35,6 +35,8 @@ use rehearsal::{Rehearsal, wrap};
 use reward::Reward;
 use sight::Sight;
 
+/// Ticks since a change of the world that are enough to start imagined movements from.
+const FEW: u64 = 400;
 /// A challenger takes over when its mean cost is below this share of the champion's,
 const BETTER: f32 = 0.99;
 /// and not before this age, in ticks.
@@ -71,6 +73,8 @@ pub struct LearnedReward {
     /// States in the model's order, a ring.
     memory: Vec<[f32; MAX_INPUTS]>,
     remembered: u64,
+    /// Ticks since the world seemed to change.
+    unchanged: u64,
     rng: Rng,
     waiting: Option<Waiting>,
     slope_norm: f32,
@@ -114,6 +118,7 @@ impl LearnedReward {
             rehearsal,
             memory: vec![[0.0; MAX_INPUTS]; table.memory],
             remembered: 0,
+            unchanged: 0,
             rng: stream(plan.scenario.seed, "rehearsal"),
             waiting: None,
             slope_norm: 0.0,
@@ -129,8 +134,10 @@ impl LearnedReward {
 
     /// A state that was, with the place to go to there, or one anywhere in the box.
     fn imagine(&mut self) -> [f32; MAX_INPUTS] {
-        let known = (self.remembered as usize).min(self.memory.len());
-        let mut state = self.memory[self.rng.random_range(0..known)];
+        // What was before a change of the world is no place to start from, once there is enough since.
+        let window = self.unchanged.max(FEW).min(self.remembered).min(self.memory.len() as u64);
+        let tick = self.remembered - 1 - self.rng.random_range(0..window);
+        let mut state = self.memory[(tick % self.memory.len() as u64) as usize];
         if self.rng.random::<f64>() < self.table.imagined {
             for (x, [low, high]) in state.iter_mut().zip(&self.box_) {
                 *x = low + (high - low) * self.rng.random::<f32>();
@@ -178,7 +185,9 @@ impl LearnedReward {
         self.memory[at] = before;
         self.remembered += 1;
         self.halted = changed.is_none();
+        self.unchanged += 1;
         if changed == Some(true) || other_body {
+            self.unchanged = 0;
             self.champion.age = 0;
             self.champion.mean_cost = 0.0;
             self.renew();

@@ -5,6 +5,7 @@
 //! both models learned). The last tick may count several times: it stands for those that would follow.
 
 use super::{candidate::Candidate, movement::Movement, reward::Reward, sight::Sight};
+use crate::learner::{add, dot};
 use crate::policy::Outputs;
 use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
 
@@ -127,11 +128,12 @@ impl Rehearsal {
         let mut times = self.last_counts;
         for moment in self.moments.iter().rev() {
             let mut output = [0.0; MAX_OUTPUTS];
-            for i in 0..moved {
-                later[i] += times * moment.cost[i];
-                let change = later[i] + 2.0 * reward.effort(i) * moment.changes[i];
+            let costs = later.iter_mut().zip(moment.cost).zip(moment.changes).take(moved);
+            for (i, ((later, cost), change)) in costs.enumerate() {
+                *later += times * cost;
+                let along = *later + 2.0 * reward.effort(i) * change;
                 for (o, b) in output.iter_mut().zip(&movement.gains[i]) {
-                    *o += change * b;
+                    *o += along * b;
                 }
             }
             times = 1.0;
@@ -156,30 +158,4 @@ impl Rehearsal {
             add(slope, &self.features, given);
         }
     }
-}
-
-/// `to += factor * from`.
-fn add(to: &mut [f32], from: &[f32], factor: f32) {
-    for (t, f) in to.iter_mut().zip(from) {
-        *t += factor * f;
-    }
-}
-
-/// The sum of products, in a fixed order.
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let (a, b) = (a.as_chunks::<16>(), b.as_chunks::<16>());
-    let mut sums = [0.0; 16];
-    for (a, b) in a.0.iter().zip(b.0) {
-        for i in 0..16 {
-            sums[i] += a[i] * b[i];
-        }
-    }
-    let rest: f32 = a.1.iter().zip(b.1).map(|(a, b)| a * b).sum();
-    let [mut four, more @ ..]: [[f32; 4]; 4] = bytemuck::cast(sums);
-    for more in more {
-        for i in 0..4 {
-            four[i] += more[i];
-        }
-    }
-    (four[0] + four[2]) + (four[1] + four[3]) + rest
 }
