@@ -8,6 +8,7 @@
 
 mod error;
 mod file;
+mod learner;
 pub mod limits;
 mod presets;
 mod signals;
@@ -21,6 +22,7 @@ mod tests;
 
 pub use error::{Place, ScenarioError};
 pub use file::*;
+pub use learner::*;
 pub use presets::{Preset, presets};
 pub use source::Source;
 

@@ -92,3 +92,44 @@ fn whole(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<(), Pr
     }
     Err(Problem::value(key, value, format_args!("give {} to {}", range.start(), range.end())))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::Scenario;
+    use super::*;
+
+    /// The message for the built-in arm with this `[learner]`.
+    fn message(learner: &str) -> String {
+        let mut scenario = Scenario::find("arm").unwrap();
+        scenario.learner = toml::from_str(learner).unwrap();
+        scenario.plan().err().map_or("fine".into(), |e| e.to_string())
+    }
+
+    #[test]
+    fn presets_are_valid_and_survive_being_written() {
+        for rule in [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward] {
+            let mut scenario = Scenario::find("arm").unwrap();
+            scenario.learner = LearnerTable::preset(rule);
+            let plan = scenario.plan().unwrap();
+            let again = Scenario::parse(&plan.scenario.to_toml(), "again").unwrap().plan().unwrap();
+            assert_eq!((plan.hash, plan.scenario.learner), (again.hash, again.scenario.learner));
+        }
+    }
+
+    #[test]
+    fn bad_settings_are_named() {
+        for (learner, expected) in [
+            ("rule = \"learned-reward\"", "fine"),
+            ("rule = \"actor-critic\"\n[critic]\ndiscount = 1", "learner.critic.discount is 1"),
+            ("rule = \"actor-critic\"\n[critic]\nbound = 0.5", "learner.critic.bound is 0.5"),
+            ("rule = \"paper\"\n[critic]\nstep = 0.1", "learner.critic"),
+            ("rule = \"baseline\"\n[baseline]\nticks = 0", "learner.baseline.ticks is 0"),
+            ("rule = \"learned-reward\"\n[model]\nhorizon = 0", "learner.model.horizon is 0"),
+            ("rule = \"learned-reward\"\n[model]\nmoved = [\"elbow\"]", "learner.model.moved[0] is \"elbow\""),
+            ("rule = \"learned-reward\"\n[model]\nreward_noise = nan", "learner.model.reward_noise is nan"),
+        ] {
+            let message = message(learner);
+            assert!(message.contains(expected), "{message}");
+        }
+    }
+}
