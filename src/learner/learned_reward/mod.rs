@@ -38,9 +38,9 @@ use sight::Sight;
 /// Ticks since a change of the world that are enough to start imagined movements from.
 const FEW: u64 = 400;
 /// A challenger takes over when its mean cost is below this share of the champion's,
-const BETTER: f32 = 0.99;
+const BETTER: f32 = 0.98;
 /// and not before this age, in ticks.
-const GROWN: u64 = 100;
+const GROWN: u64 = 200;
 
 /// A tick to be learned from when there is time.
 #[derive(Debug, Clone)]
@@ -179,8 +179,10 @@ impl LearnedReward {
     fn absorb(&mut self) {
         let Some(Waiting { inputs, before, changes, applied, reward }) = self.waiting.take() else { return };
         let (count, moved) = (self.inputs.len(), self.wraps.len());
-        let changed = self.reward.learn(&inputs[..count], &changes[..moved], reward);
         let other_body = self.movement.learn(&applied, &changes[..moved]);
+        // A body that moves otherwise than it was asked to earns a reward that says nothing about asking.
+        let changed =
+            if other_body { Some(false) } else { self.reward.learn(&inputs[..count], &changes[..moved], reward) };
         let at = self.remembered as usize % self.memory.len();
         self.memory[at] = before;
         self.remembered += 1;

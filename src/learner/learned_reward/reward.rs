@@ -18,8 +18,8 @@ const LEAK: f64 = 1e-7;
 const DOUBT: f64 = 0.2;
 /// Share of the newest tick in the mean of normalised squared errors.
 const NEWEST: f64 = 0.2;
-/// No tick counts for more than this in it.
-const MOST: f64 = 100.0;
+/// No tick counts for more than this in it, so that it takes three in a row to raise the alarm.
+const MOST: f64 = 25.0;
 /// That mean above which the world has changed; 1 is to be expected.
 const ALARM: f64 = 12.0;
 
