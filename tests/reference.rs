@@ -79,7 +79,7 @@ impl Learner {
     }
 
     fn learn(&mut self, noise: &Outputs, reward: f32) {
-        self.rule.learn(&mut self.policy, self.features.as_slice(), noise, reward);
+        self.rule.step(&mut self.policy, self.features.as_slice(), noise, reward);
     }
 
     #[track_caller]

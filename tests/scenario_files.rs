@@ -337,7 +337,7 @@ fn every_mistake_has_its_message() {
         (ARM, "name = \"arm\"", "name = 5",
             "x.toml:2: name is 5; give a text in quotes"),
         (ARM, "rule = \"paper\"", "rule = \"papers\"",
-            "x.toml:44: learner.rule is \"papers\"; give \"paper\""),
+            "x.toml:44: learner.rule is \"papers\"; give \"paper\", \"baseline\", \"actor-critic\", \"natural-actor-critic\" or \"learned-reward\""),
         (ARM, "rule = \"paper\"", "rule = 3",
             "x.toml:44: learner.rule is not a text; give one of its words in quotes"),
         (EYE, "retina = \"log-polar\"", "retina = \"polar\"",

@@ -1,8 +1,178 @@
 //! Learning rules: from what was done and what came of it to new weights.
 //!
-//! A rule sees what the agent sees: the features, the exploration that was applied, the reward. It is told when a tick
-//! is not to be learned from; why is the runtime's business.
+//! A rule sees what the agent sees: inputs and their features, the exploration and the command that were applied, the
+//! reward. It is told when a tick is not to be learned from; why is the runtime's business. Each rule stands in its own
+//! file with its source, behind one small face, [`LearningRule`]; [`Learner`] is the one that a scenario names.
+//!
+//! | rule | file | source |
+//! |---|---|---|
+//! | `paper` | `paper.rs` | Daucé & Dutech 2010, section 3.2 |
+//! | `baseline` | `baseline.rs` | Williams 1992: the same, reward less its running mean |
+//! | `actor-critic` | `actor_critic.rs` | Degris, Pilarski & Sutton 2012 |
+//! | `natural-actor-critic` | `actor_critic.rs`, `metric.rs` | Kakade 2001; Bhatnagar et al. 2009 |
+//! | `learned-reward` | `learned_reward/` | model-based value gradients: Heess et al. 2015, Deisenroth & Rasmussen 2011 |
 
+mod actor_critic;
+mod baseline;
+mod learned_reward;
+mod metric;
 mod paper;
 
+pub use actor_critic::{ActorCritic, Critic};
+pub use baseline::Baseline;
+pub use learned_reward::LearnedReward;
+pub use metric::Metric;
 pub use paper::Paper;
+
+use crate::encoder::Encoder;
+use crate::policy::{Linear, Outputs};
+use crate::scenario::{Plan, Rule};
+
+/// One tick that may be learned from, with the inputs that followed it.
+#[derive(Debug, Clone, Copy)]
+pub struct Tick<'a> {
+    /// The features that the policy answered, in the encoder's padded layout.
+    pub features: &'a [f32],
+    /// The inputs behind them.
+    pub inputs: &'a [f32],
+    /// What the applied command differed from the policy's mean by.
+    pub noise: &'a Outputs,
+    /// The command that was applied.
+    pub applied: &'a Outputs,
+    /// What came of it.
+    pub reward: f32,
+    /// The features of the tick after.
+    pub next_features: &'a [f32],
+    /// The inputs of the tick after.
+    pub next_inputs: &'a [f32],
+}
+
+/// What every learning rule can do. Nothing in it allocates, and what it does is a function of the ticks it was given and
+/// of the run's seed alone.
+pub trait LearningRule {
+    /// Learns from one tick, before the next command goes out: the cheap part. Returns the factor with which the trace
+    /// was added to the weights, or for a rule without a trace the size of its last step.
+    fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32;
+
+    /// Uses the time after the command has gone out: the dear part. Called once a tick, learned from or not.
+    fn improve(&mut self, _policy: &mut Linear) {}
+
+    /// Forgets what was done: after a tick in which something else happened than the policy asked for, no credit
+    /// crosses over.
+    fn cut_trace(&mut self);
+
+    /// Euclidean norm of the trace; for a rule without one, of what stands in its place in the log.
+    fn trace_norm(&self) -> f32;
+
+    /// Whether the rule met a number that is not finite. It has then stopped learning, for good.
+    fn halted(&self) -> bool {
+        false
+    }
+}
+
+/// The rule of a scenario.
+#[derive(Debug, Clone)]
+pub enum Learner {
+    /// The paper's rule.
+    Paper(Paper),
+    /// The paper's rule with a baseline.
+    Baseline(Baseline),
+    /// Actor-critic, plain or natural.
+    ActorCritic(ActorCritic),
+    /// Policy improvement through a learned model of the reward.
+    LearnedReward(Box<LearnedReward>),
+}
+
+impl Learner {
+    /// The learner that `plan` names, for features of `encoder`.
+    pub fn of(plan: &Plan, encoder: &Encoder) -> Self {
+        let (table, len, outputs) = (&plan.scenario.learner, encoder.len(), plan.outputs.len());
+        let paper = || Paper::new(len, outputs, table.beta as f32, table.alpha_over_variance as f32);
+        let critic = || Critic::of(&table.critic.clone().unwrap_or_default());
+        match table.rule {
+            Rule::Paper => Self::Paper(paper()),
+            Rule::Baseline => {
+                Self::Baseline(Baseline::new(paper(), table.baseline.clone().unwrap_or_default().ticks as f32))
+            }
+            Rule::ActorCritic => {
+                let step = table.alpha_over_variance as f32;
+                Self::ActorCritic(ActorCritic::new(len, outputs, table.beta as f32, step, critic(), None))
+            }
+            Rule::NaturalActorCritic => {
+                let step = table.alpha_over_variance as f32;
+                let metric = Metric::of(plan, encoder);
+                Self::ActorCritic(ActorCritic::new(len, outputs, table.beta as f32, step, critic(), Some(metric)))
+            }
+            Rule::LearnedReward => Self::LearnedReward(Box::new(LearnedReward::of(plan, encoder))),
+        }
+    }
+
+    fn rule(&self) -> &dyn LearningRule {
+        match self {
+            Self::Paper(rule) => rule,
+            Self::Baseline(rule) => rule,
+            Self::ActorCritic(rule) => rule,
+            Self::LearnedReward(rule) => &**rule,
+        }
+    }
+
+    fn rule_mut(&mut self) -> &mut dyn LearningRule {
+        match self {
+            Self::Paper(rule) => rule,
+            Self::Baseline(rule) => rule,
+            Self::ActorCritic(rule) => rule,
+            Self::LearnedReward(rule) => &mut **rule,
+        }
+    }
+}
+
+impl LearningRule for Learner {
+    fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32 {
+        self.rule_mut().learn(policy, tick)
+    }
+
+    fn improve(&mut self, policy: &mut Linear) {
+        self.rule_mut().improve(policy);
+    }
+
+    fn cut_trace(&mut self) {
+        self.rule_mut().cut_trace();
+    }
+
+    fn trace_norm(&self) -> f32 {
+        self.rule().trace_norm()
+    }
+
+    fn halted(&self) -> bool {
+        self.rule().halted()
+    }
+}
+
+/// `to += factor * from`.
+fn add(to: &mut [f32], from: &[f32], factor: f32) {
+    for (t, f) in to.iter_mut().zip(from) {
+        *t += factor * f;
+    }
+}
+
+/// The sum of products, in a fixed order.
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let (a, b) = (a.as_chunks::<16>(), b.as_chunks::<16>());
+    let mut sums = [0.0; 16];
+    for (a, b) in a.0.iter().zip(b.0) {
+        for i in 0..16 {
+            sums[i] += a[i] * b[i];
+        }
+    }
+    let rest: f32 = a.1.iter().zip(b.1).map(|(a, b)| a * b).sum();
+    let [mut four, more @ ..]: [[f32; 4]; 4] = bytemuck::cast(sums);
+    for more in more {
+        for i in 0..4 {
+            four[i] += more[i];
+        }
+    }
+    (four[0] + four[2]) + (four[1] + four[3]) + rest
+}
+
+#[cfg(test)]
+mod tests;

@@ -12,6 +12,7 @@
 
 use glam::Vec4;
 
+use super::{LearningRule, Tick};
 use crate::policy::{Linear, Outputs, norm};
 
 /// The rule, its constants and its trace.
@@ -32,7 +33,7 @@ impl Paper {
 
     /// Learns from one tick: `features` and `noise` are those of the tick that earned `reward`. Returns the factor with
     /// which the trace was added to the weights, `rate * reward`.
-    pub fn learn(&mut self, policy: &mut Linear, features: &[f32], noise: &Outputs, reward: f32) -> f32 {
+    pub fn step(&mut self, policy: &mut Linear, features: &[f32], noise: &Outputs, reward: f32) -> f32 {
         let step = self.rate * reward;
         let lanes = noise.chunks_exact(4).map(Vec4::from_slice);
         for ((weights, trace), noise) in policy.groups_mut().zip(&mut self.trace).zip(lanes) {
@@ -44,17 +45,20 @@ impl Paper {
         }
         step
     }
+}
 
-    /// Forgets what was done: after a tick in which something else happened than the policy asked for, no credit
-    /// crosses over.
-    pub fn cut_trace(&mut self) {
+impl LearningRule for Paper {
+    fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32 {
+        self.step(policy, tick.features, tick.noise, tick.reward)
+    }
+
+    fn cut_trace(&mut self) {
         for group in &mut self.trace {
             group.fill(Vec4::ZERO);
         }
     }
 
-    /// Euclidean norm of the trace.
-    pub fn trace_norm(&self) -> f32 {
+    fn trace_norm(&self) -> f32 {
         norm(&self.trace)
     }
 }
@@ -70,7 +74,7 @@ mod tests {
         let mut policy = Linear::new(4, (0..4).collect(), 4);
         let mut rule = Paper::new(4, 4, 0.75, 0.1);
         let g = [1.0, 0.5, 0.0, 0.25];
-        assert_eq!(rule.learn(&mut policy, &g, &NOISE, -2.0), -0.2);
+        assert_eq!(rule.step(&mut policy, &g, &NOISE, -2.0), -0.2);
         for (output, noise) in NOISE[..4].iter().enumerate() {
             for (i, g) in g.iter().enumerate() {
                 let expected = -0.2 * 0.25 * noise * g;
@@ -83,9 +87,9 @@ mod tests {
     fn the_trace_decays_and_a_cut_clears_it() {
         let mut policy = Linear::new(4, (0..4).collect(), 4);
         let mut rule = Paper::new(4, 4, 0.5, 0.1);
-        rule.learn(&mut policy, &[1.0; 4], &NOISE, 0.0);
+        rule.step(&mut policy, &[1.0; 4], &NOISE, 0.0);
         let norm = rule.trace_norm();
-        rule.learn(&mut policy, &[1.0; 4], &[0.0; 8], 0.0);
+        rule.step(&mut policy, &[1.0; 4], &[0.0; 8], 0.0);
         assert!((rule.trace_norm() - norm / 2.0).abs() < 1e-6);
         rule.cut_trace();
         assert_eq!(rule.trace_norm(), 0.0);
@@ -99,8 +103,8 @@ mod tests {
         let mut noise = NOISE;
         noise[4..].copy_from_slice(&NOISE[..4]);
         for k in 0..5 {
-            a.learn(&mut four, &[0.3; 4], &noise, k as f32);
-            b.learn(&mut eight, &[0.3; 4], &noise, k as f32);
+            a.step(&mut four, &[0.3; 4], &noise, k as f32);
+            b.step(&mut eight, &[0.3; 4], &noise, k as f32);
         }
         for output in 0..8 {
             assert_eq!(eight.weight(output, 2), four.weight(output % 4, 2));

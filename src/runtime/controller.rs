@@ -6,10 +6,10 @@ use super::{ControllerReport, RuntimeError, Seat, Session, Tally};
 use crate::channel::ControllerPorts;
 use crate::clock::{Backoff, TimeSource};
 use crate::encoder::{Encoder, Features};
-use crate::learner::Paper;
+use crate::learner::{Learner, LearningRule, Tick};
 use crate::policy::{Exploration, Linear, Outputs};
 use crate::scenario::Plan;
-use crate::wire::{Command, Header, Learning, MAX_OUTPUTS, Observation, State, flag};
+use crate::wire::{Command, Header, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, State, flag};
 
 /// Encoder, policy and learner: the controller's half of every tick, without clock and transport.
 ///
@@ -20,16 +20,19 @@ pub struct Controller {
     encoder: Encoder,
     policy: Linear,
     exploration: Exploration,
-    rule: Paper,
+    rule: Learner,
     inputs: usize,
     ticks: u64,
     hash_every: u64,
     /// The tick answered last, unless its answer was not the policy's.
     answered: Option<u64>,
-    /// Features, mean and noise of that answer.
+    /// Inputs, features, mean and noise of that answer.
+    shown: [f32; MAX_INPUTS],
     features: Features,
     mean: Outputs,
     noise: Outputs,
+    /// Features of the observation in hand.
+    next: Features,
     /// What the learner did in this tick.
     flags: u32,
     step: f32,
@@ -47,16 +50,17 @@ impl Controller {
         let outputs = plan.outputs.len();
         let encoder = Encoder::new(&plan.maps, scenario.encoder.normalise);
         let (len, order) = (encoder.len(), encoder.positions().collect());
-        let learner = &scenario.learner;
         Self {
             policy: Linear::new(len, order, outputs),
             exploration: Exploration::new(scenario.seed, scenario.policy.sigma as f32, outputs),
-            rule: Paper::new(len, outputs, learner.beta as f32, learner.alpha_over_variance as f32),
+            rule: Learner::of(plan, &encoder),
             inputs: plan.inputs.len(),
             ticks: scenario.ticks,
             hash_every: scenario.log.hash_every,
             answered: None,
+            shown: [0.0; MAX_INPUTS],
             features: encoder.features(),
+            next: encoder.features(),
             encoder,
             mean: [0.0; MAX_OUTPUTS],
             noise: [0.0; MAX_OUTPUTS],
@@ -76,6 +80,9 @@ impl Controller {
         let tick = observation.header.tick;
         let inputs = &observation.inputs[..self.inputs];
         let blind = !inputs.iter().all(|x| x.is_finite());
+        if !blind {
+            self.encoder.encode(inputs, &mut self.next);
+        }
         self.learn(observation, blind);
 
         command.header.tick = tick;
@@ -85,7 +92,8 @@ impl Controller {
             command.header.flags = flag::INVALID;
             self.report.invalid += 1;
         } else {
-            self.encoder.encode(inputs, &mut self.features);
+            std::mem::swap(&mut self.features, &mut self.next);
+            self.shown = observation.inputs;
             self.mean = self.policy.mean(self.features.as_slice());
             self.noise = self.exploration.draw();
             self.answered = Some(tick);
@@ -116,12 +124,23 @@ impl Controller {
         let Some(answered) = self.answered else { return };
         let ours = flags & NOT_OURS == 0 && observation.header.tick == answered + 1;
         if ours && !blind && observation.reward.is_finite() {
+            let mut applied: Outputs = std::array::from_fn(|i| self.mean[i] + self.noise[i]);
             if flags & flag::CLAMPED != 0 {
-                for (noise, (applied, mean)) in self.noise.iter_mut().zip(observation.applied.iter().zip(self.mean)) {
+                applied = observation.applied;
+                for (noise, (applied, mean)) in self.noise.iter_mut().zip(applied.iter().zip(self.mean)) {
                     *noise = applied - mean;
                 }
             }
-            self.step = self.rule.learn(&mut self.policy, self.features.as_slice(), &self.noise, observation.reward);
+            let tick = Tick {
+                features: self.features.as_slice(),
+                inputs: &self.shown[..self.inputs],
+                noise: &self.noise,
+                applied: &applied,
+                reward: observation.reward,
+                next_features: self.next.as_slice(),
+                next_inputs: &observation.inputs[..self.inputs],
+            };
+            self.step = self.rule.learn(&mut self.policy, &tick);
             self.flags = flag::LEARNED;
             self.report.learned += 1;
         } else {
@@ -131,8 +150,12 @@ impl Controller {
         }
     }
 
-    /// Brings the account up to date with the observation.
+    /// What nobody waits for: lets the learner use the time, and brings the account up to date with the observation.
     pub fn settle(&mut self, observation: &Observation) {
+        self.rule.improve(&mut self.policy);
+        if self.rule.halted() {
+            self.report.diverged_at.get_or_insert(observation.header.tick);
+        }
         self.tally.observe(observation);
         self.report.ticks += 1;
     }
@@ -142,7 +165,8 @@ impl Controller {
         let tick = observation.header.tick;
         let hashed = tick.is_multiple_of(self.hash_every) || tick + 1 == self.ticks;
         learning.header.tick = tick;
-        learning.header.flags = self.flags | if hashed { flag::HASHED } else { 0 };
+        let halted = if self.rule.halted() { flag::DIVERGED } else { 0 };
+        learning.header.flags = self.flags | halted | if hashed { flag::HASHED } else { 0 };
         learning.noise = self.noise;
         learning.reward = if self.flags & flag::LEARNED != 0 { observation.reward } else { 0.0 };
         learning.step = self.step;
@@ -154,6 +178,11 @@ impl Controller {
     /// The policy as it is now.
     pub fn policy(&self) -> &Linear {
         &self.policy
+    }
+
+    /// Whether the learner met a number that is not finite and has stopped learning.
+    pub fn halted(&self) -> bool {
+        self.rule.halted()
     }
 
     /// The account as it is now.

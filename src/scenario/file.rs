@@ -10,7 +10,7 @@ use serde::{
     de::{Error, IgnoredAny, SeqAccess, Visitor},
 };
 
-use super::Source;
+use super::{LearnerTable, Source};
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -202,26 +202,6 @@ pub struct PolicyTable {
     pub sigma: f64,
 }
 
-/// `[learner]`: the rule and its constants.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LearnerTable {
-    /// The learning rule.
-    pub rule: Rule,
-    /// Decay of the eligibility trace a tick, in [0, 1).
-    pub beta: f64,
-    /// The step `alpha / sigma^2`.
-    pub alpha_over_variance: f64,
-}
-
-/// The learning rules.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Rule {
-    /// Daucé & Dutech 2010, section 3.2.
-    Paper,
-}
-
 /// `[gate]`: between a command and the actuators.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -339,12 +319,6 @@ impl Default for EyeTable {
 impl Default for PolicyTable {
     fn default() -> Self {
         Self { sigma: 0.003 }
-    }
-}
-
-impl Default for LearnerTable {
-    fn default() -> Self {
-        Self { rule: Rule::Paper, beta: 0.9, alpha_over_variance: 0.01 }
     }
 }
 

@@ -63,3 +63,23 @@ pub const MIN_SIGMA: f64 = 1e-9;
 pub const STEP: RangeInclusive<f64> = 0.0..=1000.0;
 /// Most ticks of hold or decay.
 pub const MAX_HOLD: u32 = 1_000_000;
+/// Time constants of a learner, ticks.
+pub const LEARNER_TICKS: RangeInclusive<f64> = 1.0..=1e12;
+/// Factor with which the last reward is a feature of the critic.
+pub const REWARD_FEATURE: RangeInclusive<f64> = 0.0..=1000.0;
+/// Largest temporal-difference error that counts, in means of its size; below 1 the usual error would not count in full.
+pub const ERROR_BOUND: RangeInclusive<f64> = 1.0..=1e9;
+/// Regularisation of the natural gradient: below 1e-6 the inverse would lose its digits.
+pub const REGULARISATION: RangeInclusive<f64> = 1e-6..=1e6;
+/// Standard deviations in the reward model.
+pub const SPREADS: RangeInclusive<f64> = 1e-6..=1e6;
+/// Imagined movements for a step, ticks of each, steps a tick.
+pub const IMAGINED: RangeInclusive<usize> = 1..=1024;
+/// Ticks of the past that the learned-reward rule remembers.
+pub const MEMORY: RangeInclusive<usize> = 1..=1_000_000;
+/// How many times the last tick of an imagined movement counts.
+pub const LAST_COUNTS: RangeInclusive<f64> = 1.0..=1000.0;
+/// Size of the learned-reward rule's step, in units of a weight.
+pub const MODEL_STEP: RangeInclusive<f64> = 0.0..=1.0;
+/// Most inputs of a learned reward: its covariance grows with their number to the fourth.
+pub const MODEL_INPUTS: usize = 10;

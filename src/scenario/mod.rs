@@ -8,11 +8,13 @@
 
 mod error;
 mod file;
+mod learner;
 pub mod limits;
 mod presets;
 mod signals;
 mod source;
 mod validate;
+mod validate_learner;
 mod validate_plant;
 
 #[cfg(test)]
@@ -20,6 +22,7 @@ mod tests;
 
 pub use error::{Place, ScenarioError};
 pub use file::*;
+pub use learner::*;
 pub use presets::{Preset, presets};
 pub use source::Source;
 
@@ -133,6 +136,7 @@ impl Scenario {
     /// The same scenario with the units and ranges of its maps filled in where they follow from the inputs.
     fn resolved(&self) -> Self {
         let mut scenario = self.clone();
+        scenario.learner = scenario.learner.resolved();
         let inputs = signals(self).inputs;
         for map in &mut scenario.encoder.maps {
             if map.units.is_empty() {

@@ -89,7 +89,7 @@ fn follow<'d, 'i>(document: &'d DeTable<'i>, path: &str) -> Option<(usize, &'d D
 /// The first list that stands where a table belongs, and where it begins. serde would take its entries for the table's
 /// keys in the order of their declaration, which nobody means.
 pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> {
-    const TABLES: [&str; 10] = [
+    const TABLES: [&str; 13] = [
         "plant",
         "plant.arm",
         "plant.arm.reward",
@@ -97,6 +97,9 @@ pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> 
         "encoder",
         "policy",
         "learner",
+        "learner.baseline",
+        "learner.critic",
+        "learner.model",
         "gate",
         "log",
         "channels",

@@ -7,7 +7,7 @@ use std::{collections::HashSet, fmt::Display, ops::RangeInclusive};
 
 use super::{
     EncoderTable, GateTable, LogTable, MapTable, Scenario, SignalTable, error::Problem, error::either, error::quoted,
-    find, limits, signals::signals, validate_plant,
+    find, limits, signals::signals, validate_learner, validate_plant,
 };
 use crate::wire::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
 
@@ -24,11 +24,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
 
     encoder(&scenario.encoder, &signals.inputs)?;
     policy(scenario.policy.sigma, scenario.gate.max_command)?;
-    let beta = scenario.learner.beta;
-    if !(0.0..1.0).contains(&beta) {
-        return Err(Problem::value("learner.beta", show(beta), "give at least 0 and less than 1"));
-    }
-    number("learner.alpha_over_variance", scenario.learner.alpha_over_variance, limits::STEP, "give 0 to 1000")?;
+    validate_learner::check(&scenario.learner, &signals)?;
     log(&scenario.log)?;
     channels(scenario)
 }

@@ -1,0 +1,66 @@
+//! The paper's rule with a baseline: the reward less its running mean (Williams 1992, *Simple Statistical
+//! Gradient-Following Algorithms for Connectionist Reinforcement Learning*, section 3).
+//!
+//! ```text
+//! W_{k+1} = W_k + (alpha / sigma^2) (r_k - b_k) z_k
+//! b_{k+1} = b_k + (r_k - b_k) / min(k + 1, N)
+//! ```
+//!
+//! The mean is taken before the reward of the tick enters it, so that the gradient stays unbiased. Until N ticks have
+//! been it is the plain mean, after that it forgets with the time constant N.
+
+use super::{LearningRule, Paper, Tick};
+use crate::policy::Linear;
+
+/// The rule and its mean.
+#[derive(Debug, Clone)]
+pub struct Baseline {
+    rule: Paper,
+    ticks: f32,
+    seen: f32,
+    mean: f32,
+}
+
+impl Baseline {
+    /// `rule` with a running mean over `ticks` ticks.
+    pub fn new(rule: Paper, ticks: f32) -> Self {
+        Self { rule, ticks: ticks.max(1.0), seen: 0.0, mean: 0.0 }
+    }
+
+    /// What the reward was less of its mean so far; the mean then takes it in.
+    fn advantage(&mut self, reward: f32) -> f32 {
+        // The first reward is its own mean: there is nothing to compare it with.
+        let advantage = if self.seen == 0.0 { 0.0 } else { reward - self.mean };
+        self.seen = (self.seen + 1.0).min(self.ticks);
+        self.mean += (reward - self.mean) / self.seen;
+        advantage
+    }
+}
+
+impl LearningRule for Baseline {
+    fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32 {
+        let advantage = self.advantage(tick.reward);
+        self.rule.step(policy, tick.features, tick.noise, advantage)
+    }
+
+    fn cut_trace(&mut self) {
+        self.rule.cut_trace();
+    }
+
+    fn trace_norm(&self) -> f32 {
+        self.rule.trace_norm()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mean_is_plain_at_first_and_then_forgets() {
+        let mut rule = Baseline::new(Paper::new(4, 4, 0.0, 1.0), 2.0);
+        let advantages = [-1.0, -2.0, -4.0, -4.0].map(|r| rule.advantage(r));
+        // Means before each reward: none, -1, -1.5, -2.75.
+        assert_eq!(advantages, [0.0, -1.0, -2.5, -1.25]);
+    }
+}

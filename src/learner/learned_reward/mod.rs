@@ -1,0 +1,263 @@
+//! The learned-reward rule: learn what the reward depends on, and improve the policy through that.
+//!
+//! The agent sees only inputs, reward and its own commands. From these it learns, one tick at a time, a model of the reward
+//! (`reward.rs`) and one of how its commands move its inputs (`movement.rs`). After each command has gone out it imagines
+//! movements from states it has been in to places anywhere in the box of inputs, and descends the imagined cost along the
+//! weights of the policy (`rehearsal.rs`), which is the paper's `u = W g + noise` still. Sources: value gradients (Heess et
+//! al. 2015, *Learning Continuous Control Policies by Stochastic Value Gradients*), model-based policy search (Deisenroth &
+//! Rasmussen 2011, *PILCO*), Dyna's use of the time between actions (Sutton 1990), Adam (Kingma & Ba 2015).
+//!
+//! Descent may end in a minimum that is not the best: an arm can reach in more than one way. So the policy, the champion,
+//! has a challenger, which starts from nothing every so often and is rehearsed on the same movements; when it costs less it
+//! takes over. After a change of the body it is usually a challenger that finds the new way.
+//!
+//! Inputs that no command moves (the target) hold within an imagined movement. That places are imagined which were never
+//! shown is what makes it fast: at the second target the model has seen two, the policy has rehearsed hundreds.
+
+mod basis;
+mod candidate;
+mod movement;
+mod rehearsal;
+mod reward;
+mod sight;
+
+use rand::RngExt as _;
+
+use super::{LearningRule, Tick};
+use crate::encoder::Encoder;
+use crate::policy::{Linear, Outputs};
+use crate::scenario::{ModelTable, Plan};
+use crate::seed::{Rng, stream};
+use crate::wire::MAX_INPUTS;
+use candidate::Candidate;
+use movement::Movement;
+use rehearsal::{Rehearsal, wrap};
+use reward::Reward;
+use sight::Sight;
+
+/// Ticks since a change of the world that are enough to start imagined movements from.
+const FEW: u64 = 400;
+/// A challenger takes over when its mean cost is below this share of the champion's,
+const BETTER: f32 = 0.98;
+/// and not before this age, in ticks.
+const GROWN: u64 = 200;
+
+/// A tick to be learned from when there is time.
+#[derive(Debug, Clone)]
+struct Waiting {
+    /// Still inputs of the tick, moved ones after it.
+    inputs: [f32; MAX_INPUTS],
+    /// All inputs of the tick.
+    before: [f32; MAX_INPUTS],
+    /// How the moved ones changed.
+    changes: [f32; MAX_INPUTS],
+    applied: Outputs,
+    reward: f32,
+}
+
+/// The rule, its models and its memory.
+#[derive(Debug, Clone)]
+pub struct LearnedReward {
+    table: ModelTable,
+    /// The inputs in the model's order: still ones first, then the moved ones.
+    inputs: Vec<usize>,
+    /// The ranges of the still ones.
+    box_: Vec<[f32; 2]>,
+    wraps: Vec<bool>,
+    reward: Reward,
+    movement: Movement,
+    rehearsal: Rehearsal,
+    /// The policy, and one that starts from nothing every so often and may do better.
+    champion: Candidate,
+    challenger: Candidate,
+    /// States in the model's order, a ring.
+    memory: Vec<[f32; MAX_INPUTS]>,
+    remembered: u64,
+    /// Ticks since the world seemed to change.
+    unchanged: u64,
+    rng: Rng,
+    waiting: Option<Waiting>,
+    slope_norm: f32,
+    halted: bool,
+}
+
+impl LearnedReward {
+    /// The rule of `plan`, for a policy on features of `encoder`.
+    pub fn of(plan: &Plan, encoder: &Encoder) -> Self {
+        let table = plan.scenario.learner.model.clone().unwrap_or_default();
+        let (count, outputs) = (plan.inputs.len(), plan.outputs.len());
+        let moves = |i: usize| {
+            if table.moved.is_empty() { i + outputs >= count } else { table.moved.contains(&plan.inputs[i].name) }
+        };
+        let mut inputs: Vec<_> = (0..count).filter(|&i| !moves(i)).collect();
+        let still = inputs.len();
+        inputs.extend((0..count).filter(|&i| moves(i)));
+        let mut rank = vec![0; count];
+        inputs.iter().enumerate().for_each(|(place, &input)| rank[input] = place);
+
+        let signals: Vec<_> = inputs.iter().map(|&i| plan.inputs[i].clone()).collect();
+        let reward = Reward::new(&table, &signals, still);
+        let wraps: Vec<_> = signals[still..].iter().map(basis::wraps).collect();
+        let sights = Sight::of(&plan.maps, encoder, &rank, still);
+        let rehearsal = Rehearsal::new(
+            sights,
+            &reward,
+            wraps.clone(),
+            plan.scenario.encoder.normalise,
+            table.horizon,
+            table.last_counts as f32,
+        );
+        Self {
+            inputs,
+            box_: signals[..still].iter().map(|s| [s.min as f32, s.max as f32]).collect(),
+            movement: Movement::new(outputs, wraps.len(), plan.scenario.policy.sigma),
+            wraps,
+            reward,
+            champion: Candidate::new(&rehearsal.sights, outputs),
+            challenger: Candidate::new(&rehearsal.sights, outputs),
+            rehearsal,
+            memory: vec![[0.0; MAX_INPUTS]; table.memory],
+            remembered: 0,
+            unchanged: 0,
+            rng: stream(plan.scenario.seed, "rehearsal"),
+            waiting: None,
+            slope_norm: 0.0,
+            halted: false,
+            table,
+        }
+    }
+
+    /// Number of features of the reward model.
+    pub fn model_size(&self) -> usize {
+        self.reward.len()
+    }
+
+    /// A state that was, with the place to go to there, or one anywhere in the box.
+    fn imagine(&mut self) -> [f32; MAX_INPUTS] {
+        // What was before a change of the world is no place to start from, once there is enough since.
+        let window = self.unchanged.max(FEW).min(self.remembered).min(self.memory.len() as u64);
+        let tick = self.remembered - 1 - self.rng.random_range(0..window);
+        let mut state = self.memory[(tick % self.memory.len() as u64) as usize];
+        if self.rng.random::<f64>() < self.table.imagined {
+            for (x, [low, high]) in state.iter_mut().zip(&self.box_) {
+                *x = low + (high - low) * self.rng.random::<f32>();
+            }
+        }
+        state
+    }
+
+    /// The size of a step at an age.
+    fn step(&self, age: u64) -> f32 {
+        let fade = 1.0 / (1.0 + age as f64 / self.table.half_life);
+        (self.table.step * fade.max(self.table.floor)) as f32
+    }
+
+    /// Rehearses both candidates on the same movements, one step each.
+    fn rehearse(&mut self, rivals: bool) {
+        for _ in 0..self.table.movements {
+            let state = self.imagine();
+            let inputs = &state[..self.inputs.len()];
+            self.rehearsal.imagine(&mut self.champion, &mut self.reward, &self.movement, inputs);
+            if rivals {
+                self.rehearsal.imagine(&mut self.challenger, &mut self.reward, &self.movement, inputs);
+            }
+        }
+        let ticks = self.table.movements * self.table.horizon;
+        self.slope_norm = self.champion.descend(ticks, self.step(self.champion.age));
+        self.halted = !self.slope_norm.is_finite();
+        if rivals && !self.challenger.descend(ticks, self.step(self.challenger.age)).is_finite() {
+            self.renew();
+        }
+    }
+
+    /// Sends a new challenger.
+    fn renew(&mut self) {
+        self.challenger.be_born(self.table.step as f32, &mut self.rng);
+    }
+
+    /// Takes in the tick that waits to be learned from.
+    fn absorb(&mut self) {
+        let Some(Waiting { inputs, before, changes, applied, reward }) = self.waiting.take() else { return };
+        let (count, moved) = (self.inputs.len(), self.wraps.len());
+        let other_body = self.movement.learn(&applied, &changes[..moved]);
+        // A body that moves otherwise than it was asked to earns a reward that says nothing about asking.
+        let changed =
+            if other_body { Some(false) } else { self.reward.learn(&inputs[..count], &changes[..moved], reward) };
+        let at = self.remembered as usize % self.memory.len();
+        self.memory[at] = before;
+        self.remembered += 1;
+        self.halted = changed.is_none();
+        self.unchanged += 1;
+        if changed == Some(true) || other_body {
+            self.unchanged = 0;
+            self.champion.age = 0;
+            self.champion.mean_cost = 0.0;
+            self.renew();
+        }
+    }
+}
+
+impl LearningRule for LearnedReward {
+    fn learn(&mut self, _policy: &mut Linear, tick: &Tick) -> f32 {
+        if self.halted {
+            return 0.0;
+        }
+        let still = self.box_.len();
+        let (mut before, mut after) = ([0.0; MAX_INPUTS], [0.0; MAX_INPUTS]);
+        let mut changes = [0.0; MAX_INPUTS];
+        for (place, &input) in self.inputs.iter().enumerate() {
+            before[place] = tick.inputs[input];
+            // The reward was for the place shown then, and for where the movement led.
+            after[place] = if place < still { tick.inputs[input] } else { tick.next_inputs[input] };
+        }
+        for (i, &wraps) in self.wraps.iter().enumerate() {
+            let change = after[still + i] - before[still + i];
+            changes[i] = if wraps { wrap(change) } else { change };
+        }
+        self.waiting = Some(Waiting { inputs: after, before, changes, applied: *tick.applied, reward: tick.reward });
+        self.step(self.champion.age)
+    }
+
+    fn improve(&mut self, policy: &mut Linear) {
+        self.absorb();
+        if self.halted || self.remembered < self.table.start || !self.movement.ready() {
+            return;
+        }
+        let rivals = self.table.challenge > 0 && self.remembered > self.table.challenge;
+        if rivals && (self.challenger.age == 0 || self.challenger.age > self.table.challenge) {
+            self.renew();
+        }
+        self.reward.freeze();
+        self.champion.take(policy, &self.rehearsal.sights);
+        for _ in 0..self.table.steps {
+            if !self.halted {
+                self.rehearse(rivals);
+            }
+        }
+        let movements = self.table.steps * self.table.movements;
+        self.champion.settle(movements);
+        if rivals {
+            self.challenger.settle(movements);
+            if self.challenger.age > GROWN && self.challenger.mean_cost < BETTER * self.champion.mean_cost {
+                self.champion.become_like(&self.challenger);
+                self.renew();
+            }
+        }
+        self.champion.give(policy, &self.rehearsal.sights);
+    }
+
+    /// There is no trace: what was learned of the world stays true.
+    fn cut_trace(&mut self) {}
+
+    /// The norm of the imagined cost's slope.
+    fn trace_norm(&self) -> f32 {
+        self.slope_norm
+    }
+
+    fn halted(&self) -> bool {
+        self.halted
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,134 @@
+//! The movement model: how the inputs that commands move answer to commands.
+//!
+//! `change = B u`, a matrix learned by recursive least squares with forgetting, one covariance for all rows. A joint that
+//! blocks shows as a row that goes to 0 by itself. Since a body moves without noise to speak of, an error beyond three
+//! hundredths of the usual movement means that the body has changed: uncertainty is then put back, and as many ticks as there are
+//! outputs tell the new matrix.
+
+use crate::policy::Outputs;
+use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
+
+/// What is kept of the past in a tick.
+const KEPT: f64 = 0.98;
+/// The prior variance of an entry, in units of the inverse variance of the exploration.
+const PRIOR: f64 = 1e4;
+/// Square of the error, relative to the usual movement, at which the body counts as changed.
+const CHANGED: f64 = 1e-3;
+
+/// The movement model.
+#[derive(Debug, Clone)]
+pub(super) struct Movement {
+    outputs: usize,
+    moved: usize,
+    /// By moved input: the answer to each output.
+    pub gains: [Outputs; MAX_INPUTS],
+    covariance: [[f64; MAX_OUTPUTS]; MAX_OUTPUTS],
+    prior: f64,
+    /// Running mean of the squared change.
+    usual: f64,
+    seen: usize,
+    /// Ticks since uncertainty was put back.
+    since: usize,
+}
+
+impl Movement {
+    /// Knows nothing of how `outputs` outputs, explored with standard deviation `sigma`, move `moved` inputs.
+    pub fn new(outputs: usize, moved: usize, sigma: f64) -> Self {
+        let prior = PRIOR / (sigma * sigma);
+        let mut model = Self {
+            outputs,
+            moved,
+            gains: [[0.0; MAX_OUTPUTS]; MAX_INPUTS],
+            covariance: [[0.0; MAX_OUTPUTS]; MAX_OUTPUTS],
+            prior,
+            usual: 0.0,
+            seen: 0,
+            since: 0,
+        };
+        model.doubt();
+        model
+    }
+
+    /// Whether there were enough ticks to tell the matrix.
+    pub fn ready(&self) -> bool {
+        self.seen > self.outputs
+    }
+
+    /// Puts uncertainty back.
+    fn doubt(&mut self) {
+        self.since = 0;
+        self.covariance = [[0.0; MAX_OUTPUTS]; MAX_OUTPUTS];
+        for i in 0..self.outputs {
+            self.covariance[i][i] = self.prior;
+        }
+    }
+
+    /// Learns that `applied` changed the moved inputs by `changes`. Returns whether the body seems to have changed.
+    pub fn learn(&mut self, applied: &Outputs, changes: &[f32]) -> bool {
+        let n = self.outputs;
+        let mut gain = [0.0; MAX_OUTPUTS];
+        let mut scale = KEPT;
+        for (i, gain) in gain.iter_mut().enumerate().take(n) {
+            *gain = (0..n).map(|j| self.covariance[i][j] * f64::from(applied[j])).sum();
+            scale += *gain * f64::from(applied[i]);
+        }
+        let mut worst = 0.0_f64;
+        let mut square = 0.0;
+        for (row, &change) in self.gains.iter_mut().zip(changes).take(self.moved) {
+            let expected: f32 = row.iter().zip(applied).map(|(b, u)| b * u).sum();
+            let error = f64::from(change - expected);
+            for (b, g) in row.iter_mut().zip(gain) {
+                *b += (g / scale * error) as f32;
+            }
+            worst = worst.max(error * error);
+            square += f64::from(change * change) / self.moved as f64;
+        }
+        for i in 0..n {
+            for j in 0..=i {
+                let left = (self.covariance[i][j] - gain[i] * gain[j] / scale) / KEPT;
+                (self.covariance[i][j], self.covariance[j][i]) = (left, left);
+            }
+            // Without excitation forgetting would blow the covariance up.
+            self.covariance[i][i] = self.covariance[i][i].clamp(0.0, 2.0 * self.prior);
+        }
+        self.since += 1;
+        // Once it has doubted, as many ticks as there are outputs must be heard out.
+        let changed = self.since > self.outputs && worst > CHANGED * self.usual;
+        if changed {
+            self.doubt();
+        }
+        self.seen += 1;
+        self.usual += (square - self.usual) / self.seen.min(100) as f64;
+        changed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::Exploration;
+
+    #[test]
+    fn a_blocked_joint_is_known_within_a_few_ticks() {
+        let mut model = Movement::new(4, 4, 0.003);
+        let mut exploration = Exploration::new(3, 0.003, 4);
+        let mut live = |model: &mut Movement, ticks: usize, gains: [f32; 4]| {
+            for _ in 0..ticks {
+                let u = exploration.draw();
+                let changes: [f32; 4] = std::array::from_fn(|j| gains[j] * u[j]);
+                model.learn(&u, &changes);
+            }
+        };
+        for gains in [[31.4; 4], [31.4, 31.4, 0.0, 31.4], [31.4, -20.0, 0.0, 31.4]] {
+            live(&mut model, 16, gains);
+            for (i, gain) in gains.iter().enumerate() {
+                for j in 0..4 {
+                    let expected = if i == j { *gain } else { 0.0 };
+                    assert!((model.gains[i][j] - expected).abs() < 1.0, "{i} {j}: {}", model.gains[i][j]);
+                }
+            }
+        }
+        live(&mut model, 100_000, [31.4; 4]);
+        assert!((model.gains[2][2] - 31.4).abs() < 0.1);
+    }
+}

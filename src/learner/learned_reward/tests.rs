@@ -1,0 +1,151 @@
+//! The models against a known world, and the slope against a numerical one.
+
+use super::*;
+use crate::policy::Exploration;
+use crate::scenario::{LearnerTable, ModelBasis, Rule, Scenario};
+
+fn plan(basis: ModelBasis) -> Plan {
+    let mut scenario = Scenario::find("arm").unwrap();
+    scenario.learner = LearnerTable::preset(Rule::LearnedReward);
+    scenario.learner.model.get_or_insert_default().basis = basis;
+    scenario.plan().unwrap()
+}
+
+fn encoder(plan: &Plan) -> Encoder {
+    Encoder::new(&plan.maps, plan.scenario.encoder.normalise)
+}
+
+/// The arm's reward, in double precision.
+fn reward(inputs: &[f32], changes: &[f32]) -> f32 {
+    let [mut x, mut y] = [-f64::from(inputs[0]), -1.0 - f64::from(inputs[1])];
+    let (mut angles, mut effort) = (0.0, 0.0);
+    for (&theta, &change) in inputs[2..6].iter().zip(changes) {
+        let theta = f64::from(theta);
+        (x, y) = (x + 0.5 * theta.cos(), y + 0.5 * theta.sin());
+        angles += theta * theta;
+        effort += f64::from(change).powi(2) * 400.0;
+    }
+    (-0.1 * (x * x + y * y + 0.025 * effort + 0.01 * angles)) as f32
+}
+
+fn draw(rng: &mut Rng) -> [f32; 6] {
+    let mut inputs: [f32; 6] = std::array::from_fn(|_| rng.random::<f32>() * 2.0 - 1.0);
+    inputs[2..].iter_mut().for_each(|x| *x *= std::f32::consts::PI);
+    inputs
+}
+
+/// A learner that has seen `ticks` states drawn from the whole box.
+fn taught(basis: ModelBasis, ticks: usize) -> LearnedReward {
+    let plan = plan(basis);
+    let mut rule = LearnedReward::of(&plan, &encoder(&plan));
+    let mut rng = stream(3, "test");
+    let mut exploration = Exploration::new(3, 0.003, 4);
+    for _ in 0..ticks {
+        let (inputs, u) = (draw(&mut rng), exploration.draw());
+        let changes: [f32; 4] = std::array::from_fn(|j| 31.4 * u[j]);
+        assert!(rule.reward.learn(&inputs, &changes, reward(&inputs, &changes)).is_some());
+        rule.movement.learn(&u, &changes);
+    }
+    rule.reward.freeze();
+    rule
+}
+
+#[test]
+fn the_smooth_model_knows_the_arms_reward_after_as_many_ticks_as_it_has_weights() {
+    let mut rule = taught(ModelBasis::Smooth, 300);
+    assert_eq!(rule.model_size(), 263);
+    let mut rng = stream(4, "test");
+    for _ in 0..100 {
+        let inputs = draw(&mut rng);
+        let changes = [0.1, -0.2, 0.0, 0.05];
+        let (predicted, told) = (rule.reward.predict(&inputs, &changes), reward(&inputs, &changes));
+        assert!((predicted - f64::from(told)).abs() < 0.01, "{predicted} {told}");
+    }
+}
+
+#[test]
+fn maps_have_the_size_that_the_reading_states() {
+    let plan = plan(ModelBasis::Maps);
+    assert_eq!(LearnedReward::of(&plan, &encoder(&plan)).model_size(), 965);
+}
+
+/// What an imagined movement from `state` costs, in double precision where it matters.
+fn imagined_cost(rule: &mut LearnedReward, plan: &Plan, policy: &Linear, state: &[f32; 6]) -> f64 {
+    let mut encoder = encoder(plan);
+    let mut features = encoder.features();
+    let mut state = *state;
+    let mut cost = 0.0;
+    for tick in 0..rule.table.horizon {
+        encoder.encode(&state, &mut features);
+        let u = policy.mean(features.as_slice());
+        let changes: [f32; 4] =
+            std::array::from_fn(|i| rule.movement.gains[i].iter().zip(&u).map(|(b, u)| b * u).sum());
+        for (theta, change) in state[2..].iter_mut().zip(changes) {
+            *theta = wrap(*theta + change);
+        }
+        let times = if tick + 1 == rule.table.horizon { rule.table.last_counts } else { 1.0 };
+        // Effort is counted once, however often the last place is.
+        let there = rule.reward.predict(&state, &[0.0; 4]);
+        cost -= times * there + rule.reward.predict(&state, &changes) - there;
+    }
+    cost
+}
+
+#[test]
+fn the_slope_is_the_numerical_one() {
+    let plan = plan(ModelBasis::Smooth);
+    let mut rule = taught(ModelBasis::Smooth, 400);
+    let encoder = encoder(&plan);
+    let mut policy = Linear::new(encoder.len(), encoder.positions().collect(), 4);
+    let mut rng = stream(5, "test");
+    for group in policy.groups_mut() {
+        for w in group.iter_mut() {
+            *w = glam::Vec4::from_array(std::array::from_fn(|_| 0.02 * (rng.random::<f32>() - 0.5)));
+        }
+    }
+    let state = [0.4, -0.3, 0.5, -1.0, 0.8, 2.0];
+    rule.champion.take(&mut policy, &rule.rehearsal.sights);
+    rule.rehearsal.imagine(&mut rule.champion, &mut rule.reward, &rule.movement, &state);
+    let positions = rule.rehearsal.sights.clone().map(|sight| sight.positions);
+    let slopes = rule.champion.slope.clone();
+    let cost = imagined_cost(&mut rule, &plan, &policy, &state);
+    assert!((f64::from(rule.champion.cost) - cost).abs() < 1e-3 * cost, "{} {cost}", rule.champion.cost);
+    for (sight, feature, output) in [(0, 100, 0), (0, 200, 3), (1, 5, 1), (1, 30, 2), (1, 40, 0), (1, 60, 3)] {
+        let at = positions[sight][feature];
+        let mut along = |step: f32| {
+            policy.groups_mut().next().unwrap()[at][output] += step;
+            let cost = imagined_cost(&mut rule, &plan, &policy, &state);
+            policy.groups_mut().next().unwrap()[at][output] -= step;
+            cost
+        };
+        let numerical = (along(1e-3) - along(-1e-3)) / 2e-3;
+        let slope = f64::from(slopes[sight][output * positions[sight].len() + feature]);
+        assert!((slope - numerical).abs() < 0.02 * numerical.abs() + 2e-3, "{sight} {feature}: {slope} {numerical}");
+    }
+}
+
+#[test]
+fn a_number_that_is_not_finite_stops_it() {
+    let plan = plan(ModelBasis::Smooth);
+    let encoder = encoder(&plan);
+    let mut policy = Linear::new(encoder.len(), encoder.positions().collect(), 4);
+    let mut rule = LearnedReward::of(&plan, &encoder);
+    let (features, none) = (vec![0.1; encoder.len()], [0.0; 8]);
+    let mut tick = |reward| {
+        let tick = Tick {
+            features: &features,
+            inputs: &[0.1; 6],
+            noise: &none,
+            applied: &none,
+            reward,
+            next_features: &features,
+            next_inputs: &[0.1; 6],
+        };
+        rule.learn(&mut policy, &tick);
+        rule.improve(&mut policy);
+        rule.halted()
+    };
+    assert!(!tick(-1.0));
+    assert!(tick(f32::NAN));
+    assert!(tick(-1.0));
+}

@@ -1,0 +1,135 @@
+//! Checks of `[learner]`: constants in range, and no table that the rule would not read.
+
+use std::ops::RangeInclusive;
+
+use super::{
+    BaselineTable, CriticTable, LearnerTable, ModelTable, Rule,
+    error::{Problem, either, quoted},
+    find, limits,
+    signals::Signals,
+    validate::{number, show},
+};
+
+pub(super) fn check(learner: &LearnerTable, signals: &Signals) -> Result<(), Problem> {
+    below_one("learner.beta", learner.beta)?;
+    number("learner.alpha_over_variance", learner.alpha_over_variance, limits::STEP, "give 0 to 1000")?;
+    let rule = learner.rule;
+    for (key, given, read) in [
+        ("learner.baseline", learner.baseline.is_some(), rule == Rule::Baseline),
+        ("learner.critic", learner.critic.is_some(), matches!(rule, Rule::ActorCritic | Rule::NaturalActorCritic)),
+        ("learner.model", learner.model.is_some(), rule == Rule::LearnedReward),
+    ] {
+        if given && !read {
+            return Err(Problem::new(key, "is a table that the rule does not read; take it out, or give another rule"));
+        }
+    }
+    if let Some(BaselineTable { ticks }) = learner.baseline {
+        number("learner.baseline.ticks", ticks, limits::LEARNER_TICKS, "give 1 to 1e12 ticks")?;
+    }
+    if let Some(table) = &learner.critic {
+        critic(table)?;
+    }
+    if rule == Rule::LearnedReward {
+        model(&learner.model.clone().unwrap_or_default(), signals)?;
+    }
+    Ok(())
+}
+
+fn below_one(key: &str, value: f64) -> Result<(), Problem> {
+    if (0.0..1.0).contains(&value) {
+        return Ok(());
+    }
+    Err(Problem::value(key, show(value), "give at least 0 and less than 1"))
+}
+
+fn critic(table: &CriticTable) -> Result<(), Problem> {
+    let key = |name: &str| format!("learner.critic.{name}");
+    number(key("step"), table.step, limits::STEP, "give 0 to 1000")?;
+    below_one(&key("discount"), table.discount)?;
+    number(key("decay"), table.decay, 0.0..=1.0, "give 0 to 1")?;
+    number(key("reward_feature"), table.reward_feature, limits::REWARD_FEATURE, "give 0 to 1000")?;
+    number(key("bound"), table.bound, limits::ERROR_BOUND, "give 1 to 1e9")?;
+    number(key("half_life"), table.half_life, limits::LEARNER_TICKS, "give 1 to 1e12 ticks")?;
+    number(key("floor"), table.floor, 0.0..=1.0, "give 0 to 1")?;
+    number(key("regularisation"), table.regularisation, limits::REGULARISATION, "give 1e-6 to 1e6")
+}
+
+fn model(table: &ModelTable, signals: &Signals) -> Result<(), Problem> {
+    let key = |name: &str| format!("learner.model.{name}");
+    let (inputs, outputs) = (&signals.inputs, signals.outputs.len());
+    if inputs.len() > limits::MODEL_INPUTS {
+        let text = format!("is learned-reward, for which {} inputs are too many; it can do 10", inputs.len());
+        return Err(Problem::new("learner.rule", text));
+    }
+    if table.moved.is_empty() && inputs.len() < outputs {
+        let text = "is left out, and there are fewer inputs than outputs; name the inputs that the commands move";
+        return Err(Problem::new(key("moved"), text));
+    }
+    for (i, name) in table.moved.iter().enumerate() {
+        if find(inputs, name).is_none() {
+            let names: Vec<_> = inputs.iter().map(|input| &input.name).collect();
+            let remedy = format!("the plant's inputs are {}", either(&names, "and"));
+            return Err(Problem::value(format_args!("{}[{i}]", key("moved")), quoted(name), remedy));
+        }
+    }
+    number(key("spread"), table.spread, limits::SPREADS, "give 1e-6 to 1e6")?;
+    number(key("smoothness"), table.smoothness, 1e-3..=1.0, "give 0.001 to 1")?;
+    number(key("reward_noise"), table.reward_noise, limits::SPREADS, "give 1e-6 to 1e6")?;
+    whole(&key("movements"), table.movements, limits::IMAGINED)?;
+    whole(&key("horizon"), table.horizon, limits::IMAGINED)?;
+    whole(&key("steps"), table.steps, limits::IMAGINED)?;
+    whole(&key("memory"), table.memory, limits::MEMORY)?;
+    number(key("last_counts"), table.last_counts, limits::LAST_COUNTS, "give 1 to 1000")?;
+    number(key("imagined"), table.imagined, 0.0..=1.0, "give 0 to 1")?;
+    number(key("step"), table.step, limits::MODEL_STEP, "give 0 to 1")?;
+    number(key("half_life"), table.half_life, limits::LEARNER_TICKS, "give 1 to 1e12 ticks")?;
+    number(key("floor"), table.floor, 0.0..=1.0, "give 0 to 1")
+}
+
+fn whole(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<(), Problem> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    Err(Problem::value(key, value, format_args!("give {} to {}", range.start(), range.end())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Scenario;
+    use super::*;
+
+    /// The message for the built-in arm with this `[learner]`.
+    fn message(learner: &str) -> String {
+        let mut scenario = Scenario::find("arm").unwrap();
+        scenario.learner = toml::from_str(learner).unwrap();
+        scenario.plan().err().map_or("fine".into(), |e| e.to_string())
+    }
+
+    #[test]
+    fn presets_are_valid_and_survive_being_written() {
+        for rule in [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward] {
+            let mut scenario = Scenario::find("arm").unwrap();
+            scenario.learner = LearnerTable::preset(rule);
+            let plan = scenario.plan().unwrap();
+            let again = Scenario::parse(&plan.scenario.to_toml(), "again").unwrap().plan().unwrap();
+            assert_eq!((plan.hash, plan.scenario.learner), (again.hash, again.scenario.learner));
+        }
+    }
+
+    #[test]
+    fn bad_settings_are_named() {
+        for (learner, expected) in [
+            ("rule = \"learned-reward\"", "fine"),
+            ("rule = \"actor-critic\"\n[critic]\ndiscount = 1", "learner.critic.discount is 1"),
+            ("rule = \"actor-critic\"\n[critic]\nbound = 0.5", "learner.critic.bound is 0.5"),
+            ("rule = \"paper\"\n[critic]\nstep = 0.1", "learner.critic"),
+            ("rule = \"baseline\"\n[baseline]\nticks = 0", "learner.baseline.ticks is 0"),
+            ("rule = \"learned-reward\"\n[model]\nhorizon = 0", "learner.model.horizon is 0"),
+            ("rule = \"learned-reward\"\n[model]\nmoved = [\"elbow\"]", "learner.model.moved[0] is \"elbow\""),
+            ("rule = \"learned-reward\"\n[model]\nreward_noise = nan", "learner.model.reward_noise is nan"),
+        ] {
+            let message = message(learner);
+            assert!(message.contains(expected), "{message}");
+        }
+    }
+}
