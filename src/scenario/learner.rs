@@ -142,7 +142,7 @@ impl LearnerTable {
         match rule {
             Rule::Paper | Rule::Baseline => table,
             Rule::ActorCritic => Self { beta: 0.72, alpha_over_variance: 0.5, ..table },
-            Rule::NaturalActorCritic => Self { beta: 0.72, alpha_over_variance: 1.0, ..table },
+            Rule::NaturalActorCritic => Self { beta: 0.72, alpha_over_variance: 3.0, ..table },
             Rule::LearnedReward => table,
         }
         .resolved()
