@@ -30,6 +30,17 @@ fn lockstep_is_a_function_of_scenario_and_seed() {
     assert_ne!(first["weights_hash"], other["weights_hash"]);
 }
 
+/// I1 for the learner that uses the time after the command has gone out.
+#[test]
+fn a_learner_that_thinks_longer_is_on_the_same_timeline() {
+    let arguments = ["live", "--ticks", "100", "--seed", "77"];
+    let first = run(&arguments);
+    let single = run(&[&arguments[..], &["--mode", "in-process"]].concat());
+    for key in ["weights_hash", "loss_per_tick", "ticks"] {
+        assert_eq!(first[key], single[key], "{key}");
+    }
+}
+
 /// The numbers are the same on every machine and in every build profile: pure-Rust mathematics, fixed order of
 /// summation. A change here is a change of what users can reproduce, and belongs into the change log.
 #[test]

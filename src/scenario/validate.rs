@@ -6,8 +6,8 @@
 use std::{collections::HashSet, fmt::Display, ops::RangeInclusive};
 
 use super::{
-    EncoderTable, GateTable, LogTable, MapTable, Scenario, SignalTable, error::Problem, error::either, error::quoted,
-    find, limits, signals::signals, validate_learner, validate_plant,
+    EncoderTable, GateTable, LogTable, MapTable, Rule, Scenario, SignalTable, error::Problem, error::either,
+    error::quoted, find, limits, signals::signals, validate_learner, validate_plant,
 };
 use crate::wire::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
 
@@ -25,6 +25,10 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
     encoder(&scenario.encoder, &signals.inputs)?;
     policy(scenario.policy.sigma, scenario.gate.max_command)?;
     validate_learner::check(&scenario.learner, &signals)?;
+    if scenario.learner.rule == Rule::LearnedReward && scenario.plant.eye.is_some() {
+        let text = "is learned-reward, which needs inputs that the commands move; the eye has none, so give it paper";
+        return Err(Problem::new("learner.rule", text));
+    }
     log(&scenario.log)?;
     channels(scenario)
 }

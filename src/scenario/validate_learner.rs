@@ -117,6 +117,17 @@ mod tests {
     }
 
     #[test]
+    fn the_eye_has_nothing_that_commands_move() {
+        let mut scenario = Scenario::find("eye").unwrap();
+        scenario.learner = LearnerTable::preset(Rule::LearnedReward);
+        let message = scenario.plan().unwrap_err().to_string();
+        assert!(
+            message.contains("learner.rule is learned-reward, which needs inputs that the commands move"),
+            "{message}"
+        );
+    }
+
+    #[test]
     fn bad_settings_are_named() {
         for (learner, expected) in [
             ("rule = \"learned-reward\"", "fine"),

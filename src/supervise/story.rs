@@ -8,20 +8,20 @@ use crate::scenario::{ArmTable, Plan};
 /// Part of the run that the first and the last window of the table take.
 const SHARE: u64 = 20;
 
-/// The first and the last twentieth of a run, or what there is.
+/// The first and the last twentieth of a run, or as much more as it takes to see a target end.
 pub(super) fn ends(windows: &[Window]) -> Option<[Window; 2]> {
-    let total: u64 = windows.iter().map(|w| w.ticks).sum();
-    let share = total / SHARE;
-    Some([merge(windows.iter(), share)?, merge(windows.iter().rev(), share)?])
+    let total = windows.iter().map(|w| w.ticks).sum();
+    Some([merge(windows.iter(), total)?, merge(windows.iter().rev(), total)?])
 }
 
-/// Merges windows from the front of `windows` until they hold at least `ticks`.
-fn merge<'a>(windows: impl Iterator<Item = &'a Window>, ticks: u64) -> Option<Window> {
+/// Merges windows of a run of `total` ticks from the front of `windows` until they hold its twentieth and the end of a
+/// target, but no more than half of the run.
+fn merge<'a>(windows: impl Iterator<Item = &'a Window>, total: u64) -> Option<Window> {
     let mut sum: Option<Window> = None;
     for w in windows {
         sum = Some(match sum {
             None => w.clone(),
-            Some(s) if s.ticks >= ticks => return Some(s),
+            Some(s) if s.ticks >= total / SHARE && (s.ends > 0 || s.ticks >= total / 2) => return Some(s),
             Some(s) => together(&s, w),
         });
     }
@@ -100,6 +100,11 @@ mod tests {
         let [first, last] = ends(&windows[..1]).unwrap();
         assert_eq!(first, last);
         assert_eq!(ends(&[]), None);
+        // A run that is short against its targets.
+        let windows: Vec<Window> = (0..40).map(|i| window(i * 10, 1.0, (i % 8 == 7).then_some(1.0))).collect();
+        let [first, last] = ends(&windows).unwrap();
+        assert_eq!((first.from, first.ticks, first.ends), (0, 80, 1));
+        assert_eq!((last.from, last.ticks, last.ends), (380, 20, 1));
     }
 
     #[test]

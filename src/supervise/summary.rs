@@ -222,8 +222,7 @@ impl Summary {
             self.complain(
                 exit::ERROR,
                 format!(
-                    "the learner diverged: from tick {} on its weights are not numbers and the command is zero; \
-                     try a smaller learner.alpha_over_variance",
+                    "the learner diverged at tick {} and has learned nothing since; try smaller steps under [learner]",
                     thousands(tick)
                 ),
             );

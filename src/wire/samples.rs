@@ -113,7 +113,8 @@ pub mod flag {
     pub const LATE: u32 = 1 << 9;
     /// Command: an input was not a number, so the answer is zero.
     pub const INVALID: u32 = 1 << 10;
-    /// Command and learning: the weights are no longer numbers; the answer is zero, and nothing is learned any more.
+    /// Command and learning: a number that is not finite was met in learning. The learner has stopped, and where the
+    /// weights themselves are no longer numbers the answer is zero.
     pub const DIVERGED: u32 = 1 << 11;
     /// Learning: the weights were changed with the reward of tick k-1.
     pub const LEARNED: u32 = 1 << 16;
