@@ -5,10 +5,27 @@ mod support;
 
 use std::time::Duration;
 
-use support::{Place, content::read, signal_process};
+use serde_json::Value;
+use support::content::{Content, read};
+use support::{Place, signal_process};
 use tectum::wire::{Observation, flag};
 
 const TICKS: &str = "600";
+
+/// A run in which one program is stopped for a fifth of a second: its summary and its log.
+fn stalled(program: &str) -> (Value, Content) {
+    let place = Place::new();
+    let scenario = place.arm(&[("every", "1"), ("period_ms", "2")]);
+    let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", TICKS, "--json"]);
+    let member = run.member(program);
+    run.until_ticking();
+    signal_process(member, "STOP");
+    std::thread::sleep(Duration::from_millis(200));
+    signal_process(member, "CONT");
+    let summary = run.wait().expect(0).json();
+    let (_, content) = read(&place.run_folder().join("log.mcap"));
+    (summary, content)
+}
 
 /// A controller that is stopped for a fifth of a second, at a period of 2 ms: a hundred ticks. A stall of the machine
 /// can fall on the very ticks that are looked at; then the run is repeated.
@@ -19,17 +36,8 @@ fn a_stalled_controller_is_missed_and_nothing_is_learned_from_it() {
 
 /// False when the machine's own stalls hide what is to be seen.
 fn stall_of_the_controller() -> bool {
-    let place = Place::new();
-    let scenario = place.arm(&[("every", "1"), ("period_ms", "2")]);
-    let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", TICKS, "--json"]);
-    let controller = run.member("tectum-controller");
-    run.until_ticking();
-    signal_process(controller, "STOP");
-    std::thread::sleep(Duration::from_millis(200));
-    signal_process(controller, "CONT");
-    let summary = run.wait().expect(0).json();
+    let (summary, content) = stalled("tectum-controller");
     assert!(summary["missed"].as_u64() >= Some(50), "{summary}");
-    let (_, content) = read(&place.run_folder().join("log.mcap"));
     let observations = &content.observations;
     let missed = |o: &Observation| o.header.flags & flag::MISSED != 0;
 
@@ -68,19 +76,10 @@ fn stall_of_the_controller() -> bool {
 /// A plant that is stopped passes ticks over, says so, and goes on at the tick that is due.
 #[test]
 fn a_stalled_plant_passes_ticks_over() {
-    let place = Place::new();
-    let scenario = place.arm(&[("every", "1"), ("period_ms", "2")]);
-    let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", TICKS, "--json"]);
-    let plant = run.member("tectum-simulator");
-    run.until_ticking();
-    signal_process(plant, "STOP");
-    std::thread::sleep(Duration::from_millis(200));
-    signal_process(plant, "CONT");
-    let summary = run.wait().expect(0).json();
+    let (summary, content) = stalled("tectum-simulator");
     let skipped = summary["skipped"].as_u64().unwrap();
     assert!(skipped >= 50, "{summary}");
     assert!(summary["missed"].as_u64() >= Some(skipped), "ticks passed over are ticks missed: {summary}");
-    let (_, content) = read(&place.run_folder().join("log.mcap"));
     let mut told = 0;
     for pair in content.observations.windows(2) {
         let [before, after] = pair else { unreachable!() };

@@ -24,6 +24,6 @@ pub use gate::{Applied, Gate};
 pub use in_process::{InProcess, in_process};
 pub use logger::run_logger;
 pub use plant::{PlantSide, run_plant};
-pub use reports::{ControllerReport, LoggerReport, Percentiles, PlantReport, read as read_report, report_path};
+pub use reports::{ControllerReport, LoggerReport, Percentiles, PlantReport, read as read_report};
 pub use seat::{Card, End, Mode, Seat, Session, identity};
 pub use tally::{Snapshot, Tally};

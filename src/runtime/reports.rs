@@ -101,7 +101,7 @@ pub struct LoggerReport {
 }
 
 /// Where the report of `role` lies in the run's folder.
-pub fn report_path(folder: &Path, role: Role) -> PathBuf {
+fn report_path(folder: &Path, role: Role) -> PathBuf {
     folder.join(format!("{}.json", role.name()))
 }
 
