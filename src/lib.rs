@@ -19,6 +19,7 @@ pub mod report;
 pub mod runtime;
 pub mod scenario;
 pub mod seed;
+pub mod study;
 pub mod supervise;
 pub mod wire;
 

@@ -17,7 +17,7 @@ const SPARE_BYTES: u64 = 16 << 20;
 
 /// The folder of a run.
 #[derive(Debug)]
-pub(super) struct RunFolder {
+pub(crate) struct RunFolder {
     path: PathBuf,
     /// Whether this run made it.
     made: bool,
@@ -99,7 +99,7 @@ impl RunFolder {
     }
 
     /// Keeps all that a process said which failed, for those who look into it. Best effort: the summary has the essence.
-    pub fn keep_words(&self, failure: &Failure) {
+    pub(super) fn keep_words(&self, failure: &Failure) {
         let (role, said) = &failure.said;
         if !said.is_empty() {
             let _ = fs::write(self.path.join(format!("{}.stderr", role.name())), said);

@@ -14,6 +14,8 @@ mod study;
 mod summary;
 
 pub use error::LaunchError;
+pub(crate) use folder::RunFolder;
+pub(crate) use progress::Progress;
 pub use study::study;
 pub use summary::{Ended, Span, Summary};
 
@@ -21,8 +23,6 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use children::Crew;
-use folder::RunFolder;
-use progress::Progress;
 
 use crate::channel::{DomainName, Hub};
 use crate::clock::{Signals, monotonic_ns, pause, wall_ns};

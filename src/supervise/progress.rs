@@ -16,7 +16,7 @@ const EVERY_NS: u64 = 200_000_000;
 
 /// The progress line.
 #[derive(Debug)]
-pub(super) struct Progress {
+pub(crate) struct Progress {
     shown: bool,
     name: String,
     ticks: u64,

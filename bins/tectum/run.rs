@@ -1,39 +1,16 @@
-//! The user's command. Every mode and every exit code passes through here.
+//! `tectum run`.
 
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, ValueEnum};
 use tectum::process::say;
 use tectum::runtime::Mode;
 use tectum::scenario::Scenario;
 use tectum::supervise::{Launch, LaunchError, Summary, run, study};
 use tectum::wire::Role;
 
-/// A shared-memory control runtime in which the controller learns on line
-#[derive(Debug, Parser)]
-#[command(name = "tectum", version = tectum::BUILD, arg_required_else_help = true, after_help = "\
-Example: tectum run                    the arm learns to reach, as fast as the machine goes
-
-Exit codes:
-  0    all went well
-  1    an error that no other code names
-  2    bad input: arguments, scenario, folder, or a disk without room
-  3    a process does not fit the run it was to join
-  4    a process of the run failed or died
-  130  ended by Ctrl-C (SIGINT)
-  143  ended by SIGTERM")]
-struct Arguments {
-    #[command(subcommand)]
-    command: Command,
-}
-
-#[derive(Debug, Subcommand)]
-enum Command {
-    /// Run a scenario: plant, controller and logger as processes of their own
-    Run(RunArguments),
-}
+use super::print;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -42,7 +19,7 @@ Examples:
   tectum run paper --seed 7 --ticks 1000000    another scenario, seed and length
   tectum run --mode realtime --ticks 200       ten seconds on the real clock
   tectum run --name demo --by-hand controller  wait for a controller that you start yourself")]
-struct RunArguments {
+pub struct Arguments {
     /// A scenario file, or the name of a built-in scenario
     #[arg(default_value = "scenarios/arm.toml")]
     scenario: PathBuf,
@@ -96,9 +73,8 @@ fn run_name(text: &str) -> Result<String, String> {
     }
 }
 
-fn main() -> ExitCode {
-    let Command::Run(arguments) = Arguments::parse().command;
-    match launch(&arguments) {
+pub fn main(arguments: &Arguments) -> ExitCode {
+    match launch(arguments) {
         Ok(summary) => {
             tell(&summary, arguments.json);
             ExitCode::from(summary.exit_code())
@@ -110,7 +86,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn launch(arguments: &RunArguments) -> Result<Summary, LaunchError> {
+fn launch(arguments: &Arguments) -> Result<Summary, LaunchError> {
     let launch = plan(arguments)?;
     match launch.mode {
         Mode::InProcess => study(&launch),
@@ -119,7 +95,7 @@ fn launch(arguments: &RunArguments) -> Result<Summary, LaunchError> {
 }
 
 /// From what was asked for to what will be done; every check that needs nothing started happens here.
-fn plan(arguments: &RunArguments) -> Result<Launch, LaunchError> {
+fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
     let mut scenario = Scenario::find(Path::new(&arguments.scenario))?;
     scenario.ticks = arguments.ticks.unwrap_or(scenario.ticks);
     scenario.seed = arguments.seed.unwrap_or(scenario.seed);
@@ -149,7 +125,5 @@ fn tell(summary: &Summary, json: bool) {
     if let Some(failure) = &summary.failure {
         say(&format!("tectum: {failure}"));
     }
-    let text = if json { summary.to_json() + "\n" } else { summary.to_text() };
-    // Whoever reads may have left; the summary is in the run's folder all the same.
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    print(&if json { summary.to_json() + "\n" } else { summary.to_text() });
 }

@@ -1,0 +1,43 @@
+//! The user's command. Every mode and every exit code passes through here.
+
+mod run;
+
+use std::io::Write as _;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// A shared-memory control runtime in which the controller learns on line
+#[derive(Debug, Parser)]
+#[command(name = "tectum", version = tectum::BUILD, arg_required_else_help = true, after_help = "\
+Example: tectum run                    the arm learns to reach, as fast as the machine goes
+
+Exit codes:
+  0    all went well
+  1    an error that no other code names
+  2    bad input: arguments, scenario, folder, or a disk without room
+  3    a process does not fit the run it was to join
+  4    a process of the run failed or died
+  130  ended by Ctrl-C (SIGINT)
+  143  ended by SIGTERM")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run a scenario: plant, controller and logger as processes of their own
+    Run(run::Arguments),
+}
+
+fn main() -> ExitCode {
+    match Arguments::parse().command {
+        Command::Run(arguments) => run::main(&arguments),
+    }
+}
+
+/// Prints to standard output. Whoever reads may have left; what is printed is in the command's folder all the same.
+fn print(text: &str) {
+    let _ = std::io::stdout().write_all(text.as_bytes());
+}

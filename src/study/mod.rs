@@ -1,0 +1,11 @@
+//! Studies: many runs in one process, side by side on all cores, and what they say together.
+//!
+//! A study has no transport and no log: it is [`in_process`](crate::runtime::in_process) over seeds and settings, and its
+//! numbers are those of lockstep. Each study stands in a file (or folder) of its own and gives one plain result, which is
+//! the object of `--json`, the rows of a CSV and the matter of a figure.
+
+mod crew;
+mod spread;
+
+pub use crew::{Crew, Ticks};
+pub use spread::Spread;
