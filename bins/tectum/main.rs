@@ -1,11 +1,14 @@
 //! The user's command. Every mode and every exit code passes through here.
 
+mod reproduce;
 mod run;
 
 use std::io::Write as _;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use tectum::process::say;
+use tectum::study::StudyError;
 
 /// A shared-memory control runtime in which the controller learns on line
 #[derive(Debug, Parser)]
@@ -29,15 +32,32 @@ struct Arguments {
 enum Command {
     /// Run a scenario: plant, controller and logger as processes of their own
     Run(run::Arguments),
+    /// Run the paper's experiments again, over several seeds, and show what came out as the paper does
+    Reproduce(reproduce::Arguments),
 }
 
 fn main() -> ExitCode {
     match Arguments::parse().command {
         Command::Run(arguments) => run::main(&arguments),
+        Command::Reproduce(arguments) => reproduce::main(&arguments),
     }
 }
 
 /// Prints to standard output. Whoever reads may have left; what is printed is in the command's folder all the same.
 fn print(text: &str) {
     let _ = std::io::stdout().write_all(text.as_bytes());
+}
+
+/// Prints what a study gave, or why it gave nothing.
+fn study_ended(result: Result<String, StudyError>) -> ExitCode {
+    match result {
+        Ok(text) => {
+            print(&text);
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            say(&format!("tectum: {error}"));
+            ExitCode::from(error.exit_code())
+        }
+    }
 }

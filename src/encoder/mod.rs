@@ -5,6 +5,9 @@
 //! features that policy and learner see. An [`Encoder`] is built once from [`Map`]s and then fills [`Features`] tick
 //! after tick, knowing neither clock nor file nor transport, and allocating nothing.
 //!
+//! An encoder may also pass inputs through as they are, *scalars*, behind the maps' features and never normalised: the
+//! paper's "scalar" eye, with which it compares topographic coding (section 4.1), has no maps at all.
+//!
 //! # Layout
 //!
 //! Features lie in memory map after map; in a plane the first axis is slow. Every row along the fast axis is padded
@@ -44,6 +47,7 @@ mod plan;
 mod scalar;
 
 pub use features::Features;
+use features::LANES;
 use plan::Plan;
 
 /// One axis of a map: `units` Gaussian kernels, uniformly spaced from `min` to `max`, reading input number `input`.
@@ -76,6 +80,8 @@ pub struct Encoder {
     plan: Plan,
     /// Activations of all lines, between the passes; here so that a call allocates nothing.
     lines: Features,
+    /// Inputs that are features themselves, behind the maps'.
+    scalars: Vec<usize>,
 }
 
 impl Encoder {
@@ -86,22 +92,28 @@ impl Encoder {
     pub fn new(maps: &[Map], normalise: bool) -> Self {
         let plan = Plan::new(maps, normalise);
         let lines = plan.centres.clone();
-        Self { plan, lines }
+        Self { plan, lines, scalars: Vec::new() }
+    }
+
+    /// The same encoder with the inputs of these numbers as further features, as they are.
+    pub fn with_scalars(mut self, inputs: &[usize]) -> Self {
+        self.scalars = inputs.to_vec();
+        self
     }
 
     /// Number of true features, without pads.
     pub fn units(&self) -> usize {
-        self.plan.places.iter().map(|place| place.rows * place.units).sum()
+        self.plan.places.iter().map(|place| place.rows * place.units).sum::<usize>() + self.scalars.len()
     }
 
     /// Length of the features in memory, pads included; a multiple of 4.
     pub fn len(&self) -> usize {
-        self.plan.len
+        self.plan.len + self.scalars.len().next_multiple_of(LANES)
     }
 
-    /// Whether there are no features at all, for want of maps.
+    /// Whether there are no features at all, for want of maps and scalars.
     pub fn is_empty(&self) -> bool {
-        self.plan.len == 0
+        self.len() == 0
     }
 
     /// Place in memory of one unit: of map number `map`, `slow` along the first axis of a plane (0 for a line), `fast`
@@ -118,15 +130,16 @@ impl Encoder {
 
     /// Places in memory of all units, in the true order of the features: what leads from padded to plain and back.
     pub fn positions(&self) -> impl Iterator<Item = usize> + '_ {
-        self.plan.places.iter().flat_map(|place| {
+        let maps = self.plan.places.iter().flat_map(|place| {
             (0..place.rows)
                 .flat_map(move |row| (0..place.units).map(move |unit| place.start + row * place.stride() + unit))
-        })
+        });
+        maps.chain(self.plan.len..self.plan.len + self.scalars.len())
     }
 
     /// Memory for the features of one tick, all 0.
     pub fn features(&self) -> Features {
-        Features::zeroed(self.plan.len)
+        Features::zeroed(self.len())
     }
 
     /// Encodes `inputs`, as the maps' axes number them, into `out`. All of it is written, pads (with 0) included.
@@ -137,8 +150,9 @@ impl Encoder {
     ///
     /// If an axis reads an input that is not there, or `out` was made for an encoder of another length.
     pub fn encode(&mut self, inputs: &[f32], out: &mut Features) {
-        assert_eq!(out.len(), self.plan.len, "the features were made for another encoder");
+        assert_eq!(out.len(), self.len(), "the features were made for another encoder");
         kernel::encode(&self.plan, inputs, &mut self.lines, out);
+        self.pass_through(inputs, out);
     }
 
     /// Encodes with the scalar twin: the same features, bit for bit, and several times slower.
@@ -147,8 +161,18 @@ impl Encoder {
     ///
     /// As [`encode`](Self::encode).
     pub fn encode_scalar(&mut self, inputs: &[f32], out: &mut Features) {
-        assert_eq!(out.len(), self.plan.len, "the features were made for another encoder");
+        assert_eq!(out.len(), self.len(), "the features were made for another encoder");
         scalar::encode(&self.plan, inputs, &mut self.lines, out);
+        self.pass_through(inputs, out);
+    }
+
+    /// Writes the scalars and their pads.
+    fn pass_through(&self, inputs: &[f32], out: &mut Features) {
+        let (scalars, pads) = out.as_mut_slice()[self.plan.len..].split_at_mut(self.scalars.len());
+        for (out, &input) in scalars.iter_mut().zip(&self.scalars) {
+            *out = inputs[input];
+        }
+        pads.fill(0.0);
     }
 }
 

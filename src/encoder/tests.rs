@@ -169,3 +169,23 @@ fn no_maps_no_features() {
     encoder.encode(&[], &mut features);
     assert!(encoder.is_empty() && features.is_empty() && features.as_slice().is_empty());
 }
+
+#[test]
+fn scalars_stand_behind_the_maps_as_they_are() {
+    let maps = [Map::Line(line(0, 5, 0.5))];
+    let mut encoder = Encoder::new(&maps, true).with_scalars(&[2, 0]);
+    let mut features = encoder.features();
+    let inputs = [0.25, 9.0, -7.5];
+    encoder.encode(&inputs, &mut features);
+    let order: Vec<_> = encoder.positions().collect();
+    assert_eq!((encoder.units(), encoder.len(), order.len()), (7, 12, 7));
+    assert_eq!([features.as_slice()[order[5]], features.as_slice()[order[6]]], [-7.5, 0.25]);
+    let norm: f32 = order[..5].iter().map(|&at| features.as_slice()[at].powi(2)).sum();
+    assert!((norm - 1.0).abs() < 1e-6, "the maps alone are normalised");
+    // Alone, as for the paper's scalar eye, and with whatever was in memory before.
+    let mut bare = Encoder::new(&[], true).with_scalars(&[1]);
+    let mut features = bare.features();
+    features.as_mut_slice().fill(3.0);
+    bare.encode_scalar(&inputs, &mut features);
+    assert_eq!(features.as_slice(), [9.0, 0.0, 0.0, 0.0]);
+}

@@ -210,6 +210,7 @@ pub(super) mod tests {
             inputs: Vec::new(),
             outputs: Vec::new(),
             measures: Vec::new(),
+            scalars: Vec::new(),
             maps: Vec::new(),
             hash: 5,
         };

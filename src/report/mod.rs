@@ -101,6 +101,27 @@ impl Window {
     pub fn rms_error(&self) -> Option<f64> {
         self.mean_squared_error.map(f64::sqrt)
     }
+
+    /// Two windows as one.
+    pub fn and(&self, other: &Self) -> Self {
+        let (a, b) = (self, other);
+        let mean = |x: f64, n: u64, y: f64, m: u64| (x * n as f64 + y * m as f64) / (n + m) as f64;
+        Self {
+            from: a.from.min(b.from),
+            ticks: a.ticks + b.ticks,
+            noise_share: mean(a.noise_share, a.ticks, b.noise_share, b.ticks),
+            loss: mean(a.loss, a.ticks, b.loss, b.ticks),
+            mean_squared_error: a
+                .mean_squared_error
+                .zip(b.mean_squared_error)
+                .map(|(x, y)| mean(x, a.ticks, y, b.ticks)),
+            end_error: match (a.end_error, b.end_error) {
+                (Some(x), Some(y)) => Some(mean(x, a.ends, y, b.ends)),
+                (x, y) => x.or(y),
+            },
+            ends: a.ends + b.ends,
+        }
+    }
 }
 
 /// First and last window as text, one line each under a head with the units. `-` is a value that there is not.
@@ -129,14 +150,21 @@ pub fn table(story: &Story) -> String {
     if story.windows.is_empty() {
         rows.push(std::array::from_fn(|_| "-".to_owned()));
     }
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: [usize; 5] = std::array::from_fn(width);
+    columns(&rows)
+}
+
+/// Rows of cells as text: the first column to the left, the others to the right, each as wide as its widest cell.
+pub fn columns<R: AsRef<[String]>>(rows: &[R]) -> String {
+    let count = rows.iter().map(|row| row.as_ref().len()).max().unwrap_or(0);
+    let width = |column: usize| rows.iter().filter_map(|row| row.as_ref().get(column)).map(|c| c.chars().count()).max();
+    let widths: Vec<usize> = (0..count).map(|column| width(column).unwrap_or(0)).collect();
     let mut text = String::new();
-    for row in &rows {
-        let _ = write!(text, "{:<1$}", row[0], widths[0]);
-        for (cell, width) in row.iter().zip(widths).skip(1) {
-            let _ = write!(text, "  {cell:>width$}");
+    for row in rows {
+        let mut line = String::new();
+        for (i, (cell, &width)) in row.as_ref().iter().zip(&widths).enumerate() {
+            let _ = if i == 0 { write!(line, "{cell:<width$}") } else { write!(line, "  {cell:>width$}") };
         }
+        text.push_str(line.trim_end());
         text.push('\n');
     }
     text
@@ -155,8 +183,8 @@ pub fn thousands(n: u64) -> String {
     text
 }
 
-/// Three significant figures, which is what a mean over a window is good for.
-fn figures(value: Option<f64>) -> String {
+/// Three significant figures, which is what a mean over a window is good for; `-` for none.
+pub fn figures(value: Option<f64>) -> String {
     let Some(x) = value.filter(|x| x.is_finite()) else { return "-".into() };
     if x == 0.0 {
         return "0".into();

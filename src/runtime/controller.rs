@@ -48,7 +48,7 @@ impl Controller {
     pub fn new(plan: &Plan) -> Self {
         let scenario = &plan.scenario;
         let outputs = plan.outputs.len();
-        let encoder = Encoder::new(&plan.maps, scenario.encoder.normalise);
+        let encoder = plan.encoder();
         let (len, order) = (encoder.len(), encoder.positions().collect());
         Self {
             policy: Linear::new(len, order, outputs),

@@ -17,14 +17,27 @@ pub struct InProcess {
 /// Runs `plan` with `body`: the same ticks, in the same order, as three processes in lockstep. `watch` is called with
 /// the ticks done and the account so far, every 4096 ticks; when it says false the run ends there.
 pub fn in_process<P: Plant>(plan: &Plan, body: P, mut watch: impl FnMut(u64, &Tally) -> bool) -> InProcess {
+    in_process_seen(plan, body, |observation, controller| {
+        let tick = observation.header.tick;
+        !tick.is_multiple_of(4096) || watch(tick, controller.tally())
+    })
+}
+
+/// The same for whoever wants to see every tick: `see` is called with the observation before it is answered; when it says
+/// false the run ends there.
+pub fn in_process_seen<P: Plant>(
+    plan: &Plan,
+    body: P,
+    mut see: impl FnMut(&Observation, &Controller) -> bool,
+) -> InProcess {
     let mut side = PlantSide::new(body, plan);
     let mut controller = Controller::new(plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     for tick in 0..plan.scenario.ticks {
-        if tick.is_multiple_of(4096) && !watch(tick, controller.tally()) {
+        side.observe(tick, 0, 0, &mut observation);
+        if !see(&observation, &controller) {
             break;
         }
-        side.observe(tick, 0, 0, &mut observation);
         controller.respond(&observation, &mut command);
         controller.settle(&observation);
         side.live(tick, Some(&command));

@@ -32,6 +32,33 @@ struct Sums {
     end_error: f64,
 }
 
+/// The inputs of a target switch and the movement that follows it.
+#[derive(Debug, Clone)]
+pub struct Switch {
+    row: Vec<Snapshot>,
+}
+
+impl Default for Switch {
+    fn default() -> Self {
+        Self { row: Vec::with_capacity(KEPT) }
+    }
+}
+
+impl Switch {
+    /// Takes the next observation in, and gives a whole switch, 31 ticks without a gap, when it has become whole.
+    pub fn see(&mut self, observation: &Observation) -> Option<&[Snapshot]> {
+        let tick = observation.header.tick;
+        if observation.header.flags & flag::NEW_TARGET != 0 {
+            self.row.clear();
+        } else if self.row.last().is_none_or(|s| s.tick + 1 != tick) || self.row.len() == KEPT {
+            // Not a gapless row from a switch on.
+            return None;
+        }
+        self.row.push(Snapshot { tick, inputs: observation.inputs });
+        (self.row.len() == KEPT).then_some(&self.row)
+    }
+}
+
 /// The account.
 #[derive(Debug, Clone)]
 pub struct Tally {
@@ -44,23 +71,28 @@ pub struct Tally {
     last_error: f64,
     /// What exploration costs, where that is known: the arm, and the noise's standard deviation.
     arm: Option<(ArmTable, f64)>,
-    switch: Vec<Snapshot>,
+    switch: Switch,
     first: Vec<Snapshot>,
     last: Vec<Snapshot>,
 }
 
 impl Tally {
-    /// The account of a run of `plan`.
+    /// The account of a run of `plan`, in as many windows as a figure can show.
     pub fn new(plan: &Plan) -> Self {
+        Self::with_windows(plan, plan.scenario.ticks.div_ceil(WINDOWS))
+    }
+
+    /// The account of a run of `plan`, in windows of `length` ticks.
+    pub fn with_windows(plan: &Plan, length: u64) -> Self {
         Self {
-            length: plan.scenario.ticks.div_ceil(WINDOWS),
+            length,
             error: plan.measures.iter().position(|name| name == "error"),
-            windows: Vec::with_capacity(WINDOWS as usize + 1),
+            windows: Vec::with_capacity(plan.scenario.ticks.div_ceil(length) as usize + 1),
             current: Sums::default(),
             from: 0,
             last_error: 0.0,
             arm: plan.scenario.plant.arm.clone().map(|arm| (arm, plan.scenario.policy.sigma)),
-            switch: Vec::with_capacity(KEPT),
+            switch: Switch::default(),
             first: Vec::with_capacity(KEPT),
             last: Vec::with_capacity(KEPT),
         }
@@ -87,21 +119,10 @@ impl Tally {
                 }
             }
         }
-        self.keep(observation);
-    }
-
-    fn keep(&mut self, observation: &Observation) {
-        let tick = observation.header.tick;
-        if observation.header.flags & flag::NEW_TARGET != 0 {
-            self.switch.clear();
-        } else if self.switch.last().is_none_or(|s| s.tick + 1 != tick) || self.switch.len() == KEPT {
-            // Not a gapless row from a switch on.
-            return;
-        }
-        self.switch.push(Snapshot { tick, inputs: observation.inputs });
-        if self.switch.len() == KEPT {
+        if let Some(switch) = self.switch.see(observation) {
             let kept = if self.first.is_empty() { &mut self.first } else { &mut self.last };
-            kept.clone_from(&self.switch);
+            kept.clear();
+            kept.extend_from_slice(switch);
         }
     }
 

@@ -174,7 +174,10 @@ pub struct EncoderTable {
     /// Scale the concatenated features to unit Euclidean norm.
     #[serde(default = "yes")]
     pub normalise: bool,
-    /// The maps; at most 64, with at most 65,536 units together.
+    /// Inputs, by name, that are features as they are, behind the maps' and never normalised.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub scalars: Vec<String>,
+    /// The maps; at most 64, with at most 65,536 units together; none only beside scalars.
     pub maps: Vec<MapTable>,
 }
 

@@ -30,7 +30,7 @@ use std::{fs::File, io::Read, path::Path};
 
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::encoder::{Axis, Map};
+use crate::encoder::{Axis, Encoder, Map};
 use error::{Problem, tables};
 use signals::signals;
 
@@ -52,9 +52,18 @@ pub struct Plan {
     pub measures: Vec<String>,
     /// The encoder's maps, in order, ranges and units resolved.
     pub maps: Vec<Map>,
+    /// The inputs that are features as they are.
+    pub scalars: Vec<usize>,
     /// 64-bit hash of the resolved scenario, as compared in the handshake: XXH3 of [`Scenario::to_toml`], so that it
     /// covers every setting, seed and ticks included, but neither comments and layout nor the file's name.
     pub hash: u64,
+}
+
+impl Plan {
+    /// The encoder that the scenario describes.
+    pub fn encoder(&self) -> Encoder {
+        Encoder::new(&self.maps, self.scenario.encoder.normalise).with_scalars(&self.scalars)
+    }
 }
 
 impl Scenario {
@@ -116,6 +125,7 @@ impl Scenario {
         Ok(Plan {
             // Exact: `check` has seen to it that the period is a whole number of ns.
             period_ns: (scenario.period_ms * 1e6).round() as u64,
+            scalars: scenario.encoder.scalars.iter().filter_map(|name| find(&signals.inputs, name)).collect(),
             inputs: signals.inputs,
             outputs: signals.outputs,
             measures: signals.measures,

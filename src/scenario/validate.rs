@@ -29,6 +29,10 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
         let text = "is learned-reward, which needs inputs that the commands move; the eye has none, so give it paper";
         return Err(Problem::new("learner.rule", text));
     }
+    if scenario.learner.rule == Rule::LearnedReward && !scenario.encoder.scalars.is_empty() {
+        let text = "is given, and the rule learned-reward can do with maps alone; take it out, or give another rule";
+        return Err(Problem::new("encoder.scalars", text));
+    }
     log(&scenario.log)?;
     channels(scenario)
 }
@@ -105,7 +109,11 @@ fn measures(names: &[String]) -> Result<(), Problem> {
 
 fn encoder(encoder: &EncoderTable, inputs: &[SignalTable]) -> Result<(), Problem> {
     let maps = &encoder.maps;
-    if maps.is_empty() || maps.len() > limits::MAX_MAPS {
+    for (i, name) in encoder.scalars.iter().enumerate() {
+        known_input(format_args!("encoder.scalars[{i}]"), name, inputs)?;
+    }
+    different("encoder.scalars", "", &encoder.scalars)?;
+    if (maps.is_empty() && encoder.scalars.is_empty()) || maps.len() > limits::MAX_MAPS {
         return Err(Problem::new("encoder.maps", format_args!("has {} maps; give 1 to 64", maps.len())));
     }
     let mut total = 0;
@@ -120,6 +128,14 @@ fn encoder(encoder: &EncoderTable, inputs: &[SignalTable]) -> Result<(), Problem
     Ok(())
 }
 
+/// The number of the input that has this name.
+pub(super) fn known_input(key: impl Display, name: &str, inputs: &[SignalTable]) -> Result<usize, Problem> {
+    find(inputs, name).ok_or_else(|| {
+        let names: Vec<_> = inputs.iter().map(|input| &input.name).collect();
+        Problem::value(key, quoted(name), format!("the plant's inputs are {}", either(&names, "and")))
+    })
+}
+
 /// Checks a map and counts its units.
 fn check_map(key: &str, map: &MapTable, inputs: &[SignalTable]) -> Result<usize, Problem> {
     let n = map.inputs.len();
@@ -131,12 +147,7 @@ fn check_map(key: &str, map: &MapTable, inputs: &[SignalTable]) -> Result<usize,
     }
     let mut known = Vec::with_capacity(n);
     for (i, name) in map.inputs.iter().enumerate() {
-        let Some(input) = find(inputs, name) else {
-            let names: Vec<_> = inputs.iter().map(|input| &input.name).collect();
-            let remedy = format!("the plant's inputs are {}", either(&names, "and"));
-            return Err(Problem::value(format_args!("{key}.inputs[{i}]"), quoted(name), remedy));
-        };
-        known.push(&inputs[input]);
+        known.push(&inputs[known_input(format_args!("{key}.inputs[{i}]"), name, inputs)?]);
     }
     different(&format!("{key}.inputs"), "", &map.inputs)?;
 

@@ -4,10 +4,10 @@ use std::ops::RangeInclusive;
 
 use super::{
     BaselineTable, CriticTable, LearnerTable, ModelTable, Rule,
-    error::{Problem, either, quoted},
-    find, limits,
+    error::Problem,
+    limits,
     signals::Signals,
-    validate::{number, show},
+    validate::{known_input, number, show},
 };
 
 pub(super) fn check(learner: &LearnerTable, signals: &Signals) -> Result<(), Problem> {
@@ -66,11 +66,7 @@ fn model(table: &ModelTable, signals: &Signals) -> Result<(), Problem> {
         return Err(Problem::new(key("moved"), text));
     }
     for (i, name) in table.moved.iter().enumerate() {
-        if find(inputs, name).is_none() {
-            let names: Vec<_> = inputs.iter().map(|input| &input.name).collect();
-            let remedy = format!("the plant's inputs are {}", either(&names, "and"));
-            return Err(Problem::value(format_args!("{}[{i}]", key("moved")), quoted(name), remedy));
-        }
+        known_input(format_args!("{}[{i}]", key("moved")), name, inputs)?;
     }
     number(key("spread"), table.spread, limits::SPREADS, "give 1e-6 to 1e6")?;
     number(key("smoothness"), table.smoothness, 1e-3..=1.0, "give 0.001 to 1")?;

@@ -5,7 +5,10 @@
 //! the object of `--json`, the rows of a CSV and the matter of a figure.
 
 mod crew;
+mod error;
+pub mod reproduce;
 mod spread;
 
 pub use crew::{Crew, Ticks};
+pub use error::StudyError;
 pub use spread::Spread;

@@ -16,6 +16,7 @@ mod summary;
 pub use error::LaunchError;
 pub(crate) use folder::RunFolder;
 pub(crate) use progress::Progress;
+pub(crate) use story::reach;
 pub use study::study;
 pub use summary::{Ended, Span, Summary};
 

@@ -22,27 +22,10 @@ fn merge<'a>(windows: impl Iterator<Item = &'a Window>, total: u64) -> Option<Wi
         sum = Some(match sum {
             None => w.clone(),
             Some(s) if s.ticks >= total / SHARE && (s.ends > 0 || s.ticks >= total / 2) => return Some(s),
-            Some(s) => together(&s, w),
+            Some(s) => s.and(w),
         });
     }
     sum
-}
-
-/// Two windows as one.
-fn together(a: &Window, b: &Window) -> Window {
-    let mean = |x: f64, n: u64, y: f64, m: u64| (x * n as f64 + y * m as f64) / (n + m) as f64;
-    Window {
-        from: a.from.min(b.from),
-        ticks: a.ticks + b.ticks,
-        noise_share: mean(a.noise_share, a.ticks, b.noise_share, b.ticks),
-        loss: mean(a.loss, a.ticks, b.loss, b.ticks),
-        mean_squared_error: a.mean_squared_error.zip(b.mean_squared_error).map(|(x, y)| mean(x, a.ticks, y, b.ticks)),
-        end_error: match (a.end_error, b.end_error) {
-            (Some(x), Some(y)) => Some(mean(x, a.ends, y, b.ends)),
-            (x, y) => x.or(y),
-        },
-        ends: a.ends + b.ends,
-    }
 }
 
 /// The story that the figure tells.
@@ -65,7 +48,8 @@ pub(super) fn story(plan: &Plan, mode: Mode, controller: ControllerReport) -> St
     }
 }
 
-fn reach(arm: &ArmTable, switch: &[Snapshot]) -> Option<Reach> {
+/// The reach of a whole target switch; `None` where there was none.
+pub(crate) fn reach(arm: &ArmTable, switch: &[Snapshot]) -> Option<Reach> {
     let first = switch.first()?;
     let joints = arm.lengths.len();
     Some(Reach {
@@ -109,7 +93,7 @@ mod tests {
 
     #[test]
     fn windows_without_an_end_do_not_dilute_those_with_one() {
-        let both = together(&window(0, 1.0, None), &window(10, 3.0, Some(0.5)));
+        let both = window(0, 1.0, None).and(&window(10, 3.0, Some(0.5)));
         assert_eq!((both.loss, both.end_error, both.ends), (2.0, Some(0.5), 1));
     }
 }

@@ -141,18 +141,24 @@ fn panel(
 }
 
 /// From ticks to a time that people count in.
-struct TimeAxis {
+pub(super) struct TimeAxis {
     unit: &'static str,
     /// Of that unit in a tick.
     per_tick: f64,
     /// End of the axis.
-    end: f64,
+    pub end: f64,
 }
 
 impl TimeAxis {
     fn of(story: &Story) -> TimeAxis {
-        let ticks = story.windows.iter().map(|w| w.from.saturating_add(w.ticks)).max().unwrap_or(0).max(1) as f64;
-        let seconds = ticks * story.period_s;
+        let ticks = story.windows.iter().map(|w| w.from.saturating_add(w.ticks)).max().unwrap_or(0);
+        Self::new(ticks, story.period_s)
+    }
+
+    /// The axis of `ticks` ticks of `period_s` seconds.
+    pub fn new(ticks: u64, period_s: f64) -> TimeAxis {
+        let ticks = ticks.max(1) as f64;
+        let seconds = ticks * period_s;
         // A story without a sensible period is told in ticks.
         if !(drawable(seconds) && seconds > 0.0) {
             return TimeAxis { unit: "ticks", per_tick: 1.0, end: ticks };
@@ -163,18 +169,18 @@ impl TimeAxis {
             s if s <= 3.0 * 86_400.0 => ("h", 3600.0),
             _ => ("days", 86_400.0),
         };
-        TimeAxis { unit, per_tick: story.period_s / size, end: seconds / size }
+        TimeAxis { unit, per_tick: period_s / size, end: seconds / size }
     }
 
-    fn at(&self, tick: u64) -> f64 {
+    pub fn at(&self, tick: u64) -> f64 {
         tick as f64 * self.per_tick
     }
 
-    fn middle(&self, w: &Window) -> f64 {
+    pub fn middle(&self, w: &Window) -> f64 {
         (w.from as f64 + w.ticks as f64 / 2.0) * self.per_tick
     }
 
-    fn label(&self) -> String {
+    pub fn label(&self) -> String {
         format!("time ({})", self.unit)
     }
 }

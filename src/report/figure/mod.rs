@@ -4,8 +4,14 @@
 //! canvas four times as fine, and the file says how large it is meant. Text stays text, in whatever sans-serif font the
 //! viewer has. Colours are those of Okabe and Ito, which colour-blind readers can tell apart; lines differ in weight too.
 
+mod bands;
 mod curves;
+mod loss;
+mod miss;
 mod postures;
+
+pub use loss::{LossFigure, draw_loss};
+pub use miss::{MissFigure, MissPanel, draw_miss};
 
 use super::{ReportError, Story};
 use plotters::coord::Shift;
@@ -29,6 +35,9 @@ const GREY: RGBColor = RGBColor(140, 140, 140);
 const INK: RGBColor = RGBColor(40, 40, 40);
 const FAINT: RGBColor = RGBColor(228, 228, 228);
 
+/// Points of a curve, x and y.
+pub type Curve = Vec<(f64, f64)>;
+
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// Draws `story` into a new file at `path`, in place of one that is there.
@@ -37,7 +46,10 @@ type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 ///
 /// [`ReportError`] if the file cannot be written.
 pub fn draw(story: &Story, path: &Path) -> Result<(), ReportError> {
-    let svg = svg(story)?;
+    write(path, &svg(story)?)
+}
+
+fn write(path: &Path, svg: &str) -> Result<(), ReportError> {
     std::fs::write(path, svg).map_err(|error| ReportError::Write { path: path.to_owned(), error })
 }
 
@@ -49,23 +61,35 @@ fn svg(story: &Story) -> Result<String, ReportError> {
         .filter(|(_, reach)| reach.postures.iter().any(|line| line.iter().flatten().all(|&x| drawable(x))))
         .collect();
     let width = CURVES_WIDTH + if reaches.is_empty() { 0 } else { POSTURES_WIDTH };
-    let mut svg = String::new();
-    {
-        let root = SVGBackend::with_string(&mut svg, (width * FINE, HEIGHT * FINE)).into_drawing_area();
-        root.fill(&WHITE).map_err(refused)?;
-        let (title, rest) = root.split_vertically(px(TITLE_HEIGHT));
-        title.draw(&Text::new(story.title.clone(), (px(16), px(14)), font(16.0, INK))).map_err(refused)?;
+    canvas((width, HEIGHT), &story.title, |title, rest| {
         let (left, right) = rest.split_horizontally(px(CURVES_WIDTH));
         curves::draw(story, &left)?;
         if !reaches.is_empty() {
-            postures::legend(&title, px(CURVES_WIDTH))?;
+            postures::legend(title, px(CURVES_WIDTH))?;
             postures::draw(story, &reaches, &right)?;
         }
+        Ok(())
+    })
+}
+
+/// A sheet of so many pixels with a title; `draw` gets the title's strip and the rest.
+fn canvas(
+    (width, height): (u32, u32),
+    title: &str,
+    draw: impl FnOnce(&Area, &Area) -> Result<(), ReportError>,
+) -> Result<String, ReportError> {
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, (width * FINE, height * FINE)).into_drawing_area();
+        root.fill(&WHITE).map_err(refused)?;
+        let (strip, rest) = root.split_vertically(px(TITLE_HEIGHT));
+        strip.draw(&Text::new(title.to_owned(), (px(16), px(14)), font(16.0, INK))).map_err(refused)?;
+        draw(&strip, &rest)?;
         root.present().map_err(refused)?;
     }
     // The canvas keeps its fine coordinates as the view box, and is shown at its true size.
-    let fine = format!("<svg width=\"{}\" height=\"{}\" ", width * FINE, HEIGHT * FINE);
-    Ok(svg.replacen(&fine, &format!("<svg width=\"{width}\" height=\"{HEIGHT}\" "), 1))
+    let fine = format!("<svg width=\"{}\" height=\"{}\" ", width * FINE, height * FINE);
+    Ok(svg.replacen(&fine, &format!("<svg width=\"{width}\" height=\"{height}\" "), 1))
 }
 
 fn px(pixels: u32) -> i32 {

@@ -15,7 +15,7 @@ pub(super) fn draw(story: &Story, reaches: &[(&str, &Reach)], area: &Area) -> Re
         let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
         let title = format!("{name}, from tick {}", thousands(reach.from));
         head.draw(&Text::new(title, (px(LEFT_LABELS), px(LEGEND_HEIGHT) * 3 / 5), text)).map_err(refused)?;
-        panel(story, reach, centre, half, &rest)?;
+        panel(&story.unit, reach, centre, half, &rest)?;
     }
     Ok(())
 }
@@ -31,7 +31,7 @@ pub(super) fn legend(strip: &Area, left: i32) -> Result<(), ReportError> {
     strip.draw(&Text::new("path of the end-effector", (x + px(100), y), style())).map_err(refused)
 }
 
-fn panel(story: &Story, reach: &Reach, centre: [f64; 2], half: f64, area: &Area) -> Result<(), ReportError> {
+pub(super) fn panel(unit: &str, reach: &Reach, centre: [f64; 2], half: f64, area: &Area) -> Result<(), ReportError> {
     // A metre is as long across as it is upwards: the plot is made square within what there is.
     let (width, height) = area.dim_in_pixel();
     let side = (width as i32 - px(LEFT_LABELS + 16)).min(height as i32 - px(BOTTOM_LABELS + 8));
@@ -53,8 +53,8 @@ fn panel(story: &Story, reach: &Reach, centre: [f64; 2], half: f64, area: &Area)
         .set_all_tick_mark_size(px(4))
         .x_label_formatter(&label)
         .y_label_formatter(&label)
-        .x_desc(with_unit("x", &story.unit))
-        .y_desc(with_unit("y", &story.unit))
+        .x_desc(with_unit("x", unit))
+        .y_desc(with_unit("y", unit))
         .draw()
         .map_err(refused)?;
     let whole: Vec<&Vec<[f64; 2]>> =
@@ -89,7 +89,7 @@ fn faded(age: f64) -> RGBColor {
 }
 
 /// Centre and half the side of a square that holds everything with a little room.
-fn frame(reaches: &[(&str, &Reach)]) -> ([f64; 2], f64) {
+pub(super) fn frame(reaches: &[(&str, &Reach)]) -> ([f64; 2], f64) {
     let mut low = [f64::INFINITY; 2];
     let mut high = [f64::NEG_INFINITY; 2];
     let points = reaches.iter().flat_map(|(_, reach)| reach.postures.iter().flatten().chain([&reach.target]));

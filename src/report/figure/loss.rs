@@ -1,0 +1,113 @@
+//! The paper's figure 4: cumulative loss of several runs, and the arm at four target switches.
+
+use super::bands::{Axes, Band};
+use super::curves::TimeAxis;
+use super::*;
+use crate::report::{Reach, Window};
+
+/// Size, pixels.
+const SIZE: (u32, u32) = (1240, 640);
+const CURVES: u32 = 640;
+const CAPTION: u32 = 24;
+
+/// What the figure shows.
+#[derive(Debug, Clone)]
+pub struct LossFigure {
+    /// Title.
+    pub title: String,
+    /// Period of a tick, s.
+    pub period_s: f64,
+    /// Windows of equal length, run by run.
+    pub runs: Vec<Vec<Window>>,
+    /// A tick at which something happened, and what.
+    pub mark: Option<(u64, String)>,
+    /// Target switches with their captions, in m; up to four.
+    pub reaches: Vec<(String, Reach)>,
+}
+
+/// Draws it into a file.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn draw_loss(figure: &LossFigure, path: &Path) -> Result<(), ReportError> {
+    let svg = canvas(SIZE, &figure.title, |strip, rest| {
+        let (left, right) = rest.split_horizontally(px(CURVES));
+        curves(figure, &left)?;
+        if !figure.reaches.is_empty() {
+            postures::legend(strip, px(CURVES))?;
+        }
+        let frame = postures::frame(&figure.reaches.iter().map(|(n, r)| (n.as_str(), r)).collect::<Vec<_>>());
+        for ((name, reach), area) in figure.reaches.iter().zip(right.split_evenly((2, 2))) {
+            let (head, panel) = area.split_vertically(px(CAPTION));
+            let style = anchored(font(12.5, INK), HPos::Left, VPos::Center);
+            let text = format!("{name}: from tick {}", crate::report::thousands(reach.from));
+            head.draw(&Text::new(text, (px(46), px(CAPTION) / 2), style)).map_err(refused)?;
+            postures::panel("m", reach, frame.0, frame.1, &panel)?;
+        }
+        Ok(())
+    })?;
+    write(path, &svg)
+}
+
+fn curves(figure: &LossFigure, area: &Area) -> Result<(), ReportError> {
+    let ticks = figure.runs.iter().flatten().map(|w| w.from + w.ticks).max().unwrap_or(0);
+    let clock = TimeAxis::new(ticks, figure.period_s);
+    let cumulative = |run: &Vec<Window>| {
+        let mut sum = 0.0;
+        let mut points = vec![(0.0, 0.0)];
+        points.extend(run.iter().map(|w| {
+            sum += w.loss * w.ticks as f64;
+            (clock.at(w.from + w.ticks), sum / 1000.0)
+        }));
+        points
+    };
+    let each = |value: &dyn Fn(&Window) -> f64| -> Vec<Curve> {
+        figure.runs.iter().map(|run| run.iter().map(|w| (clock.middle(w), value(w))).collect()).collect()
+    };
+    let mark = figure.mark.as_ref().map(|(tick, what)| (clock.at(*tick), what.as_str()));
+    let (upper, lower) = area.split_vertically(px((SIZE.1 - TITLE_HEIGHT) / 2));
+    let sums: Vec<_> = figure.runs.iter().map(cumulative).collect();
+    let axes = Axes { end: clock.end, x: None, top: 0.0, y: "cumulative loss (thousands)", mark, levels: &[] };
+    bands::draw(&[Band::of("cumulative loss", BLUE, &sums)], &axes, &upper)?;
+    let losses = [
+        Band::of("with exploration noise", GREY, &each(&|w| w.loss)),
+        Band::of("without", BLUE, &each(&Window::loss_without_noise)),
+    ];
+    let axes = Axes {
+        x: Some(clock.label()),
+        top: 0.0,
+        y: "loss per tick",
+        mark: mark.map(|(x, _)| (x, "")),
+        end: clock.end,
+        levels: &[],
+    };
+    bands::draw(&losses, &axes, &lower)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::tests::arm_story;
+
+    #[test]
+    fn the_figure_shows_loss_mark_and_postures() {
+        let story = arm_story();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("figure.svg");
+        let reach = story.first_reach.clone().unwrap();
+        let figure = LossFigure {
+            title: "Two seeds".into(),
+            period_s: 0.05,
+            runs: vec![story.windows.clone(), story.windows[..60].to_vec()],
+            mark: Some((9_300_000, "joint 3 blocked".into())),
+            reaches: vec![("(a) at first".into(), reach)],
+        };
+        draw_loss(&figure, &path).unwrap();
+        let svg = std::fs::read_to_string(&path).unwrap();
+        for words in ["Two seeds", "cumulative loss (thousands)", "joint 3 blocked", "(a) at first: from tick 80"] {
+            assert!(svg.contains(words), "{words}");
+        }
+        // Nothing to show is still a figure.
+        draw_loss(&LossFigure { runs: Vec::new(), reaches: Vec::new(), ..figure }, &path).unwrap();
+    }
+}
