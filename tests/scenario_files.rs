@@ -158,6 +158,37 @@ fn the_eye_has_two_log_polar_maps() {
     assert_eq!(features(&plan.maps), 512);
 }
 
+#[test]
+fn the_arms_settings_shape_what_it_says_and_takes() {
+    let plan = |text: &str| Scenario::parse(text, "x.toml").and_then(Scenario::plan).unwrap();
+    let limits = "limits = [[-1, 0.5], [-2, 2], [-2.6, 2.6], [0, 3]]";
+    let limited = plan(&edited(ARM, "base = [0.0, -1.0]", limits));
+    let ranges: Vec<_> = limited.inputs[2..].iter().map(|input| [input.min, input.max]).collect();
+    assert_eq!(ranges, [[-1.0, 0.5], [-2.0, 2.0], [-2.6, 2.6], [0.0, 3.0]]);
+    let Map::Line(axis) = limited.maps[1] else { panic!("a line") };
+    assert_eq!((axis.min, axis.max), (-1.0, 0.5), "maps follow the limits");
+
+    let costly = plan(&edited(ARM, "scale = 0.1", "collision = 0.5"));
+    assert_eq!(costly.measures, ["error", "end_x", "end_y", "crossings"]);
+
+    let tilted = edited(ARM, "arena = [-1.0, 1.0]", "arena = [-0.5, 1.0]\nmirror = [{ axis = \"y\", tick = 7 }]");
+    let [x, y] = [0, 1].map(|i| plan(&tilted).inputs[i].clone());
+    assert_eq!(([x.min, x.max], [y.min, y.max]), ([-0.5, 1.0], [-1.0, 1.0]));
+
+    let open = Scenario::find("open-loop-3").unwrap();
+    let inputs: Vec<_> = open.clone().plan().unwrap().inputs.into_iter().map(|input| input.name).collect();
+    let outputs: Vec<_> = open.clone().plan().unwrap().outputs.into_iter().map(|output| output.name).collect();
+    assert_eq!(inputs, ["target_x", "target_y"]);
+    assert_eq!(outputs, ["angle_1", "angle_2", "angle_3"]);
+    let mut open = open;
+    open.learner.rule = tectum::scenario::Rule::LearnedReward;
+    assert!(
+        open.plan().unwrap_err().to_string().ends_with(
+            "learner.rule is learned-reward, which needs inputs that the commands move; an arm in an open loop has none, so give it paper"
+        )
+    );
+}
+
 fn features(maps: &[Map]) -> usize {
     let units = |map: &Map| match map {
         Map::Line(axis) => axis.units,
@@ -220,7 +251,7 @@ fn a_preset_is_found_by_any_of_its_names_and_a_file_comes_first() {
     assert_eq!(
         Scenario::find(&path).unwrap_err().to_string(),
         format!(
-            "there is no file {path:?} and no built-in scenario of that name; the built-in ones are arm, paper, live and eye"
+            "there is no file {path:?} and no built-in scenario of that name; the built-in ones are arm, paper, live, eye, near, laplace, limited, relative, collision, todorov, open-loop-3 and open-loop-4"
         )
     );
     std::fs::write(&path, edited(ARM, "name = \"arm\"", "name = \"mine\"")).unwrap();
@@ -228,7 +259,7 @@ fn a_preset_is_found_by_any_of_its_names_and_a_file_comes_first() {
     assert!(matches!(Scenario::find(folder.path()), Err(ScenarioError::Folder { .. })));
     assert_eq!(
         Scenario::find("arms").unwrap_err().to_string(),
-        "there is no file \"arms\" and no built-in scenario of that name; the built-in ones are arm, paper, live and eye"
+        "there is no file \"arms\" and no built-in scenario of that name; the built-in ones are arm, paper, live, eye, near, laplace, limited, relative, collision, todorov, open-loop-3 and open-loop-4"
     );
 }
 
@@ -297,7 +328,7 @@ fn every_mistake_has_its_message() {
         (ARM, "lengths = ", "lenghts = ",
             "x.toml:11: unknown key \"plant.arm.lenghts\"; did you mean \"plant.arm.lengths\"?"),
         (ARM, "sigma = ", "temperature = ",
-            "x.toml:41: unknown key \"policy.temperature\"; the only key here is sigma"),
+            "x.toml:41: unknown key \"policy.temperature\"; the keys here are sigma and noise"),
         (ARM, "beta = ", "betta = ",
             "x.toml:45: unknown key \"learner.betta\"; did you mean \"learner.beta\"?"),
         (ARM, "radius = 0.5            # rad", "raduis = 0.5",
@@ -367,7 +398,7 @@ fn every_mistake_has_its_message() {
         (ARM, "ranges = [[-1.0, 1.0], [-1.0, 1.0]]", "ranges = [-1.0, 1.0]",
             "x.toml:30: encoder.maps[0].ranges[0] is -1.0; give a list of two numbers, such as [-1.0, 1.0]"),
         (ARM, "[policy]", "[policy]\n\"a.b\" = 1",
-            "x.toml:41: unknown key \"policy.a.b\"; the only key here is sigma"),
+            "x.toml:41: unknown key \"policy.a.b\"; the keys here are sigma and noise"),
         (ARM, "[policy]", "[policy]\nsigma.x = 1\n[x]",
             "x.toml:41: policy.sigma is a table or a date; give a number"),
         (ARM, "name = \"arm\"", "\"\" = \"arm\"",
@@ -458,6 +489,44 @@ fn every_mistake_has_its_message() {
             "x.toml:24: plant.arm.block[0].angle is 4; give -pi to pi rad"),
         (ARM, "# [[plant.arm.block]]", "[[plant.arm.block]]\njoint = 3\ntick = 10\n[[plant.arm.block]]\njoint = 3\ntick = 10",
             "x.toml:24: plant.arm.block[1] blocks joint 3 at tick 10 once more; keep one of the two"),
+        (ARM, "base = [0.0, -1.0]", "angles = \"joint\"",
+            "x.toml:12: plant.arm.angles is \"joint\"; give \"absolute\" or \"relative\""),
+        (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1], [-1, 1]]",
+            "x.toml:12: plant.arm.limits has 2 entries and the arm has 4 joints; give one for each, or leave it out if they turn freely"),
+        (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1], [-1, 1], [0.5, 1], [-1, 1]]",
+            "x.toml:12: plant.arm.limits[2] is [0.5, 1]; give the least and then the greatest angle, from -pi to pi rad, with the starting angle 0 between them"),
+        (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1], [-1, 1], [-1, 1], [-1, 4]]",
+            "x.toml:12: plant.arm.limits[3] is [-1, 4]; give the least and then the greatest angle, from -pi to pi rad, with the starting angle 0 between them"),
+        (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1], [-1, 1], [-1, 1], [-3.141592653589793, 3.141592653589793]]",
+            "x.toml:12: plant.arm.limits[3] is [-3.141592653589793, 3.141592653589793]; a limited joint has less than a full turn, at most 6.28 rad; leave limits out if joints turn freely"),
+        (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1, 2]]",
+            "x.toml:12: plant.arm.limits[0] is a list of 3; give a list of two numbers, such as [-1.0, 1.0]"),
+        (ARM, "base = [0.0, -1.0]", "open_loop = true",
+            "x.toml:15: plant.arm.target_every is 80; an open loop has a new target every tick, so give 1"),
+        (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1], [-1, 1], [-1, 1], [-1, 1]]\nblock = [{ joint = 2, tick = 10, angle = 1.5 }]",
+            "x.toml:13: plant.arm.block[0].angle is 1.5; the joint's limits are -1 and 1 rad"),
+        (ARM, "scale = 0.1", "near = 0",
+            "x.toml:19: plant.arm.reward.near is 0; give 0.001 to 100 m, or leave it out"),
+        (ARM, "scale = 0.1", "collision = -1",
+            "x.toml:19: plant.arm.reward.collision is -1; give 0 to 1e6"),
+        (ARM, "# [[plant.arm.block]]", "[[plant.arm.shorten]]\nsegment = 5\ntick = 10\nlength = 0.3",
+            "x.toml:22: plant.arm.shorten[0].segment is 5; the arm's segments are 1 to 4, counted from the base"),
+        (ARM, "# [[plant.arm.block]]", "[[plant.arm.shorten]]\nsegment = 2\ntick = 10\nlength = 0",
+            "x.toml:24: plant.arm.shorten[0].length is 0; give 0.001 to 100 m"),
+        (ARM, "# [[plant.arm.block]]", "[[plant.arm.shorten]]\nsegment = 2\ntick = 10\nlength = 100",
+            "x.toml:24: plant.arm.shorten[0].length is 100; from then on the arm can reach less than 1 % of plant.arm.arena, so that no targets can be drawn; give another length, or targets"),
+        (ARM, "# [[plant.arm.block]]", "[[plant.arm.shorten]]\nsegment = 2\ntick = 10\nlength = 0.3\n[[plant.arm.shorten]]\nsegment = 2\ntick = 10\nlength = 0.4",
+            "x.toml:25: plant.arm.shorten[1] changes segment 2 at tick 10 once more; keep one of the two"),
+        (ARM, "# [[plant.arm.block]]", "[[plant.arm.mirror]]\naxis = \"z\"\ntick = 10",
+            "x.toml:22: plant.arm.mirror[0].axis is \"z\"; give \"x\" or \"y\""),
+        (ARM, "# [[plant.arm.block]]", "[[plant.arm.mirror]]\naxis = \"x\"",
+            "x.toml:21: plant.arm.mirror[0].tick is missing; this key has no default, so add it"),
+        (ARM, "base = [0.0, -1.0]", "mirror = [[\"x\", 10]]",
+            "x.toml:12: plant.arm.mirror[0] is a list; give a table of keys and values, under a single [heading] or in { }"),
+        (ARM, "# [[plant.arm.block]]", "[[plant.arm.mirror]]\naxis = \"x\"\ntick = 10\n[[plant.arm.mirror]]\naxis = \"x\"\ntick = 10",
+            "x.toml:24: plant.arm.mirror[1] turns the same axis at tick 10 once more; keep one of the two"),
+        (ARM, "sigma = 0.003", "noise = \"uniform\"",
+            "x.toml:41: policy.noise is \"uniform\"; give \"gaussian\" or \"laplace\""),
         (EYE, "distortion = 4.0", "distortion = 0",
             "x.toml:9: plant.eye.distortion is 0; give 0.001 to 1e6"),
         (EYE, "spread = 0.3", "spread = inf",

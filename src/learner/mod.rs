@@ -35,7 +35,8 @@ pub struct Tick<'a> {
     pub features: &'a [f32],
     /// The inputs behind them.
     pub inputs: &'a [f32],
-    /// What the applied command differed from the policy's mean by.
+    /// What the applied command differed from the policy's mean by, or what stands for it where the noise is not Gaussian:
+    /// `sigma^2` times its score ([`Exploration::score`](crate::policy::Exploration::score)).
     pub noise: &'a Outputs,
     /// The command that was applied.
     pub applied: &'a Outputs,

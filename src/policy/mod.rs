@@ -1,4 +1,5 @@
-//! The linear-Gaussian policy `u = W g + noise`, `noise ~ N(0, sigma^2 I)` (paper section 3.2, equations 3 to 6).
+//! The linear-Gaussian policy `u = W g + noise`, `noise ~ N(0, sigma^2 I)` (paper section 3.2, equations 3 to 6); the noise
+//! may have another distribution of the same spread ([`Exploration`]).
 //!
 //! The outputs are the lanes: four outputs of one feature lie together in a [`Vec4`], so that one pass over the features
 //! serves them all. Up to four outputs take one group of lanes, up to eight take two; unused lanes stay zero.

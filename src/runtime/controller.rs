@@ -52,7 +52,8 @@ impl Controller {
         let (len, order) = (encoder.len(), encoder.positions().collect());
         Self {
             policy: Linear::new(len, order, outputs),
-            exploration: Exploration::new(scenario.seed, scenario.policy.sigma as f32, outputs),
+            exploration: Exploration::new(scenario.seed, scenario.policy.sigma as f32, outputs)
+                .distributed(scenario.policy.noise),
             rule: Learner::of(plan, &encoder),
             inputs: plan.inputs.len(),
             ticks: scenario.ticks,
@@ -74,7 +75,7 @@ impl Controller {
     /// Learns from the observation's reward and answers its inputs. Fills mean, drawn output, tick and flags.
     ///
     /// Credit goes to what was applied: when the gate limited the command, the noise is what the applied command differs
-    /// from the mean by. When the command was not applied at all, or observations are missing in between, nothing is
+    /// from the mean by; the rules are handed its score. When the command was not applied at all, or observations are missing in between, nothing is
     /// learned and the trace is cut. An observation with a value that is not a number is answered with zero.
     pub fn respond(&mut self, observation: &Observation, command: &mut Command) {
         let tick = observation.header.tick;
@@ -134,7 +135,7 @@ impl Controller {
             let tick = Tick {
                 features: self.features.as_slice(),
                 inputs: &self.shown[..self.inputs],
-                noise: &self.noise,
+                noise: &self.exploration.score(&self.noise),
                 applied: &applied,
                 reward: observation.reward,
                 next_features: self.next.as_slice(),

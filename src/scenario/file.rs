@@ -10,7 +10,7 @@ use serde::{
     de::{Error, IgnoredAny, SeqAccess, Visitor},
 };
 
-use super::{LearnerTable, Source};
+use super::{ArmTable, LearnerTable, Source};
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -92,57 +92,6 @@ pub struct SignalTable {
     pub max: f64,
 }
 
-/// `[plant.arm]`: the planar arm of section 4.2, angles absolute.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ArmTable {
-    /// Lengths of the segments, m; 1 to 8 of them.
-    pub lengths: Vec<f64>,
-    /// Position of the first joint, m.
-    #[serde(deserialize_with = "pair")]
-    pub base: [f64; 2],
-    /// Angular rate for a command of 1, rad/s.
-    pub gain: f64,
-    /// Targets lie in the square from `arena[0]` to `arena[1]` on both axes, m.
-    #[serde(deserialize_with = "pair")]
-    pub arena: [f64; 2],
-    /// A new target every so many ticks.
-    pub target_every: u64,
-    /// Given targets, m, taken in turn and from the start again; empty: drawn uniformly from what the arm can reach.
-    #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
-    pub targets: Vec<[f64; 2]>,
-    /// What a tick costs.
-    pub reward: ArmRewardTable,
-    /// Joints that block during the run.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub block: Vec<BlockTable>,
-}
-
-/// `[plant.arm.reward]`: `r = -scale (|e|^2 + speed |theta_dot|^2 + angle |theta|^2)`, m, rad/s, rad.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ArmRewardTable {
-    /// Factor of the whole.
-    pub scale: f64,
-    /// Weight of the squared angular rates.
-    pub speed: f64,
-    /// Weight of the squared angles.
-    pub angle: f64,
-}
-
-/// `[[plant.arm.block]]`: from a tick on, a joint stands still at an angle whatever is commanded.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct BlockTable {
-    /// Joint, counted from 1 at the base.
-    pub joint: usize,
-    /// First tick of the block.
-    pub tick: u64,
-    /// Angle that the joint is held at, rad.
-    #[serde(default)]
-    pub angle: f64,
-}
-
 /// `[plant.eye]`: the saccades of section 4.1, one tick one saccade.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -203,6 +152,18 @@ pub struct MapTable {
 pub struct PolicyTable {
     /// Standard deviation of the exploration noise, in units of the command.
     pub sigma: f64,
+    /// How the noise is distributed.
+    pub noise: Noise,
+}
+
+/// Distributions of the exploration noise, each of mean 0 and standard deviation `sigma` on every output by itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Noise {
+    /// The paper's normal distribution.
+    Gaussian,
+    /// The double exponential one, of which the paper's section 5 speaks: many small deviations, a few large ones.
+    Laplace,
 }
 
 /// `[gate]`: between a command and the actuators.
@@ -268,11 +229,11 @@ impl<'de> Deserialize<'de> for Pair {
     }
 }
 
-fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+pub(super) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
     Pair::deserialize(deserializer).map(|Pair(pair)| pair)
 }
 
-fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f64; 2]>, D::Error> {
+pub(super) fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f64; 2]>, D::Error> {
     Vec::<Pair>::deserialize(deserializer).map(|pairs| pairs.into_iter().map(|Pair(pair)| pair).collect())
 }
 
@@ -292,27 +253,6 @@ fn simulator() -> String {
     "tectum-simulator".to_owned()
 }
 
-impl Default for ArmTable {
-    fn default() -> Self {
-        Self {
-            lengths: vec![0.5; 4],
-            base: [0.0, -1.0],
-            gain: 200.0 * std::f64::consts::PI,
-            arena: [-1.0, 1.0],
-            target_every: 80,
-            targets: Vec::new(),
-            reward: ArmRewardTable::default(),
-            block: Vec::new(),
-        }
-    }
-}
-
-impl Default for ArmRewardTable {
-    fn default() -> Self {
-        Self { scale: 0.1, speed: 0.025, angle: 0.01 }
-    }
-}
-
 impl Default for EyeTable {
     fn default() -> Self {
         Self { retina: Retina::LogPolar, distortion: 4.0, spread: 0.3, bonus: 0.5 }
@@ -321,7 +261,7 @@ impl Default for EyeTable {
 
 impl Default for PolicyTable {
     fn default() -> Self {
-        Self { sigma: 0.003 }
+        Self { sigma: 0.003, noise: Noise::Gaussian }
     }
 }
 

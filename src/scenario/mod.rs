@@ -6,6 +6,7 @@
 //! number and every reference between tables and fills in what the file leaves out. Past that point nothing is checked
 //! again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions panic.
 
+mod arm;
 mod error;
 mod file;
 mod learner;
@@ -20,6 +21,7 @@ mod validate_plant;
 #[cfg(test)]
 mod tests;
 
+pub use arm::*;
 pub use error::{Place, ScenarioError};
 pub use file::*;
 pub use learner::*;

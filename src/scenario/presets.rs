@@ -20,6 +20,14 @@ const PRESETS: &[Preset] = &[
     Preset { name: "paper", text: include_str!("../../scenarios/paper.toml") },
     Preset { name: "live", text: include_str!("../../scenarios/live.toml") },
     Preset { name: "eye", text: include_str!("../../scenarios/eye.toml") },
+    Preset { name: "near", text: include_str!("../../scenarios/near.toml") },
+    Preset { name: "laplace", text: include_str!("../../scenarios/laplace.toml") },
+    Preset { name: "limited", text: include_str!("../../scenarios/limited.toml") },
+    Preset { name: "relative", text: include_str!("../../scenarios/relative.toml") },
+    Preset { name: "collision", text: include_str!("../../scenarios/collision.toml") },
+    Preset { name: "todorov", text: include_str!("../../scenarios/todorov.toml") },
+    Preset { name: "open-loop-3", text: include_str!("../../scenarios/open-loop-3.toml") },
+    Preset { name: "open-loop-4", text: include_str!("../../scenarios/open-loop-4.toml") },
 ];
 
 /// The built-in scenarios, the one to start with first.

@@ -2,7 +2,7 @@
 
 use std::{f64::consts::PI, path::Path};
 
-use super::{ArmTable, EyeTable, Retina, Scenario, SignalTable};
+use super::{ArmTable, EyeTable, MirrorAxis, Retina, Scenario, SignalTable};
 
 /// The name of the simulator's program.
 const SIMULATOR: &str = "tectum-simulator";
@@ -37,12 +37,27 @@ pub(super) fn signals(scenario: &Scenario) -> Signals {
 
 fn of_arm(arm: &ArmTable, max_command: f64) -> Signals {
     let joints = 1..=arm.lengths.len();
-    let mut inputs = vec![signal("target_x", "m", arm.arena), signal("target_y", "m", arm.arena)];
-    inputs.extend(joints.clone().map(|joint| signal(&format!("theta_{joint}"), "rad", [-PI, PI])));
+    let [low, high] = arm.arena;
+    // A mirrored coordinate lies in the arena's mirror image.
+    let range = |axis| {
+        let mirrored = arm.mirror.iter().any(|m| m.axis == axis);
+        if mirrored { [low.min(-high), high.max(-low)] } else { arm.arena }
+    };
+    let mut inputs =
+        vec![signal("target_x", "m", range(MirrorAxis::X)), signal("target_y", "m", range(MirrorAxis::Y))];
+    if !arm.open_loop {
+        let range = |joint: usize| arm.limits.get(joint - 1).copied().unwrap_or([-PI, PI]);
+        inputs.extend(joints.clone().map(|joint| signal(&format!("theta_{joint}"), "rad", range(joint))));
+    }
+    let output = if arm.open_loop { "angle" } else { "rate" };
+    let mut measures = ["error", "end_x", "end_y"].map(String::from).to_vec();
+    if arm.reward.collision > 0.0 {
+        measures.push("crossings".to_owned());
+    }
     Signals {
         inputs,
-        outputs: joints.map(|joint| signal(&format!("rate_{joint}"), "1", [-max_command, max_command])).collect(),
-        measures: ["error", "end_x", "end_y"].map(String::from).to_vec(),
+        outputs: joints.map(|joint| signal(&format!("{output}_{joint}"), "1", [-max_command, max_command])).collect(),
+        measures,
     }
 }
 

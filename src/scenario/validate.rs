@@ -24,15 +24,22 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
 
     encoder(&scenario.encoder, &signals.inputs)?;
     policy(scenario.policy.sigma, scenario.gate.max_command)?;
-    validate_learner::check(&scenario.learner, &signals)?;
-    if scenario.learner.rule == Rule::LearnedReward && scenario.plant.eye.is_some() {
-        let text = "is learned-reward, which needs inputs that the commands move; the eye has none, so give it paper";
+    let still = match &scenario.plant {
+        plant if plant.eye.is_some() => Some("the eye"),
+        plant if plant.arm.as_ref().is_some_and(|arm| arm.open_loop) => Some("an arm in an open loop"),
+        _ => None,
+    };
+    if let (Rule::LearnedReward, Some(plant)) = (scenario.learner.rule, still) {
+        let text = format!(
+            "is learned-reward, which needs inputs that the commands move; {plant} has none, so give it paper"
+        );
         return Err(Problem::new("learner.rule", text));
     }
     if scenario.learner.rule == Rule::LearnedReward && !scenario.encoder.scalars.is_empty() {
         let text = "is given, and the rule learned-reward can do with maps alone; take it out, or give another rule";
         return Err(Problem::new("encoder.scalars", text));
     }
+    validate_learner::check(&scenario.learner, &signals)?;
     log(&scenario.log)?;
     channels(scenario)
 }

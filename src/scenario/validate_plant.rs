@@ -82,14 +82,55 @@ fn arm(arm: &ArmTable) -> Result<(), Problem> {
         let remedy = "give a rate other than 0, from -1e6 to 1e6 rad/s";
         return Err(Problem::value("plant.arm.gain", show(arm.gain), remedy));
     }
+    joint_limits(arm)?;
     ordered("plant.arm.arena", arm.arena, limits::COORDINATE)?;
     ticks("plant.arm.target_every", arm.target_every, 1)?;
+    if arm.open_loop && arm.target_every != 1 {
+        let remedy = "an open loop has a new target every tick, so give 1";
+        return Err(Problem::value("plant.arm.target_every", arm.target_every, remedy));
+    }
     targets(arm)?;
     let reward = &arm.reward;
-    for (key, value) in [("scale", reward.scale), ("speed", reward.speed), ("angle", reward.angle)] {
+    let weights = [
+        ("scale", reward.scale),
+        ("speed", reward.speed),
+        ("angle", reward.angle),
+        ("collision", reward.collision),
+    ];
+    for (key, value) in weights {
         number(format_args!("plant.arm.reward.{key}"), value, limits::WEIGHT, "give 0 to 1e6")?;
     }
-    blocks(arm)
+    if let Some(near) = reward.near {
+        number("plant.arm.reward.near", near, limits::LENGTH, "give 0.001 to 100 m, or leave it out")?;
+    }
+    blocks(arm)?;
+    shortened(arm)?;
+    mirrors(arm)
+}
+
+/// All joints are limited or none, and the arm starts with all angles 0.
+fn joint_limits(arm: &ArmTable) -> Result<(), Problem> {
+    let (limited, joints) = (arm.limits.len(), arm.lengths.len());
+    if limited != 0 && limited != joints {
+        let text = format!(
+            "has {limited} entries and the arm has {joints} joints; give one for each, or leave it out if they turn freely"
+        );
+        return Err(Problem::new("plant.arm.limits", text));
+    }
+    for (i, &[low, high]) in arm.limits.iter().enumerate() {
+        let turn = -PI..=PI;
+        if !(turn.contains(&low) && turn.contains(&high) && low < high && (low..=high).contains(&0.0)) {
+            let value = format!("[{}, {}]", show(low), show(high));
+            let remedy = "give the least and then the greatest angle, from -pi to pi rad, with the starting angle 0 between them";
+            return Err(Problem::value(format_args!("plant.arm.limits[{i}]"), value, remedy));
+        }
+        if high - low > limits::LIMITED_TURN {
+            let value = format!("[{}, {}]", show(low), show(high));
+            let remedy = "a limited joint has less than a full turn, at most 6.28 rad; leave limits out if joints turn freely";
+            return Err(Problem::value(format_args!("plant.arm.limits[{i}]"), value, remedy));
+        }
+    }
+    Ok(())
 }
 
 fn targets(arm: &ArmTable) -> Result<(), Problem> {
@@ -139,6 +180,12 @@ fn blocks(arm: &ArmTable) -> Result<(), Problem> {
         }
         ticks(format_args!("plant.arm.block[{i}].tick"), block.tick, 0)?;
         number(format_args!("plant.arm.block[{i}].angle"), block.angle, -PI..=PI, "give -pi to pi rad")?;
+        if let Some(&[low, high]) = arm.limits.get(block.joint - 1)
+            && !(low..=high).contains(&block.angle)
+        {
+            let remedy = format!("the joint's limits are {} and {} rad", show(low), show(high));
+            return Err(Problem::value(format_args!("plant.arm.block[{i}].angle"), show(block.angle), remedy));
+        }
         let same = |other: &&super::BlockTable| (other.joint, other.tick) == (block.joint, block.tick);
         if arm.block[..i].iter().any(|other| same(&other)) {
             let text = format!("blocks joint {} at tick {} once more; keep one of the two", block.joint, block.tick);
@@ -146,6 +193,52 @@ fn blocks(arm: &ArmTable) -> Result<(), Problem> {
         }
     }
     Ok(())
+}
+
+fn shortened(arm: &ArmTable) -> Result<(), Problem> {
+    let segments = arm.lengths.len();
+    few("plant.arm.shorten", arm.shorten.len())?;
+    for (i, change) in arm.shorten.iter().enumerate() {
+        let key = |name: &str| format!("plant.arm.shorten[{i}]{name}");
+        if !(1..=segments).contains(&change.segment) {
+            let remedy = format!("the arm's segments are 1 to {segments}, counted from the base");
+            return Err(Problem::value(key(".segment"), change.segment, remedy));
+        }
+        ticks(key(".tick"), change.tick, 0)?;
+        number(key(".length"), change.length, limits::LENGTH, "give 0.001 to 100 m")?;
+        let same = |other: &super::ShortenTable| (other.segment, other.tick) == (change.segment, change.tick);
+        if arm.shorten[..i].iter().any(same) {
+            let text = format!("changes segment {} at tick {} once more; keep one of the two", change.segment, change.tick);
+            return Err(Problem::new(key(""), text));
+        }
+    }
+    for (i, change) in arm.shorten.iter().enumerate() {
+        if arm.targets.is_empty() && reachable_share(&arm.at(change.tick)) < limits::REACHABLE_SHARE {
+            let remedy = "from then on the arm can reach less than 1 % of plant.arm.arena, so that no targets can be drawn; \
+                          give another length, or targets";
+            return Err(Problem::value(format_args!("plant.arm.shorten[{i}].length"), show(change.length), remedy));
+        }
+    }
+    Ok(())
+}
+
+fn mirrors(arm: &ArmTable) -> Result<(), Problem> {
+    few("plant.arm.mirror", arm.mirror.len())?;
+    for (i, mirror) in arm.mirror.iter().enumerate() {
+        ticks(format_args!("plant.arm.mirror[{i}].tick"), mirror.tick, 0)?;
+        if arm.mirror[..i].contains(mirror) {
+            let text = format!("turns the same axis at tick {} once more; keep one of the two", mirror.tick);
+            return Err(Problem::new(format_args!("plant.arm.mirror[{i}]"), text));
+        }
+    }
+    Ok(())
+}
+
+fn few(key: &str, n: usize) -> Result<(), Problem> {
+    if n <= limits::MAX_CHANGES {
+        return Ok(());
+    }
+    Err(Problem::new(key, format_args!("has {n} entries; give at most 64")))
 }
 
 fn eye(eye: &EyeTable) -> Result<(), Problem> {

@@ -3,7 +3,7 @@
 use crate::plant::posture;
 use crate::report::{Reach, Story, Window};
 use crate::runtime::{ControllerReport, Mode, Snapshot};
-use crate::scenario::{ArmTable, Plan};
+use crate::scenario::{ArmTable, MirrorAxis, Plan};
 
 /// Part of the run that the first and the last window of the table take.
 const SHARE: u64 = 20;
@@ -33,29 +33,44 @@ pub(super) fn story(plan: &Plan, mode: Mode, controller: ControllerReport) -> St
     let scenario = &plan.scenario;
     let arm = scenario.plant.arm.as_ref();
     let reach = |switch: &[Snapshot]| arm.and_then(|arm| reach(arm, switch));
-    let marks = arm.map_or(&[][..], |arm| &arm.block).iter();
+    let marks = arm.map_or_else(Vec::new, marks);
     Story {
         title: format!("{}, {}, seed {}", scenario.name, mode.name(), scenario.seed),
         unit: if arm.is_some() { "m".to_owned() } else { String::new() },
         period_s: plan.period_ns as f64 / 1e9,
-        marks: marks
-            .filter(|b| b.tick < controller.ticks + controller.unseen)
-            .map(|b| (b.tick, format!("joint {} blocked", b.joint)))
-            .collect(),
+        marks: marks.into_iter().filter(|(tick, _)| *tick < controller.ticks + controller.unseen).collect(),
         first_reach: reach(&controller.first_switch),
         last_reach: reach(&controller.last_switch),
         windows: controller.windows,
     }
 }
 
-/// The reach of a whole target switch; `None` where there was none.
+/// The changes of the world, in the order of their ticks.
+fn marks(arm: &ArmTable) -> Vec<(u64, String)> {
+    let blocks = arm.block.iter().map(|b| (b.tick, format!("joint {} blocked", b.joint)));
+    let lengths = arm.shorten.iter().map(|s| (s.tick, format!("segment {} now {} m", s.segment, s.length)));
+    let mirrors = arm.mirror.iter().map(|m| {
+        let axis = match m.axis {
+            MirrorAxis::X => "x",
+            MirrorAxis::Y => "y",
+        };
+        (m.tick, format!("{axis} mirrored"))
+    });
+    let mut marks: Vec<_> = blocks.chain(lengths).chain(mirrors).collect();
+    marks.sort_by_key(|(tick, _)| *tick);
+    marks
+}
+
+/// The reach of a whole target switch; `None` where there was none, as in an open loop.
 pub(crate) fn reach(arm: &ArmTable, switch: &[Snapshot]) -> Option<Reach> {
-    let first = switch.first()?;
+    let first = switch.first().filter(|_| !arm.open_loop)?;
     let joints = arm.lengths.len();
+    let mirrored = arm.mirrored(first.tick);
     Some(Reach {
         from: first.tick,
-        target: [f64::from(first.inputs[0]), f64::from(first.inputs[1])],
-        postures: switch.iter().map(|s| posture(arm, &s.inputs[2..2 + joints])).collect(),
+        // Where it is, not where it is said to be.
+        target: [0, 1].map(|i| f64::from(first.inputs[i]) * if mirrored[i] { -1.0 } else { 1.0 }),
+        postures: switch.iter().map(|s| posture(&arm.at(s.tick), &s.inputs[2..2 + joints])).collect(),
     })
 }
 
