@@ -1,5 +1,6 @@
 //! The user's command. Every mode and every exit code passes through here.
 
+mod analyse;
 mod run;
 
 use std::io::Write as _;
@@ -29,11 +30,14 @@ struct Arguments {
 enum Command {
     /// Run a scenario: plant, controller and logger as processes of their own
     Run(run::Arguments),
+    /// Analyse the movements in a run's log: isochrony, speed profiles, straightness, settling
+    Analyse(analyse::Arguments),
 }
 
 fn main() -> ExitCode {
     match Arguments::parse().command {
         Command::Run(arguments) => run::main(&arguments),
+        Command::Analyse(arguments) => analyse::main(&arguments),
     }
 }
 

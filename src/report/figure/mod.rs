@@ -5,7 +5,10 @@
 //! viewer has. Colours are those of Okabe and Ito, which colour-blind readers can tell apart; lines differ in weight too.
 
 mod curves;
+mod movements;
 mod postures;
+
+pub use movements::{Bell, Dots, Movements, draw as draw_movements};
 
 use super::{ReportError, Story};
 use plotters::coord::Shift;
