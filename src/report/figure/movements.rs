@@ -9,7 +9,7 @@ const LEGEND_HEIGHT: u32 = 26;
 const MARGIN: u32 = 16;
 const LEFT_LABELS: u32 = 52;
 const BOTTOM_LABELS: u32 = 42;
-const BETWEEN: RGBColor = RGBColor(205, 205, 205);
+const BETWEEN: RGBColor = RGBColor(190, 190, 190);
 const EARLY: RGBColor = VERMILION;
 const LATE: RGBColor = BLUE;
 /// Most bars that a histogram has.
@@ -46,10 +46,10 @@ pub struct Movements {
     pub middle: Dots,
     /// The run's last movements.
     pub late: Dots,
-    /// Value at 0 and slope of the line through the last durations.
-    pub duration_line: Option<(f64, f64)>,
-    /// The same of the last peak speeds.
-    pub peak_speed_line: Option<(f64, f64)>,
+    /// Value at 0 and slope of the line through all durations, and of that through the last.
+    pub duration_lines: [Option<(f64, f64)>; 2],
+    /// The same of the peak speeds.
+    pub peak_speed_lines: [Option<(f64, f64)>; 2],
     /// The bell.
     pub bell: Bell,
     /// Within how much of the target a movement has settled, m.
@@ -79,8 +79,8 @@ fn svg(movements: &Movements) -> Result<String, ReportError> {
         let (left, right) = rest.split_horizontally(px(WIDTH / 2));
         let ([upper_left, lower_left], [upper_right, lower_right]) = (halves(&left), halves(&right));
         let m = movements;
-        scatter(&upper_left, m, "duration of the reach (s)", |d| &d.duration, m.duration_line)?;
-        scatter(&lower_left, m, "peak speed (m/s)", |d| &d.peak_speed, m.peak_speed_line)?;
+        scatter(&upper_left, m, "duration of the reach (s)", |d| &d.duration, m.duration_lines)?;
+        scatter(&lower_left, m, "peak speed (m/s)", |d| &d.peak_speed, m.peak_speed_lines)?;
         profiles(&upper_right, m)?;
         settling(&lower_right, m)?;
         root.present().map_err(refused)?;
@@ -160,14 +160,17 @@ fn scatter(
     m: &Movements,
     y_desc: &str,
     points: impl Fn(&Dots) -> &Vec<(f64, f64)>,
-    line: Option<(f64, f64)>,
+    lines: [Option<(f64, f64)>; 2],
 ) -> Result<(), ReportError> {
     let groups = [(&m.middle, BETWEEN, 2.0), (&m.early, EARLY, 2.8), (&m.late, LATE, 2.8)];
     let all = || groups.iter().flat_map(|(dots, ..)| points(dots)).copied();
     let (x_end, y_end) = (end(all().map(|p| p.0)), end(all().map(|p| p.1)));
-    let name = match line {
-        Some((_, slope)) => format!("line through the last: {} for a metre more", signed(slope, y_desc)),
-        None => String::new(),
+    let name = match lines {
+        [Some((_, all)), Some((_, last))] => {
+            format!("a metre further: {} (all, grey), {} (last)", signed(all, y_desc), signed(last, y_desc))
+        }
+        [Some((_, all)), None] => format!("a metre further: {}", signed(all, y_desc)),
+        _ => String::new(),
     };
     let mut chart = axes(area, &name, (x_end, y_end), ("distance to the target (m)", y_desc), &label)?;
     for (dots, colour, radius) in groups {
@@ -175,13 +178,14 @@ fn scatter(
         let circles = seen.map(|&p| Circle::new(p, fine(radius), colour.mix(0.75).filled()));
         chart.draw_series(circles).map_err(refused)?;
     }
-    if let Some((intercept, slope)) = line {
+    for (line, colour, groups) in [(lines[0], GREY, &groups[..]), (lines[1], LATE, &groups[2..])] {
+        let Some((intercept, slope)) = line else { continue };
         // Where there are points, and no further.
-        let xs = || points(&m.late).iter().map(|p| p.0).filter(|&x| drawable(x));
+        let xs = || groups.iter().flat_map(|(dots, ..)| points(dots)).map(|p| p.0).filter(|&x| drawable(x));
         let (from, to) = (xs().fold(f64::INFINITY, f64::min), xs().fold(0.0, f64::max));
         let ends = [from, to].map(|x| (x, (intercept + slope * x).clamp(0.0, y_end)));
         if ends.iter().all(|p| drawable(p.0) && drawable(p.1)) {
-            chart.draw_series(LineSeries::new(ends, LATE.stroke_width(fine(2.0)))).map_err(refused)?;
+            chart.draw_series(LineSeries::new(ends, colour.stroke_width(fine(2.0)))).map_err(refused)?;
         }
     }
     Ok(())
@@ -197,7 +201,7 @@ fn profiles(area: &Area, m: &Movements) -> Result<(), ReportError> {
     let bell = m.bell.profile.iter().copied();
     let highest = m.early.profile.iter().chain(&m.late.profile).map(|q| q[2]).chain(bell);
     let desc = ("part of the reach", "speed / mean speed");
-    let name = "speed profiles: median, middle half, and the minimum-jerk bell (dashed)";
+    let name = "speed profile: median, middle half; dashed: minimum jerk";
     let mut chart = axes(area, name, (1.0, end(highest)), desc, &label)?;
     for (dots, colour) in [(&m.early, EARLY), (&m.late, LATE)] {
         let curve = |which: usize| {
@@ -286,8 +290,8 @@ mod tests {
             early: dots(10, 1.5),
             middle: dots(54, 1.0),
             late: dots(10, 0.6),
-            duration_line: Some((0.6, -0.3)),
-            peak_speed_line: Some((0.0, 1.8)),
+            duration_lines: [Some((0.6, -0.3)); 2],
+            peak_speed_lines: [Some((0.0, 1.8)), None],
             bell: Bell { profile: (0..41).map(|i| 30.0 * (f64::from(i * (40 - i)) / 1600.0).powi(2)).collect() },
             near_m: 0.1,
         }
@@ -306,11 +310,11 @@ mod tests {
             "peak speed (m/s)",
             "distance to the target (m)",
             "speed / mean speed",
-            "minimum-jerk bell",
+            "minimum jerk",
             "until within 0.1 m for good",
             "never",
-            "\u{2212}0.30 s for a metre more",
-            "+1.80 m/s for a metre more",
+            "a metre further: \u{2212}0.30 s (all, grey), \u{2212}0.30 s (last)",
+            "a metre further: +1.80 m/s\n",
         ] {
             assert!(one.contains(words), "{words}");
         }
@@ -326,7 +330,7 @@ mod tests {
             all.early.settled = vec![Some(x), None];
             all.late.profile[7] = [x; 3];
             all.bell.profile[3] = x;
-            all.duration_line = Some((x, x));
+            all.duration_lines = [Some((x, x)); 2];
             svg(&all).unwrap();
         }
     }

@@ -111,7 +111,7 @@ impl Cutter {
         let track = Track { points: vec![end], errors: Vec::new(), distance };
         self.current = Some(Cut { from: header.tick, track });
         self.without_start = first;
-        self.gap = !first && !(end[0].is_finite() && end[1].is_finite());
+        self.gap = !(end[0].is_finite() && end[1].is_finite());
         done
     }
 

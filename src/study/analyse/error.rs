@@ -26,7 +26,7 @@ pub enum AnalyseError {
         /// The log.
         path: PathBuf,
         /// What is wrong with it.
-        error: ScenarioError,
+        error: Box<ScenarioError>,
     },
     /// Ticks were left out on purpose.
     #[error(

@@ -277,7 +277,7 @@ pub fn analyse(path: &Path, noiseless: bool, progress: bool) -> Result<Analysis,
 fn plan_of(log: &LogReader, path: &Path) -> Result<Plan, AnalyseError> {
     Scenario::parse(log.scenario(), "scenario.toml")
         .and_then(Scenario::plan)
-        .map_err(|error| AnalyseError::Scenario { path: path.to_owned(), error })
+        .map_err(|error| AnalyseError::Scenario { path: path.to_owned(), error: Box::new(error) })
 }
 
 /// The minimum-jerk movement to compare with: as far as the median movement at the run's end, and between thresholds as
@@ -311,7 +311,9 @@ impl Analysis {
             settled: rows.iter().map(|(_, m)| m.settled_s).collect(),
             profile: group.profile.iter().map(|q| [q.q25, q.median, q.q75]).collect(),
         };
-        let line = |fit: Option<Fit>| fit.map(|fit| (fit.intercept, fit.slope));
+        let lines = |of: fn(&Isochrony) -> Option<Fit>| {
+            [&view.all, &view.late].map(|group| of(&group.isochrony).map(|fit| (fit.intercept, fit.slope)))
+        };
         Movements {
             title: format!(
                 "{}, seed {}: {} movements{}",
@@ -323,8 +325,8 @@ impl Analysis {
             early: dots(&rows[..part], &view.early),
             middle: dots(rows.get(part..rows.len() - part).unwrap_or_default(), &view.all),
             late: dots(&rows[rows.len() - part..], &view.late),
-            duration_line: line(view.late.isochrony.duration),
-            peak_speed_line: line(view.late.isochrony.peak_speed),
+            duration_lines: lines(|i| i.duration),
+            peak_speed_lines: lines(|i| i.peak_speed),
             bell: Bell { profile: self.minimum_jerk.profile.iter().map(|&x| f64::from(x)).collect() },
             near_m: self.definitions.near_m,
         }
