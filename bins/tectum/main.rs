@@ -1,5 +1,6 @@
 //! The user's command. Every mode and every exit code passes through here.
 
+mod analyse;
 mod reproduce;
 mod run;
 
@@ -34,12 +35,15 @@ enum Command {
     Run(run::Arguments),
     /// Run the paper's experiments again, over several seeds, and show what came out as the paper does
     Reproduce(reproduce::Arguments),
+    /// Analyse the movements in a run's log: isochrony, speed profiles, straightness, settling
+    Analyse(analyse::Arguments),
 }
 
 fn main() -> ExitCode {
     match Arguments::parse().command {
         Command::Run(arguments) => run::main(&arguments),
         Command::Reproduce(arguments) => reproduce::main(&arguments),
+        Command::Analyse(arguments) => analyse::main(&arguments),
     }
 }
 

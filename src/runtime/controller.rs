@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::budget::{Instants, Meter};
 use super::{ControllerReport, RuntimeError, Seat, Session, Tally};
 use crate::channel::ControllerPorts;
 use crate::clock::{Backoff, TimeSource};
@@ -246,17 +247,21 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
     let (mut command, mut learning) = (Command::default(), Learning::default());
     command.header.run = session.seat.card.run_id();
     learning.header.run = command.header.run;
+    let mut meter = real.then(|| Meter::new(session.seat.plan.period_ns));
     let mut expected = 0;
 
     while let Some(observation) = await_observation(&ports, &session, real)? {
         let seen = &observation.header;
         time.step_to(seen.tick);
+        let arrived = time.now();
         controller.respond(&observation, &mut command);
         stamp(&mut command.header, seen, &time);
         ports.command.send(&command)?;
 
         // From here on nobody waits.
+        let answered = time.now();
         controller.settle(&observation);
+        let improved = time.now();
         controller.record(&observation, &mut learning);
         stamp(&mut learning.header, seen, &time);
         ports.learning.send(&learning)?;
@@ -270,8 +275,14 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
         status.sent = command.header.sequence;
         status.lost = controller.report.unseen;
         (status.loss, status.end_error) = controller.tally.now();
+        if let Some(meter) = &mut meter {
+            let (scheduled, done) = (seen.scheduled_ns, time.now());
+            meter.record(Instants { scheduled, seen: arrived, answered, improved, done });
+            status.learner_ns = meter.learner_ns;
+        }
         session.show();
     }
+    controller.report.tick_budget = meter.and_then(|meter| meter.finish());
     let report = controller.finish();
     session.finish(&report)?;
     Ok(report)

@@ -8,6 +8,7 @@
 //! lets the hold policy answer; the gate limits it; the body lives through tick k-1 with it; observation k tells the
 //! inputs now and the reward of tick k-1. The controller learns from that reward, encodes, draws command k and sends it.
 
+mod budget;
 mod controller;
 mod error;
 mod gate;
@@ -18,6 +19,7 @@ mod reports;
 mod seat;
 mod tally;
 
+pub use budget::{Slack, TickBudget};
 pub use controller::{Controller, run_controller};
 pub use error::{RuntimeError, exit};
 pub use gate::{Applied, Gate};

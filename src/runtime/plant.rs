@@ -2,7 +2,8 @@
 
 use hdrhistogram::Histogram;
 
-use super::{Gate, PlantReport, RuntimeError, Seat, Session, reports::Percentiles};
+use super::reports::{Percentiles, histogram};
+use super::{Gate, PlantReport, RuntimeError, Seat, Session};
 use crate::channel::{BoardReader, ChannelError, LOG_BUFFER, PlantPorts, Receiver};
 use crate::clock::{Backoff, Wake, precise_timers};
 use crate::plant::{Outcome, Plant};
@@ -128,7 +129,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     let real = time.is_real();
     let ticks = session.seat.plan.scenario.ticks;
     let mut side = PlantSide::new(body, &session.seat.plan);
-    let (mut wake_up, mut answered) = (histogram(), histogram());
+    let (mut wake_up, mut answered, mut work) = (histogram(), histogram(), histogram());
     let mut inbox =
         Inbox { channel: &ports.command, found: None, late: 0, failure: None, answered: &mut answered, real };
     let mut observation = Observation::default();
@@ -145,6 +146,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         if wake == Wake::Cancelled {
             break;
         }
+        let woken = time.now();
         let late_before = side.report.late;
         if tick > 0 {
             inbox.look_for(tick - 1);
@@ -185,6 +187,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         ports.observation.send(&observation)?;
         if real {
             ports.bell.ring();
+            work.saturating_record(time.now().saturating_sub(woken));
         }
         observation.header.sequence += 1;
         session.status.sent = observation.header.sequence;
@@ -195,6 +198,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     if real {
         side.report.wake_up = Percentiles::of(&wake_up);
         side.report.observation_to_command = Percentiles::of(&answered);
+        side.report.work = Percentiles::of(&work);
     }
     session.finish(&side.report)?;
     // Whoever listens for another observation finds that there is none.
@@ -211,9 +215,4 @@ fn await_credit(logger: &BoardReader<Status>, session: &Session, tick: u64) -> b
         }
     }
     true
-}
-
-/// A minute in nanoseconds, to three significant digits; longer waits count as a minute.
-fn histogram() -> Histogram<u64> {
-    Histogram::new_with_max(60_000_000_000, 3).expect("fixed bounds")
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use super::{RuntimeError, Snapshot};
+use super::{RuntimeError, Snapshot, TickBudget};
 use crate::report::Window;
 use crate::wire::Role;
 
@@ -41,6 +41,11 @@ impl Percentiles {
     }
 }
 
+/// A minute in nanoseconds, to three significant digits; longer waits count as a minute.
+pub(super) fn histogram() -> Histogram<u64> {
+    Histogram::new_with_max(60_000_000_000, 3).expect("fixed bounds")
+}
+
 /// The plant's account.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlantReport {
@@ -60,6 +65,8 @@ pub struct PlantReport {
     pub wake_up: Option<Percentiles>,
     /// Real time: from the sensing of an observation to the sending of the command that answers it.
     pub observation_to_command: Option<Percentiles>,
+    /// Real time: from waking up to the observation's being sent.
+    pub work: Option<Percentiles>,
 }
 
 /// The controller's account.
@@ -77,6 +84,8 @@ pub struct ControllerReport {
     pub invalid: u64,
     /// The first tick at which the weights were no longer numbers.
     pub diverged_at: Option<u64>,
+    /// Real time: how the ticks were spent.
+    pub tick_budget: Option<TickBudget>,
     /// XXH3-64 of the weights at the end, hexadecimal.
     pub weights_hash: String,
     /// Losses and errors over the run.

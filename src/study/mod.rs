@@ -4,6 +4,7 @@
 //! numbers are those of lockstep. Each study stands in a file (or folder) of its own and gives one plain result, which is
 //! the object of `--json`, the rows of a CSV and the matter of a figure.
 
+pub mod analyse;
 mod crew;
 mod error;
 pub mod reproduce;

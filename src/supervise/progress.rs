@@ -23,6 +23,8 @@ pub(crate) struct Progress {
     realtime: bool,
     /// When it was drawn last, and the ticks then.
     last: (u64, u64),
+    /// What the learner had taken then, ns.
+    learner_ns: u64,
 }
 
 impl Progress {
@@ -44,7 +46,7 @@ impl Progress {
     }
 
     fn silent(name: &str, ticks: u64) -> Self {
-        Self { shown: false, name: name.to_owned(), ticks, realtime: false, last: (0, 0) }
+        Self { shown: false, name: name.to_owned(), ticks, realtime: false, last: (0, 0), learner_ns: 0 }
     }
 
     /// A line for a run in one process.
@@ -56,11 +58,17 @@ impl Progress {
     pub fn show(&mut self, hub: &Hub) {
         if self.shown && self.due() {
             let (plant, controller) = (hub.status(Role::Plant), hub.status(Role::Controller));
-            let trouble = match (self.realtime, plant.missed, hub.status(Role::Logger).lost) {
-                (true, missed, lost) => format!("  missed {missed}  lost {lost}"),
+            let timing = match (self.realtime, plant.missed, hub.status(Role::Logger).lost) {
+                (true, missed, lost) => {
+                    format!(
+                        "  learner {:.0} %  missed {missed}  lost {lost}",
+                        self.learner_share(controller.learner_ns)
+                    )
+                }
                 _ => String::new(),
             };
-            self.draw(plant.ticks, controller.loss, controller.end_error, &trouble);
+            self.draw(plant.ticks, controller.loss, controller.end_error, &timing);
+            self.learner_ns = controller.learner_ns;
         }
     }
 
@@ -71,11 +79,21 @@ impl Progress {
         }
     }
 
+    /// The learner's share of the time since the line was drawn last, %.
+    fn learner_share(&self, learner_ns: u64) -> f64 {
+        match self.last {
+            (0, _) => 0.0,
+            (then, _) => {
+                100.0 * learner_ns.saturating_sub(self.learner_ns) as f64 / (monotonic_ns() - then).max(1) as f64
+            }
+        }
+    }
+
     fn due(&self) -> bool {
         monotonic_ns() - self.last.0 >= EVERY_NS
     }
 
-    fn draw(&mut self, tick: u64, loss: f32, end_error: f32, trouble: &str) {
+    fn draw(&mut self, tick: u64, loss: f32, end_error: f32, timing: &str) {
         let now = monotonic_ns();
         let rate = match self.last {
             (0, _) => 0.0,
@@ -88,7 +106,7 @@ impl Progress {
         // A progress line that cannot be drawn is no reason to end a run.
         let _ = write!(
             stderr,
-            "\r{}  {} of {} ticks  {} ticks/s{}{}{trouble}\x1b[K",
+            "\r{}  {} of {} ticks  {} ticks/s{}{}{timing}\x1b[K",
             self.name,
             thousands(tick),
             thousands(self.ticks),

@@ -10,7 +10,7 @@ use super::children::Failure;
 use super::story::{ends, story};
 use crate::report::{self, Story, Window, thousands};
 use crate::runtime::{
-    Card, ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, exit, read_report,
+    Card, ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, TickBudget, exit, read_report,
 };
 use crate::wire::{Role, Status};
 
@@ -90,6 +90,8 @@ pub struct Summary {
     pub wake_up_lateness_us: Option<Percentiles>,
     /// Real time: from sensing to the sending of the command, us.
     pub observation_to_command_us: Option<Percentiles>,
+    /// Real time: how the ticks were spent; null in lockstep, where there is no time to spend.
+    pub tick_budget: Option<TickBudget>,
     /// The run's folder.
     pub folder: PathBuf,
     /// The log; null where there is none.
@@ -200,6 +202,10 @@ impl Summary {
             last,
             wake_up_lateness_us: plant.wake_up,
             observation_to_command_us: plant.observation_to_command,
+            tick_budget: controller
+                .as_ref()
+                .and_then(|c| c.tick_budget)
+                .map(|budget| TickBudget { plant_us: plant.work, ..budget }),
             folder: folder.to_owned(),
             log: None,
             log_bytes: 0,
@@ -293,6 +299,9 @@ impl Summary {
                     p.p50, p.p99, p.p999, p.max
                 );
             }
+        }
+        if let Some(budget) = &self.tick_budget {
+            let _ = writeln!(text, "{:<23} {}", "tick budget", budget.to_text(24));
         }
         if let Some(hash) = &self.weights_hash {
             let _ = writeln!(text, "weights {hash}");

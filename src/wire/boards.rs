@@ -16,7 +16,7 @@ sample! {
 
 sample! {
     /// A process's board: how far it is.
-    Status, "1" {
+    Status, "2" {
         /// A [`State`] as a number.
         state: u32,
         /// Operating-system id of the process.
@@ -33,6 +33,8 @@ sample! {
         lost: u64,
         /// Logger: observation ticks consumed, the credit of a lossless run.
         consumed: u64,
+        /// Controller, in real time: what its learner has taken after the commands had gone out, ns in all.
+        learner_ns: u64,
         /// Controller: mean loss over the window in progress.
         loss: f32,
         /// Controller: mean error at the end of a target over the window in progress, NaN where there is none.

@@ -8,10 +8,12 @@ mod bands;
 mod curves;
 mod loss;
 mod miss;
+mod movements;
 mod postures;
 
 pub use loss::{LossFigure, draw_loss};
 pub use miss::{MissFigure, MissPanel, draw_miss};
+pub use movements::{Bell, Dots, Movements, draw as draw_movements};
 
 use super::{ReportError, Story};
 use plotters::coord::Shift;
