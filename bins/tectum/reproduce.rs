@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
-use tectum::study::reproduce::{Settings, arm, eye};
+use tectum::study::reproduce::{Settings, arm, eye, open_loop};
 
 use super::study_ended;
 
@@ -13,7 +13,8 @@ use super::study_ended;
 Examples:
   tectum reproduce arm                      figure 4: 5 seeds of 12 million ticks, about a minute
   tectum reproduce arm --seeds 2 --ticks 1000000 --json
-  tectum reproduce eye                      figure 2: four eyes, 3 million trials each")]
+  tectum reproduce eye                      figure 2: four eyes, 3 million trials each
+  tectum reproduce open-loop --seeds 7      3 and 4 segments: how many ways there are")]
 pub struct Arguments {
     #[command(subcommand)]
     experiment: Experiment,
@@ -27,6 +28,9 @@ enum Experiment {
     /// The saccades, section 4.1 and figure 2: linear and log-polar retina, scalar and topographic inputs
     #[command(after_help = "Example: tectum reproduce eye --seeds 2 --ticks 300000")]
     Eye(Options),
+    /// The open-loop arm, section 4.2: 3 and 4 segments, and how the postures found differ between seeds
+    #[command(after_help = "Example: tectum reproduce open-loop --seeds 7")]
+    OpenLoop(Options),
 }
 
 #[derive(Debug, Args)]
@@ -49,14 +53,13 @@ struct Options {
 }
 
 pub fn main(arguments: &Arguments) -> ExitCode {
-    match &arguments.experiment {
-        Experiment::Arm(options) => {
-            study_ended(arm(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())))
+    study_ended(match &arguments.experiment {
+        Experiment::Arm(options) => arm(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())),
+        Experiment::Eye(options) => eye(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())),
+        Experiment::OpenLoop(options) => {
+            open_loop(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text()))
         }
-        Experiment::Eye(options) => {
-            study_ended(eye(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())))
-        }
-    }
+    })
 }
 
 impl Options {

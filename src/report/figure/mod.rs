@@ -10,10 +10,12 @@ mod loss;
 mod miss;
 mod movements;
 mod postures;
+mod ways;
 
 pub use loss::{LossFigure, draw_loss};
 pub use miss::{MissFigure, MissPanel, draw_miss};
 pub use movements::{Bell, Dots, Movements, draw as draw_movements};
+pub use ways::{Way, WaysFigure, WaysRow, draw_ways};
 
 use super::{ReportError, Story};
 use plotters::coord::Shift;

@@ -2,10 +2,14 @@
 
 use super::*;
 use crate::report::{Reach, thousands};
+use plotters::coord::types::RangedCoordf64;
 
 const LEGEND_HEIGHT: u32 = 26;
 const LEFT_LABELS: u32 = 46;
 const BOTTOM_LABELS: u32 = 38;
+
+/// A chart of places.
+type Square<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// Panels below each other, all to one scale, so that they can be compared.
 pub(super) fn draw(story: &Story, reaches: &[(&str, &Reach)], area: &Area) -> Result<(), ReportError> {
@@ -31,8 +35,13 @@ pub(super) fn legend(strip: &Area, left: i32) -> Result<(), ReportError> {
     strip.draw(&Text::new("path of the end-effector", (x + px(100), y), style())).map_err(refused)
 }
 
-pub(super) fn panel(unit: &str, reach: &Reach, centre: [f64; 2], half: f64, area: &Area) -> Result<(), ReportError> {
-    // A metre is as long across as it is upwards: the plot is made square within what there is.
+/// Square axes around `centre`, on which a metre is as long across as it is upwards.
+pub(super) fn square<'a>(
+    unit: &str,
+    (centre, half): ([f64; 2], f64),
+    area: &Area<'a>,
+) -> Result<Square<'a>, ReportError> {
+    // The plot is made square within what there is.
     let (width, height) = area.dim_in_pixel();
     let side = (width as i32 - px(LEFT_LABELS + 16)).min(height as i32 - px(BOTTOM_LABELS + 8));
     let mut chart = ChartBuilder::on(area)
@@ -57,6 +66,11 @@ pub(super) fn panel(unit: &str, reach: &Reach, centre: [f64; 2], half: f64, area
         .y_desc(with_unit("y", unit))
         .draw()
         .map_err(refused)?;
+    Ok(chart)
+}
+
+pub(super) fn panel(unit: &str, reach: &Reach, centre: [f64; 2], half: f64, area: &Area) -> Result<(), ReportError> {
+    let mut chart = square(unit, (centre, half), area)?;
     let whole: Vec<&Vec<[f64; 2]>> =
         reach.postures.iter().filter(|line| !line.is_empty() && line.iter().flatten().all(|&x| drawable(x))).collect();
     let last = whole.len().saturating_sub(1);

@@ -1,13 +1,16 @@
-//! The paper's experiments, run again: the closed-loop arm of its figure 4 and the saccades of its figure 2.
+//! The paper's experiments, run again: the closed-loop arm of its figure 4, the saccades of its figure 2, and the open-loop
+//! arm that it only mentions.
 //!
 //! Every experiment is one of the built-in scenarios under several seeds. What comes out is shown as the paper shows it,
 //! with the spread over seeds that the paper does not have.
 
 mod arm;
 mod eye;
+mod open_loop;
 
 pub use arm::{ArmResult, ArmRow, arm};
 pub use eye::{EyeResult, EyeRow, EyeVariant, eye};
+pub use open_loop::{OpenLoopArm, OpenLoopResult, open_loop};
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
