@@ -9,7 +9,7 @@ use tectum::scenario::{Plan, Scenario};
 use tectum::wire::{Command, Learning, Observation};
 
 fn plan() -> Plan {
-    Scenario::find("arm").unwrap().plan().unwrap()
+    Scenario::find("paper").unwrap().plan().unwrap()
 }
 
 /// A controller in the middle of things, with a ring of observations as they come from a real run.

@@ -20,7 +20,7 @@ use tectum::wire::{Command, Observation};
 const PEER: &str = "TECTUM_BENCH_PEER";
 
 fn plan() -> Plan {
-    Scenario::find("arm").unwrap().plan().unwrap()
+    Scenario::find("paper").unwrap().plan().unwrap()
 }
 
 fn main() {

@@ -90,8 +90,8 @@ impl Loop {
 
 #[test]
 fn a_tick_allocates_nothing() {
-    // A tick of `live` takes a thousand times longer: its learner improves the policy from the 20th on.
-    for (name, ticks) in [("arm", 10_000), ("eye", 10_000), ("live", 60)] {
+    // A tick of `arm` takes a thousand times longer: its learner improves the policy from the 20th on.
+    for (name, ticks) in [("paper", 10_000), ("eye", 10_000), ("arm", 60)] {
         let mut all = Loop::new(name);
         let before = count();
         for tick in 0..ticks {
@@ -105,14 +105,14 @@ fn a_tick_allocates_nothing() {
 /// readers; boards and bell cost none. If that ever changes, this says so.
 #[test]
 fn what_the_transport_allocates_is_known() {
-    let plan = Scenario::find("arm").unwrap().plan().unwrap();
+    let plan = Scenario::find("paper").unwrap().plan().unwrap();
     let (channels, identity) = (&plan.scenario.channels, identity(&plan));
     let name = DomainName::of(u64::from(std::process::id()) << 32 | 0xa110c);
     let _hub = Hub::create(&name, &identity, channels).unwrap();
     let (plant, _desk) = PlantPorts::open(&name, &identity, channels).unwrap();
     let (controller, desk) = ControllerPorts::open(&name, &identity, channels).unwrap();
     let (logger, _desk) = LoggerPorts::open(&name, &identity, channels).unwrap();
-    let mut all = Loop::new("arm");
+    let mut all = Loop::new("paper");
     let mut status = Status::default();
     let (mut before, ticks) = (0, 2000);
     for tick in 0..2 * ticks {

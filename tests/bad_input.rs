@@ -36,7 +36,7 @@ fn scenarios_that_are_not() {
     assert_eq!(
         refused(&place, &["nowhere.toml"]),
         "tectum: there is no file \"nowhere.toml\" and no built-in scenario of that name; \
-         the built-in ones are arm, paper, live, eye, near, laplace, limited, relative, collision, todorov, open-loop-3 and open-loop-4"
+         the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, open-loop-3 and open-loop-4"
     );
     let broken = place.file("broken.toml", "name = \"x\"\nticks = = 5\n");
     assert!(refused(&place, &[broken.to_str().unwrap()]).contains("broken.toml:2: "));
@@ -45,9 +45,9 @@ fn scenarios_that_are_not() {
 #[test]
 fn values_that_cannot_be() {
     for (from, to, message) in [
-        ("period_ms = 50", "perod_ms = 50", "tectum: s.toml:8: unknown key \"perod_ms\"; did you mean \"period_ms\"?"),
-        ("period_ms = 50", "period_ms = \"x\"", "tectum: s.toml:8: period_ms is "),
-        ("period_ms = 50", "period_ms = 0", "tectum: s.toml:8: period_ms is 0; "),
+        ("period_ms = 50", "perod_ms = 50", "tectum: s.toml:12: unknown key \"perod_ms\"; did you mean \"period_ms\"?"),
+        ("period_ms = 50", "period_ms = \"x\"", "tectum: s.toml:12: period_ms is "),
+        ("period_ms = 50", "period_ms = 0", "tectum: s.toml:12: period_ms is 0; "),
         ("units = [16, 16]", "units = [16, 0]", "encoder.maps[0].units[1] is 0; "),
         ("units = [16, 16]", "units = [1000000, 16]", "encoder.maps[0].units[0] is 1000000; "),
         ("radius = 0.5", "radius = nan", "encoder.maps[0].radius is nan; "),

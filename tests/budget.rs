@@ -9,12 +9,12 @@ fn p50(part: &Value) -> f64 {
     part["p50"].as_f64().unwrap_or_else(|| panic!("a median in {part}"))
 }
 
-/// The learner of `live` takes a thousand times longer than the answer, so that the two cannot be mixed up.
+/// The learner of `arm` takes a thousand times longer than the answer, so that the two cannot be mixed up.
 #[test]
 fn a_realtime_run_says_how_its_ticks_were_spent() {
     let place = Place::new();
-    let live = std::fs::read_to_string("scenarios/live.toml").unwrap().replacen("period_ms = 50", "period_ms = 20", 1);
-    let scenario = place.file("live.toml", live).to_str().unwrap().to_owned();
+    let arm = std::fs::read_to_string("scenarios/arm.toml").unwrap().replacen("period_ms = 50", "period_ms = 20", 1);
+    let scenario = place.file("arm.toml", arm).to_str().unwrap().to_owned();
     let summary = place.run(&[&scenario, "--mode", "realtime", "--ticks", "100", "--json"]).wait().expect(0).json();
     let budget = &summary["tick_budget"];
     assert_eq!(budget["period_us"], 20_000.0, "{summary}");
@@ -59,11 +59,11 @@ fn a_lockstep_run_has_none() {
 #[test]
 fn a_learner_that_overruns_the_tick_is_counted() {
     let place = Place::new();
-    let live = std::fs::read_to_string("scenarios/live.toml")
+    let arm = std::fs::read_to_string("scenarios/arm.toml")
         .unwrap()
         .replacen("period_ms = 50", "period_ms = 1", 1)
         .replacen("rule = \"learned-reward\"", "rule = \"learned-reward\"\n\n[learner.model]\nsteps = 20", 1);
-    let scenario = place.file("live.toml", live).to_str().unwrap().to_owned();
+    let scenario = place.file("arm.toml", arm).to_str().unwrap().to_owned();
     let summary = place.run(&[&scenario, "--mode", "realtime", "--ticks", "300", "--json"]).wait().expect(0).json();
     assert!(summary["tick_budget"]["learner_overruns"].as_u64() > Some(0), "{summary}");
     assert!(summary["missed"].as_u64() > Some(0), "{summary}");

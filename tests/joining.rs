@@ -32,7 +32,7 @@ fn every_process_can_be_started_by_hand() {
         [("plant", "tectum-simulator"), ("controller", "tectum-controller"), ("logger", "tectum-logger")]
     {
         let place = Place::new();
-        let mut run = place.start(TECTUM, &["run", "--name", "demo", "--by-hand", role, "--ticks", "2000", "--json"]);
+        let mut run = place.start(TECTUM, &["run", "--name", "demo", "--by-hand", role, "--ticks", "500", "--json"]);
         let card = place.path().join("runs/demo/run.json");
         run.until("the run's card", || card.exists());
         let member = place.start(program(name), &["--run", "demo", "--json"]);
@@ -52,7 +52,7 @@ fn every_process_can_be_started_by_hand() {
 fn a_process_with_another_scenario_is_refused_in_one_sentence() {
     let place = Place::new();
     let other = place.arm(&[("beta", "0.8")]);
-    let mut run = place.start(TECTUM, &["run", "--name", "demo", "--by-hand", "controller", "--ticks", "2000"]);
+    let mut run = place.start(TECTUM, &["run", "--name", "demo", "--by-hand", "controller", "--ticks", "500"]);
     let card = place.path().join("runs/demo/run.json");
     run.until("the run's card", || card.exists());
     let stranger = ["--run", "demo", "--scenario", &other];

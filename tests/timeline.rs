@@ -17,7 +17,7 @@ fn run(arguments: &[&str]) -> Value {
 /// I1.
 #[test]
 fn lockstep_is_a_function_of_scenario_and_seed() {
-    let arguments = ["--ticks", "20000", "--seed", "77"];
+    let arguments = ["paper", "--ticks", "20000", "--seed", "77"];
     let first = run(&arguments);
     let second = run(&arguments);
     let single = run(&[&arguments[..], &["--mode", "in-process"]].concat());
@@ -26,14 +26,14 @@ fn lockstep_is_a_function_of_scenario_and_seed() {
         assert_eq!(first[key], single[key], "{key}");
     }
     assert_eq!((&first["ticks"], &first["missed"], &first["lost"]), (&20000.into(), &0.into(), &0.into()));
-    let other = run(&["--ticks", "20000", "--seed", "78", "--mode", "in-process"]);
+    let other = run(&["paper", "--ticks", "20000", "--seed", "78", "--mode", "in-process"]);
     assert_ne!(first["weights_hash"], other["weights_hash"]);
 }
 
 /// I1 for the learner that uses the time after the command has gone out.
 #[test]
 fn a_learner_that_thinks_longer_is_on_the_same_timeline() {
-    let arguments = ["live", "--ticks", "100", "--seed", "77"];
+    let arguments = ["arm", "--ticks", "100", "--seed", "77"];
     let first = run(&arguments);
     let single = run(&[&arguments[..], &["--mode", "in-process"]].concat());
     for key in ["weights_hash", "loss_per_tick", "ticks"] {
@@ -45,7 +45,7 @@ fn a_learner_that_thinks_longer_is_on_the_same_timeline() {
 /// summation. A change here is a change of what users can reproduce, and belongs into the change log.
 #[test]
 fn the_numbers_are_pinned() {
-    let summary = run(&["--ticks", "2000", "--seed", "77", "--mode", "in-process"]);
+    let summary = run(&["paper", "--ticks", "2000", "--seed", "77", "--mode", "in-process"]);
     assert_eq!(summary["weights_hash"], PINNED);
 }
 
@@ -73,10 +73,10 @@ fn real_time_without_a_miss_is_lockstep() {
 #[test]
 fn two_runs_at_once_do_not_see_each_other() {
     let (here, there) = (Place::new(), Place::new());
-    let arguments = |seed| ["--ticks", "20000", "--json", "--seed", seed];
+    let arguments = |seed| ["paper", "--ticks", "20000", "--json", "--seed", seed];
     let (a, b) = (here.run(&arguments("77")), there.run(&arguments("78")));
     let (a, b) = (a.wait().expect(0).json(), b.wait().expect(0).json());
-    let alone = run(&["--ticks", "20000", "--seed", "78", "--mode", "in-process"]);
+    let alone = run(&["paper", "--ticks", "20000", "--seed", "78", "--mode", "in-process"]);
     assert_eq!(b["weights_hash"], alone["weights_hash"]);
     assert_ne!(a["weights_hash"], b["weights_hash"]);
 }
@@ -91,8 +91,8 @@ fn one_core_is_enough() {
     one.set(first);
     // This test's own thread, whose affinity the processes inherit.
     sched_setaffinity(None, &one).unwrap();
-    let pinned = run(&["--ticks", "5000", "--seed", "77"]);
+    let pinned = run(&["paper", "--ticks", "5000", "--seed", "77"]);
     sched_setaffinity(None, &allowed).unwrap();
-    let free = run(&["--ticks", "5000", "--seed", "77", "--mode", "in-process"]);
+    let free = run(&["paper", "--ticks", "5000", "--seed", "77", "--mode", "in-process"]);
     assert_eq!(pinned["weights_hash"], free["weights_hash"]);
 }

@@ -14,10 +14,10 @@ use super::print;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  tectum run live --ticks 6000           a run with every tick in its log: `every = 1` under [log]
-  tectum analyse runs/live-1             its movements: table, analysis.json, movements.csv, movements.svg
+  tectum run --ticks 6000                a run with every tick in its log: `every = 1` under [log]
+  tectum analyse runs/arm-1              its movements: table, analysis.json, movements.csv, movements.svg
   tectum analyse log.mcap --out today    another log, another folder for what comes out
-  tectum analyse runs/live-1 --json      one JSON object on standard output")]
+  tectum analyse runs/arm-1 --json       one JSON object on standard output")]
 pub struct Arguments {
     /// A log, or the folder of a run, or the run's name under runs/
     log: PathBuf,

@@ -10,7 +10,7 @@ const RULES: [Rule; 5] =
     [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward];
 
 fn plan(rule: Rule, seed: u64, ticks: u64) -> Plan {
-    let mut scenario = Scenario::find("arm").unwrap();
+    let mut scenario = Scenario::find("paper").unwrap();
     (scenario.seed, scenario.ticks) = (seed, ticks);
     scenario.learner = LearnerTable::preset(rule);
     scenario.plan().unwrap()

@@ -301,7 +301,7 @@ mod tests {
     use crate::scenario::Scenario;
 
     fn controller() -> Controller {
-        Controller::new(&Scenario::find("arm").unwrap().plan().unwrap())
+        Controller::new(&Scenario::find("paper").unwrap().plan().unwrap())
     }
 
     fn observation(tick: u64, flags: u32) -> Observation {
@@ -362,7 +362,7 @@ mod tests {
 
     #[test]
     fn weights_that_are_no_longer_numbers_move_nothing() {
-        let mut scenario = Scenario::find("arm").unwrap();
+        let mut scenario = Scenario::find("paper").unwrap();
         scenario.learner.alpha_over_variance = 1000.0;
         let mut controller = Controller::new(&scenario.plan().unwrap());
         let mut flags = 0;

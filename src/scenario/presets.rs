@@ -18,7 +18,6 @@ pub struct Preset {
 const PRESETS: &[Preset] = &[
     Preset { name: "arm", text: include_str!("../../scenarios/arm.toml") },
     Preset { name: "paper", text: include_str!("../../scenarios/paper.toml") },
-    Preset { name: "live", text: include_str!("../../scenarios/live.toml") },
     Preset { name: "eye", text: include_str!("../../scenarios/eye.toml") },
     Preset { name: "near", text: include_str!("../../scenarios/near.toml") },
     Preset { name: "laplace", text: include_str!("../../scenarios/laplace.toml") },

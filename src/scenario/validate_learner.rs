@@ -96,7 +96,7 @@ mod tests {
 
     /// The message for the built-in arm with this `[learner]`.
     fn message(learner: &str) -> String {
-        let mut scenario = Scenario::find("arm").unwrap();
+        let mut scenario = Scenario::find("paper").unwrap();
         scenario.learner = toml::from_str(learner).unwrap();
         scenario.plan().err().map_or("fine".into(), |e| e.to_string())
     }
@@ -104,7 +104,7 @@ mod tests {
     #[test]
     fn presets_are_valid_and_survive_being_written() {
         for rule in [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward] {
-            let mut scenario = Scenario::find("arm").unwrap();
+            let mut scenario = Scenario::find("paper").unwrap();
             scenario.learner = LearnerTable::preset(rule);
             let plan = scenario.plan().unwrap();
             let again = Scenario::parse(&plan.scenario.to_toml(), "again").unwrap().plan().unwrap();

@@ -50,12 +50,12 @@ impl Place {
         path
     }
 
-    /// A copy of `scenarios/arm.toml` with other values for some keys; gives its path. A key is changed where it stands
-    /// first.
+    /// The arm under the paper's rule, which is quick: a copy of `scenarios/paper.toml` with other values for some keys; gives
+    /// its path. A key is changed where it stands first.
     #[track_caller]
     pub fn arm(&self, changes: &[(&str, &str)]) -> String {
         let mut lines: Vec<String> =
-            fs::read_to_string("scenarios/arm.toml").unwrap().lines().map(str::to_owned).collect();
+            fs::read_to_string("scenarios/paper.toml").unwrap().lines().map(str::to_owned).collect();
         for (key, value) in changes {
             let line = lines.iter_mut().find(|line| line.split(" = ").next() == Some(key));
             *line.unwrap_or_else(|| panic!("no key {key}")) = format!("{key} = {value}");

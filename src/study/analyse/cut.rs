@@ -164,7 +164,7 @@ mod tests {
     }
 
     fn cutter() -> Cutter {
-        Cutter::new(&Scenario::find("arm").unwrap().plan().unwrap()).unwrap()
+        Cutter::new(&Scenario::find("paper").unwrap().plan().unwrap()).unwrap()
     }
 
     fn cut(cutter: &mut Cutter, observations: &[Observation]) -> Vec<u64> {

@@ -144,7 +144,7 @@ mod tests {
     }
 
     fn plan() -> Plan {
-        let mut scenario = Scenario::find("arm").unwrap();
+        let mut scenario = Scenario::find("paper").unwrap();
         scenario.ticks = 400;
         scenario.plan().unwrap()
     }
