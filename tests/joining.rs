@@ -39,10 +39,10 @@ fn every_process_can_be_started_by_hand() {
         let account = member.wait().expect(0).json();
         let outcome = run.wait().expect(0);
         assert!(outcome.stderr.contains(&format!("waiting for the {role}: {name} --run runs/demo")), "{outcome:#?}");
-        assert_eq!(outcome.json()["ticks"], 2000);
+        assert_eq!(outcome.json()["ticks"], 500);
         assert_eq!(outcome.json()["lost"], 0);
         if role != "logger" {
-            assert_eq!(account["ticks"], 2000);
+            assert_eq!(account["ticks"], 500);
         }
         assert_no_debris(&place.path().join("runs/demo"));
     }
