@@ -279,7 +279,7 @@ mod tests {
         Dots {
             duration: (0..n).map(|i| (x(i), shift + 0.3 * x(i))).collect(),
             peak_speed: (0..n).map(|i| (x(i), shift * 3.0 * x(i))).collect(),
-            settled: (0..n).map(|i| (i % 3 > 0).then(|| shift + 0.05 * i as f64)).collect(),
+            settled: (0..n).map(|i| (i % 3 > 0).then_some(shift + 0.05 * i as f64)).collect(),
             profile: (0..41).map(|i| [0.8, 1.0, 1.3].map(|f| f * 0.06 * f64::from(i * (40 - i)) / 15.0)).collect(),
         }
     }
