@@ -189,8 +189,9 @@ fn scatter(
     }
     for (line, colour, groups) in [(lines[0], GREY, &groups[..]), (lines[1], LATE, &groups[2..])] {
         let Some((intercept, slope)) = line else { continue };
-        // Where there are points, and no further.
-        let xs = || groups.iter().flat_map(|(dots, ..)| points(dots)).map(|p| p.0).filter(|&x| drawable(x));
+        // Where there are dots, and no further.
+        let shown = || groups.iter().flat_map(|(dots, ..)| points(dots).iter().step_by(step(dots)));
+        let xs = || shown().map(|p| p.0).filter(|&x| drawable(x));
         let (from, to) = (xs().fold(f64::INFINITY, f64::min), xs().fold(0.0, f64::max));
         let ends = [from, to].map(|x| (x, (intercept + slope * x).clamp(0.0, y_end)));
         if ends.iter().all(|p| drawable(p.0) && drawable(p.1)) {

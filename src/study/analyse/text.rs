@@ -100,7 +100,8 @@ impl Analysis {
         ]];
         for (name, words, decimals) in LINES {
             // With noise in them, speeds say how the noise shakes the arm, and where a reach begins and ends, nothing.
-            let shaken = ["onset_s", "duration_s", "mean_speed_m_s", "peak_position", "symmetry", "deviation"];
+            let shaken =
+                ["onset_s", "duration_s", "mean_speed_m_s", "peak_to_mean", "peak_position", "symmetry", "deviation"];
             if !whole && shaken.contains(&name) {
                 continue;
             }
