@@ -41,7 +41,7 @@ fn a_runs_movements_are_measured_with_noise_and_without() {
         let view = &analysis[view];
         assert_eq!((&view["all"]["n"], &view["early"]["n"], &view["late"]["n"]), (&28.into(), &10.into(), &10.into()));
         assert_eq!((&view["early"]["from"], &view["late"]["to"]), (&80.into(), &2240.into()));
-        assert_eq!(view["late"]["profile"].as_array().unwrap().len(), 41);
+        assert!(view["all"]["completed"].as_f64().is_some(), "{analysis}");
     }
     let median = |view: &str, measure: &str| {
         let value = &analysis[view]["all"]["measures"][measure]["median"];

@@ -2,6 +2,7 @@
 //! how soon the arm settled; the first movements beside the last.
 
 use super::*;
+use crate::report::thousands;
 use plotters::coord::types::RangedCoordf64;
 
 const WIDTH: u32 = 1010;
@@ -12,6 +13,8 @@ const BOTTOM_LABELS: u32 = 42;
 const BETWEEN: RGBColor = RGBColor(190, 190, 190);
 const EARLY: RGBColor = VERMILION;
 const LATE: RGBColor = BLUE;
+/// Most dots that a group has in a scatter; of more, every n-th is drawn.
+const DOTS: usize = 300;
 /// Most bars that a histogram has.
 const BARS: f64 = 16.0;
 
@@ -98,14 +101,14 @@ fn halves<'a>(area: &Area<'a>) -> [Area<'a>; 2] {
 fn legend(strip: &Area, m: &Movements) -> Result<(), ReportError> {
     let mut x = px(WIDTH / 2 + MARGIN + LEFT_LABELS);
     for (colour, name) in [
-        (EARLY, format!("first {}", m.early.settled.len())),
+        (EARLY, format!("first {}", thousands(m.early.settled.len() as u64))),
         (BETWEEN, "between".to_owned()),
-        (LATE, format!("last {}", m.late.settled.len())),
+        (LATE, format!("last {}", thousands(m.late.settled.len() as u64))),
     ] {
         strip.draw(&Circle::new((x, px(23)), fine(4.0), colour.filled())).map_err(refused)?;
         let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
         strip.draw(&Text::new(name, (x + px(10), px(23)), text)).map_err(refused)?;
-        x += px(96);
+        x += px(110);
     }
     Ok(())
 }
@@ -163,7 +166,8 @@ fn scatter(
     lines: [Option<(f64, f64)>; 2],
 ) -> Result<(), ReportError> {
     let groups = [(&m.middle, BETWEEN, 2.0), (&m.early, EARLY, 2.8), (&m.late, LATE, 2.8)];
-    let all = || groups.iter().flat_map(|(dots, ..)| points(dots)).copied();
+    let step = |dots: &Dots| points(dots).len().div_ceil(DOTS).max(1);
+    let all = || groups.iter().flat_map(|(dots, ..)| points(dots).iter().step_by(step(dots))).copied();
     let (x_end, y_end) = (end(all().map(|p| p.0)), end(all().map(|p| p.1)));
     let name = match lines {
         [Some((_, all)), Some((_, last))] => {
@@ -172,16 +176,22 @@ fn scatter(
         [Some((_, all)), None] => format!("a metre further: {}", signed(all, y_desc)),
         _ => String::new(),
     };
-    let mut chart = axes(area, &name, (x_end, y_end), ("distance to the target (m)", y_desc), &label)?;
+    let x_desc = if groups.iter().any(|(dots, ..)| step(dots) > 1) {
+        "distance to the target (m), some of the movements"
+    } else {
+        "distance to the target (m)"
+    };
+    let mut chart = axes(area, &name, (x_end, y_end), (x_desc, y_desc), &label)?;
     for (dots, colour, radius) in groups {
-        let seen = points(dots).iter().filter(|p| drawable(p.0) && drawable(p.1));
+        let seen = points(dots).iter().step_by(step(dots)).filter(|p| drawable(p.0) && drawable(p.1));
         let circles = seen.map(|&p| Circle::new(p, fine(radius), colour.mix(0.75).filled()));
         chart.draw_series(circles).map_err(refused)?;
     }
     for (line, colour, groups) in [(lines[0], GREY, &groups[..]), (lines[1], LATE, &groups[2..])] {
         let Some((intercept, slope)) = line else { continue };
-        // Where there are points, and no further.
-        let xs = || groups.iter().flat_map(|(dots, ..)| points(dots)).map(|p| p.0).filter(|&x| drawable(x));
+        // Where there are dots, and no further.
+        let shown = || groups.iter().flat_map(|(dots, ..)| points(dots).iter().step_by(step(dots)));
+        let xs = || shown().map(|p| p.0).filter(|&x| drawable(x));
         let (from, to) = (xs().fold(f64::INFINITY, f64::min), xs().fold(0.0, f64::max));
         let ends = [from, to].map(|x| (x, (intercept + slope * x).clamp(0.0, y_end)));
         if ends.iter().all(|p| drawable(p.0) && drawable(p.1)) {
@@ -279,7 +289,7 @@ mod tests {
         Dots {
             duration: (0..n).map(|i| (x(i), shift + 0.3 * x(i))).collect(),
             peak_speed: (0..n).map(|i| (x(i), shift * 3.0 * x(i))).collect(),
-            settled: (0..n).map(|i| (i % 3 > 0).then(|| shift + 0.05 * i as f64)).collect(),
+            settled: (0..n).map(|i| (i % 3 > 0).then_some(shift + 0.05 * i as f64)).collect(),
             profile: (0..41).map(|i| [0.8, 1.0, 1.3].map(|f| f * 0.06 * f64::from(i * (40 - i)) / 15.0)).collect(),
         }
     }

@@ -163,6 +163,8 @@ mod tests {
             .collect()
     }
 
+    type Spoil = fn(&mut Vec<Observation>);
+
     fn cutter() -> Cutter {
         Cutter::new(&Scenario::find("paper").unwrap().plan().unwrap()).unwrap()
     }
@@ -188,12 +190,14 @@ mod tests {
     #[test]
     fn movements_with_gaps_are_left_out_and_counted() {
         let whole = observations(0..100);
-        let broken: [&dyn Fn(&mut Vec<Observation>); 5] = [
-            &|all| drop(all.remove(33)),
-            &|all| all[33].header.flags |= flag::MISSED | flag::HELD,
-            &|all| all[40].header.flags |= flag::SKIPPED,
-            &|all| all[33].measures[1] = f32::NAN,
-            &|all| all[33].measures[0] = f32::INFINITY,
+        let broken: [Spoil; 5] = [
+            |all| {
+                all.remove(33);
+            },
+            |all| all[33].header.flags |= flag::MISSED | flag::HELD,
+            |all| all[40].header.flags |= flag::SKIPPED,
+            |all| all[33].measures[1] = f32::NAN,
+            |all| all[33].measures[0] = f32::INFINITY,
         ];
         for (i, spoil) in broken.iter().enumerate() {
             let (mut all, mut cutter) = (whole.clone(), cutter());

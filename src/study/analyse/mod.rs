@@ -27,6 +27,7 @@ pub use statistics::{Fit, Quartiles};
 
 use crate::log::{LogReader, Record};
 use crate::report::figure::{Bell, Dots, Movements};
+use crate::report::thousands;
 use crate::runtime::Card;
 use crate::scenario::{Plan, Scenario};
 use crate::supervise::Progress;
@@ -67,6 +68,8 @@ pub struct Group {
     /// Quartiles by measure, in the order of [`COLUMNS`]; null for a measure that no movement has.
     #[serde(serialize_with = "by_name")]
     pub measures: Vec<Option<Quartiles>>,
+    /// Share of the movements whose reach had ended when the next target appeared. The others have no duration and no profile.
+    pub completed: f64,
     /// Share of the movements that settled within the fixed tolerance.
     pub settled: f64,
     /// Share of the movements that settled within the share of the distance.
@@ -97,6 +100,7 @@ impl Group {
             from: rows.first()?.0.from,
             to: rows.last()?.0.from,
             measures: COLUMNS.iter().map(|(_, value)| quartiles(*value)).collect(),
+            completed: share(|m| m.duration_s),
             settled: share(|m| m.settled_s),
             settled_share: share(|m| m.settled_share_s),
             isochrony: Isochrony {
@@ -319,7 +323,7 @@ impl Analysis {
                 "{}, seed {}: {} movements{}",
                 self.scenario,
                 self.seed,
-                rows.len(),
+                thousands(rows.len() as u64),
                 if self.noiseless.is_some() { ", without exploration noise" } else { ", as measured" }
             ),
             early: dots(&rows[..part], &view.early),
@@ -336,6 +340,29 @@ impl Analysis {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Twelve minimum-jerk movements over different distances, all equally long: perfect isochrony.
+    #[test]
+    fn isochrony_is_found() {
+        let rows: Vec<Row> = (1..=12)
+            .map(|i| {
+                let track = minimum_jerk(0.1 * f64::from(i), 20);
+                let measured = measure(&track, 0.05, &Definitions { onset: 0.0, ..Definitions::default() });
+                Row { from: u64::from(i as u32 * 80), ticks: 40, measured, noiseless: None }
+            })
+            .collect();
+        let rows: Vec<_> = rows.iter().map(|row| (row, &row.measured)).collect();
+        let View { all, early, late } = View::of(&rows).unwrap();
+        assert_eq!((all.n, early.n, late.n), (12, 6, 6));
+        assert_eq!((all.from, all.to, early.to, late.from), (80, 960, 480, 560));
+        assert_eq!((all.completed, all.settled), (1.0, 1.0));
+        let (duration, speed) = (all.isochrony.duration.unwrap(), all.isochrony.peak_speed.unwrap());
+        assert!(duration.slope.abs() < 1e-9 && (duration.intercept - 1.0).abs() < 1e-9, "{duration:?}");
+        assert!((speed.slope - 1.875).abs() < 0.005 && speed.r > Some(0.9999), "{speed:?}");
+        assert_eq!(all.profile.len(), PROFILE);
+        assert!((all.get("peak_to_mean").unwrap().median - 1.875).abs() < 0.005);
+        assert!(late.get("distance_m").unwrap().q25 > early.get("distance_m").unwrap().q75);
+    }
 
     #[test]
     fn first_and_last_do_not_overlap() {

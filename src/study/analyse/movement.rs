@@ -4,7 +4,7 @@
 //!
 //! - *Speed* is the tangential speed of the end-effector, the distance between two ticks over the period. The *reach* lasts
 //!   from the first to the last tick whose speed is at least [`Definitions::onset`] of the peak speed, the usual threshold
-//!   of 5 %.
+//!   of 5 %. One that is still under way when the next target appears has no duration, no mean speed and no profile.
 //! - *Bell shape* (Morasso 1981; Flash & Hogan 1985, the paper's reference 13): the speed's peak lies in the middle of the
 //!   reach, the profile is its own mirror image, has one peak, and peak speed over mean speed is 1.875 for the movement of
 //!   minimum jerk from rest to rest; counted between thresholds of 5 % it is 1.66. See [`minimum_jerk`].
@@ -57,7 +57,7 @@ pub struct Measures {
     pub distance_m: f64,
     /// From the target's appearance to the beginning of the reach, s.
     pub onset_s: Option<f64>,
-    /// Duration of the reach, s.
+    /// Duration of the reach, s; none if it was still under way when the next target appeared.
     pub duration_s: Option<f64>,
     /// Peak speed, m/s.
     pub peak_speed: Option<f64>,
@@ -126,21 +126,24 @@ pub fn measure(track: &Track, period_s: f64, definitions: &Definitions) -> Measu
     let (reach, ticks) = (&speeds[from..until], (until - from) as f64);
     let (at, peak) = peak(&speeds);
     let sum: f64 = reach.iter().sum();
-    let mean = sum / ticks;
     measures.onset_s = Some(from as f64 * period_s);
-    measures.duration_s = Some(ticks * period_s);
     measures.peak_speed = Some(peak);
-    measures.mean_speed = Some(mean);
-    measures.peak_to_mean = ratio(peak, mean);
-    measures.peak_position = Some(((at - from as f64) / ticks).clamp(0.0, 1.0));
-    let halves: f64 = reach.iter().zip(reach.iter().rev()).map(|(a, b)| (a - b).abs()).sum();
-    measures.symmetry = ratio(halves, 2.0 * sum).map(|unlike| 1.0 - unlike);
     measures.peaks = Some(peaks(reach, definitions.peak * peak) as f64);
     let (start, end) = (track.points[from], track.points[until]);
     let line = distance(start, end);
     measures.straightness = ratio(sum * period_s, line);
     let off = track.points[from..=until].iter().map(|&p| off_line(p, start, end, line)).fold(0.0, f64::max);
     measures.deviation = ratio(off, line);
+    if until == speeds.len() {
+        return measures;
+    }
+    let mean = sum / ticks;
+    measures.duration_s = Some(ticks * period_s);
+    measures.mean_speed = Some(mean);
+    measures.peak_to_mean = ratio(peak, mean);
+    measures.peak_position = Some(((at - from as f64) / ticks).clamp(0.0, 1.0));
+    let halves: f64 = reach.iter().zip(reach.iter().rev()).map(|(a, b)| (a - b).abs()).sum();
+    measures.symmetry = ratio(halves, 2.0 * sum).map(|unlike| 1.0 - unlike);
     measures.profile = (0..PROFILE)
         .map(|i| (sample(&speeds, from as f64 + ticks * i as f64 / (PROFILE - 1) as f64) / mean) as f32)
         .collect();

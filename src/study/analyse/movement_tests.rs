@@ -69,10 +69,10 @@ fn settling_is_when_the_error_stays_small() {
 
 #[test]
 fn a_detour_is_not_straight() {
-    // Half a circle: its length is pi/2 of the straight line, its deviation half of it.
-    let angle = |i: usize| std::f64::consts::PI * (1.0 - i as f64 / 400.0);
-    let m =
-        measure(&track((0..=400).map(|i| [angle(i).cos(), angle(i).sin()]).collect()), PERIOD, &Definitions::default());
+    // Half a circle and then rest: its length is pi/2 of the straight line, its deviation half of it.
+    let angle = |i: usize| std::f64::consts::PI * (1.0 - i.min(400) as f64 / 400.0);
+    let circle = (0..=500).map(|i| [angle(i).cos(), angle(i).sin()]).collect();
+    let m = measure(&track(circle), PERIOD, &Definitions::default());
     near(m.straightness, std::f64::consts::FRAC_PI_2, 1e-4);
     near(m.deviation, 0.5, 1e-6);
     near(m.peak_to_mean, 1.0, 1e-6);
@@ -98,6 +98,19 @@ fn a_sudden_start_is_no_bell() {
     let m = measure(&track((0..80).map(|i| [1.0 - 0.8_f64.powi(i), 0.0]).collect()), PERIOD, &Definitions::default());
     near(m.onset_s, 0.0, 0.0);
     assert!(m.peak_position.unwrap() < 0.1 && m.symmetry.unwrap() < 0.6 && m.peaks == Some(1.0), "{m:?}");
+}
+
+#[test]
+fn a_reach_that_is_still_under_way_has_no_duration() {
+    let mut cut = minimum_jerk(0.8, 40);
+    cut.points.truncate(31);
+    cut.errors.truncate(30);
+    let m = measure(&cut, PERIOD, &Definitions::default());
+    assert_eq!((m.duration_s, m.mean_speed, m.peak_to_mean, m.symmetry), (None, None, None, None));
+    assert!(m.profile.is_empty());
+    // What can be said all the same.
+    near(m.peak_speed, 1.875 * 0.8 / 2.0, 0.003);
+    near(m.straightness, 1.0, 1e-9);
 }
 
 #[test]

@@ -143,6 +143,8 @@ mod tests {
             .collect()
     }
 
+    type Spoil = fn(&mut Vec<(Observation, Command)>);
+
     fn plan() -> Plan {
         let mut scenario = Scenario::find("paper").unwrap();
         scenario.ticks = 400;
@@ -179,11 +181,13 @@ mod tests {
         let plan = plan();
         let cutter = Cutter::new(&plan).unwrap();
         let whole = log(&plan);
-        let spoils: [&dyn Fn(&mut Vec<(Observation, Command)>); 4] = [
-            &|log| log[100].1.drawn[2] += 1e-7,
-            &|log| log[100].0.inputs[3] += 1e-6,
-            &|log| log[100].0.reward *= 1.5,
-            &|log| drop(log.remove(100)),
+        let spoils: [Spoil; 4] = [
+            |log| log[100].1.drawn[2] += 1e-7,
+            |log| log[100].0.inputs[3] += 1e-6,
+            |log| log[100].0.reward *= 1.5,
+            |log| {
+                log.remove(100);
+            },
         ];
         for (i, spoil) in spoils.iter().enumerate() {
             let mut log = whole.clone();

@@ -100,13 +100,15 @@ impl Analysis {
         ]];
         for (name, words, decimals) in LINES {
             // With noise in them, speeds say how the noise shakes the arm, and where a reach begins and ends, nothing.
-            let shaken = ["onset_s", "duration_s", "mean_speed_m_s", "peak_position", "symmetry", "deviation"];
+            let shaken =
+                ["onset_s", "duration_s", "mean_speed_m_s", "peak_to_mean", "peak_position", "symmetry", "deviation"];
             if !whole && shaken.contains(&name) {
                 continue;
             }
             let number = |x: Option<f64>| x.map_or("-".to_owned(), |x| format!("{x:.decimals$}"));
             let median = |group: &Group| {
                 let share = match name {
+                    "duration_s" => group.completed,
                     "settled_s" => group.settled,
                     "settled_share_s" => group.settled_share,
                     _ => return number(group.get(name).map(|q| q.median)),
@@ -114,6 +116,7 @@ impl Analysis {
                 format!("{} ({:.0} %)", number(group.get(name).map(|q| q.median)), 100.0 * share)
             };
             let words = match name {
+                "duration_s" => format!("{words}, of those that ended"),
                 "settled_s" => format!("{words} within {} m", self.definitions.near_m),
                 "settled_share_s" => {
                     format!("{words} within {:.0} % of the distance", 100.0 * self.definitions.near_share)
