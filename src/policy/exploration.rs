@@ -91,7 +91,10 @@ mod tests {
                 let used = if i < 3 { 1.0 } else { 0.0 };
                 // Five standard errors of the widest.
                 assert!(mean.abs() < 0.012 && (square - used).abs() < 0.03, "{noise:?} {i}: {mean} {square}");
-                assert!(cube.abs() < 0.35 && (fourth_power - used * fourth).abs() < 0.6, "{noise:?} {i}: {fourth_power}");
+                assert!(
+                    cube.abs() < 0.35 && (fourth_power - used * fourth).abs() < 0.6,
+                    "{noise:?} {i}: {fourth_power}"
+                );
             }
         }
     }

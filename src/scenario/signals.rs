@@ -43,8 +43,7 @@ fn of_arm(arm: &ArmTable, max_command: f64) -> Signals {
         let mirrored = arm.mirror.iter().any(|m| m.axis == axis);
         if mirrored { [low.min(-high), high.max(-low)] } else { arm.arena }
     };
-    let mut inputs =
-        vec![signal("target_x", "m", range(MirrorAxis::X)), signal("target_y", "m", range(MirrorAxis::Y))];
+    let mut inputs = vec![signal("target_x", "m", range(MirrorAxis::X)), signal("target_y", "m", range(MirrorAxis::Y))];
     if !arm.open_loop {
         let range = |joint: usize| arm.limits.get(joint - 1).copied().unwrap_or([-PI, PI]);
         inputs.extend(joints.clone().map(|joint| signal(&format!("theta_{joint}"), "rad", range(joint))));

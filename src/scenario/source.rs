@@ -104,14 +104,8 @@ pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> 
         "log",
         "channels",
     ];
-    const LISTS_OF_TABLES: [&str; 6] = [
-        "plant.inputs",
-        "plant.outputs",
-        "plant.arm.block",
-        "plant.arm.shorten",
-        "plant.arm.mirror",
-        "encoder.maps",
-    ];
+    const LISTS_OF_TABLES: [&str; 6] =
+        ["plant.inputs", "plant.outputs", "plant.arm.block", "plant.arm.shorten", "plant.arm.mirror", "encoder.maps"];
     let table = TABLES.iter().find_map(|path| match follow(document, path)? {
         (start, DeValue::Array(_), true) => Some(((*path).to_owned(), start)),
         _ => None,

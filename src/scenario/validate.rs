@@ -30,9 +30,8 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
         _ => None,
     };
     if let (Rule::LearnedReward, Some(plant)) = (scenario.learner.rule, still) {
-        let text = format!(
-            "is learned-reward, which needs inputs that the commands move; {plant} has none, so give it paper"
-        );
+        let text =
+            format!("is learned-reward, which needs inputs that the commands move; {plant} has none, so give it paper");
         return Err(Problem::new("learner.rule", text));
     }
     if scenario.learner.rule == Rule::LearnedReward && !scenario.encoder.scalars.is_empty() {

@@ -91,12 +91,8 @@ fn arm(arm: &ArmTable) -> Result<(), Problem> {
     }
     targets(arm)?;
     let reward = &arm.reward;
-    let weights = [
-        ("scale", reward.scale),
-        ("speed", reward.speed),
-        ("angle", reward.angle),
-        ("collision", reward.collision),
-    ];
+    let weights =
+        [("scale", reward.scale), ("speed", reward.speed), ("angle", reward.angle), ("collision", reward.collision)];
     for (key, value) in weights {
         number(format_args!("plant.arm.reward.{key}"), value, limits::WEIGHT, "give 0 to 1e6")?;
     }
@@ -126,7 +122,8 @@ fn joint_limits(arm: &ArmTable) -> Result<(), Problem> {
         }
         if high - low > limits::LIMITED_TURN {
             let value = format!("[{}, {}]", show(low), show(high));
-            let remedy = "a limited joint has less than a full turn, at most 6.28 rad; leave limits out if joints turn freely";
+            let remedy =
+                "a limited joint has less than a full turn, at most 6.28 rad; leave limits out if joints turn freely";
             return Err(Problem::value(format_args!("plant.arm.limits[{i}]"), value, remedy));
         }
     }
@@ -208,7 +205,8 @@ fn shortened(arm: &ArmTable) -> Result<(), Problem> {
         number(key(".length"), change.length, limits::LENGTH, "give 0.001 to 100 m")?;
         let same = |other: &super::ShortenTable| (other.segment, other.tick) == (change.segment, change.tick);
         if arm.shorten[..i].iter().any(same) {
-            let text = format!("changes segment {} at tick {} once more; keep one of the two", change.segment, change.tick);
+            let text =
+                format!("changes segment {} at tick {} once more; keep one of the two", change.segment, change.tick);
             return Err(Problem::new(key(""), text));
         }
     }

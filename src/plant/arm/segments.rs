@@ -66,9 +66,7 @@ fn meet([a, b]: [[f32; 2]; 2], [c, d]: [[f32; 2]; 2]) -> bool {
         return true;
     }
     // A point on the other segment's line meets the segment if it lies within its box.
-    let within = |[a, b]: [[f32; 2]; 2], p: [f32; 2]| {
-        (0..2).all(|i| (a[i].min(b[i])..=a[i].max(b[i])).contains(&p[i]))
-    };
+    let within = |[a, b]: [[f32; 2]; 2], p: [f32; 2]| (0..2).all(|i| (a[i].min(b[i])..=a[i].max(b[i])).contains(&p[i]));
     (c_side == 0 && within([a, b], c))
         || (d_side == 0 && within([a, b], d))
         || (a_side == 0 && within([c, d], a))

@@ -113,12 +113,16 @@ fn a_limited_joint_stops_and_pays_for_the_way_it_went() {
 fn near_the_target_alone_there_is_something_to_earn() {
     let reward = ArmRewardTable { scale: 2.0, speed: 0.0, angle: 0.0, near: Some(0.5), ..Default::default() };
     for (target, expected) in [([2.0, -1.0], 0.5), ([2.0, -0.7], 2.0 * (0.25 - 0.09)), ([2.0, -0.4], 0.0)] {
-        let table = ArmTable { arena: [-2.0, 2.0], targets: vec![target], reward: reward.clone(), ..Default::default() };
+        let table =
+            ArmTable { arena: [-2.0, 2.0], targets: vec![target], reward: reward.clone(), ..Default::default() };
         let mut arm = Arm::new(&table, 0.05, 1);
         arm.sense(0, &mut [0.0; 6]);
         let outcome = arm.advance(0, &[0.0; 4]);
         assert!((f64::from(outcome.reward) - expected).abs() < 1e-6, "{target:?}: {}", outcome.reward);
-        assert!((f64::from(outcome.measures[0]) - (target[1] + 1.0)).abs() < 1e-6, "the error is measured all the same");
+        assert!(
+            (f64::from(outcome.measures[0]) - (target[1] + 1.0)).abs() < 1e-6,
+            "the error is measured all the same"
+        );
     }
 }
 
