@@ -498,7 +498,7 @@ fn every_mistake_has_its_message() {
         (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1], [-1, 1], [-1, 1], [-1, 4]]",
             "x.toml:12: plant.arm.limits[3] is [-1, 4]; give the least and then the greatest angle, from -pi to pi rad, with the starting angle 0 between them"),
         (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1], [-1, 1], [-1, 1], [-3.141592653589793, 3.141592653589793]]",
-            "x.toml:12: plant.arm.limits[3] is [-3.141592653589793, 3.141592653589793]; a limited joint has less than a full turn, at most 6.28 rad; leave limits out if joints turn freely"),
+            "x.toml:12: plant.arm.limits[3] is [-3.141592653589793, 3.141592653589793]; a limited joint has less than a full turn, at most 6.25 rad; leave limits out if joints turn freely"),
         (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1, 2]]",
             "x.toml:12: plant.arm.limits[0] is a list of 3; give a list of two numbers, such as [-1.0, 1.0]"),
         (ARM, "base = [0.0, -1.0]", "open_loop = true",

@@ -35,7 +35,7 @@ pub trait Plant {
 #[derive(Debug, Clone)]
 pub enum Body {
     /// The planar arm.
-    Arm(Arm),
+    Arm(Box<Arm>),
     /// The saccading eye.
     Eye(Eye),
 }
@@ -45,7 +45,7 @@ impl Body {
     pub fn of(plan: &Plan) -> Option<Self> {
         let (plant, seed) = (&plan.scenario.plant, plan.scenario.seed);
         match (&plant.arm, &plant.eye) {
-            (Some(table), _) => Some(Self::Arm(Arm::new(table, plan.scenario.period_ms / 1000.0, seed))),
+            (Some(table), _) => Some(Self::Arm(Box::new(Arm::new(table, plan.scenario.period_ms / 1000.0, seed)))),
             (None, Some(table)) => Some(Self::Eye(Eye::new(table, seed))),
             (None, None) => None,
         }

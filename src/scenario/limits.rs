@@ -32,7 +32,7 @@ pub const WEIGHT: RangeInclusive<f64> = 0.0..=1e6;
 /// Most of an arm's changes of one kind, where each is checked for what can still be reached.
 pub const MAX_CHANGES: usize = 64;
 /// Most between the limits of a joint, rad: a little less than a full turn, since an angle over a full turn comes round.
-pub const LIMITED_TURN: f64 = 6.28;
+pub const LIMITED_TURN: f64 = 6.25;
 /// Least share of the arena that the arm can reach when targets are drawn: below it, drawing until one can be reached
 /// would take too long.
 pub const REACHABLE_SHARE: f64 = 0.01;

@@ -74,7 +74,7 @@ fn assert_bounds(plan: &Plan) {
         assert!(arm.reward.near.is_none_or(|near| (1e-3..=100.0).contains(&near)));
         assert!(arm.limits.is_empty() || arm.limits.len() == arm.lengths.len());
         for [low, high] in &arm.limits {
-            assert!(-PI <= *low && *low <= 0.0 && 0.0 <= *high && *high <= PI && low < high && high - low <= 6.28);
+            assert!(-PI <= *low && *low <= 0.0 && 0.0 <= *high && *high <= PI && low < high && high - low <= 6.25);
         }
         assert!(!arm.open_loop || arm.target_every == 1);
         assert!(arm.shorten.len() <= 64 && arm.mirror.len() <= 64);

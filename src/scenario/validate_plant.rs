@@ -123,7 +123,7 @@ fn joint_limits(arm: &ArmTable) -> Result<(), Problem> {
         if high - low > limits::LIMITED_TURN {
             let value = format!("[{}, {}]", show(low), show(high));
             let remedy =
-                "a limited joint has less than a full turn, at most 6.28 rad; leave limits out if joints turn freely";
+                "a limited joint has less than a full turn, at most 6.25 rad; leave limits out if joints turn freely";
             return Err(Problem::value(format_args!("plant.arm.limits[{i}]"), value, remedy));
         }
     }

@@ -97,15 +97,16 @@ mod tests {
     #[test]
     fn known_postures_cross_as_often_as_one_sees() {
         for (lengths, theta, expected) in [
-            // Straight; bent, but open; a square that closes on its own base.
+            // Straight; bent, but open; a roll whose end crosses its beginning.
             (&[0.5; 4][..], &[0.0; 4][..], 0),
             (&[0.5; 4], &[0.3, 0.6, 0.6, -0.6], 0),
-            (&[1.0, 1.0, 1.0, 1.5], &[0.0, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2], 1),
-            // Rolled up once more, the fifth segment crosses the first and runs into the second.
-            (&[1.0, 1.0, 1.0, 0.5, 1.5], &[0.0, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2], 1),
-            // Neighbours may fold back; what lies on the next but one may not.
+            (&[1.0, 1.0, 0.8, 1.5], &[0.0, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2], 1),
+            // The fourth stays inside and the fifth breaks out through the second; through the first, and back through it
+            // and the third.
+            (&[1.0, 1.0, 0.8, 0.5, 1.5], &[0.0, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2], 1),
+            (&[1.0, 1.0, 0.8, 1.5, 0.3, 2.0], &[0.0, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2], 3),
+            // Neighbours may fold back on each other.
             (&[0.5; 2], &[0.0, PI], 0),
-            (&[0.5, 0.25, 0.5], &[0.0, 0.0, PI], 1),
         ] {
             assert_eq!(crossings(lengths, theta), expected, "{theta:?}");
         }
