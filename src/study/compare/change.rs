@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::scenario::{ArmTable, BlockTable};
+use crate::scenario::{ArmTable, BlockTable, MirrorAxis, MirrorTable, ShortenTable};
 
 /// One change of the arm, and when.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,6 +19,10 @@ pub struct Change {
 pub enum What {
     /// A joint, from 1, stands still at an angle, rad.
     Block(usize, f64),
+    /// A segment, from 1, has another length, m.
+    Shorten(usize, f64),
+    /// A coordinate of the target is reported with the other sign.
+    Mirror(MirrorAxis),
 }
 
 /// How `--change` is written.
@@ -36,6 +40,8 @@ impl Change {
         let tick = self.tick;
         match self.what {
             What::Block(joint, angle) => arm.block.push(BlockTable { joint, tick, angle }),
+            What::Shorten(segment, length) => arm.shorten.push(ShortenTable { segment, tick, length }),
+            What::Mirror(axis) => arm.mirror.push(MirrorTable { axis, tick }),
         }
     }
 }
@@ -50,6 +56,9 @@ impl FromStr for Change {
         let what = match words[..] {
             ["block", joint] => What::Block(number(joint, "joint")?, 0.0),
             ["block", joint, angle] => What::Block(number(joint, "joint")?, number(angle, "angle")?),
+            ["shorten", segment, length] => What::Shorten(number(segment, "segment")?, number(length, "length")?),
+            ["mirror", "x"] => What::Mirror(MirrorAxis::X),
+            ["mirror", "y"] => What::Mirror(MirrorAxis::Y),
             _ => return Err(FORMS.to_owned()),
         };
         Ok(Self { what, tick })
@@ -65,6 +74,9 @@ impl fmt::Display for What {
         match self {
             Self::Block(joint, 0.0) => write!(f, "joint {joint} blocked"),
             Self::Block(joint, angle) => write!(f, "joint {joint} blocked at {angle} rad"),
+            Self::Shorten(segment, length) => write!(f, "segment {segment} {length} m long"),
+            Self::Mirror(MirrorAxis::X) => f.write_str("camera mirrored in x"),
+            Self::Mirror(MirrorAxis::Y) => f.write_str("camera mirrored in y"),
         }
     }
 }
@@ -75,9 +87,12 @@ mod tests {
 
     #[test]
     fn changes_are_read_as_they_are_written() {
-        for (text, what, tick) in
-            [("block:3@3000", What::Block(3, 0.0), 3000), ("block:1:-0.5@6_000", What::Block(1, -0.5), 6000)]
-        {
+        for (text, what, tick) in [
+            ("block:3@3000", What::Block(3, 0.0), 3000),
+            ("block:1:-0.5@6_000", What::Block(1, -0.5), 6000),
+            ("shorten:2:0.3@9000", What::Shorten(2, 0.3), 9000),
+            ("mirror:y@1", What::Mirror(MirrorAxis::Y), 1),
+        ] {
             assert_eq!(text.parse(), Ok(Change { what, tick }), "{text}");
         }
         for text in

@@ -1,6 +1,6 @@
 use super::damped_least_squares::{Settings, TUNED};
 use super::*;
-use crate::scenario::{ArmTable, BlockTable, Scenario};
+use crate::scenario::{ArmTable, BlockTable, MirrorAxis, MirrorTable, Scenario, ShortenTable};
 
 fn test_set(table: &ArmTable) -> TestSet {
     TestSet::new(&Scenario::find("arm").unwrap().plan().unwrap(), World::at(table, 0.05, 0))
@@ -131,4 +131,49 @@ fn its_constants_are_not_better_elsewhere() {
             assert!(tuned < other, "{what} times {factor}: {other}, not {tuned}");
         }
     }
+}
+
+#[test]
+fn a_world_is_what_happened_until_then() {
+    let table = ArmTable {
+        block: vec![BlockTable { joint: 3, tick: 100, angle: 0.2 }, BlockTable { joint: 3, tick: 200, angle: 0.0 }],
+        shorten: vec![ShortenTable { segment: 2, tick: 150, length: 0.3 }],
+        mirror: vec![MirrorTable { axis: MirrorAxis::X, tick: 180 }],
+        ..ArmTable::default()
+    };
+    let world = |tick| World::at(&table, 0.05, tick);
+    assert_eq!(world(99).table(), &ArmTable::default());
+    assert_eq!(
+        (world(100).fixed()[2], world(199).fixed()[2], world(200).fixed()[2]),
+        (Some(0.2), Some(0.2), Some(0.0))
+    );
+    assert_eq!(world(200).free(), [0, 1, 3]);
+    assert_eq!((world(149).table().lengths[1], world(150).table().lengths[1]), (0.5, 0.3));
+    assert_eq!((world(179).target(&[0.5, -0.5]), world(180).target(&[0.5, -0.5])), ([0.5, -0.5], [-0.5, -0.5]));
+}
+
+#[test]
+fn a_mirror_changes_what_is_seen_and_not_what_can_be_reached() {
+    let table = ArmTable { mirror: vec![MirrorTable { axis: MirrorAxis::X, tick: 0 }], ..ArmTable::default() };
+    let (plain, mirrored) = (test_set(&ArmTable::default()), test_set(&table));
+    assert_eq!(plain.targets(), mirrored.targets());
+    assert_eq!(plain.damped_least_squares(), mirrored.damped_least_squares());
+    let shown = |set: &TestSet| {
+        let mut first = 0.0;
+        set.drive(|inputs| {
+            first = inputs[0];
+            Outputs::default()
+        });
+        first
+    };
+    assert_eq!(shown(&plain), -shown(&mirrored));
+}
+
+#[test]
+fn a_shorter_arm_is_asked_for_less() {
+    let table = ArmTable { shorten: vec![ShortenTable { segment: 2, tick: 0, length: 0.3 }], ..ArmTable::default() };
+    let set = test_set(&table);
+    assert!(set.targets().iter().all(|[x, y]| x.hypot(y + 1.0) <= 1.8 + 1e-6));
+    let best = optimum(&set);
+    assert!(best.loss < set.damped_least_squares().loss && best.miss_m < 0.1, "{best:?}");
 }
