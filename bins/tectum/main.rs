@@ -1,6 +1,7 @@
 //! The user's command. Every mode and every exit code passes through here.
 
 mod analyse;
+mod compare;
 mod reproduce;
 mod run;
 
@@ -37,6 +38,8 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Analyse the movements in a run's log: isochrony, speed profiles, straightness, settling
     Analyse(analyse::Arguments),
+    /// Learners side by side: how much experience each needs, and what a tick of it costs
+    Compare(compare::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -44,6 +47,7 @@ fn main() -> ExitCode {
         Command::Run(arguments) => run::main(&arguments),
         Command::Reproduce(arguments) => reproduce::main(&arguments),
         Command::Analyse(arguments) => analyse::main(&arguments),
+        Command::Compare(arguments) => compare::main(&arguments),
     }
 }
 

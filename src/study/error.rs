@@ -16,6 +16,9 @@ pub enum StudyError {
     /// A scenario.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
+    /// Something that was asked for and makes no sense; says what, and the remedy.
+    #[error("{0}")]
+    Asked(String),
     /// A figure.
     #[error(transparent)]
     Report(#[from] ReportError),
@@ -38,7 +41,7 @@ impl StudyError {
         match self {
             Self::Launch(error) => error.exit_code(),
             Self::Signal(number) => exit::by_signal(*number),
-            Self::Scenario(_) | Self::Report(_) | Self::Write { .. } => exit::INPUT,
+            Self::Scenario(_) | Self::Asked(_) | Self::Report(_) | Self::Write { .. } => exit::INPUT,
         }
     }
 

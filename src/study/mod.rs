@@ -5,10 +5,12 @@
 //! the object of `--json`, the rows of a CSV and the matter of a figure.
 
 pub mod analyse;
+pub mod compare;
 mod crew;
 mod error;
 pub mod reproduce;
 mod spread;
+pub mod yardstick;
 
 pub use crew::{Crew, Ticks};
 pub use error::StudyError;

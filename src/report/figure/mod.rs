@@ -6,6 +6,7 @@
 
 mod bands;
 mod curves;
+pub mod learning;
 mod loss;
 mod miss;
 mod movements;

@@ -1,0 +1,97 @@
+//! `tectum compare`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+use tectum::study::StudyError;
+use tectum::study::compare::{Change, Changes, Compared, Comparison, LEARNERS, compare, rule};
+use tectum::study::yardstick::STARTS;
+
+use super::study_ended;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Every learner runs with every seed on the built-in arm, and is tested without exploration noise on the
+same 40 targets. What it says of each: ticks until its loss reaches the level (that of the paper's rule
+after 9 million ticks), ticks until it is over the block of a joint (within 10 % of the blocked arm's
+optimum), what is left to the optimum, what a tick costs; beside controllers that know the true arm.
+
+Examples:
+  tectum compare                                       all learners, 5 seeds each
+  tectum compare --learners learned-reward --seeds 20  one learner, on more seeds
+  tectum compare --learners actor-critic,paper --ticks 1000000 --block never
+                                                       how far they get, and nothing happens to the arm
+  tectum compare --learners learned-reward --ticks 15000 --change block:3@3000 \\
+      --change block:1@6000 --change shorten:2:0.3@9000 --change mirror:x@12000
+                                                       one change after another
+  tectum compare --learners actor-critic --first-seed 1 --set learner.critic.step=0.1
+                                                       try a setting, on seeds to tune on")]
+pub struct Arguments {
+    /// Learners to compare, separated by commas: paper, baseline, actor-critic, natural-actor-critic,
+    /// learned-reward [default: all]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    learners: Vec<String>,
+    /// Number of seeds
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    seeds: u64,
+    /// First seed; those below 1000 are for tuning
+    #[arg(long, value_name = "S", default_value_t = 1000)]
+    first_seed: u64,
+    /// Length of every run, in place of each learner's usual one
+    #[arg(long, value_name = "N")]
+    ticks: Option<u64>,
+    /// Block joint 3 from this tick on, or `never` [default: when each learner should have learned]
+    #[arg(long, value_name = "TICK", conflicts_with = "change")]
+    block: Option<String>,
+    /// Change the arm from a tick on; may be given more than once: block:JOINT@TICK, block:JOINT:ANGLE@TICK,
+    /// shorten:SEGMENT:LENGTH@TICK, mirror:x@TICK, mirror:y@TICK
+    #[arg(long, value_name = "WHAT@TICK")]
+    change: Vec<Change>,
+    /// A setting in TOML for all named learners, in place of their preset's, such as learner.beta=0.5
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// First guesses for each movement of the trajectory optimum
+    #[arg(long, value_name = "N", default_value_t = STARTS)]
+    starts: usize,
+    /// Folder for tables and figure [default: runs/compare-<n>]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object instead of the tables
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn main(arguments: &Arguments) -> ExitCode {
+    let told = |compared: Compared| if arguments.json { compared.to_json() + "\n" } else { compared.to_text() };
+    study_ended(comparison(arguments).and_then(|comparison| compare(&comparison)).map(told))
+}
+
+/// From what was asked for to what will be done.
+fn comparison(arguments: &Arguments) -> Result<Comparison, StudyError> {
+    let learners = match &arguments.learners[..] {
+        [] => LEARNERS.to_vec(),
+        names => names.iter().map(|name| rule(name)).collect::<Result<_, _>>()?,
+    };
+    let changes = match arguments.block.as_deref() {
+        None if arguments.change.is_empty() => Changes::Usual,
+        None => Changes::These(arguments.change.clone()),
+        Some("never") => Changes::None,
+        Some(tick) => {
+            let tick = tick.replace('_', "").parse();
+            let tick = tick.map_err(|_| StudyError::Asked("--block is no tick; give a number, or never".to_owned()))?;
+            Changes::These(vec![Change::block(tick)])
+        }
+    };
+    Ok(Comparison {
+        learners,
+        first_seed: arguments.first_seed,
+        seeds: arguments.seeds,
+        ticks: arguments.ticks,
+        changes,
+        settings: arguments.set.clone(),
+        starts: arguments.starts,
+        out: arguments.out.clone(),
+        progress: true,
+    })
+}

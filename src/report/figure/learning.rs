@@ -1,0 +1,319 @@
+//! Learning curves: how the loss falls with experience, for several learners over several seeds, both axes logarithmic.
+//!
+//! The first panel shows the learning from the beginning; below it stands one panel for what came after each change. A
+//! line is the median over seeds, the band around it reaches from the best to the worst; a learner has one colour in all
+//! panels. Dashed lines across are for scale.
+
+use super::*;
+use crate::report::thousands;
+
+const WIDTH: u32 = 940;
+const FIRST_HEIGHT: u32 = 400;
+const LATER_HEIGHT: u32 = 270;
+const LEGEND: u32 = 26;
+const PANEL_TITLE: u32 = 24;
+const LEFT: u32 = 62;
+const RIGHT: u32 = 196;
+const BOTTOM: u32 = 44;
+/// Panels beside each other in a row below the first.
+const IN_A_ROW: usize = 2;
+/// Losses above this are cut off: what a diverged learner does needs no room.
+const HIGHEST: f64 = 2.0;
+
+const GREEN: RGBColor = RGBColor(0, 158, 115);
+const ORANGE: RGBColor = RGBColor(230, 159, 0);
+const PURPLE: RGBColor = RGBColor(204, 121, 167);
+/// In the order of the caller's numbers; GREY for more than there are.
+const COLOURS: [RGBColor; 6] = [VERMILION, ORANGE, SKY, GREEN, BLUE, PURPLE];
+
+/// The figure.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Learning {
+    /// Title.
+    pub title: String,
+    /// The first is large; those after it stand below.
+    pub panels: Vec<Panel>,
+}
+
+/// One pair of axes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Panel {
+    /// Title.
+    pub title: String,
+    /// Name of the axis of ticks.
+    pub x: String,
+    /// One a learner.
+    pub curves: Vec<Curve>,
+    /// Dashed lines across.
+    pub lines: Vec<Line>,
+}
+
+/// A learner's curve.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curve {
+    /// Name in the legend.
+    pub name: String,
+    /// Number of its colour.
+    pub colour: usize,
+    /// In the order of ticks.
+    pub points: Vec<Point>,
+}
+
+/// What the seeds did at a tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Point {
+    /// The tick.
+    pub ticks: u64,
+    /// Least loss.
+    pub low: f64,
+    /// The median.
+    pub middle: f64,
+    /// Largest.
+    pub high: f64,
+}
+
+/// A line across, with its name beside it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Line {
+    /// Name.
+    pub name: String,
+    /// Loss.
+    pub value: f64,
+}
+
+/// Draws `learning` into a new file at `path`, in place of one that is there.
+///
+/// # Errors
+///
+/// [`ReportError`] if the file cannot be written.
+pub fn draw(learning: &Learning, path: &Path) -> Result<(), ReportError> {
+    write(path, &svg(learning)?)
+}
+
+fn svg(learning: &Learning) -> Result<String, ReportError> {
+    let (first, later) = learning.panels.split_at(learning.panels.len().min(1));
+    let rows: Vec<&[Panel]> =
+        if later.len() < IN_A_ROW { later.chunks(1).collect() } else { later.chunks(IN_A_ROW).collect() };
+    let height = TITLE_HEIGHT + LEGEND + FIRST_HEIGHT + rows.len() as u32 * LATER_HEIGHT + 8;
+    canvas((WIDTH, height), &learning.title, |_, rest| {
+        let [first] = first else { return Ok(()) };
+        let (strip, rest) = rest.split_vertically(px(LEGEND));
+        legend(first, &strip)?;
+        let (area, mut rest) = rest.split_vertically(px(FIRST_HEIGHT));
+        panel(first, range(std::slice::from_ref(first)), &area)?;
+        for row in rows {
+            let (area, below) = rest.split_vertically(px(LATER_HEIGHT));
+            for (one, area) in row.iter().zip(area.split_evenly((1, row.len()))) {
+                panel(one, range(later), &area)?;
+            }
+            rest = below;
+        }
+        Ok(())
+    })
+}
+
+/// The losses that these panels show, so that they can be compared.
+fn range(panels: &[Panel]) -> (f64, f64) {
+    let curves = panels.iter().flat_map(|p| &p.curves);
+    let points = curves.flat_map(|c| &c.points).flat_map(|p| [p.low, p.middle, p.high]);
+    let all = points.chain(panels.iter().flat_map(|p| &p.lines).map(|line| line.value));
+    let (low, high) = all
+        .filter(|&y| y.is_finite() && y > 0.0)
+        .fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), y| (low.min(y), high.max(y)));
+    // Nothing to show still needs an axis.
+    if high <= 0.0 { (0.01, 1.0) } else { (0.88 * low, (1.12 * high).min(HIGHEST).max(2.0 * low)) }
+}
+
+fn legend(panel: &Panel, strip: &Area) -> Result<(), ReportError> {
+    let mut x = px(LEFT);
+    let y = px(LEGEND) / 2;
+    for curve in &panel.curves {
+        strip
+            .draw(&Rectangle::new([(x, y - px(5)), (x + px(24), y + px(5))], colour(curve).mix(0.2).filled()))
+            .map_err(refused)?;
+        strip
+            .draw(&PathElement::new([(x, y), (x + px(24), y)], colour(curve).stroke_width(fine(2.4))))
+            .map_err(refused)?;
+        let text = anchored(font(13.0, INK), HPos::Left, VPos::Center);
+        strip.draw(&Text::new(curve.name.clone(), (x + px(30), y), text)).map_err(refused)?;
+        x += px(30 + 24) + px(curve.name.chars().count() as u32 * 7);
+    }
+    Ok(())
+}
+
+fn colour(curve: &Curve) -> RGBColor {
+    COLOURS.get(curve.colour).copied().unwrap_or(GREY)
+}
+
+fn panel(panel: &Panel, (low, high): (f64, f64), area: &Area) -> Result<(), ReportError> {
+    let ticks = || panel.curves.iter().flat_map(|c| &c.points).map(|p| p.ticks.max(1));
+    let first = ticks().min().unwrap_or(1) as f64;
+    let last = (ticks().max().unwrap_or(10) as f64).max(1.5 * first);
+    let (x, y) = ((first.log10(), last.log10()), (low.log10(), high.log10()));
+    let (title, area) = area.split_vertically(px(PANEL_TITLE));
+    let text = anchored(font(13.0, INK), HPos::Left, VPos::Center);
+    title.draw(&Text::new(panel.title.clone(), (px(LEFT), px(PANEL_TITLE) / 2), text)).map_err(refused)?;
+
+    // Axes in logarithms, labelled by hand: the library's own logarithmic labels leave out too much.
+    let mut chart = ChartBuilder::on(&area)
+        .margin_left(px(LEFT))
+        .margin_right(px(RIGHT))
+        .margin_bottom(px(BOTTOM))
+        .margin_top(px(4))
+        .build_cartesian_2d(x.0..x.1, y.0..y.1)
+        .map_err(refused)?;
+    let place = |x: f64, y: f64| {
+        let corner = area.get_pixel_range();
+        let (px_, py_) = chart.plotting_area().map_coordinate(&(x, y));
+        (px_ - corner.0.start, py_ - corner.1.start)
+    };
+    let (left, bottom) = place(x.0, y.0);
+    let (right, top) = place(x.1, y.1);
+    for (value, bold) in losses(low, high) {
+        let at = place(x.0, value.log10()).1;
+        let style = FAINT.mix(if bold { 1.0 } else { 0.55 }).stroke_width(fine(0.8));
+        area.draw(&PathElement::new([(left, at), (right, at)], style)).map_err(refused)?;
+        if bold {
+            let text = anchored(font(12.0, INK), HPos::Right, VPos::Center);
+            area.draw(&Text::new(label(&value), (left - px(7), at), text)).map_err(refused)?;
+        }
+    }
+    for power in 0..=12 {
+        for digit in 1..=9 {
+            let value = f64::from(digit) * 10_f64.powi(power);
+            if !(first..=last).contains(&value) {
+                continue;
+            }
+            let at = place(value.log10(), y.0).0;
+            let bold = digit == 1;
+            let style = FAINT.mix(if bold { 1.0 } else { 0.55 }).stroke_width(fine(0.8));
+            area.draw(&PathElement::new([(at, top), (at, bottom)], style)).map_err(refused)?;
+            if bold {
+                let text = anchored(font(12.0, INK), HPos::Center, VPos::Top);
+                area.draw(&Text::new(thousands(value as u64), (at, bottom + px(7)), text)).map_err(refused)?;
+            }
+        }
+    }
+    let frame = GREY.stroke_width(fine(1.0));
+    area.draw(&PathElement::new([(left, top), (left, bottom), (right, bottom)], frame)).map_err(refused)?;
+    let text = anchored(font(13.0, INK), HPos::Center, VPos::Top);
+    area.draw(&Text::new(panel.x.clone(), ((left + right) / 2, bottom + px(24)), text)).map_err(refused)?;
+    let text = anchored(font(13.0, INK), HPos::Center, VPos::Top).transform(FontTransform::Rotate270);
+    area.draw(&Text::new("loss a tick", (px(10), (top + bottom) / 2), text)).map_err(refused)?;
+
+    // Names beside the lines, as near as they can stand without standing on each other; the uppermost first.
+    let mut lines: Vec<&Line> = panel.lines.iter().filter(|l| (low..=high).contains(&l.value)).collect();
+    lines.sort_by(|a, b| b.value.total_cmp(&a.value));
+    let mut names: Vec<i32> = lines.iter().map(|line| place(x.1, line.value.log10()).1).collect();
+    for i in (0..names.len().saturating_sub(1)).rev() {
+        names[i] = names[i].min(names[i + 1] - px(15));
+    }
+    for (line, name) in lines.iter().zip(names) {
+        let at = place(x.1, line.value.log10()).1;
+        let dashes = DashedPathElement::new(
+            [(left, at), (right, at)],
+            fine(5.0),
+            fine(4.0),
+            INK.mix(0.75).stroke_width(fine(1.0)),
+        );
+        area.draw(&dashes).map_err(refused)?;
+        let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
+        let words = format!("{} {:.4}", line.name, line.value);
+        area.draw(&Text::new(words, (right + px(7), name), text)).map_err(refused)?;
+    }
+
+    let inside = |loss: f64| loss.clamp(low, high).log10();
+    let shown = |p: &&Point| p.middle.is_finite() && p.low.is_finite();
+    for curve in &panel.curves {
+        let at = |p: &Point, loss: f64| ((p.ticks.max(1) as f64).log10(), inside(loss));
+        let points: Vec<&Point> = curve.points.iter().filter(shown).collect();
+        // A worst that is no number reaches beyond the top.
+        let high_of = |p: &Point| if p.high.is_finite() { p.high } else { f64::MAX };
+        let band: Vec<_> =
+            (points.iter().map(|p| at(p, p.low))).chain(points.iter().rev().map(|p| at(p, high_of(p)))).collect();
+        if points.len() > 1 {
+            chart.draw_series([Polygon::new(band, colour(curve).mix(0.2))]).map_err(refused)?;
+        }
+    }
+    for curve in &panel.curves {
+        let points = curve.points.iter().filter(shown).map(|p| ((p.ticks.max(1) as f64).log10(), inside(p.middle)));
+        chart.draw_series(LineSeries::new(points, colour(curve).stroke_width(fine(1.8)))).map_err(refused)?;
+    }
+    Ok(())
+}
+
+/// Grid lines of the losses, and whether they have a label.
+fn losses(low: f64, high: f64) -> Vec<(f64, bool)> {
+    let mut lines = Vec::new();
+    for power in -6..=1 {
+        for digit in 1..=9 {
+            let value = f64::from(digit) * 10_f64.powi(power);
+            if (low..=high).contains(&value) {
+                lines.push((value, matches!(digit, 1 | 2 | 5)));
+            }
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn learning() -> Learning {
+        let point = |k: u64| {
+            let middle = 0.02 + 0.5 / (1.0 + k as f64 / 200.0);
+            Point { ticks: k, low: 0.9 * middle, middle, high: 1.2 * middle }
+        };
+        let curve = |name: &str, colour, slow: u64| Curve {
+            name: name.into(),
+            colour,
+            points: (1..100).map(|k| Point { ticks: slow * 20 * k, ..point(20 * k) }).collect(),
+        };
+        let line = |name: &str, value| Line { name: name.into(), value };
+        let panel = |title: &str| Panel {
+            title: title.into(),
+            x: "ticks".into(),
+            curves: vec![curve("slow", 0, 1000), curve("quick", 4, 1)],
+            lines: vec![line("level", 0.0375), line("trajectory optimum", 0.0193)],
+        };
+        Learning { title: "Learning".into(), panels: vec![panel("from the beginning"), panel("after the change")] }
+    }
+
+    #[test]
+    fn the_figure_says_what_it_shows() {
+        let svg = svg(&learning()).unwrap();
+        assert!(svg.starts_with("<svg width=\"940\" height=\"748\" viewBox=\"0 0 3760 2992\""), "{}", &svg[..80]);
+        for words in
+            ["slow", "quick", "level 0.0375", "trajectory optimum 0.0193", "1,000,000", "after the change", "0.05"]
+        {
+            assert!(svg.contains(words), "{words}");
+        }
+        assert!(!svg.contains("NaN") && !svg.contains("inf"));
+    }
+
+    #[test]
+    fn equal_curves_give_equal_bytes_and_different_ones_do_not() {
+        let one = svg(&learning()).unwrap();
+        assert_eq!(one, svg(&learning()).unwrap());
+        let mut other = learning();
+        other.panels[0].curves[1].points[50].middle *= 1.2;
+        assert_ne!(one, svg(&other).unwrap());
+    }
+
+    #[test]
+    fn what_has_no_place_on_the_axes_is_left_out() {
+        let mut odd = learning();
+        let points = &mut odd.panels[0].curves[0].points;
+        (points[3].middle, points[7].high, points[9].low) = (f64::NAN, f64::INFINITY, -1.0);
+        points[11].high = 1e30;
+        let svg = svg(&odd).unwrap();
+        assert!(!svg.contains("NaN") && !svg.contains("inf"));
+        let none = Learning {
+            title: "Nothing".into(),
+            panels: vec![Panel { curves: vec![], lines: vec![], ..odd.panels[0].clone() }],
+        };
+        assert!(super::svg(&none).unwrap().contains("Nothing"));
+        assert!(super::svg(&Learning { title: "Nothing".into(), panels: vec![] }).is_ok());
+    }
+}

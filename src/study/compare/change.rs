@@ -1,0 +1,105 @@
+//! What happens to the arm during a run: in words, as `--change` has it, and in the scenario's tables.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::scenario::{ArmTable, BlockTable, MirrorAxis, MirrorTable, ShortenTable};
+
+/// One change of the arm, and when.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Change {
+    /// What changes.
+    pub what: What,
+    /// First tick with it.
+    pub tick: u64,
+}
+
+/// The changes that there are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum What {
+    /// A joint, from 1, stands still at an angle, rad.
+    Block(usize, f64),
+    /// A segment, from 1, has another length, m.
+    Shorten(usize, f64),
+    /// A coordinate of the target is reported with the other sign.
+    Mirror(MirrorAxis),
+}
+
+/// How `--change` is written.
+const FORMS: &str =
+    "write block:JOINT@TICK, block:JOINT:ANGLE@TICK, shorten:SEGMENT:LENGTH@TICK, mirror:x@TICK or mirror:y@TICK";
+
+impl Change {
+    /// Joint 3 blocked at angle 0, as in the paper.
+    pub fn block(tick: u64) -> Self {
+        Self { what: What::Block(3, 0.0), tick }
+    }
+
+    /// Writes the change into an arm's table.
+    pub fn apply(&self, arm: &mut ArmTable) {
+        let tick = self.tick;
+        match self.what {
+            What::Block(joint, angle) => arm.block.push(BlockTable { joint, tick, angle }),
+            What::Shorten(segment, length) => arm.shorten.push(ShortenTable { segment, tick, length }),
+            What::Mirror(axis) => arm.mirror.push(MirrorTable { axis, tick }),
+        }
+    }
+}
+
+impl FromStr for Change {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (what, tick) = text.split_once('@').ok_or(FORMS)?;
+        let tick = number(tick, "tick")?;
+        let words: Vec<&str> = what.split(':').collect();
+        let what = match words[..] {
+            ["block", joint] => What::Block(number(joint, "joint")?, 0.0),
+            ["block", joint, angle] => What::Block(number(joint, "joint")?, number(angle, "angle")?),
+            ["shorten", segment, length] => What::Shorten(number(segment, "segment")?, number(length, "length")?),
+            ["mirror", "x"] => What::Mirror(MirrorAxis::X),
+            ["mirror", "y"] => What::Mirror(MirrorAxis::Y),
+            _ => return Err(FORMS.to_owned()),
+        };
+        Ok(Self { what, tick })
+    }
+}
+
+fn number<T: FromStr>(text: &str, what: &str) -> Result<T, String> {
+    text.replace('_', "").parse().map_err(|_| format!("the {what} is no such number; {FORMS}"))
+}
+
+impl fmt::Display for What {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Block(joint, 0.0) => write!(f, "joint {joint} blocked"),
+            Self::Block(joint, angle) => write!(f, "joint {joint} blocked at {angle} rad"),
+            Self::Shorten(segment, length) => write!(f, "segment {segment} {length} m long"),
+            Self::Mirror(MirrorAxis::X) => f.write_str("camera mirrored in x"),
+            Self::Mirror(MirrorAxis::Y) => f.write_str("camera mirrored in y"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn changes_are_read_as_they_are_written() {
+        for (text, what, tick) in [
+            ("block:3@3000", What::Block(3, 0.0), 3000),
+            ("block:1:-0.5@6_000", What::Block(1, -0.5), 6000),
+            ("shorten:2:0.3@9000", What::Shorten(2, 0.3), 9000),
+            ("mirror:y@1", What::Mirror(MirrorAxis::Y), 1),
+        ] {
+            assert_eq!(text.parse(), Ok(Change { what, tick }), "{text}");
+        }
+        for text in
+            ["", "block", "block@3", "block:3", "block:x@3", "block:3@", "mirror:z@3", "shorten:2@5", "melt:1@5"]
+        {
+            let said = text.parse::<Change>().unwrap_err();
+            assert!(said.contains("write block:JOINT@TICK"), "{text}: {said}");
+        }
+    }
+}

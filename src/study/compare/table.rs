@@ -1,0 +1,185 @@
+//! The comparison for people: a few tables in plain text.
+
+use std::fmt::Write as _;
+
+use super::Compared;
+use crate::report::thousands;
+use crate::study::Spread;
+
+impl Compared {
+    /// One JSON object.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string(self).unwrap_or_default()
+    }
+
+    /// The short report.
+    pub fn to_text(&self) -> String {
+        let mut text = String::new();
+        let (first, last) = (self.seeds.first().unwrap_or(&0), self.seeds.last().unwrap_or(&0));
+        let seeds = if first == last { format!("seed {first}") } else { format!("seeds {first} to {last}") };
+        let _ = writeln!(text, "{seeds}: {:.1} s, runs sharing {} cores\n", self.seconds, self.cores());
+        text += &aligned(&self.learned());
+        let changed = self.changed();
+        if changed.len() > 2 {
+            let _ = write!(text, "\n{}", aligned(&changed));
+        }
+        let _ = write!(text, "\n{}", aligned(&self.scale()));
+        let folder = self.folder.display();
+        let _ =
+            writeln!(text, "\nfigure  {folder}/figure.svg\ntables  {folder}/compare.csv, curves.csv and compare.json");
+        text
+    }
+
+    fn cores(&self) -> &str {
+        self.machine.get("cores").map_or("the", String::as_str)
+    }
+
+    /// Before anything changed.
+    fn learned(&self) -> Vec<Vec<String>> {
+        let mut rows = vec![
+            cells(["", "", "to the level", "", "loss", "", "gap left", "", "ns a tick", "", ""]),
+            cells([
+                "learner", "ticks", "median", "worst", "median", "worst", "median", "worst", "median", "p99",
+                "diverged",
+            ]),
+        ];
+        for l in &self.learners {
+            let until = l.changes.first().map_or(l.ticks, |change| change.tick);
+            let [level, worst_level] = instants(&l.ticks_to_level);
+            let [loss, worst_loss] = spread(l.loss, |x| format!("{x:.4}"));
+            let [gap, worst_gap] = spread(l.share_of_gap, |x| format!("{:.1} %", 100.0 * x));
+            rows.push(vec![
+                l.name.clone(),
+                thousands(until),
+                level,
+                worst_level,
+                loss,
+                worst_loss,
+                gap,
+                worst_gap,
+                thousands(l.ns_per_tick as u64),
+                thousands(l.cost_ns.tick.p99 as u64),
+                l.diverged.to_string(),
+            ]);
+        }
+        rows
+    }
+
+    /// After each change.
+    fn changed(&self) -> Vec<Vec<String>> {
+        let mut rows = vec![
+            cells(["", "", "", "got over after", "", "loss at the end", ""]),
+            cells(["learner", "change", "at tick", "median", "worst", "median", "worst"]),
+        ];
+        for l in &self.learners {
+            for (i, change) in l.changes.iter().enumerate() {
+                let [median, worst] = instants(&change.ticks_to_recover);
+                let last = i + 1 == l.changes.len();
+                let [loss, worst_loss] =
+                    if last { spread(l.loss_at_end, |x| format!("{x:.4}")) } else { Default::default() };
+                let name = if i == 0 { l.name.clone() } else { String::new() };
+                rows.push(vec![name, change.change.clone(), thousands(change.tick), median, worst, loss, worst_loss]);
+            }
+        }
+        rows
+    }
+
+    /// What the numbers mean.
+    fn scale(&self) -> Vec<Vec<String>> {
+        let worlds = &self.references.worlds;
+        let mut head = [cells([""]), cells(["for scale"])];
+        for world in worlds {
+            head[0].extend([world.world.clone(), String::new()]);
+            head[1].extend(["loss", "miss (m)"].map(str::to_owned));
+        }
+        let mut rows = head.to_vec();
+        for (name, scores) in self.references.by_controller() {
+            if name == "damped-least-squares" {
+                let mut level = vec!["level".to_owned(), format!("{:.4}", self.level)];
+                level.extend(vec![String::new(); 2 * worlds.len() - 1]);
+                rows.push(level);
+            }
+            let mut row = vec![name.to_owned()];
+            scores.iter().for_each(|s| row.extend([format!("{:.4}", s.loss), format!("{:.3}", s.miss_m)]));
+            rows.push(row);
+        }
+        rows
+    }
+}
+
+fn cells<const N: usize>(words: [&str; N]) -> Vec<String> {
+    words.map(str::to_owned).to_vec()
+}
+
+/// Median and worst of instants; one that never came is later than all others.
+fn instants(instants: &[Option<u64>]) -> [String; 2] {
+    let mut sorted: Vec<u64> = instants.iter().map(|at| at.unwrap_or(u64::MAX)).collect();
+    sorted.sort_unstable();
+    let show = |at: Option<&u64>| match at {
+        Some(&u64::MAX) => "never".to_owned(),
+        Some(&at) => thousands(at),
+        None => "-".to_owned(),
+    };
+    [show(sorted.get(sorted.len().saturating_sub(1) / 2)), show(sorted.last())]
+}
+
+fn spread(spread: Option<Spread>, show: impl Fn(f64) -> String) -> [String; 2] {
+    spread.map_or_else(|| ["-".to_owned(), "-".to_owned()], |s| [show(s.median), show(s.max)])
+}
+
+/// Columns under each other, words to the left and numbers to the right. The first row names groups: a name stands over its
+/// own column and the next.
+fn aligned(rows: &[Vec<String>]) -> String {
+    let length = |cell: &String| cell.chars().count();
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let widest = |column: usize| rows.iter().skip(1).filter_map(|row| row.get(column)).map(length).max().unwrap_or(0);
+    let mut widths: Vec<usize> = (0..columns).map(widest).collect();
+    for (column, group) in rows[0].iter().enumerate().filter(|(_, group)| !group.is_empty()) {
+        let room: usize = widths[column..].iter().take(2).sum::<usize>() + GAP;
+        widths[column] += length(group).saturating_sub(room);
+    }
+    let words = |column: usize| column == 0 || rows[1][column] == "change";
+    let mut text = String::new();
+    for (number, row) in rows.iter().enumerate() {
+        let mut line = String::new();
+        let mut column = 0;
+        while column < row.len() {
+            let double = number == 0 && !row[column].is_empty();
+            let width = widths[column] + if double { GAP + widths[column + 1] } else { 0 };
+            let gap = if column == 0 { "" } else { "  " };
+            let cell = &row[column];
+            let _ =
+                if words(column) { write!(line, "{gap}{cell:<width$}") } else { write!(line, "{gap}{cell:>width$}") };
+            column += if double { 2 } else { 1 };
+        }
+        text += line.trim_end();
+        text.push('\n');
+    }
+    text
+}
+
+/// Blanks between columns.
+const GAP: usize = 2;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn never_is_later_than_any_tick() {
+        assert_eq!(instants(&[Some(3000), None, Some(1000)]), ["3,000", "never"]);
+        assert_eq!(instants(&[None, None]), ["never", "never"]);
+        assert_eq!(instants(&[]), ["-", "-"]);
+    }
+
+    #[test]
+    fn a_group_stands_over_its_two_columns() {
+        let rows = vec![
+            cells(["", "to the level", "", ""]),
+            cells(["who", "median", "worst", "n"]),
+            cells(["paper", "9,000", "never", "1"]),
+        ];
+        let expected = "        to the level\nwho    median  worst  n\npaper   9,000  never  1\n";
+        assert_eq!(aligned(&rows), expected);
+    }
+}
