@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
-use tectum::study::reproduce::{Settings, arm, eye, open_loop};
+use tectum::study::reproduce::{Settings, arm, eye, open_loop, outlook};
 
 use super::study_ended;
 
@@ -31,6 +31,9 @@ enum Experiment {
     /// The open-loop arm, section 4.2: 3 and 4 segments, and how the postures found differ between seeds
     #[command(after_help = "Example: tectum reproduce open-loop --seeds 7")]
     OpenLoop(Options),
+    /// The outlook, section 5: limited joints, relative angles, collisions, rewards, L1 noise, and the movements' shape
+    #[command(after_help = "Example: tectum reproduce outlook --seeds 3")]
+    Outlook(Options),
 }
 
 #[derive(Debug, Args)]
@@ -59,6 +62,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Experiment::OpenLoop(options) => {
             open_loop(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text()))
         }
+        Experiment::Outlook(options) => outlook(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())),
     })
 }
 

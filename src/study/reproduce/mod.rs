@@ -1,5 +1,5 @@
-//! The paper's experiments, run again: the closed-loop arm of its figure 4, the saccades of its figure 2, and the open-loop
-//! arm that it only mentions.
+//! The paper's experiments, run again: the closed-loop arm of its figure 4, the saccades of its figure 2, the open-loop arm
+//! that it only mentions, and its outlook.
 //!
 //! Every experiment is one of the built-in scenarios under several seeds. What comes out is shown as the paper shows it,
 //! with the spread over seeds that the paper does not have.
@@ -7,10 +7,12 @@
 mod arm;
 mod eye;
 mod open_loop;
+mod outlook;
 
 pub use arm::{ArmResult, ArmRow, arm};
 pub use eye::{EyeResult, EyeRow, EyeVariant, eye};
 pub use open_loop::{OpenLoopArm, OpenLoopResult, open_loop};
+pub use outlook::{OutlookResult, OutlookRow, outlook};
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
