@@ -129,11 +129,11 @@ fn near_the_target_alone_there_is_something_to_earn() {
 
 #[test]
 fn crossing_segments_cost_by_the_pair() {
-    let reward = ArmRewardTable { scale: 0.5, collision: 0.3, ..Default::default() };
+    let reward = ArmRewardTable { scale: 0.5, speed: 0.0, collision: 0.3, ..Default::default() };
     let bent = [0.0, PI / 2.0, PI, -PI / 2.0].map(turning);
     let table = ArmTable { lengths: vec![0.5, 0.5, 0.4, 0.75], ..Default::default() };
-    let punished = ArmTable { reward, ..table.clone() };
-    let free = ArmTable { reward: ArmRewardTable { scale: 0.5, ..Default::default() }, ..table };
+    let free = ArmTable { reward: ArmRewardTable { collision: 0.0, ..reward.clone() }, ..table.clone() };
+    let punished = ArmTable { reward, ..table };
     let [free, punished] = [free, punished].map(|table| Arm::new(&table, 0.05, 1).advance(0, &bent));
     assert_eq!((free.measures[3], punished.measures[3]), (0.0, 1.0));
     assert!((free.reward - punished.reward - 0.15).abs() < 1e-6);
