@@ -22,8 +22,8 @@ Examples:
   tectum compare --learners learned-reward --seeds 20  one learner, on more seeds
   tectum compare --learners actor-critic,paper --ticks 1000000 --block never
                                                        how far they get, and nothing happens to the arm
-  tectum compare --learners learned-reward --ticks 15000 --change block:3@3000 \\
-      --change block:1@6000 --change shorten:2:0.3@9000 --change mirror:x@12000
+  tectum compare --learners learned-reward --ticks 12000 --change block:3@3000 \\
+      --change shorten:2:0.3@6000 --change mirror:x@9000
                                                        one change after another
   tectum compare --learners actor-critic --first-seed 1 --set learner.critic.step=0.1
                                                        try a setting, on seeds to tune on")]

@@ -13,7 +13,8 @@ const LATER_HEIGHT: u32 = 270;
 const LEGEND: u32 = 26;
 const PANEL_TITLE: u32 = 24;
 const LEFT: u32 = 62;
-const RIGHT: u32 = 196;
+/// Width of a letter of a line's name.
+const LETTER: u32 = 7;
 const BOTTOM: u32 = 44;
 /// Panels beside each other in a row below the first.
 const IN_A_ROW: usize = 2;
@@ -154,10 +155,12 @@ fn panel(panel: &Panel, (low, high): (f64, f64), area: &Area) -> Result<(), Repo
     let text = anchored(font(13.0, INK), HPos::Left, VPos::Center);
     title.draw(&Text::new(panel.title.clone(), (px(LEFT), px(PANEL_TITLE) / 2), text)).map_err(refused)?;
 
+    let words = |line: &Line| format!("{} {:.4}", line.name, line.value);
+    let names = panel.lines.iter().map(|line| words(line).chars().count()).max().unwrap_or(0);
     // Axes in logarithms, labelled by hand: the library's own logarithmic labels leave out too much.
     let mut chart = ChartBuilder::on(&area)
         .margin_left(px(LEFT))
-        .margin_right(px(RIGHT))
+        .margin_right(px(18 + LETTER * names as u32))
         .margin_bottom(px(BOTTOM))
         .margin_top(px(4))
         .build_cartesian_2d(x.0..x.1, y.0..y.1)
@@ -218,8 +221,7 @@ fn panel(panel: &Panel, (low, high): (f64, f64), area: &Area) -> Result<(), Repo
         );
         area.draw(&dashes).map_err(refused)?;
         let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
-        let words = format!("{} {:.4}", line.name, line.value);
-        area.draw(&Text::new(words, (right + px(7), name), text)).map_err(refused)?;
+        area.draw(&Text::new(words(line), (right + px(7), name), text)).map_err(refused)?;
     }
 
     let inside = |loss: f64| loss.clamp(low, high).log10();

@@ -81,10 +81,12 @@ fn learning(compared: &Compared) -> Learning {
         let classical = worlds[world].damped_least_squares.loss;
         let optimum = worlds[world].trajectory_optimum.loss;
         let line = |name: &str, value| Line { name: name.to_owned(), value };
-        let mut lines = vec![line("damped least squares", classical), line("trajectory optimum", optimum)];
-        if world == 0 {
-            lines.insert(0, line("level", compared.level));
-        }
+        let lines = if world == 0 {
+            let level = line("level", compared.level);
+            vec![level, line("damped least squares", classical), line("trajectory optimum", optimum)]
+        } else {
+            vec![line("least squares", classical), line("optimum", optimum)]
+        };
         let ticks: Vec<u64> =
             compared.learners.iter().filter_map(|l| Some(l.changes.get(world.checked_sub(1)?)?.tick)).collect();
         let what = compared.learners.iter().find_map(|l| Some(&l.changes.get(world.checked_sub(1)?)?.change));

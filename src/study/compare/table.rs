@@ -17,7 +17,13 @@ impl Compared {
         let mut text = String::new();
         let (first, last) = (self.seeds.first().unwrap_or(&0), self.seeds.last().unwrap_or(&0));
         let seeds = if first == last { format!("seed {first}") } else { format!("seeds {first} to {last}") };
-        let _ = writeln!(text, "{seeds}: {:.1} s, runs sharing {} cores\n", self.seconds, self.cores());
+        let _ = writeln!(
+            text,
+            "{seeds}: {:.1} s, runs sharing {} cores; level {}\n",
+            self.seconds,
+            self.cores(),
+            self.level
+        );
         text += &aligned(&self.learned());
         let changed = self.changed();
         if changed.len() > 2 {
@@ -84,23 +90,19 @@ impl Compared {
         rows
     }
 
-    /// What the numbers mean.
+    /// What the numbers mean: a row for each world.
     fn scale(&self) -> Vec<Vec<String>> {
-        let worlds = &self.references.worlds;
-        let mut head = [cells([""]), cells(["for scale"])];
-        for world in worlds {
-            head[0].extend([world.world.clone(), String::new()]);
-            head[1].extend(["loss", "miss (m)"].map(str::to_owned));
+        let mut rows = vec![cells([""]), cells(["for scale"])];
+        let controllers = self.references.by_controller();
+        for (name, _) in &controllers {
+            rows[0].extend(cells([*name, ""]));
+            rows[1].extend(cells(["loss", "miss (m)"]));
         }
-        let mut rows = head.to_vec();
-        for (name, scores) in self.references.by_controller() {
-            if name == "damped-least-squares" {
-                let mut level = vec!["level".to_owned(), format!("{:.4}", self.level)];
-                level.extend(vec![String::new(); 2 * worlds.len() - 1]);
-                rows.push(level);
+        for (i, world) in self.references.worlds.iter().enumerate() {
+            let mut row = vec![world.world.clone()];
+            for (_, scores) in &controllers {
+                row.extend([format!("{:.4}", scores[i].loss), format!("{:.3}", scores[i].miss_m)]);
             }
-            let mut row = vec![name.to_owned()];
-            scores.iter().for_each(|s| row.extend([format!("{:.4}", s.loss), format!("{:.3}", s.miss_m)]));
             rows.push(row);
         }
         rows
