@@ -233,14 +233,27 @@ fn test(plan: &Plan, controller: &Controller, changes: &[Change], targets: &[[f6
     let mut features = encoder.features();
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let mut sum = 0.0;
+    let mut per = vec![0.0; targets.len()];
+    let mut posts = Vec::new();
     let ticks = targets.len() as u64 * TICKS;
     for tick in 0..ticks {
         side.observe(tick, 0, 0, &mut observation);
         sum -= f64::from(observation.reward);
+        if tick > 0 {
+            per[(tick as usize - 1) / 80] -= f64::from(observation.reward) / 80.0;
+        }
+        if tick > 0 && tick % 80 == 79 {
+            posts.push(observation.inputs[..6].to_vec());
+        }
         encoder.encode(&observation.inputs[..plan.inputs.len()], &mut features);
         command.drawn = controller.policy().mean(features.as_slice());
         side.live(tick, Some(&command));
     }
     side.observe(ticks, 0, 0, &mut observation);
+    if std::env::var("PER").is_ok() {
+        for (i, (l, p)) in per.iter().zip(&posts).enumerate() {
+            println!("    {i} {l:.4} {p:.2?}");
+        }
+    }
     (sum - f64::from(observation.reward)) / ticks as f64
 }

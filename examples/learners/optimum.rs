@@ -145,6 +145,9 @@ impl Arm<'_> {
                 let angle = self.free.iter().position(|&f| f == joint).map_or(0.0, |p| from[p]);
                 end = [end[0] + length * angle.cos(), end[1] + length * angle.sin()];
             }
+            if std::env::var("PER").is_ok() {
+                println!("    opt {:.4} {target:.2?} {from:.2?}", cost / 80.0);
+            }
             miss += (end[0] - target[0]).hypot(end[1] - target[1]);
         }
         (sum / (targets.len() * ticks) as f64, miss / targets.len() as f64)
