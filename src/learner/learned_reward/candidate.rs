@@ -10,8 +10,8 @@ use crate::wire::MAX_INPUTS;
 /// Adam's decays, and what keeps its quotient finite.
 const DECAYS: [f32; 2] = [0.9, 0.999];
 const TINY: f32 = 1e-8;
-/// Largest weight at birth, in steps.
-const UNEQUAL: f32 = 5.0;
+/// Largest weight at birth: outputs that answer alike must not stay alike.
+const UNEQUAL: f32 = 5e-3;
 
 /// A policy in rehearsal.
 #[derive(Debug, Clone)]
@@ -54,9 +54,9 @@ impl Candidate {
     }
 
     /// Starts again from small random weights.
-    pub fn be_born(&mut self, step: f32, rng: &mut Rng) {
+    pub fn be_born(&mut self, rng: &mut Rng) {
         for w in self.weights.iter_mut().flatten() {
-            *w = UNEQUAL * step * (2.0 * rng.random::<f32>() - 1.0);
+            *w = UNEQUAL * (2.0 * rng.random::<f32>() - 1.0);
         }
         for values in self.means.iter_mut().chain(&mut self.squares).chain(&mut self.slope) {
             values.fill(0.0);

@@ -9,7 +9,9 @@
 //!
 //! Descent may end in a minimum that is not the best: an arm can reach in more than one way. So the policy, the champion,
 //! has a challenger, which starts from nothing every so often and is rehearsed on the same movements; when it costs less it
-//! takes over. After a change of the body it is usually a challenger that finds the new way.
+//! takes over. After a change of the body it is usually a challenger that finds the new way. Each starts its imagined
+//! movements mostly from where its own last ones ended: from the postures in which the champion left the body, the champion's
+//! way is the best for anybody, and every challenger would end as its copy.
 //!
 //! Inputs that no command moves (the target) hold within an imagined movement. That places are imagined which were never
 //! shown is what makes it fast: at the second target the model has seen two, the policy has rehearsed hundreds.
@@ -36,8 +38,8 @@ use rehearsal::{Rehearsal, wrap};
 use reward::Reward;
 use sight::Sight;
 
-/// Ticks since a change of the world that are enough to start imagined movements from.
-const FEW: u64 = 400;
+/// Ticks since a change of the world that are enough to start imagined movements from: these lead on to more.
+const FEW: u64 = 20;
 /// A challenger takes over when its mean cost is below this share of the champion's,
 const BETTER: f32 = 0.995;
 /// and not before this age, in ticks.
@@ -164,7 +166,11 @@ impl LearnedReward {
     fn rehearse(&mut self, rivals: bool) {
         let (count, still) = (self.inputs.len(), self.inputs.len() - self.wraps.len());
         for movement in 0..self.table.movements {
-            let (recalled, drawn) = (self.recall(), self.anywhere());
+            let (recalled, mut drawn) = (self.recall(), self.anywhere());
+            // What no command moves any more stands where it stands.
+            for i in (0..self.wraps.len()).filter(|&i| !self.movement.moves(i)) {
+                drawn[still + i] = recalled[still + i];
+            }
             let [imagined, from] = [(); 2].map(|()| self.rng.random::<f64>());
             let place = if imagined < self.table.imagined { &drawn } else { &recalled };
             for candidate in [&mut self.champion, &mut self.challenger].into_iter().take(1 + usize::from(rivals)) {
@@ -200,7 +206,7 @@ impl LearnedReward {
 
     /// Sends a new challenger.
     fn renew(&mut self) {
-        self.challenger.be_born(3e-4, &mut self.rng);
+        self.challenger.be_born(&mut self.rng);
     }
 
     /// Takes in the tick that waits to be learned from.
