@@ -95,18 +95,28 @@ pub struct ModelTable {
     pub last_counts: f64,
     /// Share of the movements towards a place that is drawn anew; the others go on towards where they went.
     pub imagined: f64,
-    /// Ticks of the past from which movements start.
+    /// Share of the movements that start from anywhere in the box of inputs,
+    pub anywhere: f64,
+    /// and of those that go on from where the policy's last imagined one ended; the others start from where the body was.
+    pub onward: f64,
+    /// Ticks of the past that are remembered to start from.
     pub memory: usize,
     /// Steps a tick.
     pub steps: usize,
     /// Size of the first steps, in units of a weight (Adam).
     pub step: f64,
+    /// What is added to the variance of the directions in which a line of kernels varies, in units of the mean one, before
+    /// they are scaled to be stepped along alike.
+    pub ridge: f64,
     /// Ticks after which it is half of that.
     pub half_life: f64,
     /// Share of the first size that it never falls below.
     pub floor: f64,
     /// Ticks after which a policy that starts from nothing is tried beside the one in use, and again; 0 for never.
     pub challenge: u64,
+    /// Once the world has stayed the same for `n` times so many ticks, only every `n`-th tick is worked in, at last every
+    /// 256th. A reward or a movement that was not expected ends the rest at once.
+    pub rest: u64,
 }
 
 /// The bases of the reward model.
@@ -200,12 +210,16 @@ impl Default for ModelTable {
             horizon: 15,
             last_counts: 10.0,
             imagined: 0.8,
+            anywhere: 0.05,
+            onward: 0.9,
             memory: 2048,
             steps: 3,
             step: 3e-4,
+            ridge: 0.01,
             half_life: 500.0,
             floor: 0.1,
-            challenge: 400,
+            challenge: 600,
+            rest: 5000,
         }
     }
 }

@@ -77,6 +77,16 @@ fn model(table: &ModelTable, signals: &Signals) -> Result<(), Problem> {
     whole(&key("memory"), table.memory, limits::MEMORY)?;
     number(key("last_counts"), table.last_counts, limits::LAST_COUNTS, "give 1 to 1000")?;
     number(key("imagined"), table.imagined, 0.0..=1.0, "give 0 to 1")?;
+    number(key("anywhere"), table.anywhere, 0.0..=1.0, "give 0 to 1")?;
+    number(key("onward"), table.onward, 0.0..=1.0, "give 0 to 1")?;
+    if table.anywhere + table.onward > 1.0 {
+        let text = format!("is {}, which with learner.model.anywhere is more than 1; both are shares", table.onward);
+        return Err(Problem::new(key("onward"), text));
+    }
+    number(key("ridge"), table.ridge, limits::REGULARISATION, "give 1e-6 to 1e6")?;
+    if !(1..=limits::MAX_TICK).contains(&table.rest) {
+        return Err(Problem::value(key("rest"), table.rest, "give 1 to 1e12 ticks"));
+    }
     number(key("step"), table.step, limits::MODEL_STEP, "give 0 to 1")?;
     number(key("half_life"), table.half_life, limits::LEARNER_TICKS, "give 1 to 1e12 ticks")?;
     number(key("floor"), table.floor, 0.0..=1.0, "give 0 to 1")
@@ -133,6 +143,13 @@ mod tests {
             ("rule = \"baseline\"\n[baseline]\nticks = 0", "learner.baseline.ticks is 0"),
             ("rule = \"learned-reward\"\n[model]\nhorizon = 0", "learner.model.horizon is 0"),
             ("rule = \"learned-reward\"\n[model]\nmoved = [\"elbow\"]", "learner.model.moved[0] is \"elbow\""),
+            ("rule = \"learned-reward\"\n[model]\nanywhere = 1.5", "learner.model.anywhere is 1.5"),
+            (
+                "rule = \"learned-reward\"\n[model]\nanywhere = 0.6\nonward = 0.6",
+                "learner.model.onward is 0.6, which with",
+            ),
+            ("rule = \"learned-reward\"\n[model]\nridge = 0", "learner.model.ridge is 0"),
+            ("rule = \"learned-reward\"\n[model]\nrest = 0", "learner.model.rest is 0"),
             ("rule = \"learned-reward\"\n[model]\nreward_noise = nan", "learner.model.reward_noise is nan"),
         ] {
             let message = message(learner);

@@ -5,12 +5,13 @@ use rand::RngExt as _;
 use super::sight::Sight;
 use crate::policy::Linear;
 use crate::seed::Rng;
+use crate::wire::MAX_INPUTS;
 
 /// Adam's decays, and what keeps its quotient finite.
 const DECAYS: [f32; 2] = [0.9, 0.999];
 const TINY: f32 = 1e-8;
-/// Largest weight at birth, in steps.
-const UNEQUAL: f32 = 5.0;
+/// Largest weight at birth: outputs that answer alike must not stay alike.
+const UNEQUAL: f32 = 5e-3;
 
 /// A policy in rehearsal.
 #[derive(Debug, Clone)]
@@ -20,6 +21,8 @@ pub(super) struct Candidate {
     /// The slope of the imagined cost along them, summed up since the last step, and that cost.
     pub slope: [Vec<f32>; 2],
     pub cost: f32,
+    /// Where its last imagined movements ended.
+    pub ends: Vec<[f32; MAX_INPUTS]>,
     /// Adam's moments, and what is left of their start at 0.
     means: [Vec<f32>; 2],
     squares: [Vec<f32>; 2],
@@ -35,12 +38,13 @@ const NEWEST: f32 = 0.02;
 
 impl Candidate {
     /// All weights 0.
-    pub fn new(sights: &[Sight; 2], outputs: usize) -> Self {
+    pub fn new(sights: &[Sight; 2], outputs: usize, movements: usize) -> Self {
         let zeros = || [vec![0.0; sights[0].len() * outputs], vec![0.0; sights[1].len() * outputs]];
         Self {
             weights: zeros(),
             slope: zeros(),
             cost: 0.0,
+            ends: vec![[0.0; MAX_INPUTS]; movements],
             means: zeros(),
             squares: zeros(),
             starts: [1.0; 2],
@@ -50,9 +54,9 @@ impl Candidate {
     }
 
     /// Starts again from small random weights.
-    pub fn be_born(&mut self, step: f32, rng: &mut Rng) {
+    pub fn be_born(&mut self, rng: &mut Rng) {
         for w in self.weights.iter_mut().flatten() {
-            *w = UNEQUAL * step * (2.0 * rng.random::<f32>() - 1.0);
+            *w = UNEQUAL * (2.0 * rng.random::<f32>() - 1.0);
         }
         for values in self.means.iter_mut().chain(&mut self.squares).chain(&mut self.slope) {
             values.fill(0.0);
@@ -67,6 +71,7 @@ impl Candidate {
             self.means[sight].copy_from_slice(&other.means[sight]);
             self.squares[sight].copy_from_slice(&other.squares[sight]);
         }
+        self.ends.copy_from_slice(&other.ends);
         (self.starts, self.age, self.mean_cost) = (other.starts, other.age, other.mean_cost);
     }
 
@@ -104,7 +109,7 @@ impl Candidate {
 
     /// One step of size `step` down the slope that was summed up over `ticks` imagined ticks. Returns the norm of the
     /// mean slope; one that is not finite changes nothing.
-    pub fn descend(&mut self, ticks: usize, step: f32) -> f32 {
+    pub fn descend(&mut self, sights: &mut [Sight; 2], ticks: usize, step: f32) -> f32 {
         let squares: f32 = self.slope.iter().flatten().map(|s| s * s).sum();
         let norm = squares.sqrt() / ticks as f32;
         if !norm.is_finite() {
@@ -115,15 +120,23 @@ impl Candidate {
         self.starts[0] *= b1;
         self.starts[1] *= b2;
         let (c1, c2) = (1.0 / (1.0 - self.starts[0]), 1.0 / (1.0 - self.starts[1]));
-        let moments = self.means.iter_mut().zip(&mut self.squares);
-        for ((weights, slopes), (means, squares)) in self.weights.iter_mut().zip(&mut self.slope).zip(moments) {
-            let moments = means.iter_mut().zip(squares);
-            for ((w, slope), (mean, square)) in weights.iter_mut().zip(slopes).zip(moments) {
-                let s = *slope * share;
-                *slope = 0.0;
-                *mean = *mean * b1 + s * (1.0 - b1);
-                *square = *square * b2 + s * s * (1.0 - b2);
-                *w -= *mean * (step * c1) / ((*square * c2).sqrt() + TINY);
+        for (i, sight) in sights.iter_mut().enumerate() {
+            let n = sight.len().max(1);
+            let rows = self.weights[i].chunks_exact_mut(n).zip(self.slope[i].chunks_exact_mut(n));
+            let moments = self.means[i].chunks_exact_mut(n).zip(self.squares[i].chunks_exact_mut(n));
+            for ((weights, slopes), (means, squares)) in rows.zip(moments) {
+                sight.whiten(slopes);
+                for ((slope, mean), square) in slopes.iter_mut().zip(means).zip(squares) {
+                    let s = *slope * share;
+                    *mean = *mean * b1 + s * (1.0 - b1);
+                    *square = *square * b2 + s * s * (1.0 - b2);
+                    *slope = *mean * (step * c1) / ((*square * c2).sqrt() + TINY);
+                }
+                sight.unwhiten(slopes);
+                for (w, step) in weights.iter_mut().zip(slopes) {
+                    *w -= *step;
+                    *step = 0.0;
+                }
             }
         }
         norm

@@ -9,7 +9,9 @@
 //!
 //! Descent may end in a minimum that is not the best: an arm can reach in more than one way. So the policy, the champion,
 //! has a challenger, which starts from nothing every so often and is rehearsed on the same movements; when it costs less it
-//! takes over. After a change of the body it is usually a challenger that finds the new way.
+//! takes over. After a change of the body it is usually a challenger that finds the new way. Each starts its imagined
+//! movements mostly from where its own last ones ended: from the postures in which the champion left the body, the champion's
+//! way is the best for anybody, and every challenger would end as its copy.
 //!
 //! Inputs that no command moves (the target) hold within an imagined movement. That places are imagined which were never
 //! shown is what makes it fast: at the second target the model has seen two, the policy has rehearsed hundreds.
@@ -20,10 +22,11 @@ mod movement;
 mod rehearsal;
 mod reward;
 mod sight;
+mod whiten;
 
 use rand::RngExt as _;
 
-use super::{LearningRule, Tick};
+use super::{LearningRule, Tick, add};
 use crate::encoder::Encoder;
 use crate::policy::{Linear, Outputs};
 use crate::scenario::{ModelTable, Plan};
@@ -35,12 +38,16 @@ use rehearsal::{Rehearsal, wrap};
 use reward::Reward;
 use sight::Sight;
 
-/// Ticks since a change of the world that are enough to start imagined movements from.
-const FEW: u64 = 400;
+/// Ticks since a change of the world that are enough to start imagined movements from: these lead on to more.
+const FEW: u64 = 20;
 /// A challenger takes over when its mean cost is below this share of the champion's,
-const BETTER: f32 = 0.98;
+const BETTER: f32 = 0.995;
 /// and not before this age, in ticks.
 const GROWN: u64 = 200;
+/// Ticks after which the models are good enough to send one.
+const SURE: u64 = 100;
+/// Of a world that stays the same, one tick in so many is enough.
+const SELDOM: u64 = 256;
 
 /// A tick to be learned from when there is time.
 #[derive(Debug, Clone)]
@@ -61,7 +68,7 @@ pub struct LearnedReward {
     table: ModelTable,
     /// The inputs in the model's order: still ones first, then the moved ones.
     inputs: Vec<usize>,
-    /// The ranges of the still ones.
+    /// Their ranges.
     box_: Vec<[f32; 2]>,
     wraps: Vec<bool>,
     reward: Reward,
@@ -98,7 +105,7 @@ impl LearnedReward {
         let signals: Vec<_> = inputs.iter().map(|&i| plan.inputs[i].clone()).collect();
         let reward = Reward::new(&table, &signals, still);
         let wraps: Vec<_> = signals[still..].iter().map(basis::wraps).collect();
-        let sights = Sight::of(&plan.maps, encoder, &rank, still);
+        let sights = Sight::of(&plan.maps, encoder, &rank, still, table.ridge);
         let rehearsal = Rehearsal::new(
             sights,
             &reward,
@@ -109,12 +116,12 @@ impl LearnedReward {
         );
         Self {
             inputs,
-            box_: signals[..still].iter().map(|s| [s.min as f32, s.max as f32]).collect(),
+            box_: signals.iter().map(|s| [s.min as f32, s.max as f32]).collect(),
             movement: Movement::new(outputs, wraps.len(), plan.scenario.policy.sigma),
             wraps,
             reward,
-            champion: Candidate::new(&rehearsal.sights, outputs),
-            challenger: Candidate::new(&rehearsal.sights, outputs),
+            champion: Candidate::new(&rehearsal.sights, outputs, table.movements),
+            challenger: Candidate::new(&rehearsal.sights, outputs, table.movements),
             rehearsal,
             memory: vec![[0.0; MAX_INPUTS]; table.memory],
             remembered: 0,
@@ -132,18 +139,12 @@ impl LearnedReward {
         self.reward.len()
     }
 
-    /// A state that was, with the place to go to there, or one anywhere in the box.
-    fn imagine(&mut self) -> [f32; MAX_INPUTS] {
+    /// A state that was, with the place to go to there.
+    fn recall(&mut self) -> [f32; MAX_INPUTS] {
         // What was before a change of the world is no place to start from, once there is enough since.
         let window = self.unchanged.max(FEW).min(self.remembered).min(self.memory.len() as u64);
         let tick = self.remembered - 1 - self.rng.random_range(0..window);
-        let mut state = self.memory[(tick % self.memory.len() as u64) as usize];
-        if self.rng.random::<f64>() < self.table.imagined {
-            for (x, [low, high]) in state.iter_mut().zip(&self.box_) {
-                *x = low + (high - low) * self.rng.random::<f32>();
-            }
-        }
-        state
+        self.memory[(tick % self.memory.len() as u64) as usize]
     }
 
     /// The size of a step at an age.
@@ -152,27 +153,60 @@ impl LearnedReward {
         (self.table.step * fade.max(self.table.floor)) as f32
     }
 
-    /// Rehearses both candidates on the same movements, one step each.
+    /// A state anywhere in the box of inputs.
+    fn anywhere(&mut self) -> [f32; MAX_INPUTS] {
+        let mut state = [0.0; MAX_INPUTS];
+        for (x, [low, high]) in state.iter_mut().zip(&self.box_) {
+            *x = low + (high - low) * self.rng.random::<f32>();
+        }
+        state
+    }
+
+    /// Rehearses both candidates towards the same places, one step each.
     fn rehearse(&mut self, rivals: bool) {
-        for _ in 0..self.table.movements {
-            let state = self.imagine();
-            let inputs = &state[..self.inputs.len()];
-            self.rehearsal.imagine(&mut self.champion, &mut self.reward, &self.movement, inputs);
-            if rivals {
-                self.rehearsal.imagine(&mut self.challenger, &mut self.reward, &self.movement, inputs);
+        let (count, still) = (self.inputs.len(), self.inputs.len() - self.wraps.len());
+        for movement in 0..self.table.movements {
+            let (recalled, mut drawn) = (self.recall(), self.anywhere());
+            // What no command moves any more stands where it stands.
+            for i in (0..self.wraps.len()).filter(|&i| !self.movement.moves(i)) {
+                drawn[still + i] = recalled[still + i];
+            }
+            let [imagined, from] = [(); 2].map(|()| self.rng.random::<f64>());
+            let place = if imagined < self.table.imagined { &drawn } else { &recalled };
+            for candidate in [&mut self.champion, &mut self.challenger].into_iter().take(1 + usize::from(rivals)) {
+                // Where it came to itself, where the body has been, or anywhere.
+                let mut state = if from < self.table.anywhere {
+                    drawn
+                } else if from < self.table.anywhere + self.table.onward && candidate.age > 0 {
+                    candidate.ends[movement]
+                } else {
+                    recalled
+                };
+                state[..still].copy_from_slice(&place[..still]);
+                let inputs = &state[..count];
+                let end = self.rehearsal.imagine(candidate, &mut self.reward, &self.movement, inputs);
+                candidate.ends[movement] = end;
             }
         }
         let ticks = self.table.movements * self.table.horizon;
-        self.slope_norm = self.champion.descend(ticks, self.step(self.champion.age));
+        let steps = [&self.champion, &self.challenger].map(|c| self.step(c.age));
+        let sights = &mut self.rehearsal.sights;
+        self.slope_norm = self.champion.descend(sights, ticks, steps[0]);
         self.halted = !self.slope_norm.is_finite();
-        if rivals && !self.challenger.descend(ticks, self.step(self.challenger.age)).is_finite() {
+        if rivals && !self.challenger.descend(sights, ticks, steps[1]).is_finite() {
             self.renew();
         }
     }
 
+    /// Whether this tick is one to work in: every one, until the world has stayed the same for long.
+    fn due(&self) -> bool {
+        let seldom = (self.unchanged / self.table.rest).clamp(1, SELDOM);
+        self.remembered.is_multiple_of(seldom)
+    }
+
     /// Sends a new challenger.
     fn renew(&mut self) {
-        self.challenger.be_born(self.table.step as f32, &mut self.rng);
+        self.challenger.be_born(&mut self.rng);
     }
 
     /// Takes in the tick that waits to be learned from.
@@ -181,8 +215,11 @@ impl LearnedReward {
         let (count, moved) = (self.inputs.len(), self.wraps.len());
         let other_body = self.movement.learn(&applied, &changes[..moved]);
         // A body that moves otherwise than it was asked to earns a reward that says nothing about asking.
-        let changed =
-            if other_body { Some(false) } else { self.reward.learn(&inputs[..count], &changes[..moved], reward) };
+        let changed = if other_body {
+            Some(false)
+        } else {
+            self.reward.learn(&inputs[..count], &changes[..moved], reward, self.due())
+        };
         let at = self.remembered as usize % self.memory.len();
         self.memory[at] = before;
         self.remembered += 1;
@@ -202,7 +239,7 @@ impl LearningRule for LearnedReward {
         if self.halted {
             return 0.0;
         }
-        let still = self.box_.len();
+        let still = self.inputs.len() - self.wraps.len();
         let (mut before, mut after) = ([0.0; MAX_INPUTS], [0.0; MAX_INPUTS]);
         let mut changes = [0.0; MAX_INPUTS];
         for (place, &input) in self.inputs.iter().enumerate() {
@@ -220,10 +257,10 @@ impl LearningRule for LearnedReward {
 
     fn improve(&mut self, policy: &mut Linear) {
         self.absorb();
-        if self.halted || self.remembered < self.table.start || !self.movement.ready() {
+        if self.halted || self.remembered < self.table.start || !self.movement.ready() || !self.due() {
             return;
         }
-        let rivals = self.table.challenge > 0 && self.remembered > self.table.challenge;
+        let rivals = self.table.challenge > 0 && self.remembered > SURE;
         if rivals && (self.challenger.age == 0 || self.challenger.age > self.table.challenge) {
             self.renew();
         }

@@ -14,6 +14,8 @@ const KEPT: f64 = 0.98;
 const PRIOR: f64 = 1e4;
 /// Square of the error, relative to the usual movement, at which the body counts as changed.
 const CHANGED: f64 = 1e-3;
+/// An input whose answer is below this share of the largest one does not move.
+const STUCK: f32 = 0.02;
 
 /// The movement model.
 #[derive(Debug, Clone)]
@@ -52,6 +54,13 @@ impl Movement {
     /// Whether there were enough ticks to tell the matrix.
     pub fn ready(&self) -> bool {
         self.seen > self.outputs
+    }
+
+    /// Whether commands move moved input `i`, in comparison with the others.
+    pub fn moves(&self, i: usize) -> bool {
+        let size = |row: &Outputs| row.iter().map(|b| b.abs()).fold(0.0, f32::max);
+        let most = self.gains[..self.moved].iter().map(size).fold(0.0, f32::max);
+        size(&self.gains[i]) > STUCK * most
     }
 
     /// Puts uncertainty back.
@@ -126,6 +135,7 @@ mod tests {
                     let expected = if i == j { *gain } else { 0.0 };
                     assert!((model.gains[i][j] - expected).abs() < 1.0, "{i} {j}: {}", model.gains[i][j]);
                 }
+                assert_eq!(model.moves(i), *gain != 0.0, "{i}");
             }
         }
         live(&mut model, 100_000, [31.4; 4]);

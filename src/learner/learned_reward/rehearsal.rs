@@ -84,8 +84,14 @@ impl Rehearsal {
     }
 
     /// Imagines how `candidate` would move from `inputs` (in the model's order), and adds what it costs and the slope of
-    /// that to the candidate's account.
-    pub fn imagine(&mut self, candidate: &mut Candidate, reward: &mut Reward, movement: &Movement, inputs: &[f32]) {
+    /// that to the candidate's account. Returns where it ended.
+    pub fn imagine(
+        &mut self,
+        candidate: &mut Candidate,
+        reward: &mut Reward,
+        movement: &Movement,
+        inputs: &[f32],
+    ) -> [f32; MAX_INPUTS] {
         let still = self.still;
         let alone = reward.given(inputs, &mut self.linear);
         let squares = self.sights[0].look(inputs, &mut self.values, &mut self.slopes, &mut self.features);
@@ -117,6 +123,7 @@ impl Rehearsal {
         }
         candidate.cost += (self.last_counts - 1.0) * last;
         self.back(candidate, reward, movement);
+        state
     }
 
     /// Runs back through the moments.

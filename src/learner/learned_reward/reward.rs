@@ -22,6 +22,8 @@ const NEWEST: f64 = 0.2;
 const MOST: f64 = 25.0;
 /// That mean above which the world has changed; 1 is to be expected.
 const ALARM: f64 = 12.0;
+/// Normalised squared error up to which a reward was expected.
+const EXPECTED: f64 = 4.0;
 
 /// The reward model. Inputs are in its own order: first those that commands do not move, then the moved ones.
 #[derive(Debug, Clone)]
@@ -146,9 +148,16 @@ impl Reward {
     }
 
     /// Learns that `inputs`, reached by `changes` of the moved ones, earned `reward`. Returns whether the world seems to
-    /// have changed; `None` if a number was not finite, in which case nothing is learned.
-    pub fn learn(&mut self, inputs: &[f32], changes: &[f32], reward: f32) -> Option<bool> {
+    /// have changed; `None` if a number was not finite, in which case nothing is learned. Unless the tick is `due`, a
+    /// reward that was expected is only taken note of.
+    pub fn learn(&mut self, inputs: &[f32], changes: &[f32], reward: f32, due: bool) -> Option<bool> {
         self.features(inputs, changes);
+        let error = f64::from(reward) - dot(&self.weights, &self.psi);
+        let surprise = error * error / self.noise;
+        if !due && surprise < EXPECTED {
+            self.alarm += NEWEST * (surprise - self.alarm);
+            return Some(false);
+        }
         let n = self.psi.len();
         self.gain.fill(0.0);
         let mut rest = self.covariance.as_slice();
@@ -160,7 +169,6 @@ impl Reward {
             self.gain[i] += after_row + dot(row, &self.psi[i + 1..]);
         }
         let variance = dot(&self.gain, &self.psi);
-        let error = f64::from(reward) - dot(&self.weights, &self.psi);
         if !(variance.is_finite() && error.is_finite()) {
             return None;
         }

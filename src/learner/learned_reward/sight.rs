@@ -3,7 +3,7 @@
 //!
 //! Maps over inputs that commands do not move are worked out once for a whole imagined movement; the others every tick.
 
-use super::basis::Row;
+use super::{basis::Row, whiten::Whitening};
 use crate::encoder::{Axis, Encoder, Map};
 
 /// One axis of a map.
@@ -14,6 +14,7 @@ struct Line {
     input: usize,
     /// Where its values stand among those of all lines.
     at: usize,
+    whitening: Whitening,
 }
 
 /// A map: one line, or the outer product of a slow and a fast one.
@@ -31,12 +32,13 @@ pub(super) struct Sight {
     pub lines: usize,
     /// Where each feature stands in the policy.
     pub positions: Vec<usize>,
+    scratch: Vec<f32>,
 }
 
 impl Sight {
     /// The maps that do not, and those that do depend on an input from number `still` on, in the model's order of inputs:
     /// `rank` gives the place of each input in it.
-    pub fn of(maps: &[Map], encoder: &Encoder, rank: &[usize], still: usize) -> [Self; 2] {
+    pub fn of(maps: &[Map], encoder: &Encoder, rank: &[usize], still: usize, ridge: f64) -> [Self; 2] {
         let order: Vec<_> = encoder.positions().collect();
         let mut sights = [Self::default(), Self::default()];
         let mut next = 0;
@@ -50,7 +52,10 @@ impl Sight {
             let mut line = |axis: &Axis| {
                 let row = Row::new(axis.units, axis.min, axis.max, axis.radius);
                 sight.lines += axis.units;
-                Line { row, input: rank[axis.input], at: sight.lines - axis.units }
+                let mut slopes = vec![0.0; axis.units];
+                let eval = |x: f32, values: &mut [f32]| row.eval(x, values, &mut slopes);
+                let whitening = Whitening::of(axis.units, axis.min as f32, axis.max as f32, ridge, eval);
+                Line { row, input: rank[axis.input], at: sight.lines - axis.units, whitening }
             };
             let patch = Patch { slow: slow.map(&mut line), fast: line(fast) };
             let units = patch.units();
@@ -58,7 +63,38 @@ impl Sight {
             sight.positions.extend_from_slice(&order[next..next + units]);
             next += units;
         }
+        for sight in &mut sights {
+            sight.scratch = vec![0.0; sight.patches.iter().map(Patch::units).max().unwrap_or(0)];
+        }
         sights
+    }
+
+    /// Slopes along the weights of one output to slopes along uncorrelated coordinates.
+    pub fn whiten(&mut self, mut values: &mut [f32]) {
+        for patch in &self.patches {
+            let units = patch.units();
+            let here = values.split_off_mut(..units).unwrap_or_default();
+            let scratch = &mut self.scratch[..units];
+            patch.fast.whitening.rows_to(here, scratch);
+            match &patch.slow {
+                Some(slow) => slow.whitening.columns_to(scratch, here),
+                None => here.copy_from_slice(scratch),
+            }
+        }
+    }
+
+    /// Steps along those coordinates to steps of the weights.
+    pub fn unwhiten(&mut self, mut values: &mut [f32]) {
+        for patch in &self.patches {
+            let units = patch.units();
+            let here = values.split_off_mut(..units).unwrap_or_default();
+            let scratch = &mut self.scratch[..units];
+            patch.fast.whitening.rows_back(here, scratch);
+            match &patch.slow {
+                Some(slow) => slow.whitening.columns_back(scratch, here),
+                None => here.copy_from_slice(scratch),
+            }
+        }
     }
 
     /// Works out the features of `inputs`, their slopes' lines, and returns the sum of their squares.
@@ -135,7 +171,7 @@ mod tests {
         let inputs = [0.3, -0.8, 0.1];
         let mut features = encoder.features();
         encoder.encode(&inputs, &mut features);
-        let sights = Sight::of(&maps, &encoder, &[0, 1, 2], 2);
+        let sights = Sight::of(&maps, &encoder, &[0, 1, 2], 2, 0.01);
         let mut squares = 0.0;
         let mut seen = vec![0.0; encoder.len()];
         for sight in &sights {

@@ -43,7 +43,7 @@ fn taught(basis: ModelBasis, ticks: usize) -> LearnedReward {
     for _ in 0..ticks {
         let (inputs, u) = (draw(&mut rng), exploration.draw());
         let changes: [f32; 4] = std::array::from_fn(|j| 31.4 * u[j]);
-        assert!(rule.reward.learn(&inputs, &changes, reward(&inputs, &changes)).is_some());
+        assert!(rule.reward.learn(&inputs, &changes, reward(&inputs, &changes), true).is_some());
         rule.movement.learn(&u, &changes);
     }
     rule.reward.freeze();
