@@ -61,9 +61,23 @@ impl Scenario {
         if path.exists() {
             return Self::load(path);
         }
-        let names: Vec<_> = PRESETS.iter().map(|preset| preset.name).collect();
-        Err(ScenarioError::UnknownName { name: path.display().to_string(), presets: either(&names, "and") })
+        Err(unknown(path.display().to_string()))
     }
+
+    /// The built-in scenario of this name, whatever files lie about.
+    ///
+    /// # Errors
+    ///
+    /// [`ScenarioError::UnknownName`] if there is none.
+    pub fn built_in(name: &str) -> Result<Self, ScenarioError> {
+        let preset = PRESETS.iter().find(|preset| preset.name == name).ok_or_else(|| unknown(name.to_owned()))?;
+        preset.scenario()
+    }
+}
+
+fn unknown(name: String) -> ScenarioError {
+    let names: Vec<_> = PRESETS.iter().map(|preset| preset.name).collect();
+    ScenarioError::UnknownName { name, presets: either(&names, "and") }
 }
 
 /// The preset that a path names, if it is one of ours: bare or in `scenarios/`, with or without `.toml`.

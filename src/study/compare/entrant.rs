@@ -5,7 +5,7 @@ use serde::de::IntoDeserializer as _;
 
 use super::Change;
 use crate::report::thousands;
-use crate::scenario::{LearnerTable, Place, Plan, Rule, Scenario, ScenarioError, presets};
+use crate::scenario::{LearnerTable, Place, Plan, Rule, Scenario, ScenarioError};
 
 use crate::study::StudyError;
 
@@ -76,7 +76,11 @@ impl Entrant {
     pub fn new(rule: Rule, ticks: Option<u64>, changes: &Changes, settings: &[String]) -> Result<Self, StudyError> {
         let name = name_of(rule);
         let (usual_ticks, usual_block, rough_ns) = usual(rule);
-        let mut scenario = built_in_arm()?;
+        let mut scenario = Scenario::built_in("arm")?;
+        // What happens to it is the comparison's business.
+        if let Some(arm) = &mut scenario.plant.arm {
+            arm.block.clear();
+        }
         scenario.name = "compare".to_owned();
         scenario.seed = 0;
         scenario.ticks = ticks.unwrap_or(usual_ticks);
@@ -102,14 +106,6 @@ impl Entrant {
         let mut plan = self.plan.clone();
         plan.scenario.seed = seed;
         plan
-    }
-}
-
-/// The built-in arm, whatever files lie about.
-fn built_in_arm() -> Result<Scenario, ScenarioError> {
-    match presets().iter().find(|preset| preset.name == "arm") {
-        Some(preset) => preset.scenario(),
-        None => Scenario::find("arm"),
     }
 }
 

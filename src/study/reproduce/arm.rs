@@ -124,7 +124,7 @@ pub fn arm(settings: &Settings) -> Result<ArmResult, StudyError> {
 
 fn plans(settings: &Settings) -> Result<Vec<Plan>, StudyError> {
     let plan = |seed| {
-        let mut scenario = Scenario::find("paper")?;
+        let mut scenario = Scenario::built_in("paper")?;
         scenario.seed = seed;
         scenario.ticks = settings.ticks.unwrap_or(scenario.ticks);
         Ok(scenario.plan()?)

@@ -166,7 +166,7 @@ pub fn eye(settings: &Settings) -> Result<EyeResult, StudyError> {
 
 /// The scenario `eye` with another retina, and with or without its maps.
 fn plan(retina: Retina, scalar: bool, seed: u64, trials: u64) -> Result<Plan, StudyError> {
-    let mut scenario = Scenario::find("eye")?;
+    let mut scenario = Scenario::built_in("eye")?;
     (scenario.seed, scenario.ticks) = (seed, trials);
     let eye = scenario.plant.eye.get_or_insert_default();
     eye.retina = retina;

@@ -102,7 +102,7 @@ pub fn open_loop(settings: &Settings) -> Result<OpenLoopResult, StudyError> {
     let mut plans = Vec::new();
     for (name, _) in SCENARIOS {
         for seed in settings.seeds() {
-            let mut scenario = Scenario::find(name)?;
+            let mut scenario = Scenario::built_in(name)?;
             scenario.seed = seed;
             scenario.ticks = settings.ticks.unwrap_or(scenario.ticks);
             plans.push(scenario.plan()?);

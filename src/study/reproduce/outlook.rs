@@ -157,7 +157,7 @@ pub fn outlook(settings: &Settings) -> Result<OutlookResult, StudyError> {
     let mut plans = Vec::new();
     for (_, name, change) in VARIANTS {
         for seed in settings.seeds() {
-            let mut scenario = Scenario::find(name)?;
+            let mut scenario = Scenario::built_in(name)?;
             scenario.seed = seed;
             scenario.ticks = settings.ticks.unwrap_or(scenario.ticks);
             scenario.plant.arm.as_mut().map(change);
