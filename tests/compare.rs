@@ -85,7 +85,7 @@ fn people_get_tables() {
     let place = Place::new();
     let arguments = ["compare", "--learners", "paper", "--ticks", "500", "--seeds", "1", "--starts", "1"];
     let said = place.start(TECTUM, &arguments).wait().expect(0).stdout;
-    for words in ["seed 1000, ", "to the level", "paper", "never", "trajectory-optimum", "runs/compare-1/figure.svg"] {
+    for words in ["seed 1000: ", "to the level", "paper", "never", "trajectory-optimum", "runs/compare-1/figure.svg"] {
         assert!(said.contains(words), "{words}: {said}");
     }
     assert!(place.path().join("runs/compare-1/compare.csv").exists());
