@@ -5,7 +5,7 @@ use serde::de::IntoDeserializer as _;
 
 use super::Change;
 use crate::report::thousands;
-use crate::scenario::{LearnerTable, Place, Plan, Rule, Scenario, ScenarioError};
+use crate::scenario::{ArmTable, LearnerTable, Place, Plan, Rule, Scenario, ScenarioError};
 
 use crate::study::StudyError;
 
@@ -77,12 +77,10 @@ impl Entrant {
         let name = name_of(rule);
         let (usual_ticks, usual_block, rough_ns) = usual(rule);
         let mut scenario = Scenario::built_in("arm")?;
-        // What happens to it is the comparison's business.
-        if let Some(arm) = &mut scenario.plant.arm {
-            arm.block.clear();
-        }
         scenario.name = "compare".to_owned();
         scenario.seed = 0;
+        // The arm that the references know, and nothing happens to it but what is asked for.
+        scenario.plant.arm = Some(ArmTable::default());
         scenario.ticks = ticks.unwrap_or(usual_ticks);
         scenario.learner = LearnerTable::preset(rule);
         let mut scenario = with(scenario, settings, &name)?;
@@ -189,6 +187,7 @@ mod tests {
             assert_eq!(entrant.changes.len(), 1);
             let short = Entrant::new(rule_, Some(1000), &Changes::Usual, &[]).unwrap();
             assert_eq!(short.changes, []);
+            assert_eq!(short.plan.scenario.plant.arm, Some(ArmTable::default()), "nothing happens unasked");
         }
         assert_eq!(
             rule("papers").unwrap_err().to_string(),

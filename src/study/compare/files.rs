@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::{Compared, DECADES};
+use super::{Compared, DECADES, LEARNERS, name_of};
 use crate::report::figure;
 use crate::report::figure::learning::{Curve, Learning, Line, Panel, Point};
 use crate::study::{Spread, StudyError};
@@ -67,8 +67,8 @@ fn curves(compared: &Compared) -> String {
 fn learning(compared: &Compared) -> Learning {
     let worlds = &compared.references.worlds;
     let panel = |world: usize| {
-        let curve = |(colour, courses): (usize, &Vec<super::Course>)| {
-            let learner = &compared.learners[colour];
+        let curve = |(number, courses): (usize, &Vec<super::Course>)| {
+            let learner = &compared.learners[number];
             let from = if world == 0 { 0 } else { learner.changes.get(world - 1)?.tick };
             let samples = |i: usize| courses[i].samples.iter().filter(move |s| s.world == world);
             let points = samples(0).enumerate().filter_map(|(at, first)| {
@@ -76,6 +76,8 @@ fn learning(compared: &Compared) -> Learning {
                 let Spread { min, median, max } = Spread::of(losses)?;
                 Some(Point { ticks: first.tick - from, low: min, middle: median, high: max })
             });
+            // A learner keeps its colour whoever else is there.
+            let colour = LEARNERS.iter().position(|&rule| name_of(rule) == learner.name).unwrap_or(LEARNERS.len());
             Some(Curve { name: learner.name.clone(), colour, points: points.collect() })
         };
         let classical = worlds[world].damped_least_squares.loss;

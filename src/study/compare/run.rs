@@ -48,7 +48,7 @@ const REPORT: u64 = 64;
 const TIMED: u64 = 8;
 const TIMES: u64 = 400;
 
-/// Ticks to the next test, `since` ticks after the beginning or the last change: a known instant is known to that.
+/// Ticks to the next test, `since` ticks after the beginning or the last change. Instants are known to that.
 ///
 /// 20 ticks, a second, in the first 1,000; then a twentieth of the power of ten below: 50 up to 10,000, 500 up to 100,000.
 pub fn spacing(since: u64) -> u64 {
