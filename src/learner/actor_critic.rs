@@ -46,6 +46,8 @@ pub struct Critic {
     pub half_life: f32,
     /// Share of the first steps that they never fall below.
     pub floor: f32,
+    /// Ticks over which the actor's step grows to its full size, while the critic learns its first values.
+    pub warm_up: f32,
     /// Step `alpha_c` of what squared noise costs; 0 for never.
     pub noise_step: f32,
     /// Standard deviation of the noise.
@@ -63,6 +65,7 @@ impl Critic {
             bound: table.bound as f32,
             half_life: table.half_life as f32,
             floor: table.floor as f32,
+            warm_up: table.warm_up as f32,
             noise_step: table.noise_step as f32,
             sigma,
         }
@@ -204,7 +207,8 @@ impl ActorCritic {
         let fade = (1.0 / (1.0 + self.learned / self.critic.half_life)).max(self.critic.floor);
         let critics = if self.sees_pairs { here } else { metric.unwrap_or(here) };
         self.judge(critics, self.critic.step * fade * error);
-        let rate = self.rate * fade * error;
+        let warm = ((self.learned + 1.0) / self.critic.warm_up.max(1.0)).min(1.0);
+        let rate = self.rate * warm * fade * error;
         self.act(policy, metric.unwrap_or(tick.features), tick.noise, rate);
         self.last[2] = tick.reward;
         self.learned += 1.0;
@@ -260,6 +264,7 @@ mod tests {
         bound: 3.0,
         half_life: f32::INFINITY,
         floor: 0.0,
+        warm_up: 0.0,
         noise_step: 0.0,
         sigma: 1.0,
     };

@@ -92,6 +92,7 @@ fn actor_critic() -> ActorCritic {
         bound: 1e9,
         half_life: f32::INFINITY,
         floor: 1.0,
+        warm_up: 0.0,
         noise_step: 0.01,
         sigma: SIGMA,
     };

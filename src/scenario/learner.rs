@@ -78,6 +78,8 @@ pub struct CriticTable {
     pub half_life: f64,
     /// Share of the first steps that they never fall below; 1 for constant steps.
     pub floor: f64,
+    /// Ticks over which the actor's step grows to its full size.
+    pub warm_up: f64,
     /// Step with which it is learned what the square of the exploration noise costs; 0 for not at all.
     pub noise_step: f64,
     /// Natural gradient: what is added to the diagonal of the features' second-moment matrix, in its mean eigenvalues.
@@ -165,6 +167,7 @@ impl LearnerTable {
                     reward_feature: 1.0,
                     half_life: 20_000.0,
                     floor: 0.1,
+                    warm_up: 0.0,
                     noise_step: 0.0,
                     ..CriticTable::default()
                 }),
@@ -210,6 +213,7 @@ impl Default for CriticTable {
             bound: 5.0,
             half_life: 20_000.0,
             floor: 1.0,
+            warm_up: 5000.0,
             noise_step: 1e-3,
             regularisation: 0.3,
         }

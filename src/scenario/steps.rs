@@ -1,7 +1,7 @@
 //! Steps that are too long for their features: what must diverge is refused, what is likely to is warned of.
 //!
 //! How far one update changes the answer to the inputs that it came of is the step times the squared length of the
-//! features, so it is their product that counts: 1 for features of unit norm, 52 for the arm's maps as they are.
+//! features, so it is their product that counts: 1 for features of unit norm, 44 for the arm's maps as they are.
 //! The limits were measured on the arm, over some 100,000 ticks; where rewards are much smaller, longer steps will do.
 
 use crate::encoder::Encoder;
@@ -132,7 +132,7 @@ mod tests {
         assert_eq!(said("alpha_over_variance = 0.0009", false).unwrap(), [""; 0]);
         let raw = said("alpha_over_variance = 0.01", false).unwrap();
         assert!(
-            raw[0].starts_with("learner.alpha_over_variance is 0.01, and with features of a mean squared length of 5"),
+            raw[0].starts_with("learner.alpha_over_variance is 0.01, and with features of a mean squared length of 44"),
             "{raw:?}"
         );
         assert!(raw[0].ends_with(", or set encoder.normalise"), "{raw:?}");
