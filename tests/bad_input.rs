@@ -118,3 +118,14 @@ fn a_plant_that_is_not_there() {
         changed("program = \"tectum-simulator\"", "program = \"./nothing\"").contains("the plant cannot be started")
     );
 }
+
+#[test]
+fn a_step_that_is_likely_to_diverge_is_warned_of_and_the_run_goes_on() {
+    let place = Place::new();
+    let scenario = place.arm(&[("alpha_over_variance", "0.5")]);
+    let outcome = place.run(&[&scenario, "--ticks", "20", "--mode", "in-process", "--json"]).wait().expect(0);
+    let warnings = outcome.json()["warnings"].clone();
+    let warning = warnings[0].as_str().unwrap();
+    assert!(warning.starts_with("learner.alpha_over_variance is 0.5"), "{warning}");
+    assert_eq!(outcome.stderr.matches(&format!("tectum: warning: {warning}")).count(), 1, "{}", outcome.stderr);
+}

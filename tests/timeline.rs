@@ -41,6 +41,18 @@ fn a_learner_that_thinks_longer_is_on_the_same_timeline() {
     }
 }
 
+/// I1 for the rules that learn before the command goes out.
+#[test]
+fn every_first_order_rule_is_on_the_same_timeline() {
+    for rule in ["baseline", "actor-critic", "natural-actor-critic"] {
+        let place = Place::new();
+        let rule = format!("\"{rule}\"");
+        let scenario = place.arm(&[("rule", &rule), ("ticks", "400")]);
+        let (first, single) = (run(&[&scenario]), run(&[&scenario, "--mode", "in-process"]));
+        assert_eq!(first["weights_hash"], single["weights_hash"], "{rule}");
+    }
+}
+
 /// The numbers are the same on every machine and in every build profile: pure-Rust mathematics, fixed order of
 /// summation. A change here is a change of what users can reproduce, and belongs into the change log.
 #[test]

@@ -88,6 +88,9 @@ pub fn main(arguments: &Arguments) -> ExitCode {
 
 fn launch(arguments: &Arguments) -> Result<Summary, LaunchError> {
     let launch = plan(arguments)?;
+    for warning in &launch.plan.warnings {
+        say(&format!("tectum: warning: {warning}"));
+    }
     match launch.mode {
         Mode::InProcess => study(&launch),
         Mode::Lockstep | Mode::Realtime => run(&launch),

@@ -1,14 +1,19 @@
 //! Actor-critic with eligibility traces (Degris, Pilarski & Sutton 2012, *Model-Free Reinforcement Learning with
 //! Continuous Action in Practice*, ACC; algorithm "AC" with constant spread), and its natural gradient.
 //!
-//! A linear critic `V(k) = v . phi_k` stands on the actor's own features and one more, the reward of the tick before, and
-//! its temporal-difference error takes the reward's place in the paper's rule:
+//! A linear critic `V(k) = v . phi_k` stands on maps over pairs of inputs ([`Pairs`]) or on the actor's own features, and
+//! on the reward of the tick before, if asked to. Its temporal-difference error takes the reward's place in the paper's rule:
 //!
 //! ```text
-//! delta_k = r_k + gamma V(k+1) - V(k)
+//! delta_k = r_k - c . q_k + gamma V(k+1) - V(k)
 //! e_k     = gamma lambda e_{k-1} + h(phi_k)          v_{k+1} = v_k + alpha_v delta_k e_k
 //! z_k     = beta z_{k-1} + n_k h(g_k)^T              W_{k+1} = W_k + (alpha / sigma^2) delta_k z_k
 //! ```
+//!
+//! `c . q`, with `q = n^2 / sigma^2 - 1` for each output, is what the exploration itself costs or earns: the agent knows
+//! its noise, and learns by least mean squares, `c += alpha_c delta q`, how the reward depends on its square. On the arm
+//! that is half of the reward's variance. Since Gaussian noise has no third moment, `E[n q] = 0`: the gradient is the same,
+//! with less noise (a control variate; Greensmith, Bartlett & Baxter 2004).
 //!
 //! `h` is the identity for the plain rule. For the natural one (Kakade 2001; Bhatnagar et al. 2009) it is the inverse of
 //! the features' second-moment matrix over the input box, worked out when the learner is built ([`Metric`]): the step then
@@ -19,9 +24,10 @@
 
 use glam::Vec4;
 
-use super::{LearningRule, Metric, Tick, dot};
+use super::{LearningRule, Metric, Pairs, Tick, dot, sound};
 use crate::policy::{Linear, Outputs, norm};
 use crate::scenario::CriticTable;
+use crate::wire::MAX_OUTPUTS;
 
 /// Constants of the critic.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,11 +46,17 @@ pub struct Critic {
     pub half_life: f32,
     /// Share of the first steps that they never fall below.
     pub floor: f32,
+    /// Ticks over which the actor's step grows to its full size, while the critic learns its first values.
+    pub warm_up: f32,
+    /// Step `alpha_c` of what squared noise costs; 0 for never.
+    pub noise_step: f32,
+    /// Standard deviation of the noise.
+    pub sigma: f32,
 }
 
 impl Critic {
-    /// The constants of a table.
-    pub fn of(table: &CriticTable) -> Self {
+    /// The constants of a table, for noise of standard deviation `sigma`.
+    pub fn of(table: &CriticTable, sigma: f32) -> Self {
         Self {
             step: table.step as f32,
             discount: table.discount as f32,
@@ -53,6 +65,9 @@ impl Critic {
             bound: table.bound as f32,
             half_life: table.half_life as f32,
             floor: table.floor as f32,
+            warm_up: table.warm_up as f32,
+            noise_step: table.noise_step as f32,
+            sigma,
         }
     }
 }
@@ -60,13 +75,21 @@ impl Critic {
 /// Share of the newest error in the running mean of its size.
 const NEWEST: f32 = 1e-3;
 
+/// Largest squared noise that counts as such, in variances, less 1: what is beyond was the gate's doing.
+const LARGEST_SQUARE: f32 = 8.0;
+
 /// The rule, its critic and both traces.
 #[derive(Debug, Clone)]
 pub struct ActorCritic {
     beta: f32,
     rate: f32,
     critic: Critic,
+    pairs: Option<Pairs>,
+    sees_pairs: bool,
     metric: Option<Metric>,
+    /// What squared noise on each output costs, `c`.
+    noise_costs: Outputs,
+    outputs: usize,
     /// In the layout of the policy's weights.
     trace: Vec<Vec<Vec4>>,
     values: Vec<f32>,
@@ -82,12 +105,16 @@ pub struct ActorCritic {
 impl ActorCritic {
     /// The rule for a policy of `len` (padded) features and `outputs` outputs, with the actor's trace decay `beta` and
     /// `rate` = `alpha / sigma^2`.
-    pub fn new(len: usize, outputs: usize, beta: f32, rate: f32, critic: Critic, metric: Option<Metric>) -> Self {
+    pub fn new(len: usize, outputs: usize, beta: f32, rate: f32, critic: Critic) -> Self {
         Self {
             beta,
             rate,
             critic,
-            metric,
+            pairs: None,
+            sees_pairs: false,
+            metric: None,
+            noise_costs: [0.0; MAX_OUTPUTS],
+            outputs,
             trace: vec![vec![Vec4::ZERO; len]; outputs.div_ceil(4)],
             values: vec![0.0; len],
             value_trace: vec![0.0; len],
@@ -96,6 +123,17 @@ impl ActorCritic {
             learned: 0.0,
             halted: false,
         }
+    }
+
+    /// The same with a critic that sees `pairs`, and with steps along the natural gradient of `metric`. The metric is one
+    /// of the actor's features, and is the critic's too where it sees those.
+    #[must_use]
+    pub fn with(mut self, pairs: Option<Pairs>, metric: Option<Metric>) -> Self {
+        if let Some(pairs) = &pairs {
+            self.values = vec![0.0; pairs.len()];
+            self.value_trace = self.values.clone();
+        }
+        Self { sees_pairs: pairs.is_some(), pairs, metric, ..self }
     }
 
     /// The value of `features` after `reward`.
@@ -112,18 +150,32 @@ impl ActorCritic {
         bounded
     }
 
-    fn apply(&mut self, policy: &mut Linear, direction: Option<&[f32]>, noise: &Outputs, error: f32) -> f32 {
-        let Critic { step, discount, decay, reward_feature, half_life, floor, .. } = self.critic;
-        let fade = (1.0 / (1.0 + self.learned / half_life)).max(floor);
-        let direction = direction.or(self.metric.as_ref().map(Metric::result)).unwrap_or_default();
-        let (kept, gain) = (discount * decay, step * fade * error);
+    /// How far the squares of `noise` are from their mean, in variances.
+    fn squares(&self, noise: &Outputs) -> Outputs {
+        let mut squares = [0.0; MAX_OUTPUTS];
+        if self.critic.noise_step > 0.0 {
+            for (square, n) in squares[..self.outputs].iter_mut().zip(noise) {
+                let standard = n / self.critic.sigma;
+                *square = (standard * standard - 1.0).min(LARGEST_SQUARE);
+            }
+        }
+        squares
+    }
+
+    /// Moves the critic by `gain` along its trace, to which `direction` is added.
+    fn judge(&mut self, direction: &[f32], gain: f32) {
+        let Critic { discount, decay, reward_feature, .. } = self.critic;
+        let kept = discount * decay;
         for ((v, e), &h) in self.values.iter_mut().zip(&mut self.value_trace).zip(direction) {
             *e = *e * kept + h;
             *v += gain * *e;
         }
         self.last[1] = self.last[1] * kept + reward_feature * self.last[2];
         self.last[0] += gain * self.last[1];
-        let rate = self.rate * fade * error;
+    }
+
+    /// Moves the policy by `rate` along its trace, to which `noise` times `direction` is added.
+    fn act(&mut self, policy: &mut Linear, direction: &[f32], noise: &Outputs, rate: f32) {
         let lanes = noise.chunks_exact(4).map(Vec4::from_slice);
         for ((weights, trace), noise) in policy.groups_mut().zip(&mut self.trace).zip(lanes) {
             for ((w, z), &h) in weights.iter_mut().zip(trace).zip(direction) {
@@ -131,6 +183,35 @@ impl ActorCritic {
                 *w += *z * rate;
             }
         }
+    }
+
+    fn learn_from(
+        &mut self,
+        policy: &mut Linear,
+        tick: &Tick,
+        [here, next]: [&[f32]; 2],
+        metric: Option<&[f32]>,
+    ) -> f32 {
+        let squares = self.squares(tick.noise);
+        let cost: f32 = self.noise_costs.iter().zip(squares).map(|(c, q)| c * q).sum();
+        let (here_value, next_value) = (self.value(here, self.last[2]), self.value(next, tick.reward));
+        let error = tick.reward - cost + self.critic.discount * next_value - here_value;
+        if !sound(error * self.rate, tick.noise) || !sound(error * self.critic.step, tick.noise) {
+            self.halted = true;
+            return 0.0;
+        }
+        let error = self.bounded(error);
+        for (cost, square) in self.noise_costs.iter_mut().zip(squares) {
+            *cost += self.critic.noise_step * error * square;
+        }
+        let fade = (1.0 / (1.0 + self.learned / self.critic.half_life)).max(self.critic.floor);
+        let critics = if self.sees_pairs { here } else { metric.unwrap_or(here) };
+        self.judge(critics, self.critic.step * fade * error);
+        let warm = ((self.learned + 1.0) / self.critic.warm_up.max(1.0)).min(1.0);
+        let rate = self.rate * warm * fade * error;
+        self.act(policy, metric.unwrap_or(tick.features), tick.noise, rate);
+        self.last[2] = tick.reward;
+        self.learned += 1.0;
         rate
     }
 }
@@ -140,23 +221,18 @@ impl LearningRule for ActorCritic {
         if self.halted {
             return 0.0;
         }
-        let here = self.value(tick.features, self.last[2]);
-        let next = self.value(tick.next_features, tick.reward);
-        let error = tick.reward + self.critic.discount * next - here;
-        if !error.is_finite() {
-            self.halted = true;
-            return 0.0;
-        }
-        let error = self.bounded(error);
-        let step = if let Some(metric) = &mut self.metric {
+        // Taken out for as long as their features are lent to the rest.
+        let (mut pairs, mut metric) = (self.pairs.take(), self.metric.take());
+        if let Some(metric) = &mut metric {
             metric.apply(tick.features);
-            self.apply(policy, None, tick.noise, error)
-        } else {
-            self.apply(policy, Some(tick.features), tick.noise, error)
+        }
+        let seen = match &mut pairs {
+            Some(pairs) => pairs.see(tick.inputs, tick.next_inputs),
+            None => [tick.features, tick.next_features],
         };
-        self.last[2] = tick.reward;
-        self.learned += 1.0;
-        step
+        let rate = self.learn_from(policy, tick, seen, metric.as_ref().map(Metric::result));
+        (self.pairs, self.metric) = (pairs, metric);
+        rate
     }
 
     fn cut_trace(&mut self) {
@@ -188,6 +264,9 @@ mod tests {
         bound: 3.0,
         half_life: f32::INFINITY,
         floor: 0.0,
+        warm_up: 0.0,
+        noise_step: 0.0,
+        sigma: 1.0,
     };
 
     fn tick<'a>(features: &'a [f32], noise: &'a Outputs, reward: f32, next_features: &'a [f32]) -> Tick<'a> {
@@ -197,7 +276,7 @@ mod tests {
     #[test]
     fn two_ticks_are_the_equations() {
         let mut policy = Linear::new(4, (0..4).collect(), 4);
-        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC, None);
+        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC);
         let mut noise = [0.0; 8];
         noise[..2].copy_from_slice(&[0.5, -1.0]);
         let (a, b, c) = ([1.0, 0.0, 0.5, 0.0], [0.0, 1.0, 0.5, 0.0], [0.0, 0.0, 1.0, 0.0]);
@@ -218,8 +297,25 @@ mod tests {
     }
 
     #[test]
+    fn what_squared_noise_costs_is_learned_and_taken_out() {
+        let mut policy = Linear::new(4, (0..4).collect(), 2);
+        let critic = Critic { noise_step: 0.05, sigma: 0.5, bound: 1e6, ..CRITIC };
+        let mut rule = ActorCritic::new(4, 2, 0.0, 0.0, critic);
+        let mut exploration = crate::policy::Exploration::new(3, 0.5, 2);
+        for _ in 0..2000 {
+            let noise = exploration.draw();
+            let reward = -0.1 - 0.3 * noise[0] * noise[0];
+            rule.learn(&mut policy, &tick(&[1.0, 0.0, 0.0, 0.0], &noise, reward, &[1.0, 0.0, 0.0, 0.0]));
+        }
+        // 0.3 sigma^2 on the first output, nothing on the second, nor on outputs that are not there.
+        assert!((rule.noise_costs[0] + 0.075).abs() < 0.01, "{:?}", rule.noise_costs);
+        assert!(rule.noise_costs[1].abs() < 0.01 && rule.noise_costs[2..] == [0.0; 6], "{:?}", rule.noise_costs);
+        assert!(rule.size < 0.03, "{}", rule.size);
+    }
+
+    #[test]
     fn a_surprise_counts_for_no_more_than_the_bound() {
-        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC, None);
+        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC);
         assert_eq!(rule.bounded(-0.5), -0.5);
         rule.learned = 1.0;
         assert_eq!(rule.bounded(-100.0), -1.5);
@@ -228,7 +324,7 @@ mod tests {
     #[test]
     fn a_number_that_is_not_finite_stops_learning() {
         let mut policy = Linear::new(4, (0..4).collect(), 4);
-        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC, None);
+        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC);
         rule.values[0] = f32::INFINITY;
         let noise = [1.0; 8];
         rule.learn(&mut policy, &tick(&[1.0; 4], &noise, -1.0, &[1.0; 4]));

@@ -50,6 +50,10 @@ impl LearningRule for Baseline {
     fn trace_norm(&self) -> f32 {
         self.rule.trace_norm()
     }
+
+    fn halted(&self) -> bool {
+        self.rule.halted()
+    }
 }
 
 #[cfg(test)]

@@ -16,17 +16,19 @@ mod actor_critic;
 mod baseline;
 mod learned_reward;
 mod metric;
+mod pairs;
 mod paper;
 
 pub use actor_critic::{ActorCritic, Critic};
 pub use baseline::Baseline;
 pub use learned_reward::LearnedReward;
 pub use metric::Metric;
+pub use pairs::Pairs;
 pub use paper::Paper;
 
 use crate::encoder::Encoder;
 use crate::policy::{Linear, Outputs};
-use crate::scenario::{Plan, Rule};
+use crate::scenario::{CriticSight, Plan, Rule};
 
 /// One tick that may be learned from, with the inputs that followed it.
 #[derive(Debug, Clone, Copy)]
@@ -65,10 +67,9 @@ pub trait LearningRule {
     /// Euclidean norm of the trace; for a rule without one, of what stands in its place in the log.
     fn trace_norm(&self) -> f32;
 
-    /// Whether the rule met a number that is not finite. It has then stopped learning, for good.
-    fn halted(&self) -> bool {
-        false
-    }
+    /// Whether the rule met a number that is not finite, or is about to be none. It has then stopped learning, for good,
+    /// and what it has learned stands.
+    fn halted(&self) -> bool;
 }
 
 /// The rule of a scenario.
@@ -79,7 +80,7 @@ pub enum Learner {
     /// The paper's rule with a baseline.
     Baseline(Baseline),
     /// Actor-critic, plain or natural.
-    ActorCritic(ActorCritic),
+    ActorCritic(Box<ActorCritic>),
     /// Policy improvement through a learned model of the reward.
     LearnedReward(Box<LearnedReward>),
 }
@@ -89,21 +90,22 @@ impl Learner {
     pub fn of(plan: &Plan, encoder: &Encoder) -> Self {
         let (table, len, outputs) = (&plan.scenario.learner, encoder.len(), plan.outputs.len());
         let paper = || Paper::new(len, outputs, table.beta as f32, table.alpha_over_variance as f32);
-        let critic = || Critic::of(&table.critic.clone().unwrap_or_default());
+        let actor_critic = |metric| {
+            let critic = table.critic.clone().unwrap_or_default();
+            let pairs = (critic.sees == CriticSight::Pairs).then(|| Pairs::of(plan));
+            let (beta, step, sigma) = (table.beta, table.alpha_over_variance, plan.scenario.policy.sigma);
+            Self::ActorCritic(Box::new(
+                ActorCritic::new(len, outputs, beta as f32, step as f32, Critic::of(&critic, sigma as f32))
+                    .with(pairs, metric),
+            ))
+        };
         match table.rule {
             Rule::Paper => Self::Paper(paper()),
             Rule::Baseline => {
                 Self::Baseline(Baseline::new(paper(), table.baseline.clone().unwrap_or_default().ticks as f32))
             }
-            Rule::ActorCritic => {
-                let step = table.alpha_over_variance as f32;
-                Self::ActorCritic(ActorCritic::new(len, outputs, table.beta as f32, step, critic(), None))
-            }
-            Rule::NaturalActorCritic => {
-                let step = table.alpha_over_variance as f32;
-                let metric = Metric::of(plan, encoder);
-                Self::ActorCritic(ActorCritic::new(len, outputs, table.beta as f32, step, critic(), Some(metric)))
-            }
+            Rule::ActorCritic => actor_critic(None),
+            Rule::NaturalActorCritic => actor_critic(Some(Metric::of(plan, encoder))),
             Rule::LearnedReward => Self::LearnedReward(Box::new(LearnedReward::of(plan, encoder))),
         }
     }
@@ -112,7 +114,7 @@ impl Learner {
         match self {
             Self::Paper(rule) => rule,
             Self::Baseline(rule) => rule,
-            Self::ActorCritic(rule) => rule,
+            Self::ActorCritic(rule) => &**rule,
             Self::LearnedReward(rule) => &**rule,
         }
     }
@@ -121,7 +123,7 @@ impl Learner {
         match self {
             Self::Paper(rule) => rule,
             Self::Baseline(rule) => rule,
-            Self::ActorCritic(rule) => rule,
+            Self::ActorCritic(rule) => &mut **rule,
             Self::LearnedReward(rule) => &mut **rule,
         }
     }
@@ -147,6 +149,16 @@ impl LearningRule for Learner {
     fn halted(&self) -> bool {
         self.rule().halted()
     }
+}
+
+/// Beyond this a number is on its way to infinity: no command, reward or step in use comes near it.
+const HUGE: f32 = 1e15;
+
+/// Whether the weights may be changed by `step` times a trace of `noise`: both are numbers and far from overflow, so that
+/// no product of the two, nor a sum of such, can be infinite. Weights that grow without limit show in the mean command,
+/// and thereby in the noise (what was applied is within limits), long before they are no numbers.
+fn sound(step: f32, noise: &Outputs) -> bool {
+    step.abs() < HUGE && noise.iter().all(|n| n.abs() < HUGE)
 }
 
 /// `to += factor * from`.
@@ -175,5 +187,7 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     (four[0] + four[2]) + (four[1] + four[3]) + rest
 }
 
+#[cfg(test)]
+mod gradient_tests;
 #[cfg(test)]
 mod tests;

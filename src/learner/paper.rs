@@ -12,7 +12,7 @@
 
 use glam::Vec4;
 
-use super::{LearningRule, Tick};
+use super::{LearningRule, Tick, sound};
 use crate::policy::{Linear, Outputs, norm};
 
 /// The rule, its constants and its trace.
@@ -22,19 +22,24 @@ pub struct Paper {
     rate: f32,
     /// In the layout of the policy's weights.
     trace: Vec<Vec<Vec4>>,
+    halted: bool,
 }
 
 impl Paper {
     /// The rule for a policy of `len` (padded) features and `outputs` outputs, with trace decay `beta` in [0, 1) and
     /// `rate` = `alpha / sigma^2`.
     pub fn new(len: usize, outputs: usize, beta: f32, rate: f32) -> Self {
-        Self { beta, rate, trace: vec![vec![Vec4::ZERO; len]; outputs.div_ceil(4)] }
+        Self { beta, rate, trace: vec![vec![Vec4::ZERO; len]; outputs.div_ceil(4)], halted: false }
     }
 
     /// Learns from one tick: `features` and `noise` are those of the tick that earned `reward`. Returns the factor with
-    /// which the trace was added to the weights, `rate * reward`.
+    /// which the trace was added to the weights, `rate * reward`; 0 from the first number on that is not sound.
     pub fn step(&mut self, policy: &mut Linear, features: &[f32], noise: &Outputs, reward: f32) -> f32 {
         let step = self.rate * reward;
+        self.halted = self.halted || !sound(step, noise);
+        if self.halted {
+            return 0.0;
+        }
         let lanes = noise.chunks_exact(4).map(Vec4::from_slice);
         for ((weights, trace), noise) in policy.groups_mut().zip(&mut self.trace).zip(lanes) {
             let gain = noise * (1.0 - self.beta);
@@ -60,6 +65,10 @@ impl LearningRule for Paper {
 
     fn trace_norm(&self) -> f32 {
         norm(&self.trace)
+    }
+
+    fn halted(&self) -> bool {
+        self.halted
     }
 }
 
@@ -94,6 +103,21 @@ mod tests {
         rule.cut_trace();
         assert_eq!(rule.trace_norm(), 0.0);
         assert_eq!(policy.norm(), 0.0, "a reward of zero changes nothing");
+    }
+
+    #[test]
+    fn a_number_that_is_not_sound_stops_learning() {
+        for (reward, noise) in [(f32::INFINITY, 0.1), (f32::NAN, 0.1), (-1.0, f32::INFINITY), (1e30, 0.1), (-1.0, 1e30)]
+        {
+            let mut policy = Linear::new(4, (0..4).collect(), 4);
+            let mut rule = Paper::new(4, 4, 0.5, 0.1);
+            rule.step(&mut policy, &[1.0; 4], &NOISE, -1.0);
+            let hash = policy.hash();
+            assert_eq!(rule.step(&mut policy, &[1.0; 4], &[noise; 8], reward), 0.0);
+            assert!(rule.halted());
+            rule.step(&mut policy, &[1.0; 4], &NOISE, -1.0);
+            assert_eq!(policy.hash(), hash, "{reward} {noise}");
+        }
     }
 
     #[test]

@@ -36,6 +36,21 @@ fn every_rule_gives_the_same_weights_twice_and_others_with_another_seed() {
 }
 
 #[test]
+fn threads_side_by_side_learn_what_one_alone_does() {
+    for rule in RULES {
+        let ticks = if rule == Rule::LearnedReward { 40 } else { 300 };
+        let plan = plan(rule, 5, ticks);
+        let alone = run(&plan).controller.weights_hash;
+        std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..3).map(|_| scope.spawn(|| run(&plan).controller.weights_hash)).collect();
+            for thread in threads {
+                assert_eq!(thread.join().unwrap(), alone, "{rule:?}");
+            }
+        });
+    }
+}
+
+#[test]
 fn actor_critic_is_better_than_the_papers_rule_and_that_than_noise_alone() {
     let mut still = plan(Rule::Paper, 3, 60_000);
     still.scenario.learner.alpha_over_variance = 0.0;

@@ -213,6 +213,7 @@ pub(super) mod tests {
             scalars: Vec::new(),
             maps: Vec::new(),
             hash: 5,
+            warnings: Vec::new(),
         };
         let header = LogHeader::new(&plan, 3, "lockstep", BTreeMap::new());
         assert_eq!(toml::from_str::<crate::scenario::Scenario>(&header.scenario).unwrap(), plan.scenario);

@@ -48,10 +48,22 @@ pub struct BaselineTable {
     pub ticks: f64,
 }
 
+/// What a critic's features are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CriticSight {
+    /// 8 x 8 topographic maps over all pairs of inputs.
+    Pairs,
+    /// The policy's features.
+    Policy,
+}
+
 /// `[learner.critic]`: the linear critic and the size of steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CriticTable {
+    /// What the critic sees.
+    pub sees: CriticSight,
     /// Step of the critic's weights.
     pub step: f64,
     /// Discount of later rewards a tick, in [0, 1).
@@ -66,6 +78,10 @@ pub struct CriticTable {
     pub half_life: f64,
     /// Share of the first steps that they never fall below; 1 for constant steps.
     pub floor: f64,
+    /// Ticks over which the actor's step grows to its full size.
+    pub warm_up: f64,
+    /// Step with which it is learned what the square of the exploration noise costs; 0 for not at all.
+    pub noise_step: f64,
     /// Natural gradient: what is added to the diagonal of the features' second-moment matrix, in its mean eigenvalues.
     pub regularisation: f64,
 }
@@ -151,8 +167,22 @@ impl LearnerTable {
         let table = Self { rule, ..Self::default() };
         match rule {
             Rule::Paper | Rule::Baseline => table,
-            Rule::ActorCritic => Self { beta: 0.72, alpha_over_variance: 0.5, ..table },
-            Rule::NaturalActorCritic => Self { beta: 0.72, alpha_over_variance: 3.0, ..table },
+            Rule::ActorCritic => Self { beta: 0.6, alpha_over_variance: 0.5, ..table },
+            // Its metric makes the critic fast on the policy's own features, and its long steps have to fade.
+            Rule::NaturalActorCritic => Self {
+                beta: 0.72,
+                alpha_over_variance: 3.0,
+                critic: Some(CriticTable {
+                    sees: CriticSight::Policy,
+                    reward_feature: 1.0,
+                    half_life: 20_000.0,
+                    floor: 0.1,
+                    warm_up: 0.0,
+                    noise_step: 0.0,
+                    ..CriticTable::default()
+                }),
+                ..table
+            },
             Rule::LearnedReward => table,
         }
         .resolved()
@@ -185,13 +215,16 @@ impl Default for BaselineTable {
 impl Default for CriticTable {
     fn default() -> Self {
         Self {
+            sees: CriticSight::Pairs,
             step: 0.3,
             discount: 0.9,
             decay: 0.8,
-            reward_feature: 1.0,
+            reward_feature: 0.0,
             bound: 5.0,
             half_life: 20_000.0,
-            floor: 0.1,
+            floor: 1.0,
+            warm_up: 5000.0,
+            noise_step: 1e-3,
             regularisation: 0.3,
         }
     }

@@ -71,6 +71,8 @@ pub const MAX_HOLD: u32 = 1_000_000;
 pub const LEARNER_TICKS: RangeInclusive<f64> = 1.0..=1e12;
 /// Factor with which the last reward is a feature of the critic.
 pub const REWARD_FEATURE: RangeInclusive<f64> = 0.0..=1000.0;
+/// Step of what squared noise costs: the squares' own variance is 2, so that above 1/2 it could not settle.
+pub const NOISE_STEP: RangeInclusive<f64> = 0.0..=0.1;
 /// Largest temporal-difference error that counts, in means of its size; below 1 the usual error would not count in full.
 pub const ERROR_BOUND: RangeInclusive<f64> = 1.0..=1e9;
 /// Regularisation of the natural gradient: below 1e-6 the inverse would lose its digits.

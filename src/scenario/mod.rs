@@ -14,6 +14,7 @@ pub mod limits;
 mod presets;
 mod signals;
 mod source;
+mod steps;
 mod validate;
 mod validate_learner;
 mod validate_plant;
@@ -59,6 +60,8 @@ pub struct Plan {
     /// 64-bit hash of the resolved scenario, as compared in the handshake: XXH3 of [`Scenario::to_toml`], so that it
     /// covers every setting, seed and ticks included, but neither comments and layout nor the file's name.
     pub hash: u64,
+    /// What is allowed but likely to go wrong, one sentence each: key, value, why, remedy.
+    pub warnings: Vec<String>,
 }
 
 impl Plan {
@@ -117,14 +120,15 @@ impl Scenario {
     ///
     /// [`ScenarioError::Invalid`] for the first value that is out of range or does not fit the others.
     pub fn plan(self) -> Result<Plan, ScenarioError> {
-        if let Err(Problem { key, text }) = validate::check(&self) {
+        let refused = |Problem { key, text }| {
             let place = Place { file: self.source.name().to_owned(), line: self.line_of(&key) };
-            return Err(ScenarioError::Invalid { place, key, problem: text });
-        }
+            ScenarioError::Invalid { place, key, problem: text }
+        };
+        validate::check(&self).map_err(refused)?;
         let scenario = self.resolved();
         let signals = signals(&scenario);
         let maps = scenario.encoder.maps.iter().filter_map(|map| built(map, &signals.inputs)).collect();
-        Ok(Plan {
+        let mut plan = Plan {
             // Exact: `check` has seen to it that the period is a whole number of ns.
             period_ns: (scenario.period_ms * 1e6).round() as u64,
             scalars: scenario.encoder.scalars.iter().filter_map(|name| find(&signals.inputs, name)).collect(),
@@ -134,7 +138,10 @@ impl Scenario {
             maps,
             hash: xxh3_64(scenario.to_toml().as_bytes()),
             scenario,
-        })
+            warnings: Vec::new(),
+        };
+        plan.warnings = steps::check(&plan).map_err(refused)?;
+        Ok(plan)
     }
 
     /// The scenario as a TOML file with every default written out. Parsed again, it gives the same plan and hash.

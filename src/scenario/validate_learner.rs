@@ -51,6 +51,8 @@ fn critic(table: &CriticTable) -> Result<(), Problem> {
     number(key("bound"), table.bound, limits::ERROR_BOUND, "give 1 to 1e9")?;
     number(key("half_life"), table.half_life, limits::LEARNER_TICKS, "give 1 to 1e12 ticks")?;
     number(key("floor"), table.floor, 0.0..=1.0, "give 0 to 1")?;
+    number(key("warm_up"), table.warm_up, 0.0..=1e12, "give 0 to 1e12 ticks")?;
+    number(key("noise_step"), table.noise_step, limits::NOISE_STEP, "give 0 to 0.1")?;
     number(key("regularisation"), table.regularisation, limits::REGULARISATION, "give 1e-6 to 1e6")
 }
 

@@ -102,6 +102,8 @@ pub struct Summary {
     pub log_every: u64,
     /// The figure; null where there is nothing to draw.
     pub figure: Option<PathBuf>,
+    /// What the scenario's settings make likely to go wrong, one sentence each.
+    pub warnings: Vec<String>,
     /// What went wrong, one sentence; null where nothing did.
     pub failure: Option<String>,
     #[serde(skip)]
@@ -211,6 +213,7 @@ impl Summary {
             log_bytes: 0,
             log_every: plan.scenario.log.every,
             figure: None,
+            warnings: plan.warnings.clone(),
             failure: None,
             code: match ended {
                 Ended::Complete => exit::OK,

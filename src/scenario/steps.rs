@@ -1,0 +1,160 @@
+//! Steps that are too long for their features: what must diverge is refused, what is likely to is warned of.
+//!
+//! How far one update changes the answer to the inputs that it came of is the step times the squared length of the
+//! features, so it is their product that counts: 1 for features of unit norm, 44 for the arm's maps as they are.
+//! The limits were measured on the arm, over some 100,000 ticks; where rewards are much smaller, longer steps will do.
+
+use crate::encoder::Encoder;
+use crate::seed::stream;
+
+use super::error::Problem;
+use super::validate::show;
+use super::{CriticSight, Plan, Rule};
+use rand::RngExt as _;
+
+/// Draws from the input box for the mean squared length of the features.
+const DRAWS: usize = 64;
+/// Largest step without a trace. (A run of single decisions.)
+const OPEN_LOOP: f64 = 2.0;
+/// Largest step of the paper's rule with a trace: on the arm 0.03 learns and 0.1 does not.
+const PAPER: f64 = 0.05;
+/// The same with a baseline: 0.2 learns, 0.5 does not.
+const BASELINE: f64 = 0.3;
+/// The same of an actor with a critic: 0.7 learns, 1 loses some seeds.
+const ACTOR: f64 = 0.8;
+/// Largest step of a critic: 0.3 learns, 0.6 loses some seeds.
+const CRITIC: f64 = 0.5;
+
+/// Checks the steps of a plan's learner. Returns warnings, one sentence each: key, value, why, remedy.
+pub(super) fn check(plan: &Plan) -> Result<Vec<String>, Problem> {
+    let learner = &plan.scenario.learner;
+    let mut warnings = Vec::new();
+    let actor = learner.alpha_over_variance;
+    let most = match learner.rule {
+        // Natural steps are measured by the metric, and a learned reward has no such step.
+        Rule::NaturalActorCritic | Rule::LearnedReward => f64::INFINITY,
+        _ if learner.beta == 0.0 => OPEN_LOOP,
+        Rule::Paper => PAPER,
+        Rule::Baseline => BASELINE,
+        Rule::ActorCritic => ACTOR,
+    };
+    let critic = learner.critic.as_ref().filter(|_| learner.rule == Rule::ActorCritic);
+    let dear = critic.is_some_and(|c| c.sees == CriticSight::Policy);
+    // Most plans are far from all limits, whatever their features.
+    let units = (plan.encoder().units() as f64).max(1.0);
+    let largest = if plan.scenario.encoder.normalise && plan.scalars.is_empty() { 1.0 } else { units };
+    let length = if actor * largest > most || dear { squared_length(plan) } else { 1.0 };
+    if actor * length > most {
+        warnings.push(likely("learner.alpha_over_variance", actor, length, most));
+    }
+    if let Some(critic) = critic {
+        let length = if dear { length } else { 1.0 };
+        // While inputs stand still the trace settles at 1 / (1 - gamma lambda) features, and an update changes the
+        // temporal-difference error by this share of it: above 2, every update makes the error larger than it was.
+        let (gamma, lambda) = (critic.discount, critic.decay);
+        let share = critic.step * length * (1.0 - gamma) / (1.0 - gamma * lambda);
+        if share > 2.0 {
+            let most = 2.0 * critic.step / share;
+            let remedy = format!(
+                "with features of a mean squared length of {} the critic must diverge; give less than {}",
+                short(length),
+                short(most)
+            );
+            return Err(Problem::value("learner.critic.step", show(critic.step), remedy));
+        }
+        if critic.step * length > CRITIC {
+            warnings.push(likely("learner.critic.step", critic.step, length, CRITIC));
+        }
+    }
+    Ok(warnings)
+}
+
+fn likely(key: &str, value: f64, length: f64, most: f64) -> String {
+    format!(
+        "{key} is {}, and with features of a mean squared length of {} learning is likely to diverge; give at most {}{}",
+        show(value),
+        short(length),
+        short(most / length),
+        if length > 2.0 { ", or set encoder.normalise" } else { "" }
+    )
+}
+
+/// Two significant digits, for numbers that nobody wrote.
+fn short(value: f64) -> String {
+    show(format!("{value:.1e}").parse().unwrap_or(value))
+}
+
+/// The features' mean squared length over the input box.
+fn squared_length(plan: &Plan) -> f64 {
+    let mut encoder: Encoder = plan.encoder();
+    let mut features = encoder.features();
+    let mut rng = stream(0, "steps");
+    let mut inputs = vec![0.0; plan.inputs.len()];
+    let mut sum = 0.0;
+    for _ in 0..DRAWS {
+        for (x, signal) in inputs.iter_mut().zip(&plan.inputs) {
+            *x = (signal.min + (signal.max - signal.min) * rng.random::<f64>()) as f32;
+        }
+        encoder.encode(&inputs, &mut features);
+        sum += features.as_slice().iter().map(|&g| f64::from(g) * f64::from(g)).sum::<f64>();
+    }
+    sum / DRAWS as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{LearnerTable, Scenario, presets};
+    use super::*;
+
+    /// What is said of the built-in arm with this `[learner]`: warnings, or the refusal.
+    fn said(learner: &str, normalise: bool) -> Result<Vec<String>, String> {
+        let mut scenario = Scenario::find("arm").unwrap();
+        scenario.learner = toml::from_str(learner).unwrap();
+        scenario.encoder.normalise = normalise;
+        scenario.plan().map(|plan| plan.warnings).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_is_built_in_is_not_warned_of() {
+        for preset in presets() {
+            assert_eq!(preset.scenario().unwrap().plan().unwrap().warnings, [""; 0], "{}", preset.name);
+        }
+        for rule in [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward] {
+            let mut scenario = Scenario::find("arm").unwrap();
+            scenario.learner = LearnerTable::preset(rule);
+            assert_eq!(scenario.plan().unwrap().warnings, [""; 0], "{rule:?}");
+        }
+    }
+
+    #[test]
+    fn long_steps_are_warned_of_by_name() {
+        // What the prototypes met: raw kernels with 0.01 diverge, with 0.0009 they do not.
+        assert_eq!(said("alpha_over_variance = 0.0009", false).unwrap(), [""; 0]);
+        let raw = said("alpha_over_variance = 0.01", false).unwrap();
+        assert!(
+            raw[0].starts_with("learner.alpha_over_variance is 0.01, and with features of a mean squared length of 44"),
+            "{raw:?}"
+        );
+        assert!(raw[0].ends_with(", or set encoder.normalise"), "{raw:?}");
+        for (learner, key) in [
+            ("alpha_over_variance = 0.1", "learner.alpha_over_variance is 0.1"),
+            ("rule = \"baseline\"\nalpha_over_variance = 0.5", "learner.alpha_over_variance is 0.5"),
+            ("rule = \"actor-critic\"\nalpha_over_variance = 1.0", "learner.alpha_over_variance is 1,"),
+            ("rule = \"actor-critic\"\n[critic]\nstep = 0.7", "learner.critic.step is 0.7"),
+        ] {
+            let warnings = said(learner, true).unwrap();
+            assert!(warnings.len() == 1 && warnings[0].starts_with(key), "{warnings:?}");
+        }
+        assert_eq!(said("beta = 0\nalpha_over_variance = 0.5", true).unwrap(), [""; 0]);
+    }
+
+    #[test]
+    fn a_critic_that_must_diverge_is_refused() {
+        let refusal = said("rule = \"actor-critic\"\n[critic]\nstep = 6", true).unwrap_err();
+        assert!(refusal.contains("learner.critic.step is 6") && refusal.contains("give less than 5.6"), "{refusal}");
+        // The same step that is fine for unit norm.
+        let refusal = said("rule = \"actor-critic\"\nalpha_over_variance = 0.001\n[critic]\nsees = \"policy\"", false)
+            .unwrap_err();
+        assert!(refusal.contains("learner.critic.step is 0.3"), "{refusal}");
+    }
+}
