@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-/// `[learner]`: the rule and its constants.
+use super::merge;
+
+/// `[learner]`: the rule and its constants. What a file leaves out is as in the rule's [preset](LearnerTable::preset).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LearnerTable {
@@ -186,6 +188,13 @@ impl LearnerTable {
             Rule::LearnedReward => table,
         }
         .resolved()
+    }
+
+    /// The preset of the rule with what a file gives in place of its values; `self` is what the file alone says.
+    pub(super) fn over_preset(self, given: toml::Table) -> Self {
+        let Ok(mut table) = toml::Table::try_from(Self::preset(self.rule)) else { return self };
+        merge(&mut table, given);
+        table.try_into().unwrap_or(self)
     }
 
     /// The same with the tables that its rule needs.

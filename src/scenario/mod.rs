@@ -110,7 +110,12 @@ impl Scenario {
     /// If the text is not TOML, has an unknown key, lacks one that has no default, or has a value of the wrong type.
     pub fn parse(text: &str, source_name: &str) -> Result<Self, ScenarioError> {
         let source = Source::new(source_name, text);
-        let scenario = tables(&source)?;
+        let mut scenario = tables(&source)?;
+        // What a file leaves out of a rule's settings is the rule's own, not the paper's.
+        let given = text.parse::<toml::Table>().ok().and_then(|mut file| file.remove("learner"));
+        if let Some(toml::Value::Table(given)) = given {
+            scenario.learner = scenario.learner.over_preset(given);
+        }
         Ok(Self { source, ..scenario })
     }
 
@@ -178,6 +183,16 @@ impl Scenario {
             _ => false,
         };
         if overridden { None } else { self.source.line_of(key) }
+    }
+}
+
+/// Puts the values of one table over those of another, table by table.
+pub fn merge(into: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (into.get_mut(&key), value) {
+            (Some(toml::Value::Table(into)), toml::Value::Table(over)) => merge(into, over),
+            (_, value) => drop(into.insert(key, value)),
+        }
     }
 }
 

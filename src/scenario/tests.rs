@@ -305,3 +305,22 @@ fn a_scenario_made_by_hand_is_checked_too() {
     let error = scenario.plan().unwrap_err();
     assert!(error.to_string().contains("encoder.maps[0].units[0] is 18446744073709551615"), "{error}");
 }
+
+#[test]
+fn what_a_file_leaves_out_of_a_rule_is_the_rules_own() {
+    use super::{LearnerTable, Rule};
+    let learner = |table: &str| {
+        let arm = std::fs::read_to_string("scenarios/arm.toml").unwrap();
+        let text = arm.replacen("[learner]\nrule = \"learned-reward\"", &format!("[learner]\n{table}"), 1);
+        assert_ne!(text, arm);
+        Scenario::parse(&text, "x").unwrap().learner
+    };
+    for (name, rule) in [("actor-critic", Rule::ActorCritic), ("natural-actor-critic", Rule::NaturalActorCritic)] {
+        assert_eq!(learner(&format!("rule = \"{name}\"")), LearnerTable::preset(rule));
+        let given = learner(&format!("rule = \"{name}\"\nbeta = 0.5\n[learner.critic]\nstep = 0.125"));
+        let mut expected = LearnerTable { beta: 0.5, ..LearnerTable::preset(rule) };
+        expected.critic.as_mut().unwrap().step = 0.125;
+        assert_eq!(given, expected);
+    }
+    assert_eq!(learner("alpha_over_variance = 0.02").rule, Rule::Paper);
+}

@@ -5,7 +5,7 @@ use serde::de::IntoDeserializer as _;
 
 use super::Change;
 use crate::report::thousands;
-use crate::scenario::{ArmTable, LearnerTable, Place, Plan, Rule, Scenario, ScenarioError};
+use crate::scenario::{ArmTable, LearnerTable, Place, Plan, Rule, Scenario, ScenarioError, merge};
 
 use crate::study::StudyError;
 
@@ -146,15 +146,6 @@ fn with(scenario: Scenario, settings: &[String], learner: &str) -> Result<Scenar
     }
     let text = toml::to_string(&table).unwrap_or_default();
     Scenario::parse(&text, "--set").map_err(|error| nameless(error, learner))
-}
-
-fn merge(into: &mut toml::Table, from: toml::Table) {
-    for (key, value) in from {
-        match (into.get_mut(&key), value) {
-            (Some(toml::Value::Table(into)), toml::Value::Table(from)) => merge(into, from),
-            (_, value) => drop(into.insert(key, value)),
-        }
-    }
 }
 
 /// The scenario's own message without a line: the text that it counts in is nobody's file.
