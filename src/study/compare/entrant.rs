@@ -43,7 +43,8 @@ pub struct Entrant {
 /// minutes.
 fn usual(rule: Rule) -> (u64, u64, u64) {
     match rule {
-        Rule::Paper | Rule::Baseline => (12_000_000, 10_000_000, 2_000),
+        Rule::Paper => (12_000_000, 10_000_000, 2_500),
+        Rule::Baseline => (5_000_000, 4_000_000, 2_500),
         Rule::ActorCritic => (400_000, 200_000, 3_000),
         Rule::NaturalActorCritic => (400_000, 200_000, 30_000),
         Rule::LearnedReward => (6_000, 3_000, 3_000_000),
