@@ -149,3 +149,46 @@ fn a_number_that_is_not_finite_stops_it() {
     assert!(tick(f32::NAN));
     assert!(tick(-1.0));
 }
+
+#[test]
+fn it_rests_when_nothing_changes_and_wakes_when_something_does() {
+    let mut plan = plan(ModelBasis::Smooth);
+    let table = plan.scenario.learner.model.get_or_insert_default();
+    (table.rest, table.movements, table.steps, table.horizon) = (4, 1, 1, 2);
+    let encoder = encoder(&plan);
+    let mut policy = Linear::new(encoder.len(), encoder.positions().collect(), 4);
+    let mut rule = LearnedReward::of(&plan, &encoder);
+    let (mut rng, mut exploration) = (stream(6, "test"), Exploration::new(6, 0.003, 4));
+    let (features, none) = (vec![0.1; encoder.len()], [0.0; 8]);
+    let mut live = |rule: &mut LearnedReward, ticks: usize, factor: f32| {
+        let mut worked = 0;
+        for _ in 0..ticks {
+            let (inputs, applied, before) = (draw(&mut rng), exploration.draw(), policy.hash());
+            let mut next = inputs;
+            for i in 0..4 {
+                next[2 + i] = wrap(next[2 + i] + 31.4 * applied[i]);
+            }
+            let changes: [f32; 4] = std::array::from_fn(|i| 31.4 * applied[i]);
+            let tick = Tick {
+                features: &features,
+                inputs: &inputs,
+                noise: &none,
+                applied: &applied,
+                reward: factor * reward(&next, &changes),
+                next_features: &features,
+                next_inputs: &next,
+            };
+            rule.learn(&mut policy, &tick);
+            rule.improve(&mut policy);
+            worked += usize::from(policy.hash() != before);
+        }
+        worked
+    };
+    live(&mut rule, 1500, 1.0);
+    // Each tick is still heard, but hardly one is worked in.
+    assert!((1..=4).contains(&live(&mut rule, 512, 1.0)));
+    let rested = rule.unchanged;
+    assert!(rested > 1000, "{rested}");
+    assert!(live(&mut rule, 40, 1.3) > 10);
+    assert!(rule.unchanged < 40, "{}", rule.unchanged);
+}

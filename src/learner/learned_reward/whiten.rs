@@ -129,3 +129,57 @@ fn eigen(mut a: Vec<f64>, n: usize) -> (Vec<f64>, Vec<f64>) {
     }
     ((0..n).map(|i| a[i * n + i]).collect(), vectors)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const KERNELS: usize = 12;
+
+    fn eval(x: f32, values: &mut [f32]) {
+        for (i, v) in values.iter_mut().enumerate() {
+            let distance = x - i as f32 / 3.0;
+            *v = (-0.5 * distance * distance).exp();
+        }
+    }
+
+    #[test]
+    fn coordinates_are_uncorrelated_and_none_is_larger_than_one() {
+        let whitening = Whitening::of(KERNELS, 0.0, 4.0, 1e-3, eval);
+        let points = KERNELS * POINTS;
+        let mut moments = [0.0; KERNELS * KERNELS];
+        for point in 0..points {
+            let (mut values, mut z) = ([0.0; KERNELS], [0.0; KERNELS]);
+            eval(4.0 * (point as f32 + 0.5) / points as f32, &mut values);
+            whitening.rows_to(&values, &mut z);
+            for (m, (a, b)) in moments.iter_mut().zip(z.iter().flat_map(|a| z.iter().map(move |b| (a, b)))) {
+                *m += a * b / points as f32;
+            }
+        }
+        let mut largest = 0.0_f32;
+        for i in 0..KERNELS {
+            for j in 0..i {
+                assert!(moments[i * KERNELS + j].abs() < 1e-3, "{i} {j}: {}", moments[i * KERNELS + j]);
+            }
+            largest = largest.max(moments[i * KERNELS + i]);
+        }
+        assert!((0.95..1.001).contains(&largest), "{largest}");
+    }
+
+    #[test]
+    fn steps_go_down_the_slope() {
+        // Back after to is a product of a matrix with its transpose: the slope along a step is never negative. A plane's
+        // columns are treated as its rows.
+        let whitening = Whitening::of(KERNELS, 0.0, 4.0, 1e-3, eval);
+        let mut slope = [0.0_f32; KERNELS * KERNELS];
+        slope.iter_mut().enumerate().for_each(|(i, s)| *s = ((i * i) % 17) as f32 - 8.0);
+        let [mut a, mut b] = [[0.0; KERNELS * KERNELS]; 2];
+        whitening.rows_to(&slope, &mut a);
+        whitening.columns_to(&a, &mut b);
+        let squares: f32 = b.iter().map(|x| x * x).sum();
+        whitening.rows_back(&b, &mut a);
+        whitening.columns_back(&a, &mut b);
+        let along: f32 = slope.iter().zip(&b).map(|(s, x)| s * x).sum();
+        assert!((along / squares - 1.0).abs() < 1e-3, "{along} {squares}");
+    }
+}
