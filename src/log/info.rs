@@ -130,9 +130,11 @@ impl Info {
         };
         let text = |key: &str| log.run(key).unwrap_or("unknown").to_owned();
         let number = |key: &str| log.run(key).and_then(|value| value.parse::<u64>().ok());
-        let period_s = number("period_ns").unwrap_or(0) as f64 / 1e9;
+        let period_ns = number("period_ns").unwrap_or(0);
         let ticks = account.lanes.iter().filter_map(|lane| lane.ticks);
         let span = ticks.reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
+        // Whoever counts the totals of a torn log afterwards has not seen the run's end.
+        let counted = log.metadata().get(TOTALS_METADATA).is_some_and(|totals| totals.contains_key("repaired"));
         let machine = log.metadata().get(super::RUN_METADATA);
         let machine = machine
             .into_iter()
@@ -150,10 +152,12 @@ impl Info {
             started: number("wall_at_t0_ns").filter(|&ns| ns > 0).map(utc),
             build: text("build"),
             machine: machine.collect(),
-            period_s,
+            period_s: period_ns as f64 / 1e9,
             every: log.every(),
-            duration_s: span.map_or(0.0, |(first, last)| (last.saturating_sub(first) as f64 + 1.0) * period_s),
-            complete: log.totals().map(|totals| totals.complete),
+            duration_s: span.map_or(0.0, |(first, last)| {
+                ((u128::from(last.saturating_sub(first)) + 1) * u128::from(period_ns)) as f64 / 1e9
+            }),
+            complete: log.totals().filter(|_| !counted).map(|totals| totals.complete),
             weights_hash,
             channels: (0..3).map(|i| channel(&log, &account, i)).collect(),
             gaps: account.gaps,

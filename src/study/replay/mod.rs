@@ -185,7 +185,7 @@ impl Replay {
     pub fn to_text(&self) -> String {
         let mut text = format!("{}, {}, seed {}\n\n", self.scenario, self.mode, self.seed);
         let mut row = |key: &str, value: String| {
-            let _ = writeln!(text, "{key:<14}{value}");
+            let _ = writeln!(text, "{}", format!("{key:<14}{value}").trim_end());
         };
         for warning in &self.warnings {
             row("note", warning.clone());
@@ -207,10 +207,8 @@ impl Replay {
         row("weights", self.weights_hash.clone());
         row("result", if self.difference.is_some() { "not the same" } else { "the same, bit for bit" }.to_owned());
         if let Some(other) = &self.other {
-            row(
-                "\noff-policy",
-                format!("{}, which did not choose the commands that it learned from", name(other.rule)),
-            );
+            row("", String::new());
+            row("off-policy", format!("{}, which did not choose the commands that it learned from", name(other.rule)));
             row(
                 "learned",
                 format!("{} ticks, its trace cut {} times", thousands(other.learned), thousands(other.cuts)),

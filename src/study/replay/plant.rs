@@ -116,6 +116,8 @@ impl PlantShadow {
             (0, Some(command)) => &[Some(command)],
             (_, Some(command)) => &[Some(command), None],
         };
+        // Entries that no input uses are 0.
+        replayed.inputs = [0.0; MAX_INPUTS];
         let mut fitting = Vec::with_capacity(1);
         let mut first = Ok(());
         for side in self.sides.drain(..) {
