@@ -185,7 +185,8 @@ impl Replay {
     pub fn to_text(&self) -> String {
         let mut text = format!("{}, {}, seed {}\n\n", self.scenario, self.mode, self.seed);
         let mut row = |key: &str, value: String| {
-            let _ = writeln!(text, "{}", format!("{key:<14}{value}").trim_end());
+            let line = format!("{key:<14}{value}");
+            let _ = writeln!(text, "{}", line.trim_end());
         };
         for warning in &self.warnings {
             row("note", warning.clone());
