@@ -100,7 +100,9 @@ mod tests {
 
     fn account(records: &[Record]) -> Lane {
         let mut account = Account::default();
-        records.iter().for_each(|record| drop(account.take(record)));
+        for record in records {
+            account.take(record);
+        }
         account.lanes[1].clone()
     }
 

@@ -263,10 +263,31 @@ impl<'a, R: Read, W: Write + Seek> Copy<'a, R, W> {
         done.map(|()| true).map_err(|e| wrong(path, start, e))
     }
 
-    /// Bytes behind the last whole record.
+    /// Bytes behind the last whole record. Zeros may stand there, if nothing but zeros does.
     fn rest(&mut self) -> Result<u64, LogError> {
-        let behind = std::io::copy(&mut self.source, &mut std::io::sink()).map_err(|e| LogError::read(self.path, e))?;
-        Ok((self.at + behind).saturating_sub(self.end))
+        let failed = |e| LogError::read(self.path, e);
+        // Whole records of a summary, which is made anew.
+        let summary = self.end.saturating_sub(self.at);
+        std::io::copy(&mut self.source.by_ref().take(summary), &mut std::io::sink()).map_err(failed)?;
+        let (mut behind, mut first, mut zeros, mut buffer) = (0, 1, true, [0; 8192]);
+        loop {
+            let n = match self.source.read(&mut buffer) {
+                Err(e) if e.kind() == ErrorKind::Interrupted => continue,
+                other => other.map_err(failed)?,
+            };
+            if n == 0 {
+                break;
+            }
+            if behind == 0 {
+                first = buffer[0];
+            }
+            zeros &= buffer[..n].iter().all(|&byte| byte == 0);
+            behind += n as u64;
+        }
+        if first == 0 && !zeros {
+            return Err(damaged(self.path, self.end, "zeros stand where a record should begin"));
+        }
+        Ok(behind)
     }
 
     fn metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), LogError> {
@@ -398,12 +419,14 @@ mod tests {
         let at = bytes.len() / 2;
         bytes[at] ^= 1;
         assert!(matches!(mended(&bytes), Err(LogError::Damaged { .. })));
-        // Zeros with something behind them are no tear.
+        // Zeros with something behind them are no tear, however they are read.
         let end = read(&WHOLE[..at]).1.position() as usize;
-        let mut bytes = WHOLE.clone();
-        bytes[end..end + 9].fill(0);
-        let text = mended(&bytes).unwrap_err().to_string();
-        assert!(text.contains(&format!("at byte {end}: zeros stand where a record should begin")), "{text}");
+        for n in 9..200 {
+            let mut bytes = WHOLE.clone();
+            bytes[end..end + n].fill(0);
+            let text = mended(&bytes).unwrap_err().to_string();
+            assert!(text.contains(&format!("damaged at byte {end}: ")), "{n}: {text}");
+        }
         let zeros = [&WHOLE[..at], &[0; 5000]].concat();
         assert!(matches!(mended(&zeros), Err(LogError::Damaged { .. })), "a record that zeros fill up");
         let (done, _) = mended(&[&WHOLE[..end], &[0; 5000]].concat()).unwrap().unwrap();

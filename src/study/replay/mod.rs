@@ -79,7 +79,15 @@ pub struct Replay {
 ///
 /// [`ReplayError`] if there is nothing to replay: no log, a damaged one, one without all ticks.
 pub fn replay(path: &Path, learner: Option<Rule>, progress: bool) -> Result<Replay, ReplayError> {
-    let mut log = LogReader::open(path)?;
+    over(LogReader::open(path)?, path, learner, progress)
+}
+
+/// The same from a reader at its beginning; `path` stands for it in messages.
+///
+/// # Errors
+///
+/// As [`replay`].
+pub fn over(mut log: LogReader, path: &Path, learner: Option<Rule>, progress: bool) -> Result<Replay, ReplayError> {
     let build = log.run("build").unwrap_or("unknown").to_owned();
     let plan = Scenario::parse(log.scenario(), "scenario.toml").and_then(Scenario::plan).map_err(|error| {
         ReplayError::Scenario { path: path.to_owned(), error: Box::new(error), build: build.clone() }
