@@ -29,13 +29,16 @@ pub use compare::Difference;
 pub use error::ReplayError;
 pub use other::OffPolicy;
 
+use super::yardstick::{Score, TestSet, World};
 use crate::log::{LogReader, Record};
 use crate::report::thousands;
+use crate::runtime::Controller;
 use crate::scenario::{LearnerTable, Plan, Rule, Scenario};
 use crate::supervise::Progress;
 use clockwork::Clockwork;
 use follow::Follower;
 use other::Other;
+use plant::PlantShadow;
 
 /// What came of a replay.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -68,6 +71,9 @@ pub struct Replay {
     pub weights_hash: String,
     /// Why differences may be no fault of the log: another build wrote it, or its scenario means something else to this one.
     pub warnings: Vec<String>,
+    /// With another learner: how the log's own does at the end on the [yardstick](super::yardstick), without exploration noise,
+    /// for scale. Null if the plant is not the simulator's arm.
+    pub noiseless: Option<Score>,
     /// What another learner has learned from the same; null unless asked for.
     pub other: Option<OffPolicy>,
 }
@@ -99,7 +105,7 @@ pub fn over(mut log: LogReader, path: &Path, learner: Option<Rule>, progress: bo
     let mut run = Follower::new(&plan, Clockwork::of(&log, &plan), other);
     let mut progress = Progress::study(&plan.scenario.name, plan.scenario.ticks, progress);
     let mut difference = None;
-    while let Some(record) = log.next() {
+    for record in log.by_ref() {
         let record = record.inspect_err(|_| progress.clear())?;
         if let Record::Gap(gap) = &record {
             progress.clear();
@@ -130,6 +136,10 @@ pub fn over(mut log: LogReader, path: &Path, learner: Option<Rule>, progress: bo
         let whole = log.finished() && !log.repaired();
         difference = run.end(whole, complete, plan.scenario.ticks).err().map(|found| *found);
     }
+    let test = run.other.as_ref().and_then(|_| test_set(&plan, run.plant()));
+    let noiseless = |controller: &Controller| test.as_ref().map(|test| test.score(controller.policy()));
+    let (own, others) =
+        (noiseless(&run.controller), run.other.as_ref().and_then(|other| noiseless(other.controller())));
     Ok(Replay {
         log: path.to_owned(),
         scenario: plan.scenario.name.clone(),
@@ -145,8 +155,16 @@ pub fn over(mut log: LogReader, path: &Path, learner: Option<Rule>, progress: bo
         plant_simulated: run.plant().simulated(),
         weights_hash: format!("{:016x}", run.controller.policy().hash()),
         warnings: warnings(&log, &plan, &build),
-        other: run.other.map(Other::finish),
+        noiseless: own,
+        other: run.other.map(|other| other.finish(others)),
     })
+}
+
+/// The yardstick for the arm as it stands at the end of the log.
+fn test_set(plan: &Plan, plant: &PlantShadow) -> Option<TestSet> {
+    let table = plan.scenario.plant.arm.as_ref().filter(|_| plant.simulated() && plan.scalars.is_empty())?;
+    let world = World::at(table, plan.scenario.period_ms / 1000.0, plant.last()?);
+    Some(TestSet::new(plan, world))
 }
 
 /// The fresh learner of `rule`, its constants those of its preset.
@@ -224,6 +242,10 @@ impl Replay {
             );
             row("weights", format!("{}, norm {:.4}", other.weights_hash, other.weights_norm));
             row("distance", format!("{:.3e} between its mean command and the log's, root mean square", other.distance));
+            if let (Some(own), Some(score)) = (self.noiseless, other.noiseless) {
+                let loss = |score: Score| format!("{:.4} a tick, miss {:.3} m", score.loss, score.miss_m);
+                row("loss", format!("{}; the log's own: {} (40 targets, without noise)", loss(score), loss(own)));
+            }
             if let Some(tick) = other.diverged_at {
                 row("diverged", format!("at tick {tick} its weights were no longer numbers"));
             }

@@ -14,6 +14,7 @@ use serde::Serialize;
 
 use crate::runtime::Controller;
 use crate::scenario::{Plan, Rule};
+use crate::study::yardstick::Score;
 use crate::wire::{Command, Learning, Observation, flag};
 
 /// Another learner, being taught.
@@ -45,6 +46,9 @@ pub struct OffPolicy {
     pub weights_hash: String,
     /// Root mean square, over ticks and outputs, of the distance between its mean command and that of the log.
     pub distance: f64,
+    /// How it does on the [yardstick](crate::study::yardstick), without exploration noise; null if the plant is not the
+    /// simulator's arm.
+    pub noiseless: Option<Score>,
     /// The tick at which its weights were no longer numbers.
     pub diverged_at: Option<u64>,
 }
@@ -76,8 +80,13 @@ impl Other {
         self.ticks += 1;
     }
 
-    /// What came of it.
-    pub fn finish(self) -> OffPolicy {
+    /// The learner.
+    pub fn controller(&self) -> &Controller {
+        &self.controller
+    }
+
+    /// What came of it; `noiseless` is its score without noise.
+    pub fn finish(self, noiseless: Option<Score>) -> OffPolicy {
         let n = (self.ticks * self.outputs as u64).max(1);
         let report = self.controller.finish();
         OffPolicy {
@@ -88,6 +97,7 @@ impl Other {
             weights_norm: self.norm,
             weights_hash: report.weights_hash,
             distance: (self.squares / n as f64).sqrt(),
+            noiseless,
             diverged_at: report.diverged_at,
         }
     }
