@@ -39,7 +39,7 @@ fn a_whole_log_at_a_glance() {
         ("bytes", Value::from(bytes)),
         ("state", "whole".into()),
         ("torn_at", Value::Null),
-        ("scenario", "arm".into()),
+        ("scenario", "paper".into()),
         ("seed", 1.into()),
         ("planned_ticks", 3000.into()),
         ("mode", "lockstep".into()),
@@ -64,7 +64,7 @@ fn a_whole_log_at_a_glance() {
     }
     let text = log(&place, &["info", "run/log.mcap"]).expect(0).stdout;
     for words in
-        ["state    whole\n", "run      arm, lockstep, seed 1\n", "3000 planned, all of them; 150 s of 0.05 s each"]
+        ["state    whole\n", "run      paper, lockstep, seed 1\n", "3000 planned, all of them; 150 s of 0.05 s each"]
     {
         assert!(text.contains(words), "{words}: {text}");
     }

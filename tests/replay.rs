@@ -39,7 +39,7 @@ const QUICK: &str = "[learner.model]\nmovements = 4\nsteps = 1\nmemory = 64\n";
 #[test]
 fn lockstep_logs_of_all_kinds_replay() {
     for (scenario, more, ticks) in
-        [("paper", "", 4000), ("live", "", 150), ("eye", "", 2000), ("laplace", "", 1000), ("limited", "", 1000)]
+        [("paper", "", 4000), ("arm", "", 150), ("eye", "", 2000), ("laplace", "", 1000), ("limited", "", 1000)]
     {
         let place = Place::new();
         ran(&place, scenario, more, &["--ticks", &ticks.to_string(), "--seed", "3", "--json"]);
@@ -89,7 +89,7 @@ fn flips_are_found(log: &[u8], n: usize, unfindable: impl Fn(&Body, usize, u8) -
 fn every_flipped_byte_of_a_lockstep_log_is_found() {
     let log = ran(&Place::new(), "paper", "", &["--ticks", "200"]);
     flips_are_found(&log, 1500, |_, _, _| false);
-    let log = ran(&Place::new(), "live", QUICK, &["--ticks", "60"]);
+    let log = ran(&Place::new(), "arm", QUICK, &["--ticks", "60"]);
     flips_are_found(&log, 150, |_, _, _| false);
 }
 
@@ -221,7 +221,7 @@ fn another_learner_learns_from_the_same_experience() {
 
     // A model of the reward is learned from commands, whoever chose them: bit for bit the same.
     let place = Place::new();
-    ran(&place, "live", "", &["--ticks", "100"]);
+    ran(&place, "arm", "", &["--ticks", "100"]);
     let done = replayed(&place, &["run", "--learner", "learned-reward", "--json"]).expect(0).json();
     assert_eq!(done["other"]["weights_hash"], done["weights_hash"]);
     assert_eq!(done["other"]["distance"], 0.0);

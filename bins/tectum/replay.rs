@@ -15,10 +15,10 @@ use super::print;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  tectum run live --ticks 2400                 a run with every tick in its log: `every = 1` under [log]
-  tectum replay runs/live-1                    the same learning again, checked bit for bit
+  tectum run --ticks 2400                      a run with every tick in its log: `every = 1` under [log]
+  tectum replay runs/arm-1                     the same learning again, checked bit for bit
   tectum replay log.mcap --json                one JSON object on standard output
-  tectum replay runs/live-1 --learner paper    and what the paper's rule makes of the same experience, off-policy
+  tectum replay runs/arm-1 --learner paper     and what the paper's rule makes of the same experience, off-policy
 
 Ends with 1 if anything is not the same, and says what: tick, channel, field, both values.")]
 pub struct Arguments {
