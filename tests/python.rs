@@ -7,18 +7,24 @@
 
 mod support;
 
+use std::fs;
 use std::path::Path;
 
-use support::Place;
+use support::{Place, TECTUM};
+
+fn python() -> String {
+    std::env::var("TECTUM_PYTHON").unwrap_or_else(|_| "python3".to_owned())
+}
+
+fn script(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(name);
+    path.to_str().unwrap().to_owned()
+}
 
 #[test]
 #[ignore = "needs a Python with the packages of tests/python/requirements.txt, named by TECTUM_PYTHON"]
 fn python_reads_a_whole_log_and_recomputes_its_means() {
-    let python = std::env::var("TECTUM_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let script = |name: &str| {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(name);
-        path.to_str().unwrap().to_owned()
-    };
+    let python = python();
     let place = Place::new();
     let scenario = place.arm(&[("every", "1")]);
     place.run(&[&scenario, "--ticks", "20000", "--seed", "77"]).wait().expect(0);
@@ -31,4 +37,28 @@ fn python_reads_a_whole_log_and_recomputes_its_means() {
     let means = [&script("recompute_means.py"), "run/log.mcap", "1e-7"];
     let recomputed = place.start(&python, &means).wait().expect(0).json();
     assert!(recomputed["largest_mean"].as_f64().unwrap() > 1e-4, "{recomputed}");
+}
+
+/// The summary is what a torn log lacks, and what tools that seek look for first.
+#[test]
+#[ignore = "needs a Python with the packages of tests/python/requirements.txt, named by TECTUM_PYTHON"]
+fn python_reads_a_repaired_log() {
+    let place = Place::new();
+    let scenario = place.arm(&[("every", "1")]);
+    place.run(&[&scenario, "--ticks", "1000"]).wait().expect(0);
+    let whole = fs::read(place.run_folder().join("log.mcap")).unwrap();
+    for share in [2, 3, 5, 7] {
+        place.file("torn.mcap", &whole[..whole.len() - whole.len() / share]);
+        let repair = ["log", "repair", "torn.mcap", "--out", &format!("{share}.mcap"), "--json"];
+        let done = place.start(TECTUM, &repair).wait().expect(0).json();
+        let read = [&script("check_repaired.py"), &format!("{share}.mcap")];
+        let read = place.start(python(), &read.map(String::as_str)).wait().expect(0).json();
+        assert_eq!(read["messages"], read["stated"], "{read}");
+        for (i, topic) in ["/observation", "/command", "/learning"].into_iter().enumerate() {
+            assert_eq!(read["messages"][topic], done["mended"]["messages"][i], "{read}");
+        }
+        assert_eq!(read["metadata"]["tectum.totals"]["repaired"], "true", "{read}");
+        assert_eq!(read["metadata"]["tectum.repair"]["torn_at"], done["mended"]["torn_at"].to_string(), "{read}");
+        assert_eq!(read["attachments"], serde_json::json!(["scenario.toml"]), "{read}");
+    }
 }

@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
+use tectum::log;
 use tectum::process::say;
 use tectum::report::figure;
 use tectum::runtime::exit;
-use tectum::study::analyse::{AnalyseError, Analysis, analyse, find_log};
+use tectum::study::analyse::{AnalyseError, Analysis, analyse};
 
 use super::print;
 
@@ -47,7 +48,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
 }
 
 fn study(arguments: &Arguments) -> Result<(Analysis, String), AnalyseError> {
-    let log = find_log(&arguments.log)?;
+    let log = log::find(&arguments.log)?;
     let analysis = analyse(&log, !arguments.measured_only, true)?;
     let beside = log.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
     let out = arguments.out.clone().unwrap_or(beside);

@@ -2,6 +2,8 @@
 
 mod analyse;
 mod compare;
+mod log;
+mod replay;
 mod reproduce;
 mod run;
 
@@ -40,6 +42,10 @@ enum Command {
     Analyse(analyse::Arguments),
     /// Learners side by side: how much experience each needs, and what a tick of it costs
     Compare(compare::Arguments),
+    /// Do a run again from its log, and check every bit that it says
+    Replay(replay::Arguments),
+    /// Look into a log, make a torn one whole, or export it
+    Log(log::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -48,6 +54,8 @@ fn main() -> ExitCode {
         Command::Reproduce(arguments) => reproduce::main(&arguments),
         Command::Analyse(arguments) => analyse::main(&arguments),
         Command::Compare(arguments) => compare::main(&arguments),
+        Command::Replay(arguments) => replay::main(&arguments),
+        Command::Log(arguments) => log::main(&arguments),
     }
 }
 

@@ -14,6 +14,14 @@ pub enum LogError {
         /// What the operating system said.
         error: io::Error,
     },
+    /// What is made of it cannot be written.
+    #[error("{} cannot be written: {}; choose another --out", path.display(), cause(error))]
+    Export {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        error: io::Error,
+    },
     /// Opening or reading it failed.
     #[error("the log {} cannot be read: {}", path.display(), cause(error))]
     Read {
@@ -21,6 +29,29 @@ pub enum LogError {
         path: PathBuf,
         /// What the operating system said.
         error: io::Error,
+    },
+    /// There is no such file, or the folder has no log in it.
+    #[error("{} {why}; give a log, or the folder of a run", path.display())]
+    NoLog {
+        /// What was given.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// Its logger still writes it.
+    #[error("the log {} is still being written by its logger; wait until its run is over", path.display())]
+    InUse {
+        /// The log's file.
+        path: PathBuf,
+    },
+    /// Something stands where the torn original would be kept.
+    #[error(
+        "{} exists already, and the torn log would be kept under that name; move it away, or give another file with --out",
+        path.display()
+    )]
+    Kept {
+        /// Where the original would go.
+        path: PathBuf,
     },
     /// The header handed in cannot go into a log.
     #[error("the log {} cannot be described: {why}", path.display())]

@@ -142,8 +142,16 @@ impl LogHeader {
     }
 }
 
+/// The flags that are set, by name, with `|` between them; a bit without a name stands as a hexadecimal number.
+pub(crate) fn flag_words(flags: u32) -> String {
+    let known = FLAGS.iter().filter(|(_, bit)| flags & bit != 0).map(|(name, _)| (*name).to_owned());
+    let other = flags & !FLAGS.iter().fold(0, |all, (_, bit)| all | bit);
+    let other = (other != 0).then(|| format!("{other:#x}"));
+    known.chain(other).collect::<Vec<_>>().join("|")
+}
+
 /// The bits of a header's flags by name.
-const FLAGS: [(&str, u32); 14] = [
+const FLAGS: [(&str, u32); 15] = [
     ("FIRST", flag::FIRST),
     ("MISSED", flag::MISSED),
     ("HELD", flag::HELD),
@@ -155,6 +163,7 @@ const FLAGS: [(&str, u32); 14] = [
     ("NEW_TARGET", flag::NEW_TARGET),
     ("LATE", flag::LATE),
     ("INVALID", flag::INVALID),
+    ("DIVERGED", flag::DIVERGED),
     ("LEARNED", flag::LEARNED),
     ("TRACE_CUT", flag::TRACE_CUT),
     ("HASHED", flag::HASHED),
@@ -199,6 +208,13 @@ pub(super) mod tests {
         assert_eq!(map["topic.command"], "/command");
         assert_eq!(map["machine.kernel"], "Linux");
         assert!(map["flags"].contains("\"LEARNED\":65536"));
+    }
+
+    #[test]
+    fn flags_have_words() {
+        assert_eq!(flag_words(0), "");
+        assert_eq!(flag_words(flag::MISSED | flag::HELD | flag::DIVERGED), "MISSED|HELD|DIVERGED");
+        assert_eq!(flag_words(flag::LEARNED | 1 << 30), "LEARNED|0x40000000");
     }
 
     #[test]

@@ -11,24 +11,36 @@
 //! 2. the metadata record `tectum.run`: see [`LogHeader`];
 //! 3. schemas and channels: `/observation`, `/command` and `/learning` (or the scenario's names for them), and `/gap`;
 //! 4. the messages: four bytes of encapsulation (`00 01 00 00`) and then the sample's own bytes;
-//! 5. if the logger came to its end, the metadata record `tectum.totals` (see [`Totals`]), MCAP's summary, and checksums.
+//! 5. if the logger came to its end, the metadata record `tectum.totals` (see [`Totals`]), MCAP's summary, and checksums;
+//!    [`repair`] gives them to a log that was torn, with the metadata record `tectum.repair`.
 //!
 //! `log_time` and `publish_time` of a message are its `published_ns`, moved from the run's clock to wall time by the two
 //! instants in `tectum.run`. In lockstep both are 0, so that equal runs write equal messages.
 
+mod account;
+mod csv;
 mod error;
 mod header;
+mod info;
 mod parse;
 mod reader;
+mod repair;
 mod writer;
 
+pub use account::{Account, Lane};
+pub use csv::{CsvChannel, csv};
 pub use error::LogError;
+pub(crate) use header::flag_words;
 pub use header::{Clock, LogHeader};
+pub use info::{ChannelInfo, Info, State};
 pub use reader::LogReader;
+pub use repair::{Mended, Repair, mend, repair};
 pub use writer::{LogWriter, Summary};
 
-use crate::wire::{Command, Gap, Learning, Observation};
+use crate::wire::{Command, Gap, Header, Learning, Observation};
 use std::collections::BTreeMap;
+use std::fs::{File, TryLockError};
+use std::path::{Path, PathBuf};
 
 /// Topic of the log's own statements about what it lacks.
 pub const GAP_TOPIC: &str = "/gap";
@@ -38,6 +50,10 @@ pub const SCENARIO_ATTACHMENT: &str = "scenario.toml";
 pub const RUN_METADATA: &str = "tectum.run";
 /// Name of the metadata record that closes a log.
 pub const TOTALS_METADATA: &str = "tectum.totals";
+/// Name of the metadata record of a torn log that was made whole: at which byte it was torn, and who counted its totals.
+pub const REPAIR_METADATA: &str = "tectum.repair";
+/// The log's file in a run's folder.
+pub const LOG_FILE: &str = "log.mcap";
 
 /// What a log takes beside its messages, bytes: schemas (twice), scenario, metadata and summary. An allowance for
 /// scenarios of a few kilobytes, not a bound.
@@ -59,6 +75,39 @@ pub enum Record {
     Learning(Learning),
     /// From the logger: samples are missing here.
     Gap(Gap),
+}
+
+impl Record {
+    /// The sample's header; a gap has none.
+    pub fn header(&self) -> Option<&Header> {
+        match self {
+            Record::Observation(s) => Some(&s.header),
+            Record::Command(s) => Some(&s.header),
+            Record::Learning(s) => Some(&s.header),
+            Record::Gap(_) => None,
+        }
+    }
+}
+
+/// Finds a log: `given` itself, the one in the folder `given`, or that of the run called `given` under `runs/`.
+///
+/// # Errors
+///
+/// [`LogError::NoLog`] if there is none.
+pub fn find(given: &Path) -> Result<PathBuf, LogError> {
+    let named = Path::new("runs").join(given);
+    let place = if !given.exists() && named.exists() { named } else { given.to_owned() };
+    let log = if place.is_dir() { place.join(LOG_FILE) } else { place.clone() };
+    if log.exists() {
+        return Ok(log);
+    }
+    let why = if place.is_dir() { "is a folder without a log.mcap" } else { "does not exist" };
+    Err(LogError::NoLog { path: place, why: why.to_owned() })
+}
+
+/// Whether a logger that lives still writes this log: it holds a lock on the file as long as it does.
+fn in_use(log: &File) -> bool {
+    matches!(log.try_lock_shared(), Err(TryLockError::WouldBlock))
 }
 
 /// How a log ended, channel by channel. The three channels stand in the order observation, command, learning.

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 
 /// Operation codes of the MCAP specification.
 pub(super) mod op {
+    pub const HEADER: u8 = 0x01;
     pub const SCHEMA: u8 = 0x03;
     pub const CHANNEL: u8 = 0x04;
     pub const MESSAGE: u8 = 0x05;
@@ -77,13 +78,26 @@ pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
     Some(Channel { id: f.u16()?, schema: f.u16()?, topic: f.text()?, encoding: f.text()?, metadata: f.map()? })
 }
 
-/// A message's channel and data.
-pub(super) fn message(body: &[u8]) -> Option<(u16, &[u8])> {
+/// A message. Its sequence number and times repeat what the sample's own header says.
+#[derive(Debug, PartialEq)]
+pub(super) struct Message<'a> {
+    pub channel: u16,
+    pub sequence: u32,
+    pub log_time: u64,
+    pub publish_time: u64,
+    pub data: &'a [u8],
+}
+
+pub(super) fn message(body: &[u8]) -> Option<Message<'_>> {
     let mut f = Fields(body);
-    let channel = f.u16()?;
-    // Sequence, log time and publish time repeat what the sample's own header says.
-    f.bytes(4 + 8 + 8)?;
-    Some((channel, f.0))
+    let (channel, sequence, log_time, publish_time) = (f.u16()?, f.u32()?, f.u64()?, f.u64()?);
+    Some(Message { channel, sequence, log_time, publish_time, data: f.0 })
+}
+
+/// The profile and the library that the file's header names.
+pub(super) fn header(body: &[u8]) -> Option<(&str, &str)> {
+    let mut f = Fields(body);
+    Some((f.text()?, f.text()?))
 }
 
 /// A metadata record's name and content.
@@ -92,16 +106,23 @@ pub(super) fn metadata(body: &[u8]) -> Option<(&str, BTreeMap<String, String>)> 
     Some((f.text()?, f.map()?))
 }
 
-/// An attachment's name and data.
-pub(super) fn attachment(body: &[u8]) -> Option<(&str, &[u8])> {
+/// An attachment.
+#[derive(Debug, PartialEq)]
+pub(super) struct Attachment<'a> {
+    pub log_time: u64,
+    pub create_time: u64,
+    pub name: &'a str,
+    pub media_type: &'a str,
+    pub data: &'a [u8],
+}
+
+pub(super) fn attachment(body: &[u8]) -> Option<Attachment<'_>> {
     let mut f = Fields(body);
-    // Log time and creation time.
-    f.bytes(8 + 8)?;
-    let (name, _media_type, n) = (f.text()?, f.text()?, f.u64()?);
+    let (log_time, create_time, name, media_type, n) = (f.u64()?, f.u64()?, f.text()?, f.text()?, f.u64()?);
     let data = f.bytes(usize::try_from(n).ok()?)?;
     // The checksum behind it is covered by that of the whole data section.
     f.u32()?;
-    Some((name, data))
+    Some(Attachment { log_time, create_time, name, media_type, data })
 }
 
 #[cfg(test)]
@@ -117,7 +138,8 @@ mod tests {
         body.extend(*b"four");
         assert_eq!(metadata(&body), Some(("n", BTreeMap::from([("k".to_owned(), "four".to_owned())]))));
         assert_eq!(message(&[0; 21]), None);
-        assert_eq!(message(&[0; 22]), Some((0, &[][..])));
+        let empty = Message { channel: 0, sequence: 0, log_time: 0, publish_time: 0, data: &[] };
+        assert_eq!(message(&[0; 22]), Some(empty));
         assert_eq!(attachment(&[0; 20]), None);
     }
 }

@@ -5,7 +5,9 @@
 //! is one: somebody or something changed the file after it was written.
 
 use super::parse::{self, op};
-use super::{ENCAPSULATION, LogError, RUN_METADATA, Record, SCENARIO_ATTACHMENT, TOTALS_METADATA, Totals};
+use super::{
+    ENCAPSULATION, LogError, REPAIR_METADATA, RUN_METADATA, Record, SCENARIO_ATTACHMENT, TOTALS_METADATA, Totals,
+};
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
 use mcap::McapError;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -20,7 +22,7 @@ mod tests;
 /// Bytes asked of the file at a time.
 const PIECE: usize = 256 * 1024;
 /// No record of ours comes near this; a length field beyond it is damage, not a reason to reserve memory.
-const LARGEST_RECORD: usize = 16 * 1024 * 1024;
+pub(super) const LARGEST_RECORD: usize = 16 * 1024 * 1024;
 
 /// A log being read: an iterator over its messages in the order of the file.
 ///
@@ -33,6 +35,8 @@ pub struct LogReader {
     at: u64,
     /// The first message, met while looking for the run's description.
     first: Option<Record>,
+    /// Nothing but zeros has come since the last whole record.
+    zeros: bool,
     done: bool,
     finished: bool,
 }
@@ -46,6 +50,11 @@ struct Contents {
     schemas: BTreeMap<u16, (String, Vec<u8>)>,
     /// What each channel carries; `None` for what is not ours.
     channels: BTreeMap<u16, Option<Kind>>,
+    /// From the run's clock to wall time, ns; `None` where no run is described.
+    shift_ns: Option<i128>,
+    /// Log time of the last message, and the gaps so far: a gap's own time and number.
+    last_ns: u64,
+    gaps: u64,
     data_over: bool,
 }
 
@@ -76,7 +85,12 @@ impl LogReader {
         Self::over(path, Box::new(file))
     }
 
-    fn over(path: &Path, source: Box<dyn Read + Send>) -> Result<LogReader, LogError> {
+    /// The same from any source of bytes; `path` stands for it in messages.
+    ///
+    /// # Errors
+    ///
+    /// As [`open`](Self::open).
+    pub fn over(path: &Path, source: Box<dyn Read + Send>) -> Result<LogReader, LogError> {
         let options = LinearReaderOptions::default()
             // Chunks are not ours: they come as records, and are refused without being unpacked.
             .with_emit_chunks(true)
@@ -90,6 +104,9 @@ impl LogReader {
             scenario: String::new(),
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
+            shift_ns: None,
+            last_ns: 0,
+            gaps: 0,
             data_over: false,
         };
         let mut log = LogReader {
@@ -98,6 +115,7 @@ impl LogReader {
             contents,
             at: mcap::MAGIC.len() as u64,
             first: None,
+            zeros: false,
             done: false,
             finished: false,
         };
@@ -132,6 +150,16 @@ impl LogReader {
     /// What the logger said at its end; `None` before the last message was read, and for a torn log.
     pub fn totals(&self) -> Option<Totals> {
         Totals::from_map(self.contents.metadata.get(TOTALS_METADATA)?)
+    }
+
+    /// A torn log that was made whole again afterwards; known with the last message.
+    pub fn repaired(&self) -> bool {
+        self.contents.metadata.contains_key(REPAIR_METADATA)
+    }
+
+    /// Every how many ticks are written.
+    pub fn every(&self) -> u64 {
+        self.run("every").and_then(|every| every.parse().ok()).unwrap_or(1).max(1)
     }
 
     /// The file was read to an end that its logger wrote, and its checksums fit. False until the iterator has ended.
@@ -189,9 +217,13 @@ impl LogReader {
                     self.linear.notify_read(got);
                 }
                 LinearReadEvent::Record { data, opcode } => {
-                    // Zeros are what a file system leaves of a page that never reached the disk.
-                    if opcode == 0 {
-                        return Ok(None);
+                    // Zeros up to the end are what a file system leaves of pages that never reached the disk.
+                    self.zeros |= opcode == 0;
+                    if self.zeros {
+                        if opcode == 0 && data.is_empty() {
+                            continue;
+                        }
+                        return Err(damaged(&self.contents.path, self.at, "zeros stand where a record should begin"));
                     }
                     let start = self.at;
                     self.at += 9 + data.len() as u64;
@@ -215,15 +247,23 @@ impl Contents {
         let bad = |what: &str| damaged(&self.path, at, what);
         match opcode {
             op::MESSAGE => {
-                let (id, data) = parse::message(body).ok_or_else(|| bad("a message is cut short"))?;
-                return match self.channels.get(&id) {
+                let message = parse::message(body).ok_or_else(|| bad("a message is cut short"))?;
+                let kind = match self.channels.get(&message.channel) {
                     // Somebody else's channel in the same file is none of our business.
-                    Some(None) => Ok(Step::Other),
-                    Some(Some(kind)) => {
-                        kind.decode(data).map(Step::Message).ok_or_else(|| bad("a message has the wrong size"))
-                    }
-                    None => Err(bad("a message belongs to no channel")),
+                    Some(None) => return Ok(Step::Other),
+                    Some(Some(kind)) => *kind,
+                    None => return Err(bad("a message belongs to no channel")),
                 };
+                let record = kind.decode(message.data).ok_or_else(|| bad("a message has the wrong size"))?;
+                let (sequence, ns) = self.envelope(&record);
+                if message.sequence != sequence as u32
+                    || ns.is_some_and(|ns| [message.log_time, message.publish_time] != [ns; 2])
+                {
+                    return Err(bad("a message's sequence number or time is not that of the sample in it"));
+                }
+                self.last_ns = message.log_time;
+                self.gaps += u64::from(matches!(record, Record::Gap(_)));
+                return Ok(Step::Message(record));
             }
             op::SCHEMA => {
                 let (id, name, encoding, text) = parse::schema(body).ok_or_else(|| bad("a schema is cut short"))?;
@@ -238,12 +278,19 @@ impl Contents {
             }
             op::METADATA => {
                 let (name, map) = parse::metadata(body).ok_or_else(|| bad("metadata is cut short"))?;
+                if name == RUN_METADATA {
+                    let ns = |key: &str| map.get(key)?.parse::<u64>().ok();
+                    if let (Some(t0), Some(wall)) = (ns("t0_ns"), ns("wall_at_t0_ns")) {
+                        self.shift_ns = Some(i128::from(wall) - i128::from(t0));
+                        self.last_ns = wall;
+                    }
+                }
                 self.metadata.insert(name.to_owned(), map);
             }
             op::ATTACHMENT => {
-                let (name, data) = parse::attachment(body).ok_or_else(|| bad("an attachment is cut short"))?;
-                if name == SCENARIO_ATTACHMENT {
-                    let text = std::str::from_utf8(data).map_err(|_| bad("the scenario is not text"))?;
+                let attachment = parse::attachment(body).ok_or_else(|| bad("an attachment is cut short"))?;
+                if attachment.name == SCENARIO_ATTACHMENT {
+                    let text = std::str::from_utf8(attachment.data).map_err(|_| bad("the scenario is not text"))?;
                     self.scenario = text.to_owned();
                 }
             }
@@ -255,6 +302,13 @@ impl Contents {
             _ => {}
         }
         Ok(Step::Other)
+    }
+
+    /// The sequence number and the log time that belong to a record; no time where the run's clock is not known.
+    fn envelope(&self, record: &Record) -> (u64, Option<u64>) {
+        let Some(header) = record.header() else { return (self.gaps, Some(self.last_ns)) };
+        let wall = |shift: i128| (i128::from(header.published_ns) + shift).clamp(0, i128::from(u64::MAX)) as u64;
+        (header.sequence, self.shift_ns.map(wall))
     }
 
     /// Which of our samples a channel carries, if any.
@@ -306,6 +360,6 @@ impl Kind {
     }
 }
 
-fn damaged(path: &Path, at: u64, why: &str) -> LogError {
+pub(super) fn damaged(path: &Path, at: u64, why: &str) -> LogError {
     LogError::Damaged { path: path.to_owned(), at, why: why.to_owned() }
 }

@@ -73,6 +73,8 @@ impl LogWriter {
     pub fn create(path: &Path, header: &LogHeader) -> Result<LogWriter, LogError> {
         let run = header.to_map(path)?;
         let file = File::create_new(path).map_err(|e| LogError::write(path, e))?;
+        // Tells those who would repair it that it is not torn but being written. Where there are no locks, nobody is told.
+        let _ = file.try_lock();
         Self::over(file, path, header, run)
     }
 

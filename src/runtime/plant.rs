@@ -12,7 +12,7 @@ use crate::scenario::Plan;
 use crate::wire::{Command, MAX_OUTPUTS, Observation, Status, flag};
 
 /// A body behind its gate: the plant's half of every tick, without clock and transport.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct PlantSide<P> {
     body: P,
     gate: Gate,
@@ -37,6 +37,11 @@ impl<P: Plant> PlantSide<P> {
             flags: flag::FIRST,
             report: PlantReport::default(),
         }
+    }
+
+    /// The body.
+    pub fn body_mut(&mut self) -> &mut P {
+        &mut self.body
     }
 
     /// Lives through `tick` with the command that arrived for it; `None` if it was missed.

@@ -64,7 +64,7 @@ impl Card {
 
     /// The run's log.
     pub fn log_path(folder: &Path) -> PathBuf {
-        folder.join("log.mcap")
+        folder.join(crate::log::LOG_FILE)
     }
 
     /// The run's id as a number.

@@ -8,6 +8,7 @@ pub mod analyse;
 pub mod compare;
 mod crew;
 mod error;
+pub mod replay;
 pub mod reproduce;
 mod spread;
 pub mod yardstick;

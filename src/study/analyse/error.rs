@@ -9,14 +9,6 @@ use crate::scenario::ScenarioError;
 /// Why a log's movements cannot be analysed.
 #[derive(Debug, thiserror::Error)]
 pub enum AnalyseError {
-    /// There is no such file, or the folder has no log in it.
-    #[error("{} {why}; give a log, or the folder of a run", path.display())]
-    NoLog {
-        /// What was given.
-        path: PathBuf,
-        /// What is wrong with it.
-        why: String,
-    },
     /// The log.
     #[error(transparent)]
     Log(#[from] LogError),

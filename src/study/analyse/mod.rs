@@ -28,7 +28,6 @@ pub use statistics::{Fit, Quartiles};
 use crate::log::{LogReader, Record};
 use crate::report::figure::{Bell, Dots, Movements};
 use crate::report::thousands;
-use crate::runtime::Card;
 use crate::scenario::{Plan, Scenario};
 use crate::supervise::Progress;
 use movement::{COLUMNS, Definitions, Measures, PROFILE, measure, minimum_jerk};
@@ -178,21 +177,6 @@ pub struct Analysis {
     pub rows: Vec<Row>,
 }
 
-/// Finds the log: `given` itself, the one in the folder `given`, or that of the run called `given` under `runs/`.
-///
-/// # Errors
-/// [`AnalyseError::NoLog`] if there is none.
-pub fn find_log(given: &Path) -> Result<PathBuf, AnalyseError> {
-    let named = Path::new("runs").join(given);
-    let place = if !given.exists() && named.exists() { named } else { given.to_owned() };
-    let log = if place.is_dir() { Card::log_path(&place) } else { place.clone() };
-    if log.exists() {
-        return Ok(log);
-    }
-    let why = if place.is_dir() { "is a folder without a log.mcap" } else { "does not exist" };
-    Err(AnalyseError::NoLog { path: place, why: why.to_owned() })
-}
-
 /// Analyses the movements in the log at `path`. With `noiseless`, plant and controller are followed through the log to
 /// tell how the movements would have been without exploration noise, which takes as long as the learning took; with
 /// `progress`, a line on standard error shows how far it is, if that is a terminal.
@@ -202,7 +186,7 @@ pub fn find_log(given: &Path) -> Result<PathBuf, AnalyseError> {
 pub fn analyse(path: &Path, noiseless: bool, progress: bool) -> Result<Analysis, AnalyseError> {
     let mut log = LogReader::open(path)?;
     let plan = plan_of(&log, path)?;
-    let every = log.run("every").and_then(|every| every.parse().ok()).unwrap_or(1);
+    let every = log.every();
     if every > 1 {
         return Err(AnalyseError::Thinned { path: path.to_owned(), every });
     }

@@ -1,0 +1,137 @@
+//! `tectum log`.
+
+use std::fs::File;
+use std::io::{BufWriter, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{Args, Subcommand, ValueEnum};
+use tectum::log::{CsvChannel, Info, LogError, LogReader, csv, find, repair};
+use tectum::process::say;
+use tectum::runtime::exit;
+
+use super::print;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  tectum log info runs/arm-1                what it is, whole or torn, what it holds and what it lacks
+  tectum log repair runs/arm-1              makes a torn log whole
+  tectum log csv runs/arm-1 --out arm.csv   its observations as a table")]
+pub struct Arguments {
+    #[command(subcommand)]
+    work: Work,
+}
+
+#[derive(Debug, Subcommand)]
+enum Work {
+    /// Say of which run a log is, whether it is whole, what it holds and what it lacks
+    #[command(after_help = "Example: tectum log info runs/arm-1 --json")]
+    Info(Common),
+    /// Make a torn log whole, so that every MCAP reader takes it; a whole one is left alone
+    #[command(after_help = "\
+Examples:
+  tectum log repair runs/arm-1                      the torn original is kept as log.mcap.torn
+  tectum log repair torn.mcap --out whole.mcap      the original stays as it is")]
+    Repair {
+        #[command(flatten)]
+        common: Common,
+        /// Write the whole log there, and leave the torn one alone
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+    /// Export a channel as a table: a row a sample, columns by the scenario's names, with units
+    #[command(after_help = "\
+Examples:
+  tectum log csv runs/arm-1                         observations, to standard output
+  tectum log csv runs/arm-1 --channel learning --out learning.csv")]
+    Csv {
+        /// A log, or the folder of a run, or the run's name under runs/
+        log: PathBuf,
+        /// The channel
+        #[arg(long, value_enum, default_value_t = ChannelArgument::Observation)]
+        channel: ChannelArgument,
+        /// The file to write [default: standard output]
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+}
+
+#[derive(Debug, Args)]
+struct Common {
+    /// A log, or the folder of a run, or the run's name under runs/
+    log: PathBuf,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum ChannelArgument {
+    /// Inputs, applied command, reward and measures
+    Observation,
+    /// Mean and drawn outputs
+    Command,
+    /// Noise, steps, norms and hashes
+    Learning,
+    /// What the log lacks
+    Gap,
+}
+
+impl ChannelArgument {
+    fn channel(self) -> CsvChannel {
+        match self {
+            Self::Observation => CsvChannel::Observation,
+            Self::Command => CsvChannel::Command,
+            Self::Learning => CsvChannel::Learning,
+            Self::Gap => CsvChannel::Gap,
+        }
+    }
+}
+
+pub fn main(arguments: &Arguments) -> ExitCode {
+    let done = match &arguments.work {
+        Work::Info(common) => find(&common.log)
+            .and_then(|log| Info::of(&log))
+            .map(|info| print(&if common.json { info.to_json() + "\n" } else { info.to_text() })),
+        Work::Repair { common, out } => find(&common.log)
+            .and_then(|log| repair(&log, out.as_deref()))
+            .map(|done| print(&if common.json { done.to_json() + "\n" } else { done.to_text() })),
+        Work::Csv { log, channel, out } => find(log).and_then(|log| export(&log, channel.channel(), out.as_deref())),
+    };
+    match done {
+        Ok(()) => ExitCode::from(exit::OK),
+        Err(error) => {
+            say(&format!("tectum: {error}"));
+            ExitCode::from(exit::INPUT)
+        }
+    }
+}
+
+fn export(path: &Path, channel: CsvChannel, out: Option<&Path>) -> Result<(), LogError> {
+    let mut log = LogReader::open(path)?;
+    let target = out.unwrap_or(Path::new("standard output"));
+    let failed = |error| LogError::Export { path: target.to_owned(), error };
+    // Opened for writing, a file is empty.
+    if out.is_some_and(|out| same(out, path)) {
+        return Err(failed(std::io::Error::other("it is the log itself")));
+    }
+    let mut sink: Box<dyn Write> = match out {
+        Some(file) => Box::new(File::create(file).map_err(failed)?),
+        None => Box::new(std::io::stdout().lock()),
+    };
+    match csv(&mut log, channel, &mut BufWriter::new(&mut sink)) {
+        // Whoever reads has seen enough.
+        Err(error) if out.is_none() && error.kind() == ErrorKind::BrokenPipe => return Ok(()),
+        done => drop(done.map_err(failed)??),
+    }
+    if !log.finished() {
+        say(&format!("tectum: the log {} was cut off; it was exported as far as it goes", path.display()));
+    }
+    Ok(())
+}
+
+/// Whether both paths lead to the same file.
+fn same(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}

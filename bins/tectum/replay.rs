@@ -1,0 +1,83 @@
+//! `tectum replay`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, ValueEnum};
+use tectum::log;
+use tectum::process::say;
+use tectum::runtime::exit;
+use tectum::scenario::Rule;
+use tectum::study::replay::{Replay, ReplayError, replay};
+
+use super::print;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  tectum run --ticks 2400                      a run with every tick in its log: `every = 1` under [log]
+  tectum replay runs/arm-1                     the same learning again, checked bit for bit
+  tectum replay log.mcap --json                one JSON object on standard output
+  tectum replay runs/arm-1 --learner paper     and what the paper's rule makes of the same experience, off-policy
+
+Ends with 1 if anything is not the same, and says what: tick, channel, field, both values.")]
+pub struct Arguments {
+    /// A log, or the folder of a run, or the run's name under runs/
+    log: PathBuf,
+    /// Give the same experience to another learner, too: its rule, under its preset
+    #[arg(long, value_enum, value_name = "RULE")]
+    learner: Option<RuleArgument>,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum RuleArgument {
+    /// Daucé & Dutech 2010
+    Paper,
+    /// The same with a baseline
+    Baseline,
+    /// Actor-critic with eligibility traces
+    ActorCritic,
+    /// Its natural gradient
+    NaturalActorCritic,
+    /// Policy improvement through a learned model of the reward
+    LearnedReward,
+}
+
+impl RuleArgument {
+    fn rule(self) -> Rule {
+        match self {
+            Self::Paper => Rule::Paper,
+            Self::Baseline => Rule::Baseline,
+            Self::ActorCritic => Rule::ActorCritic,
+            Self::NaturalActorCritic => Rule::NaturalActorCritic,
+            Self::LearnedReward => Rule::LearnedReward,
+        }
+    }
+}
+
+pub fn main(arguments: &Arguments) -> ExitCode {
+    match study(arguments) {
+        Ok(done) => {
+            print(&if arguments.json { done.to_json() + "\n" } else { done.to_text() });
+            match done.failure() {
+                Some(failure) => {
+                    say(&format!("tectum: {failure}"));
+                    ExitCode::from(exit::ERROR)
+                }
+                None => ExitCode::from(exit::OK),
+            }
+        }
+        Err(error) => {
+            say(&format!("tectum: {error}"));
+            ExitCode::from(exit::INPUT)
+        }
+    }
+}
+
+fn study(arguments: &Arguments) -> Result<Replay, ReplayError> {
+    let log = log::find(&arguments.log)?;
+    replay(&log, arguments.learner.map(RuleArgument::rule), true)
+}

@@ -1,0 +1,459 @@
+//! Making a torn log whole: everything up to its last whole record, and behind it the end that its logger did not write.
+//!
+//! MCAP's readers disagree on files without an end: some give what is there, some refuse all of it. After a repair there is
+//! an end like any other: totals, MCAP's summary and checksums. The totals are counted from what is there and marked
+//! `repaired`, and the record `tectum.repair` says at which byte the log was torn. What is there stays as it was, byte for
+//! byte; a damaged log is refused, because a new checksum would make the damage look true.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{BufReader, BufWriter, ErrorKind, Read, Seek, Write};
+use std::path::{Path, PathBuf};
+
+use mcap::McapError;
+use mcap::records::{MessageHeader, Metadata};
+use serde::Serialize;
+
+use super::parse::{self, op};
+use super::reader::{LARGEST_RECORD, damaged};
+use super::{Account, LogError, LogReader, REPAIR_METADATA, TOTALS_METADATA, Totals, in_use};
+
+/// What a repair did.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Repair {
+    /// The log that was given.
+    pub log: PathBuf,
+    /// What was done; null when the log was whole and left alone.
+    pub mended: Option<Mended>,
+    /// The log that is whole now.
+    pub whole: PathBuf,
+    /// Where the torn original is now.
+    pub torn: Option<PathBuf>,
+}
+
+/// What was found in a torn log.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Mended {
+    /// Where its last whole record ended, bytes from its start.
+    pub torn_at: u64,
+    /// Bytes behind that, of a record that was not whole, which were left out.
+    pub left_out: u64,
+    /// Messages: observations, commands, learning records, gaps.
+    pub messages: [u64; 4],
+    /// The last tick that it holds.
+    pub last_tick: Option<u64>,
+}
+
+impl Repair {
+    /// The object of `--json`.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string_pretty(self).unwrap_or_default()
+    }
+
+    /// The same for people.
+    pub fn to_text(&self) -> String {
+        let Some(mended) = &self.mended else {
+            return format!("{} is whole; it was left alone\n", self.log.display());
+        };
+        let Mended { torn_at, left_out, messages: [observations, commands, learnings, gaps], last_tick } = mended;
+        let last = last_tick.map_or(String::new(), |tick| format!(", up to tick {tick}"));
+        let mut text = format!(
+            "{} was torn at byte {torn_at}; {} is whole\n{observations} observations, {commands} commands, {learnings} \
+             learning records, {gaps} gaps{last}; {left_out} bytes behind them were left out\n",
+            self.log.display(),
+            self.whole.display(),
+        );
+        if let Some(torn) = &self.torn {
+            text += &format!("original  {}\n", torn.display());
+        }
+        text
+    }
+}
+
+/// Makes the torn log at `path` whole, in its own place, with the original kept beside as `<name>.torn`; or, with `out`,
+/// as another file. Either is there whole or not at all, whatever happens in between. A whole log is left alone.
+///
+/// # Errors
+///
+/// As [`LogReader::open`] and its iterator, [`LogError::Damaged`] above all; [`LogError::InUse`] while its logger lives;
+/// [`LogError::Kept`] if there is a `.torn` file already; [`LogError::Write`] if the new file cannot be written or exists.
+pub fn repair(path: &Path, out: Option<&Path>) -> Result<Repair, LogError> {
+    let read = |e| LogError::read(path, e);
+    let file = File::open(path).map_err(read)?;
+    if in_use(&file) {
+        return Err(LogError::InUse { path: path.to_owned() });
+    }
+    let target = out.unwrap_or(path);
+    let write = |e| LogError::write(target, e);
+    let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let torn = suffixed(path);
+    if out.is_some_and(Path::exists) {
+        return Err(write(ErrorKind::AlreadyExists.into()));
+    }
+
+    let mut draft = tempfile::NamedTempFile::new_in(folder).map_err(write)?;
+    let open = || Ok(Box::new(File::open(path).map_err(read)?) as Box<dyn Read + Send>);
+    let mut sink = BufWriter::new(draft.as_file_mut());
+    let mended = mend(path, open, &mut sink).map_err(|error| match error {
+        LogError::Write { error, .. } => write(error),
+        other => other,
+    })?;
+    let Some(mended) = mended else {
+        return Ok(Repair { log: path.to_owned(), mended: None, whole: path.to_owned(), torn: None });
+    };
+    sink.flush().map_err(write)?;
+    drop(sink);
+    let permissions = file.metadata().map_err(read)?.permissions();
+    draft.as_file().set_permissions(permissions).map_err(write)?;
+    draft.as_file().sync_all().map_err(write)?;
+    if out.is_some() {
+        draft.persist_noclobber(target).map_err(|e| write(e.error))?;
+    } else {
+        // A second name for the original first, so that at no instant either is without one.
+        fs::hard_link(path, &torn).map_err(|e| match e.kind() {
+            ErrorKind::AlreadyExists => LogError::Kept { path: torn.clone() },
+            _ => LogError::write(&torn, e),
+        })?;
+        draft.persist(target).map_err(|e| write(e.error))?;
+    }
+    // The names themselves, too.
+    File::open(folder).and_then(|folder| folder.sync_all()).map_err(write)?;
+    let torn = out.is_none().then_some(torn);
+    Ok(Repair { log: path.to_owned(), mended: Some(mended), whole: target.to_owned(), torn })
+}
+
+/// `log.mcap.torn` for `log.mcap`.
+fn suffixed(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".torn");
+    name.into()
+}
+
+/// Writes a torn log whole to `sink`; `None`, and nothing written, if it is whole already. `open` gives its bytes from the
+/// start, and is called twice.
+///
+/// # Errors
+///
+/// As [`repair`]; an error of `sink` is a [`LogError::Write`] that names `path`.
+pub fn mend<W: Write + Seek>(
+    path: &Path,
+    mut open: impl FnMut() -> Result<Box<dyn Read + Send>, LogError>,
+    sink: W,
+) -> Result<Option<Mended>, LogError> {
+    let mut log = LogReader::over(path, open()?)?;
+    let mut account = Account::default();
+    for record in log.by_ref() {
+        account.take(&record?);
+    }
+    if log.finished() {
+        return Ok(None);
+    }
+    let mut copy = Copy::begin(path, BufReader::new(open()?), sink, log.position())?;
+    while copy.record()? {}
+    let [observation, command, learning] = account.lanes.each_ref().map(|lane| lane.messages);
+    let mended = Mended {
+        torn_at: log.position(),
+        left_out: copy.rest()?,
+        messages: [observation, command, learning, account.gaps],
+        last_tick: account.lanes.iter().filter_map(|lane| lane.ticks).map(|(_, last)| last).max(),
+    };
+    // A log can be torn behind the totals; those are its logger's own, and stay.
+    let counted = log.totals().is_none();
+    if counted {
+        copy.metadata(TOTALS_METADATA, totals(&log, &account, &mended))?;
+    }
+    copy.metadata(
+        REPAIR_METADATA,
+        BTreeMap::from([
+            ("torn_at".into(), mended.torn_at.to_string()),
+            ("left_out".into(), mended.left_out.to_string()),
+            ("totals".into(), if counted { "counted" } else { "logger" }.into()),
+            ("build".into(), crate::BUILD.into()),
+        ]),
+    )?;
+    copy.finish()?;
+    Ok(Some(mended))
+}
+
+/// The totals of what is there. Whether the run came to its end, nobody saw.
+fn totals(log: &LogReader, account: &Account, mended: &Mended) -> BTreeMap<String, String> {
+    let thinned = log.every() > 1;
+    let totals = Totals {
+        lost: account.lanes.each_ref().map(|lane| lane.stated),
+        thinned: account.lanes.each_ref().map(|lane| if thinned { lane.unexplained } else { 0 }),
+        last_tick: mended.last_tick,
+        complete: false,
+    };
+    let mut map = totals.to_map(mended.messages);
+    map.insert("repaired".into(), "true".into());
+    map
+}
+
+/// A log's records on their way into a new file.
+struct Copy<'a, R: Read, W: Write + Seek> {
+    path: &'a Path,
+    source: R,
+    mcap: mcap::Writer<W>,
+    /// Bytes read, and where the last whole record ends.
+    at: u64,
+    end: u64,
+    body: Vec<u8>,
+}
+
+impl<'a, R: Read, W: Write + Seek> Copy<'a, R, W> {
+    fn begin(path: &'a Path, mut source: R, sink: W, end: u64) -> Result<Self, LogError> {
+        let mut at = mcap::MAGIC.len() as u64;
+        source.read_exact(&mut [0; mcap::MAGIC.len()]).map_err(|e| LogError::read(path, e))?;
+        let mut body = Vec::new();
+        let first = read_record(path, &mut source, &mut at, &mut body)?;
+        let (profile, library) =
+            parse::header(&body).filter(|_| first == op::HEADER).ok_or_else(|| damaged(path, 8, "no header"))?;
+        let options = mcap::WriteOptions::new().use_chunks(false).compression(None).profile(profile).library(library);
+        let mcap = options.create(sink).map_err(|e| wrong(path, at, e))?;
+        Ok(Self { path, source, mcap, at, end, body })
+    }
+
+    /// Copies the next record. False at the end of what is whole, or of the data section.
+    fn record(&mut self) -> Result<bool, LogError> {
+        if self.at >= self.end {
+            return Ok(false);
+        }
+        let (path, start) = (self.path, self.at);
+        let opcode = read_record(path, &mut self.source, &mut self.at, &mut self.body)?;
+        let short = || damaged(path, start, "a record is cut short");
+        let mcap = &mut self.mcap;
+        let done = match opcode {
+            op::SCHEMA => {
+                let (id, name, encoding, text) = parse::schema(&self.body).ok_or_else(short)?;
+                mcap.add_schema_with_id(id, name, encoding, text).map(drop)
+            }
+            op::CHANNEL => {
+                let c = parse::channel(&self.body).ok_or_else(short)?;
+                mcap.add_channel_with_id(c.id, c.schema, c.topic, c.encoding, &c.metadata).map(drop)
+            }
+            op::MESSAGE => {
+                let m = parse::message(&self.body).ok_or_else(short)?;
+                let header = MessageHeader {
+                    channel_id: m.channel,
+                    sequence: m.sequence,
+                    log_time: m.log_time,
+                    publish_time: m.publish_time,
+                };
+                mcap.write_to_known_channel(&header, m.data)
+            }
+            op::METADATA => {
+                let (name, metadata) = parse::metadata(&self.body).ok_or_else(short)?;
+                mcap.write_metadata(&Metadata { name: name.to_owned(), metadata })
+            }
+            op::ATTACHMENT => {
+                let a = parse::attachment(&self.body).ok_or_else(short)?;
+                mcap.attach(&mcap::Attachment {
+                    log_time: a.log_time,
+                    create_time: a.create_time,
+                    name: a.name.to_owned(),
+                    media_type: a.media_type.to_owned(),
+                    data: Cow::Borrowed(a.data),
+                })
+            }
+            op::DATA_END => return Ok(false),
+            // Nothing that our logger writes, nor anything that a message depends on.
+            _ => Ok(()),
+        };
+        done.map(|()| true).map_err(|e| wrong(path, start, e))
+    }
+
+    /// Bytes behind the last whole record. Zeros may stand there, if nothing but zeros does.
+    fn rest(&mut self) -> Result<u64, LogError> {
+        let failed = |e| LogError::read(self.path, e);
+        // Whole records of a summary, which is made anew.
+        let summary = self.end.saturating_sub(self.at);
+        std::io::copy(&mut self.source.by_ref().take(summary), &mut std::io::sink()).map_err(failed)?;
+        let (mut behind, mut first, mut zeros, mut buffer) = (0, 1, true, [0; 8192]);
+        loop {
+            let n = match self.source.read(&mut buffer) {
+                Err(e) if e.kind() == ErrorKind::Interrupted => continue,
+                other => other.map_err(failed)?,
+            };
+            if n == 0 {
+                break;
+            }
+            if behind == 0 {
+                first = buffer[0];
+            }
+            zeros &= buffer[..n].iter().all(|&byte| byte == 0);
+            behind += n as u64;
+        }
+        if first == 0 && !zeros {
+            return Err(damaged(self.path, self.end, "zeros stand where a record should begin"));
+        }
+        Ok(behind)
+    }
+
+    fn metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), LogError> {
+        let record = Metadata { name: name.into(), metadata };
+        self.mcap.write_metadata(&record).map_err(|e| wrong(self.path, self.end, e))
+    }
+
+    fn finish(mut self) -> Result<(), LogError> {
+        self.mcap.finish().map(drop).map_err(|e| wrong(self.path, self.end, e))
+    }
+}
+
+fn read_record(path: &Path, source: &mut impl Read, at: &mut u64, body: &mut Vec<u8>) -> Result<u8, LogError> {
+    let failed = |e| LogError::read(path, e);
+    let mut head = [0; 9];
+    source.read_exact(&mut head).map_err(failed)?;
+    let [opcode, length @ ..] = head;
+    let length = u64::from_le_bytes(length);
+    // The reader has been here before; but the file may have changed since.
+    let n = usize::try_from(length).ok().filter(|&n| n <= LARGEST_RECORD);
+    body.resize(n.ok_or_else(|| damaged(path, *at, "a record is larger than any of a log"))?, 0);
+    source.read_exact(body).map_err(failed)?;
+    *at += 9 + length;
+    Ok(opcode)
+}
+
+/// An error of the writer: the disk's, or a record that no log holds.
+fn wrong(path: &Path, at: u64, error: McapError) -> LogError {
+    match error {
+        McapError::Io(error) => LogError::write(path, error),
+        other => damaged(path, at, &other.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::header::tests::sample_header;
+    use crate::log::{Info, LogHeader, LogWriter, Record, State};
+    use crate::wire::{Command, Gap, Learning, Observation};
+    use proptest::prelude::*;
+    use std::io::Cursor;
+    use std::sync::LazyLock;
+
+    /// Twelve ticks of which every third is written, a gap, and the end.
+    static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.mcap");
+        let mut log = LogWriter::create(&path, &LogHeader { every: 3, ..sample_header() }).unwrap();
+        for tick in (0..12).step_by(3) {
+            let (mut o, mut c, mut l) = (Observation::default(), Command::default(), Learning::default());
+            for header in [&mut o.header, &mut c.header, &mut l.header] {
+                (header.tick, header.sequence, header.published_ns) = (tick, tick, tick * 50_000_000);
+            }
+            log.observation(&o).unwrap();
+            if tick == 9 {
+                log.gap(&Gap { channel: 1, first: 7, count: 1, total: 1 }).unwrap();
+            }
+            log.command(&c).unwrap();
+            log.learning(&l).unwrap();
+        }
+        let totals = Totals { lost: [0, 1, 0], thinned: [8, 7, 8], last_tick: Some(11), complete: true };
+        log.finish(&totals).unwrap();
+        std::fs::read(&path).unwrap()
+    });
+
+    fn open(bytes: &[u8]) -> Box<dyn Read + Send> {
+        Box::new(Cursor::new(bytes.to_vec()))
+    }
+
+    /// The log made whole; `None` if it was.
+    fn mended(bytes: &[u8]) -> Result<Option<(Mended, Vec<u8>)>, LogError> {
+        let mut sink = Cursor::new(Vec::new());
+        let mended = mend(Path::new("log.mcap"), || Ok(open(bytes)), &mut sink)?;
+        Ok(mended.map(|mended| (mended, sink.into_inner())))
+    }
+
+    /// Messages, and the reader at its end.
+    fn read(bytes: &[u8]) -> (Vec<Record>, LogReader) {
+        let mut log = LogReader::over(Path::new("log.mcap"), open(bytes)).unwrap();
+        (log.by_ref().map(Result::unwrap).collect(), log)
+    }
+
+    fn check_cut(length: usize) {
+        let torn = &WHOLE[..length];
+        let Ok(done) = mended(torn) else {
+            // Cut off inside its description: there is no log yet.
+            assert!(LogReader::over(Path::new("log.mcap"), open(torn)).is_err(), "{length}");
+            return;
+        };
+        let (done, whole) = done.expect("a shorter log is torn");
+        let ((before, reader), (after, log)) = (read(torn), read(&whole));
+        assert_eq!(before, after, "{length}");
+        assert_eq!((done.torn_at, done.torn_at + done.left_out), (reader.position(), length as u64), "{length}");
+        assert!((log.finished(), log.repaired()) == (true, true), "{length}");
+        let totals = &log.metadata()[TOTALS_METADATA];
+        let by = |key: &str| log.metadata()[REPAIR_METADATA][key].clone();
+        assert_eq!(by("torn_at"), done.torn_at.to_string());
+        if by("totals") == "logger" {
+            assert_eq!(log.totals().map(|totals| totals.complete), Some(true), "{length}");
+        } else {
+            assert_eq!((totals["repaired"].as_str(), totals["complete"].as_str()), ("true", "false"), "{length}");
+            // What was there is there, byte for byte.
+            assert_eq!(whole[..done.torn_at as usize], torn[..done.torn_at as usize], "{length}");
+        }
+        let info = Info::over(LogReader::over(Path::new("log.mcap"), open(&whole)).unwrap(), Path::new("log.mcap"), 0);
+        let info = info.unwrap();
+        assert!(info.agrees() && info.state == State::Repaired, "{length}: {info:?}");
+        // Other readers' way: through the summary.
+        let summary = mcap::Summary::read(&whole).unwrap().unwrap();
+        assert_eq!(summary.stats.unwrap().message_count, after.len() as u64, "{length}");
+        assert_eq!(mcap::MessageStream::new(&whole).unwrap().map(Result::unwrap).count(), after.len(), "{length}");
+        assert!(mended(&whole).unwrap().is_none(), "{length}: once is enough");
+    }
+
+    #[test]
+    fn the_ends_of_records_are_places_to_cut_like_any_other() {
+        let mut at = mcap::MAGIC.len();
+        while at < WHOLE.len() - mcap::MAGIC.len() {
+            [at - 1, at, at + 1, at + 9].into_iter().filter(|&length| length < WHOLE.len()).for_each(check_cut);
+            at += 9 + u64::from_le_bytes(WHOLE[at + 1..at + 9].try_into().unwrap()) as usize;
+        }
+        assert!(mended(&WHOLE).unwrap().is_none());
+    }
+
+    #[test]
+    fn what_is_damaged_stays_damaged() {
+        let mut bytes = WHOLE.clone();
+        let at = bytes.len() / 2;
+        bytes[at] ^= 1;
+        assert!(matches!(mended(&bytes), Err(LogError::Damaged { .. })));
+        // Zeros with something behind them are no tear, however they are read.
+        let end = read(&WHOLE[..at]).1.position() as usize;
+        for n in 9..200 {
+            let mut bytes = WHOLE.clone();
+            bytes[end..end + n].fill(0);
+            let text = mended(&bytes).unwrap_err().to_string();
+            assert!(text.contains(&format!("damaged at byte {end}: ")), "{n}: {text}");
+        }
+        let zeros = [&WHOLE[..at], &[0; 5000]].concat();
+        assert!(matches!(mended(&zeros), Err(LogError::Damaged { .. })), "a record that zeros fill up");
+        let (done, _) = mended(&[&WHOLE[..end], &[0; 5000]].concat()).unwrap().unwrap();
+        assert_eq!((done.torn_at, done.left_out), (end as u64, 5000));
+    }
+
+    proptest! {
+        #[test]
+        fn cut_anywhere_a_log_is_made_whole(length in 0..WHOLE.len()) {
+            check_cut(length);
+        }
+
+        /// Whatever the bytes, there is a log that reads whole or an error.
+        #[test]
+        fn bytes_that_are_anything_never_panic(
+            length in 0..=WHOLE.len(),
+            flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..8),
+        ) {
+            let mut bytes = WHOLE[..length].to_vec();
+            for (at, value) in flips {
+                if length > 0 {
+                    bytes[at.index(length)] = value;
+                }
+            }
+            if let Ok(Some((_, whole))) = mended(&bytes) {
+                prop_assert!(read(&whole).1.finished());
+            }
+        }
+    }
+}

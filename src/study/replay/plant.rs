@@ -1,0 +1,160 @@
+//! The plant's half of the ticks, followed through a log.
+//!
+//! What an observation says of the tick before (the applied command, the flags) follows from the command that arrived and
+//! the gate; with the simulator's bodies, so does everything else in it. Whether a command arrived in time is told by the
+//! flags, except where the plant passed ticks over right after: then both are tried.
+
+use std::path::Path;
+
+use super::clockwork::Clockwork;
+use super::compare::{Difference, compare};
+use crate::plant::{Body, Outcome, Plant};
+use crate::runtime::PlantSide;
+use crate::scenario::Plan;
+use crate::wire::{Command, MAX_INPUTS, Observation, flag};
+
+/// More ways to have come here than this are not kept apart: each needs ticks passed over whose command may have arrived or
+/// not, with the same outcome.
+const MOST: usize = 8;
+
+/// Whose words are taken for what the plant sensed.
+#[derive(Debug, Clone)]
+enum Stand {
+    /// A body of the simulator, which lives through the run again.
+    Simulated(Body),
+    /// The log's own, for a plant that nobody can run again.
+    Told { inputs: [f32; MAX_INPUTS], fresh: bool, outcome: Outcome },
+}
+
+impl Plant for Stand {
+    fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
+        match self {
+            Self::Simulated(body) => body.sense(tick, inputs),
+            Self::Told { inputs: told, fresh, .. } => {
+                inputs.copy_from_slice(told);
+                *fresh
+            }
+        }
+    }
+
+    fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome {
+        match self {
+            Self::Simulated(body) => body.advance(tick, applied),
+            Self::Told { outcome, .. } => *outcome,
+        }
+    }
+}
+
+/// Gate and body of a run, followed through its log.
+#[derive(Debug)]
+pub struct PlantShadow {
+    /// The ways to have come here; one, as a rule.
+    sides: Vec<PlantSide<Stand>>,
+    simulated: bool,
+    ticks: u64,
+    /// Observations so far, and the tick of the last.
+    seen: u64,
+    last: Option<u64>,
+}
+
+impl PlantShadow {
+    /// The beginning of a run of `plan`.
+    pub fn new(plan: &Plan) -> Self {
+        // Another program may be given the simulator's tables, and be something else all the same.
+        let program = Path::new(&plan.scenario.plant.program).file_name();
+        let body = Body::of(plan).filter(|_| program.is_some_and(|name| name == "tectum-simulator"));
+        let simulated = body.is_some();
+        let told = Stand::Told { inputs: [0.0; MAX_INPUTS], fresh: false, outcome: Outcome::default() };
+        let side = PlantSide::new(body.map_or(told, Stand::Simulated), plan);
+        Self { sides: vec![side], simulated, ticks: plan.scenario.ticks, seen: 0, last: None }
+    }
+
+    /// Whether the body is run again, so that every bit of an observation is checked.
+    pub fn simulated(&self) -> bool {
+        self.simulated
+    }
+
+    /// Observations so far.
+    pub fn seen(&self) -> u64 {
+        self.seen
+    }
+
+    /// The tick of the last observation.
+    pub fn last(&self) -> Option<u64> {
+        self.last
+    }
+
+    /// Holds `logged` against what should be told; `command` is the answer to the observation before, if there is one in
+    /// the log.
+    pub fn check(
+        &mut self,
+        logged: &Observation,
+        command: Option<&Command>,
+        clock: &Clockwork,
+    ) -> Result<(), Box<Difference>> {
+        let due = self.last.map_or(0, |last| last + 1);
+        let tick = logged.header.tick;
+        let mut replayed = *logged;
+        // First what the rest is counted from: the tick, and how far it is from the one before.
+        replayed.header.run = clock.run;
+        replayed.header.sequence = self.seen;
+        replayed.header.incarnation = 0;
+        if clock.lockstep || tick < due || tick >= self.ticks {
+            replayed.header.tick = due;
+        }
+        let skipped = replayed.header.tick - due;
+        replayed.skipped = u32::try_from(skipped).unwrap_or(u32::MAX);
+        clock.stamp_observation(&mut replayed.header);
+        compare("observation", due + skipped, logged, &replayed)?;
+        clock.check_order(&logged.header, "observation")?;
+
+        // Then what came of the tick before.
+        let missed = logged.header.flags & (flag::MISSED | flag::NON_FINITE) == flag::MISSED;
+        let arrived: &[Option<&Command>] = match (skipped, command) {
+            (_, None) => &[None],
+            (0, Some(_)) if missed => &[None],
+            (0, Some(command)) => &[Some(command)],
+            (_, Some(command)) => &[Some(command), None],
+        };
+        // Entries that no input uses are 0.
+        replayed.inputs = [0.0; MAX_INPUTS];
+        let mut fitting = Vec::with_capacity(1);
+        let mut first = Ok(());
+        for side in self.sides.drain(..) {
+            for command in arrived {
+                let mut side = side.clone();
+                side.follow(due, tick, *command, logged);
+                // A command that came after its tick is a matter of instants, which nobody else saw.
+                let late = if clock.lockstep { 0 } else { logged.header.flags & flag::LATE };
+                side.observe(tick, late, replayed.skipped, &mut replayed);
+                match compare("observation", tick, logged, &replayed) {
+                    Ok(()) if fitting.len() < MOST => fitting.push(side),
+                    Ok(()) => {}
+                    Err(difference) => first = first.and(Err(difference)),
+                }
+            }
+        }
+        if fitting.is_empty() {
+            return first;
+        }
+        self.sides = fitting;
+        self.seen += 1;
+        self.last = Some(tick);
+        Ok(())
+    }
+}
+
+impl PlantSide<Stand> {
+    /// Lives from tick `due` - 1, of which `command` came in time, to the beginning of `tick`.
+    fn follow(&mut self, due: u64, tick: u64, command: Option<&Command>, logged: &Observation) {
+        if let Stand::Told { inputs, fresh, outcome } = self.body_mut() {
+            *inputs = logged.inputs;
+            *fresh = logged.header.flags & flag::NEW_TARGET != 0;
+            *outcome = Outcome { reward: logged.reward, measures: logged.measures };
+        }
+        if due > 0 {
+            self.live(due - 1, command);
+        }
+        self.skip(due, tick);
+    }
+}

@@ -1,0 +1,270 @@
+//! `tectum log info`, `repair` and `csv` on the logs of real runs: whole, torn, damaged, thinned, lossy, and in use.
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::fs;
+
+use serde_json::Value;
+use support::content::read;
+use support::{Outcome, Place, TECTUM, signal_process};
+use tectum::log::Record;
+
+fn log(place: &Place, arguments: &[&str]) -> Outcome {
+    let mut all = vec!["log"];
+    all.extend(arguments);
+    place.start(TECTUM, &all).wait()
+}
+
+/// Refused as bad input, in one message.
+#[track_caller]
+fn refused(place: &Place, arguments: &[&str]) -> String {
+    let outcome = log(place, arguments).expect(2);
+    assert_eq!((outcome.stderr.lines().count(), outcome.stdout.as_str()), (1, ""), "{outcome:#?}");
+    outcome.stderr.trim().to_owned()
+}
+
+fn ran(place: &Place, every: &str, ticks: &str) -> Vec<u8> {
+    let scenario = place.arm(&[("every", every)]);
+    place.run(&[&scenario, "--ticks", ticks]).wait().expect(0);
+    fs::read(place.run_folder().join("log.mcap")).unwrap()
+}
+
+#[test]
+fn a_whole_log_at_a_glance() {
+    let place = Place::new();
+    let bytes = ran(&place, "1", "3000").len();
+    let info = log(&place, &["info", "run", "--json"]).expect(0).json();
+    for (key, value) in [
+        ("bytes", Value::from(bytes)),
+        ("state", "whole".into()),
+        ("torn_at", Value::Null),
+        ("scenario", "paper".into()),
+        ("seed", 1.into()),
+        ("planned_ticks", 3000.into()),
+        ("mode", "lockstep".into()),
+        ("build", tectum::BUILD.into()),
+        ("period_s", 0.05.into()),
+        ("every", 1.into()),
+        ("duration_s", 150.0.into()),
+        ("complete", true.into()),
+        ("gaps", 0.into()),
+        ("started", Value::Null),
+    ] {
+        assert_eq!(info[key], value, "{key}: {info}");
+    }
+    assert!(info["machine"]["kernel"].as_str().unwrap().starts_with("Linux"));
+    assert_eq!(info["weights_hash"][1], 2999);
+    for (i, topic) in ["/observation", "/command", "/learning"].into_iter().enumerate() {
+        let expected = serde_json::json!({
+            "topic": topic, "messages": 3000, "first_tick": 0, "last_tick": 2999, "per_second": 20.0,
+            "lost_stated": 0, "lost_found": 0, "thinned": 0, "agrees": true,
+        });
+        assert_eq!(info["channels"][i], expected);
+    }
+    let text = log(&place, &["info", "run/log.mcap"]).expect(0).stdout;
+    for words in
+        ["state    whole\n", "run      paper, lockstep, seed 1\n", "3000 planned, all of them; 150 s of 0.05 s each"]
+    {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+    // Nothing to repair.
+    let before = fs::read(place.run_folder().join("log.mcap")).unwrap();
+    let text = log(&place, &["repair", "run"]).expect(0).stdout;
+    assert_eq!(text, "run/log.mcap is whole; it was left alone\n");
+    assert!(before == fs::read(place.run_folder().join("log.mcap")).unwrap());
+    assert!(!place.run_folder().join("log.mcap.torn").exists());
+}
+
+#[test]
+fn a_thinned_log_tells_thinned_from_lost() {
+    let place = Place::new();
+    ran(&place, "7", "1000");
+    let info = log(&place, &["info", "run", "--json"]).expect(0).json();
+    let channel = &info["channels"][2];
+    assert_eq!((&info["every"], &info["state"]), (&7.into(), &"whole".into()));
+    assert_eq!((&channel["messages"], &channel["thinned"]), (&143.into(), &(1000 - 143).into()));
+    assert_eq!((&channel["lost_found"], &channel["agrees"]), (&Value::Null, &true.into()));
+}
+
+#[test]
+fn a_torn_log_is_made_whole_once() {
+    let place = Place::new();
+    let whole = ran(&place, "1", "1000");
+    let path = place.run_folder().join("log.mcap");
+    let torn = &whole[..whole.len() * 2 / 3];
+    fs::write(&path, torn).unwrap();
+    let info = log(&place, &["info", "run", "--json"]).expect(0).json();
+    let at = info["torn_at"].as_u64().unwrap();
+    assert_eq!((&info["state"], &info["complete"]), (&"torn".into(), &Value::Null));
+    let text = log(&place, &["info", "run"]).expect(0).stdout;
+    assert!(text.contains(&format!("state    torn at byte {at}: `tectum log repair` makes it whole\n")), "{text}");
+
+    // Elsewhere first, which leaves everything as it is.
+    let text = log(&place, &["repair", "run", "--out", "elsewhere.mcap"]).expect(0).stdout;
+    assert!(text.starts_with(&format!("run/log.mcap was torn at byte {at}; elsewhere.mcap is whole\n")), "{text}");
+    assert!(torn == fs::read(&path).unwrap());
+    let again = refused(&place, &["repair", "run", "--out", "elsewhere.mcap"]);
+    assert!(again.contains("elsewhere.mcap cannot be written: the file exists already"), "{again}");
+
+    let done = log(&place, &["repair", "run", "--json"]).expect(0).json();
+    assert_eq!((&done["whole"], &done["torn"]), (&"run/log.mcap".into(), &"run/log.mcap.torn".into()));
+    assert_eq!(done["mended"]["left_out"].as_u64(), Some(torn.len() as u64 - at));
+    assert!(torn == fs::read(place.run_folder().join("log.mcap.torn")).unwrap());
+    let mended = fs::read(&path).unwrap();
+    assert!(mended == fs::read(place.path().join("elsewhere.mcap")).unwrap());
+    assert!(mended[..at as usize] == torn[..at as usize], "what was there is there byte for byte");
+    assert!(place.run_folder().read_dir().unwrap().all(|e| !e.unwrap().file_name().to_string_lossy().starts_with('.')));
+
+    let (reader, content) = read(&path);
+    assert!(reader.finished() && reader.repaired());
+    let n = content.observations.len() as u64;
+    assert_eq!(done["mended"]["messages"][0], n);
+    assert_eq!(reader.metadata()["tectum.totals"]["repaired"], "true");
+    let info = log(&place, &["info", "run", "--json"]).expect(0).json();
+    assert_eq!((&info["state"], &info["complete"]), (&"repaired".into(), &Value::Null));
+    assert!(info["channels"].as_array().unwrap().iter().all(|channel| channel["agrees"] == true), "{info}");
+
+    // Once more: it is whole. Torn again, the first original is not overwritten.
+    assert!(log(&place, &["repair", "run"]).expect(0).stdout.contains("is whole; it was left alone"));
+    fs::write(&path, torn).unwrap();
+    let kept = refused(&place, &["repair", "run"]);
+    assert!(kept.contains("run/log.mcap.torn exists already") && kept.contains("--out"), "{kept}");
+    assert!(torn == fs::read(&path).unwrap());
+}
+
+#[test]
+fn a_damaged_log_is_refused_by_name_and_byte() {
+    let place = Place::new();
+    let whole = ran(&place, "1", "300");
+    let path = place.run_folder().join("log.mcap");
+    let mut bytes = whole.clone();
+    let at = bytes.len() / 2;
+    bytes[at] ^= 0x10;
+    fs::write(&path, &bytes).unwrap();
+    for command in ["info", "repair", "csv"] {
+        let outcome = log(&place, &[command, "run"]).expect(2);
+        assert!(outcome.stderr.starts_with("tectum: the log run/log.mcap is damaged at byte "), "{outcome:#?}");
+    }
+    assert!(bytes == fs::read(&path).unwrap() && !place.run_folder().join("log.mcap.torn").exists());
+    place.file("text.mcap", "not a log");
+    let text = refused(&place, &["info", "text.mcap"]);
+    assert!(text.starts_with("tectum: text.mcap is not a log of this program: "), "{text}");
+    let text = refused(&place, &["csv", "nowhere"]);
+    assert_eq!(text, "tectum: nowhere does not exist; give a log, or the folder of a run");
+}
+
+/// A log that grows is not torn, and taking it from under its logger would tear it.
+#[test]
+fn a_log_in_use_is_left_alone() {
+    let place = Place::new();
+    let scenario = place.arm(&[("every", "1"), ("period_ms", "5")]);
+    let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", "100000"]);
+    run.until_ticking();
+    let text = refused(&place, &["repair", "run"]);
+    assert!(text.contains("is still being written by its logger; wait until its run is over"), "{text}");
+    let info = log(&place, &["info", "run", "--json"]).expect(0).json();
+    assert_eq!(info["state"], "growing", "{info}");
+    assert!(info["started"].as_str().unwrap().ends_with(" UTC"));
+    // Whatever is left of a run whose logger was killed can be made whole.
+    let logger = run.member("tectum-logger");
+    signal_process(logger, "KILL");
+    run.wait().expect(4);
+    assert_eq!(log(&place, &["info", "run", "--json"]).expect(0).json()["state"], "torn");
+    log(&place, &["repair", "run"]).expect(0);
+    assert_eq!(log(&place, &["info", "run", "--json"]).expect(0).json()["state"], "repaired");
+}
+
+/// A line's fields; nothing in these tables is quoted.
+fn fields(line: &str) -> Vec<&str> {
+    line.split(',').collect()
+}
+
+#[test]
+fn a_channel_becomes_a_table() {
+    let place = Place::new();
+    ran(&place, "1", "200");
+    let (_, content) = read(&place.run_folder().join("log.mcap"));
+    let table = log(&place, &["csv", "run"]).expect(0).stdout;
+    let lines: Vec<Vec<&str>> = table.lines().map(fields).collect();
+    assert_eq!(lines.len(), 201);
+    let at: BTreeMap<&str, usize> = lines[0].iter().enumerate().map(|(i, name)| (*name, i)).collect();
+    assert_eq!(lines[0].len(), at.len(), "no name twice: {:?}", lines[0]);
+    for (row, o) in lines[1..].iter().zip(&content.observations) {
+        assert_eq!(row.len(), at.len());
+        assert_eq!(row[at["tick"]], o.header.tick.to_string());
+        assert_eq!(row[at["theta_4 (rad)"]].parse::<f32>().unwrap().to_bits(), o.inputs[5].to_bits());
+        assert_eq!(row[at["reward"]].parse::<f32>().unwrap().to_bits(), o.reward.to_bits());
+        assert_eq!(row[at["error"]].parse::<f32>().unwrap().to_bits(), o.measures[0].to_bits());
+        assert_eq!(row[at["lost before"]], "0");
+    }
+    assert_eq!(lines[1][at["flags"]], "FIRST|NEW_TARGET");
+    assert_eq!((lines[81][at["flags"]], lines[81][at["time (s)"]]), ("NEW_TARGET", "4.0"));
+
+    for (channel, column, last) in [("command", "drawn ", 0), ("learning", "weights hash", 1)] {
+        let file = format!("{channel}.csv");
+        log(&place, &["csv", "run/log.mcap", "--channel", channel, "--out", &file]).expect(0);
+        let table = fs::read_to_string(place.path().join(file)).unwrap();
+        let lines: Vec<Vec<&str>> = table.lines().map(fields).collect();
+        assert!(lines.len() == 201 && lines.iter().all(|line| line.len() == lines[0].len()), "{channel}");
+        assert!(lines[0].iter().any(|name| name.starts_with(column)), "{:?}", lines[0]);
+        if last == 1 {
+            assert_eq!(lines[200].last().unwrap(), &format!("{:016x}", content.learnings[199].weights_hash));
+            assert_eq!((lines[199].last(), lines[2][7]), (Some(&""), "LEARNED"));
+        }
+    }
+    assert_eq!(log(&place, &["csv", "run", "--channel", "gap"]).expect(0).stdout, "channel,first,count,total\n");
+    let text = refused(&place, &["csv", "run", "--out", "run/log.mcap"]);
+    assert!(text.contains("run/log.mcap cannot be written: it is the log itself; choose another --out"), "{text}");
+    assert!(refused(&place, &["csv", "run", "--out", "no/such/folder.csv"]).contains("no such file or folder"));
+}
+
+/// Losses of a real run: stated, found, and marked where they are.
+#[test]
+fn losses_are_stated_found_and_marked() {
+    let place = Place::new();
+    let scenario = place.arm(&[("every", "1"), ("period_ms", "1")]);
+    let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", "3500", "--json"]);
+    let logger = run.member("tectum-logger");
+    run.until_ticking();
+    signal_process(logger, "STOP");
+    // The fault itself: as long as it takes for the buffer of 1024 samples to overflow, and half as much again.
+    std::thread::sleep(std::time::Duration::from_millis(1536));
+    signal_process(logger, "CONT");
+    let summary = run.wait().expect(0).json();
+    assert!(summary["lost"].as_u64() > Some(0), "{summary}");
+    let info = log(&place, &["info", "run", "--json"]).expect(0).json();
+    let (reader, content) = read(&place.run_folder().join("log.mcap"));
+    assert_eq!(info["gaps"], content.gaps.len());
+    let mut rows = 0;
+    for (i, name) in ["observation", "command", "learning"].into_iter().enumerate() {
+        let (channel, lost) = (&info["channels"][i], reader.totals().unwrap().lost[i]);
+        assert_eq!((&channel["lost_stated"], &channel["lost_found"]), (&lost.into(), &lost.into()), "{info}");
+        assert_eq!(channel["agrees"], true, "{info}");
+        let table = log(&place, &["csv", "run", "--channel", name]).expect(0).stdout;
+        let marked: u64 = table.lines().skip(1).map(|line| fields(line)[8].parse::<u64>().unwrap()).sum();
+        assert_eq!(marked, lost, "{name}");
+        rows += table.lines().skip(1).filter(|line| !line.starts_with(',')).count();
+    }
+    assert_eq!(rows, content.observations.len() + content.commands.len() + content.learnings.len());
+    let gaps = log(&place, &["csv", "run", "--channel", "gap"]).expect(0).stdout;
+    assert_eq!(gaps.lines().count(), 1 + content.gaps.len());
+    let first = &content.gaps[0];
+    let name = ["observation", "command", "learning"][first.channel as usize];
+    assert_eq!(gaps.lines().nth(1).unwrap(), format!("{name},{},{},{}", first.first, first.count, first.total));
+
+    // A log that says less than it lacks is found out.
+    let path = place.run_folder().join("log.mcap");
+    let (bodies, end) = support::bytes::bodies(&fs::read(&path).unwrap());
+    let gap = bodies.iter().find(|body| matches!(body.sample, Record::Gap(_))).unwrap();
+    let mut bytes = fs::read(&path).unwrap()[..end].to_vec();
+    bytes[gap.at + 16] ^= 1;
+    place.file("liar.mcap", bytes);
+    let info = log(&place, &["info", "liar.mcap", "--json"]).expect(0).json();
+    assert_eq!(info["channels"][first.channel as usize]["agrees"], false, "{info}");
+    let text = log(&place, &["info", "liar.mcap"]).expect(0).stdout;
+    assert!(
+        text.contains(&format!("/{name}: what the log states to be lost is not what its sequence numbers say")),
+        "{text}"
+    );
+}
