@@ -35,7 +35,7 @@ pub enum ReplayError {
     },
     /// The logger lost samples.
     #[error(
-        "the log {} states that {count} samples of channel {channel} are missing from sequence number {first} on; {until}, \
+        "the log {} states a gap on channel {channel}, {count} missing from sequence number {first} on; {until}, \
          and what was learned behind that cannot be told; run the scenario again in lockstep, where nothing is lost, or on a \
          machine with less to do", path.display()
     )]
