@@ -16,7 +16,7 @@ use crate::wire::flag;
 pub enum State {
     /// At the end that its logger wrote, and the checksums fit.
     Whole,
-    /// Likewise, but it was torn once and made whole by [`repair`](super::repair).
+    /// Likewise, but it was torn once and made whole by [`repair`](super::repair()).
     Repaired,
     /// Cut off: its logger or its machine died.
     Torn,

@@ -12,7 +12,7 @@
 //! 3. schemas and channels: `/observation`, `/command` and `/learning` (or the scenario's names for them), and `/gap`;
 //! 4. the messages: four bytes of encapsulation (`00 01 00 00`) and then the sample's own bytes;
 //! 5. if the logger came to its end, the metadata record `tectum.totals` (see [`Totals`]), MCAP's summary, and checksums;
-//!    [`repair`] gives them to a log that was torn, with the metadata record `tectum.repair`.
+//!    [`repair()`] gives them to a log that was torn, with the metadata record `tectum.repair`.
 //!
 //! `log_time` and `publish_time` of a message are its `published_ns`, moved from the run's clock to wall time by the two
 //! instants in `tectum.run`. In lockstep both are 0, so that equal runs write equal messages.
