@@ -1,0 +1,134 @@
+//! Logs cut at every place, damaged, and filled up with zeros.
+
+use super::*;
+use crate::log::header::tests::sample_header;
+use crate::log::{Info, LogHeader, LogWriter, Record, State};
+use crate::wire::{Command, Gap, Learning, Observation};
+use proptest::prelude::*;
+use std::io::Cursor;
+use std::sync::LazyLock;
+
+/// Twelve ticks of which every third is written, a gap, and the end.
+static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let mut log = LogWriter::create(&path, &LogHeader { every: 3, ..sample_header() }).unwrap();
+    for tick in (0..12).step_by(3) {
+        let (mut o, mut c, mut l) = (Observation::default(), Command::default(), Learning::default());
+        for header in [&mut o.header, &mut c.header, &mut l.header] {
+            (header.tick, header.sequence, header.published_ns) = (tick, tick, tick * 50_000_000);
+        }
+        log.observation(&o).unwrap();
+        if tick == 9 {
+            log.gap(&Gap { channel: 1, first: 7, count: 1, total: 1 }).unwrap();
+        }
+        log.command(&c).unwrap();
+        log.learning(&l).unwrap();
+    }
+    let totals = Totals { lost: [0, 1, 0], thinned: [8, 7, 8], last_tick: Some(11), complete: true };
+    log.finish(&totals).unwrap();
+    std::fs::read(&path).unwrap()
+});
+
+fn open(bytes: &[u8]) -> Box<dyn Read + Send> {
+    Box::new(Cursor::new(bytes.to_vec()))
+}
+
+/// The log made whole; `None` if it was.
+fn mended(bytes: &[u8]) -> Result<Option<(Mended, Vec<u8>)>, LogError> {
+    let mut sink = Cursor::new(Vec::new());
+    let mended = mend(Path::new("log.mcap"), || Ok(open(bytes)), &mut sink)?;
+    Ok(mended.map(|mended| (mended, sink.into_inner())))
+}
+
+/// Messages, and the reader at its end.
+fn read(bytes: &[u8]) -> (Vec<Record>, LogReader) {
+    let mut log = LogReader::over(Path::new("log.mcap"), open(bytes)).unwrap();
+    (log.by_ref().map(Result::unwrap).collect(), log)
+}
+
+fn check_cut(length: usize) {
+    let torn = &WHOLE[..length];
+    let Ok(done) = mended(torn) else {
+        // Cut off inside its description: there is no log yet.
+        assert!(LogReader::over(Path::new("log.mcap"), open(torn)).is_err(), "{length}");
+        return;
+    };
+    let (done, whole) = done.expect("a shorter log is torn");
+    let ((before, reader), (after, log)) = (read(torn), read(&whole));
+    assert_eq!(before, after, "{length}");
+    assert_eq!((done.torn_at, done.torn_at + done.left_out), (reader.position(), length as u64), "{length}");
+    assert!((log.finished(), log.repaired()) == (true, true), "{length}");
+    let totals = &log.metadata()[TOTALS_METADATA];
+    let by = |key: &str| log.metadata()[REPAIR_METADATA][key].clone();
+    assert_eq!(by("torn_at"), done.torn_at.to_string());
+    if by("totals") == "logger" {
+        assert_eq!(log.totals().map(|totals| totals.complete), Some(true), "{length}");
+    } else {
+        assert_eq!((totals["repaired"].as_str(), totals["complete"].as_str()), ("true", "false"), "{length}");
+        // What was there is there, byte for byte.
+        assert_eq!(whole[..done.torn_at as usize], torn[..done.torn_at as usize], "{length}");
+    }
+    let info = Info::over(LogReader::over(Path::new("log.mcap"), open(&whole)).unwrap(), Path::new("log.mcap"), 0);
+    let info = info.unwrap();
+    assert!(info.agrees() && info.state == State::Repaired, "{length}: {info:?}");
+    // Other readers' way: through the summary.
+    let summary = mcap::Summary::read(&whole).unwrap().unwrap();
+    assert_eq!(summary.stats.unwrap().message_count, after.len() as u64, "{length}");
+    assert_eq!(mcap::MessageStream::new(&whole).unwrap().map(Result::unwrap).count(), after.len(), "{length}");
+    assert!(mended(&whole).unwrap().is_none(), "{length}: once is enough");
+}
+
+#[test]
+fn the_ends_of_records_are_places_to_cut_like_any_other() {
+    let mut at = mcap::MAGIC.len();
+    while at < WHOLE.len() - mcap::MAGIC.len() {
+        [at - 1, at, at + 1, at + 9].into_iter().filter(|&length| length < WHOLE.len()).for_each(check_cut);
+        at += 9 + u64::from_le_bytes(WHOLE[at + 1..at + 9].try_into().unwrap()) as usize;
+    }
+    assert!(mended(&WHOLE).unwrap().is_none());
+}
+
+#[test]
+fn what_is_damaged_stays_damaged() {
+    let mut bytes = WHOLE.clone();
+    let at = bytes.len() / 2;
+    bytes[at] ^= 1;
+    assert!(matches!(mended(&bytes), Err(LogError::Damaged { .. })));
+    // Zeros with something behind them are no tear, however they are read.
+    let end = read(&WHOLE[..at]).1.position() as usize;
+    for n in 9..200 {
+        let mut bytes = WHOLE.clone();
+        bytes[end..end + n].fill(0);
+        let text = mended(&bytes).unwrap_err().to_string();
+        assert!(text.contains(&format!("damaged at byte {end}: ")), "{n}: {text}");
+    }
+    let zeros = [&WHOLE[..at], &[0; 5000]].concat();
+    assert!(matches!(mended(&zeros), Err(LogError::Damaged { .. })), "a record that zeros fill up");
+    let (done, _) = mended(&[&WHOLE[..end], &[0; 5000]].concat()).unwrap().unwrap();
+    assert_eq!((done.torn_at, done.left_out), (end as u64, 5000));
+}
+
+proptest! {
+    #[test]
+    fn cut_anywhere_a_log_is_made_whole(length in 0..WHOLE.len()) {
+        check_cut(length);
+    }
+
+    /// Whatever the bytes, there is a log that reads whole or an error.
+    #[test]
+    fn bytes_that_are_anything_never_panic(
+        length in 0..=WHOLE.len(),
+        flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..8),
+    ) {
+        let mut bytes = WHOLE[..length].to_vec();
+        for (at, value) in flips {
+            if length > 0 {
+                bytes[at.index(length)] = value;
+            }
+        }
+        if let Ok(Some((_, whole))) = mended(&bytes) {
+            prop_assert!(read(&whole).1.finished());
+        }
+    }
+}
