@@ -41,7 +41,7 @@ impl Pairs {
     }
 
     /// Length of the features with pads.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.here.len()
     }
 
