@@ -5,19 +5,21 @@
 
 use std::{path::Path, process::Command};
 
+/// What `git rev-parse` answers, if there is a git and this is a checkout.
+fn git(arguments: &[&str]) -> Option<String> {
+    let out = Command::new("git").arg("rev-parse").args(arguments).output().ok()?;
+    let text = String::from_utf8(out.stdout).ok().filter(|_| out.status.success())?;
+    Some(text.trim().to_owned())
+}
+
 fn main() {
-    let commit = Command::new("git")
-        .args(["rev-parse", "--short=12", "HEAD"])
-        .output()
-        .ok()
-        .filter(|out| out.status.success())
-        .and_then(|out| String::from_utf8(out.stdout).ok())
-        .map_or_else(|| "unknown".to_owned(), |text| text.trim().to_owned());
+    let commit = git(&["--short=12", "HEAD"]).unwrap_or_else(|| "unknown".to_owned());
     let version = std::env::var("CARGO_PKG_VERSION").expect("cargo sets CARGO_PKG_VERSION");
     println!("cargo:rustc-env=TECTUM_BUILD={version}+{commit}");
     println!("cargo:rerun-if-changed=src/build.rs");
-    // HEAD's log grows with every commit and checkout, which is when the identity changes.
-    if Path::new(".git/logs/HEAD").exists() {
-        println!("cargo:rerun-if-changed=.git/logs/HEAD");
+    // HEAD's log grows with every commit and checkout, which is when the identity changes. In a second worktree it is not
+    // where it is in the first.
+    if let Some(log) = git(&["--git-path", "logs/HEAD"]).filter(|log| Path::new(log).exists()) {
+        println!("cargo:rerun-if-changed={log}");
     }
 }
