@@ -89,3 +89,7 @@ pub const LAST_COUNTS: RangeInclusive<f64> = 1.0..=1000.0;
 pub const MODEL_STEP: RangeInclusive<f64> = 0.0..=1.0;
 /// Most inputs of a learned reward: its covariance grows with their number to the fourth.
 pub const MODEL_INPUTS: usize = 10;
+/// Most units along an input for a learned reward, which decorrelates each line: the work grows with the cube.
+pub const MODEL_UNITS: usize = 256;
+/// Most features for a natural gradient, which inverts their second-moment matrix: the same.
+pub const METRIC_FEATURES: usize = 1024;

@@ -324,3 +324,24 @@ fn what_a_file_leaves_out_of_a_rule_is_the_rules_own() {
     }
     assert_eq!(learner("alpha_over_variance = 0.02").rule, Rule::Paper);
 }
+
+#[test]
+fn rules_are_given_no_more_than_they_can_do() {
+    use super::{LearnerTable, Rule};
+    let message = |rule: Rule, change: &dyn Fn(&mut Scenario)| {
+        let mut scenario = Scenario::built_in("paper").unwrap();
+        scenario.learner = LearnerTable::preset(rule);
+        change(&mut scenario);
+        scenario.plan().err().map_or("fine".to_owned(), |e| e.to_string())
+    };
+    let wide = |s: &mut Scenario| s.encoder.maps[1].units = vec![257];
+    let wider = |s: &mut Scenario| s.encoder.maps[1].units = vec![1024];
+    let scalar = |s: &mut Scenario| s.encoder.scalars = vec!["theta_1".to_owned()];
+    assert!(
+        message(Rule::LearnedReward, &wide).contains("encoder.maps[1].units is 257; the rule learned-reward can do")
+    );
+    assert!(message(Rule::LearnedReward, &scalar).contains("encoder.scalars is given, and the rule learned-reward"));
+    assert!(message(Rule::NaturalActorCritic, &wider).contains("learner.rule is natural-actor-critic, for which 1328"));
+    assert_eq!(message(Rule::NaturalActorCritic, &wide), "fine");
+    assert_eq!([message(Rule::ActorCritic, &wider), message(Rule::Paper, &scalar)], ["fine"; 2]);
+}

@@ -22,7 +22,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
     signal_list("plant.outputs", &signals.outputs, MAX_OUTPUTS)?;
     measures(&signals.measures)?;
 
-    encoder(&scenario.encoder, &signals.inputs)?;
+    let features = encoder(&scenario.encoder, &signals.inputs)?;
     policy(scenario.policy.sigma, scenario.gate.max_command)?;
     let still = match &scenario.plant {
         plant if plant.eye.is_some() => Some("the eye"),
@@ -34,10 +34,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
             format!("is learned-reward, which needs inputs that the commands move; {plant} has none, so give it paper");
         return Err(Problem::new("learner.rule", text));
     }
-    if scenario.learner.rule == Rule::LearnedReward && !scenario.encoder.scalars.is_empty() {
-        let text = "is given, and the rule learned-reward can do with maps alone; take it out, or give another rule";
-        return Err(Problem::new("encoder.scalars", text));
-    }
+    within_reach(scenario.learner.rule, &scenario.encoder, features)?;
     validate_learner::check(&scenario.learner, &signals)?;
     log(&scenario.log)?;
     channels(scenario)
@@ -113,7 +110,8 @@ fn measures(names: &[String]) -> Result<(), Problem> {
     different("plant.measures", "", names)
 }
 
-fn encoder(encoder: &EncoderTable, inputs: &[SignalTable]) -> Result<(), Problem> {
+/// Checks the encoder and counts its features.
+fn encoder(encoder: &EncoderTable, inputs: &[SignalTable]) -> Result<usize, Problem> {
     let maps = &encoder.maps;
     for (i, name) in encoder.scalars.iter().enumerate() {
         known_input(format_args!("encoder.scalars[{i}]"), name, inputs)?;
@@ -130,6 +128,28 @@ fn encoder(encoder: &EncoderTable, inputs: &[SignalTable]) -> Result<(), Problem
     if total > limits::MAX_FEATURES {
         let text = format!("has {total} units in all; give at most 65536");
         return Err(Problem::new("encoder.maps", text));
+    }
+    Ok(total + encoder.scalars.len())
+}
+
+/// What a rule can do with at most: some work out matrices of the encoder's before they begin.
+fn within_reach(rule: Rule, encoder: &EncoderTable, features: usize) -> Result<(), Problem> {
+    if rule == Rule::NaturalActorCritic && features > limits::METRIC_FEATURES {
+        let text = format!("is natural-actor-critic, for which {features} features are too many; it can do 1024");
+        return Err(Problem::new("learner.rule", text));
+    }
+    if rule != Rule::LearnedReward {
+        return Ok(());
+    }
+    if !encoder.scalars.is_empty() {
+        let text = "is given, and the rule learned-reward can do with maps alone; take it out, or give another rule";
+        return Err(Problem::new("encoder.scalars", text));
+    }
+    for (i, map) in encoder.maps.iter().enumerate() {
+        if let Some(units) = map.units.iter().find(|&&units| units > limits::MODEL_UNITS) {
+            let text = "the rule learned-reward can do with at most 256 units along an input";
+            return Err(Problem::value(format_args!("encoder.maps[{i}].units"), units, text));
+        }
     }
     Ok(())
 }
