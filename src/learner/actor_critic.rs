@@ -24,7 +24,7 @@
 
 use glam::Vec4;
 
-use super::{LearningRule, Metric, Pairs, Tick, dot, sound};
+use super::{LearningRule, Metric, Pairs, Tick, add, dot, sound};
 use crate::policy::{Linear, Outputs, norm};
 use crate::scenario::CriticTable;
 use crate::wire::MAX_OUTPUTS;
@@ -78,6 +78,12 @@ const NEWEST: f32 = 1e-3;
 /// Largest squared noise that counts as such, in variances, less 1: what is beyond was the gate's doing.
 const LARGEST_SQUARE: f32 = 8.0;
 
+/// Farthest that one tick may move the mean command at the features in hand, in standard deviations of the noise.
+const STRIDE: f32 = 0.5;
+
+/// Features that are summed side by side: memory for features comes in blocks of so many.
+const LANES: usize = 4;
+
 /// The rule, its critic and both traces.
 #[derive(Debug, Clone)]
 pub struct ActorCritic {
@@ -94,6 +100,12 @@ pub struct ActorCritic {
     trace: Vec<Vec<Vec4>>,
     values: Vec<f32>,
     value_trace: Vec<f32>,
+    /// What the value weights are still to be moved by along their trace: the step of the tick before is taken in the pass
+    /// over the features that the next one needs anyway.
+    due: f32,
+    /// Bounds of what the traces answer to features of length 1: the actor's by output, and the critic's.
+    reach: Outputs,
+    value_reach: f32,
     /// Weight and trace of the last reward as a feature, and that reward.
     last: [f32; 3],
     /// Running mean of the error's size.
@@ -118,6 +130,9 @@ impl ActorCritic {
             trace: vec![vec![Vec4::ZERO; len]; outputs.div_ceil(4)],
             values: vec![0.0; len],
             value_trace: vec![0.0; len],
+            due: 0.0,
+            reach: [0.0; MAX_OUTPUTS],
+            value_reach: 0.0,
             last: [0.0; 3],
             size: 0.0,
             learned: 0.0,
@@ -134,11 +149,6 @@ impl ActorCritic {
             self.value_trace = self.values.clone();
         }
         Self { sees_pairs: pairs.is_some(), pairs, metric, ..self }
-    }
-
-    /// The value of `features` after `reward`.
-    fn value(&self, features: &[f32], reward: f32) -> f32 {
-        dot(&self.values, features) + self.last[0] * self.critic.reward_feature * reward
     }
 
     /// The error as far as it may count.
@@ -162,16 +172,32 @@ impl ActorCritic {
         squares
     }
 
-    /// Moves the critic by `gain` along its trace, to which `direction` is added.
-    fn judge(&mut self, direction: &[f32], gain: f32) {
-        let Critic { discount, decay, reward_feature, .. } = self.critic;
-        let kept = discount * decay;
-        for ((v, e), &h) in self.values.iter_mut().zip(&mut self.value_trace).zip(direction) {
-            *e = *e * kept + h;
-            *v += gain * *e;
+    /// Takes the critic's step of the tick before, adds `direction` to its trace, and says what `here` and, after `reward`,
+    /// `next` are worth: all in one pass, for there are many features.
+    fn judge(&mut self, [here, next]: [&[f32]; 2], direction: &[f32], reward: f32) -> [f32; 2] {
+        let (kept, due) = (self.critic.discount * self.critic.decay, std::mem::take(&mut self.due));
+        let features = here.as_chunks::<LANES>().0.iter().zip(next.as_chunks::<LANES>().0);
+        let directions = direction.as_chunks::<LANES>().0;
+        let (values, traces) = (self.values.as_chunks_mut::<LANES>().0, self.value_trace.as_chunks_mut::<LANES>().0);
+        let mut sums = [[0.0; LANES]; 2];
+        for ((v, e), ((here, next), h)) in values.iter_mut().zip(traces).zip(features.zip(directions)) {
+            for i in 0..LANES {
+                v[i] += due * e[i];
+                e[i] = e[i] * kept + h[i];
+                sums[0][i] += v[i] * here[i];
+                sums[1][i] += v[i] * next[i];
+            }
         }
-        self.last[1] = self.last[1] * kept + reward_feature * self.last[2];
-        self.last[0] += gain * self.last[1];
+        let factor = self.critic.reward_feature;
+        let [weight, trace, last] = &mut self.last;
+        *weight += due * *trace;
+        *trace = *trace * kept + factor * *last;
+        let rewards = [*last, reward];
+        *last = reward;
+        [0, 1].map(|i| {
+            let [a, b, c, d] = sums[i];
+            (a + c) + (b + d) + *weight * factor * rewards[i]
+        })
     }
 
     /// Moves the policy by `rate` along its trace, to which `noise` times `direction` is added.
@@ -185,6 +211,25 @@ impl ActorCritic {
         }
     }
 
+    /// As much of `step` as moves the value of the features in hand by no more than the error: lengths of what is added to
+    /// the trace and of the features, and the last reward as a feature.
+    fn critic_step(&mut self, step: f32, [added, length]: [f32; 2], last: f32) -> f32 {
+        let whole = |side: f32| (side * side + last * last).sqrt();
+        self.value_reach = self.value_reach * self.critic.discount * self.critic.decay + whole(added);
+        step.min(1.0 / (self.value_reach * whole(length)))
+    }
+
+    /// As much of `rate` as moves the mean command at the features in hand by no more than [`STRIDE`].
+    fn actor_step(&mut self, rate: f32, [added, length]: [f32; 2], noise: &Outputs) -> f32 {
+        let mut most = 0.0_f32;
+        for (reach, n) in self.reach.iter_mut().zip(noise) {
+            *reach = *reach * self.beta + n.abs() * added;
+            most = most.max(*reach);
+        }
+        let (stride, largest) = (rate.abs() * most * length, STRIDE * self.critic.sigma);
+        if stride > largest { rate * (largest / stride) } else { rate }
+    }
+
     fn learn_from(
         &mut self,
         policy: &mut Linear,
@@ -194,7 +239,11 @@ impl ActorCritic {
     ) -> f32 {
         let squares = self.squares(tick.noise);
         let cost: f32 = self.noise_costs.iter().zip(squares).map(|(c, q)| c * q).sum();
-        let (here_value, next_value) = (self.value(here, self.last[2]), self.value(next, tick.reward));
+        let (direction, features) = (metric.unwrap_or(tick.features), tick.features);
+        let sides = [length(direction), length(features)];
+        let last = self.last[2] * self.critic.reward_feature;
+        let critics = if self.sees_pairs { here } else { direction };
+        let [here_value, next_value] = self.judge([here, next], critics, tick.reward);
         let error = tick.reward - cost + self.critic.discount * next_value - here_value;
         if !sound(error * self.rate, tick.noise) || !sound(error * self.critic.step, tick.noise) {
             self.halted = true;
@@ -205,12 +254,11 @@ impl ActorCritic {
             *cost += self.critic.noise_step * error * square;
         }
         let fade = (1.0 / (1.0 + self.learned / self.critic.half_life)).max(self.critic.floor);
-        let critics = if self.sees_pairs { here } else { metric.unwrap_or(here) };
-        self.judge(critics, self.critic.step * fade * error);
+        self.due =
+            self.critic_step(self.critic.step * fade, if self.sees_pairs { [1.0; 2] } else { sides }, last) * error;
         let warm = ((self.learned + 1.0) / self.critic.warm_up.max(1.0)).min(1.0);
-        let rate = self.rate * warm * fade * error;
-        self.act(policy, metric.unwrap_or(tick.features), tick.noise, rate);
-        self.last[2] = tick.reward;
+        let rate = self.actor_step(self.rate * warm * fade * error, sides, tick.noise);
+        self.act(policy, direction, tick.noise, rate);
         self.learned += 1.0;
         rate
     }
@@ -239,8 +287,13 @@ impl LearningRule for ActorCritic {
         for group in &mut self.trace {
             group.fill(Vec4::ZERO);
         }
+        let due = std::mem::take(&mut self.due);
+        add(&mut self.values, &self.value_trace, due);
+        self.last[0] += due * self.last[1];
         self.value_trace.fill(0.0);
         self.last[1] = 0.0;
+        self.reach = [0.0; MAX_OUTPUTS];
+        self.value_reach = 0.0;
     }
 
     fn trace_norm(&self) -> f32 {
@@ -250,6 +303,11 @@ impl LearningRule for ActorCritic {
     fn halted(&self) -> bool {
         self.halted
     }
+}
+
+/// Euclidean length.
+fn length(features: &[f32]) -> f32 {
+    dot(features, features).sqrt()
 }
 
 #[cfg(test)]
