@@ -66,7 +66,7 @@ pub enum CriticSight {
 pub struct CriticTable {
     /// What the critic sees.
     pub sees: CriticSight,
-    /// Step of the critic's weights.
+    /// Step of the critic's weights; where it would overshoot the error, less is taken.
     pub step: f64,
     /// Discount of later rewards a tick, in [0, 1).
     pub discount: f64,
