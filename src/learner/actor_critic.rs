@@ -12,15 +12,20 @@
 //!
 //! `c . q`, with `q = n^2 / sigma^2 - 1` for each output, is what the exploration itself costs or earns: the agent knows
 //! its noise, and learns by least mean squares, `c += alpha_c delta q`, how the reward depends on its square. On the arm
-//! that is half of the reward's variance. Since Gaussian noise has no third moment, `E[n q] = 0`: the gradient is the same,
+//! that is half of the variance of the temporal-difference error. Since Gaussian noise has no third moment, `E[n q] = 0`: the gradient is the same,
 //! with less noise (a control variate; Greensmith, Bartlett & Baxter 2004).
 //!
 //! `h` is the identity for the plain rule. For the natural one (Kakade 2001; Bhatnagar et al. 2009) it is the inverse of
 //! the features' second-moment matrix over the input box, worked out when the learner is built ([`Metric`]): the step then
 //! is as long in the space of commands whatever features overlap.
 //!
-//! Steps are bounded in the spirit of Elsayed et al. 2024: an error counts for no more than some multiple of the running
-//! mean of its size, so that no single surprise (a joint that blocks, a reward far off) can throw the weights away.
+//! Steps are bounded in the spirit of Elsayed et al. 2024 (*Streaming Deep Reinforcement Learning Finally Works*): an update
+//! must not overshoot what it corrects. `V` at the features in hand moves by no more than the error, and the mean command
+//! at them by no more than half a standard deviation of the noise ([`STRIDE`]), whatever the steps that were asked for. What a
+//! trace answers to features is at most the sum of its parts' lengths times theirs, by Cauchy and Schwarz; that is a
+//! number for each output, which decays as the trace does, and no pass over the features. Features are of one sign and change
+//! slowly, so that it is not much more than what it bounds. An error, besides, counts for no more than some multiple of
+//! the running mean of its size: no single surprise (a joint that blocks, a reward far off) can throw the weights away.
 
 use glam::Vec4;
 
@@ -78,6 +83,9 @@ const NEWEST: f32 = 1e-3;
 /// Largest squared noise that counts as such, in variances, less 1: what is beyond was the gate's doing.
 const LARGEST_SQUARE: f32 = 8.0;
 
+/// Farthest that one tick may move the mean command at the features in hand, in standard deviations of the noise.
+const STRIDE: f32 = 0.5;
+
 /// The rule, its critic and both traces.
 #[derive(Debug, Clone)]
 pub struct ActorCritic {
@@ -92,8 +100,14 @@ pub struct ActorCritic {
     outputs: usize,
     /// In the layout of the policy's weights.
     trace: Vec<Vec<Vec4>>,
-    values: Vec<f32>,
-    value_trace: Vec<f32>,
+    values: Vec<Vec4>,
+    value_trace: Vec<Vec4>,
+    /// What the value weights are still to be moved by along their trace: the step of the tick before is taken in the pass
+    /// over the features that the next one needs anyway.
+    due: f32,
+    /// Bounds of what the traces answer to features of length 1: the actor's by output, and the critic's.
+    reach: Outputs,
+    value_reach: f32,
     /// Weight and trace of the last reward as a feature, and that reward.
     last: [f32; 3],
     /// Running mean of the error's size.
@@ -116,8 +130,11 @@ impl ActorCritic {
             noise_costs: [0.0; MAX_OUTPUTS],
             outputs,
             trace: vec![vec![Vec4::ZERO; len]; outputs.div_ceil(4)],
-            values: vec![0.0; len],
-            value_trace: vec![0.0; len],
+            values: vec![Vec4::ZERO; len / 4],
+            value_trace: vec![Vec4::ZERO; len / 4],
+            due: 0.0,
+            reach: [0.0; MAX_OUTPUTS],
+            value_reach: 0.0,
             last: [0.0; 3],
             size: 0.0,
             learned: 0.0,
@@ -130,15 +147,10 @@ impl ActorCritic {
     #[must_use]
     pub fn with(mut self, pairs: Option<Pairs>, metric: Option<Metric>) -> Self {
         if let Some(pairs) = &pairs {
-            self.values = vec![0.0; pairs.len()];
+            self.values = vec![Vec4::ZERO; pairs.units() / 4];
             self.value_trace = self.values.clone();
         }
         Self { sees_pairs: pairs.is_some(), pairs, metric, ..self }
-    }
-
-    /// The value of `features` after `reward`.
-    fn value(&self, features: &[f32], reward: f32) -> f32 {
-        dot(&self.values, features) + self.last[0] * self.critic.reward_feature * reward
     }
 
     /// The error as far as it may count.
@@ -162,16 +174,27 @@ impl ActorCritic {
         squares
     }
 
-    /// Moves the critic by `gain` along its trace, to which `direction` is added.
-    fn judge(&mut self, direction: &[f32], gain: f32) {
-        let Critic { discount, decay, reward_feature, .. } = self.critic;
-        let kept = discount * decay;
-        for ((v, e), &h) in self.values.iter_mut().zip(&mut self.value_trace).zip(direction) {
-            *e = *e * kept + h;
-            *v += gain * *e;
+    /// Takes the critic's step of the tick before, adds `direction` to its trace, and says what `here` and, after `reward`,
+    /// `next` are worth: all in one pass, for there are many features.
+    fn judge(&mut self, [here, next]: [&[f32]; 2], direction: &[f32], reward: f32) -> [f32; 2] {
+        let (kept, due) = (self.critic.discount * self.critic.decay, std::mem::take(&mut self.due));
+        let features = here.as_chunks::<4>().0.iter().zip(next.as_chunks::<4>().0);
+        let rest = features.zip(direction.as_chunks::<4>().0);
+        let mut sums = [[Vec4::ZERO; 2]; 2];
+        for (k, ((v, e), ((here, next), h))) in self.values.iter_mut().zip(&mut self.value_trace).zip(rest).enumerate()
+        {
+            *v += *e * due;
+            *e = *e * kept + Vec4::from_array(*h);
+            sums[0][k % 2] += *v * Vec4::from_array(*here);
+            sums[1][k % 2] += *v * Vec4::from_array(*next);
         }
-        self.last[1] = self.last[1] * kept + reward_feature * self.last[2];
-        self.last[0] += gain * self.last[1];
+        let factor = self.critic.reward_feature;
+        let [weight, trace, last] = &mut self.last;
+        *weight += due * *trace;
+        *trace = *trace * kept + factor * *last;
+        let rewards = [*last, reward];
+        *last = reward;
+        [0, 1].map(|i| (sums[i][0] + sums[i][1]).element_sum() + *weight * factor * rewards[i])
     }
 
     /// Moves the policy by `rate` along its trace, to which `noise` times `direction` is added.
@@ -185,6 +208,24 @@ impl ActorCritic {
         }
     }
 
+    /// As much of `step` as moves the value of either end of the tick by no more than the error: lengths of what is added
+    /// to the trace and of the features, and the last reward and this one as features.
+    fn critic_step(&mut self, step: f32, [added, length]: [f32; 2], [last, this]: [f32; 2]) -> f32 {
+        self.value_reach = self.value_reach * self.critic.discount * self.critic.decay + whole(added, last);
+        step.min(1.0 / (self.value_reach * whole(length, last.abs().max(this.abs()))))
+    }
+
+    /// As much of `rate` as moves the mean command at the features in hand by no more than [`STRIDE`].
+    fn actor_step(&mut self, rate: f32, [added, length]: [f32; 2], noise: &Outputs) -> f32 {
+        let mut most = 0.0_f32;
+        for (reach, n) in self.reach.iter_mut().zip(noise) {
+            *reach = *reach * self.beta + n.abs() * added;
+            most = most.max(*reach);
+        }
+        let (stride, largest) = (rate.abs() * most * length, STRIDE * self.critic.sigma);
+        if stride > largest { rate * (largest / stride) } else { rate }
+    }
+
     fn learn_from(
         &mut self,
         policy: &mut Linear,
@@ -194,7 +235,11 @@ impl ActorCritic {
     ) -> f32 {
         let squares = self.squares(tick.noise);
         let cost: f32 = self.noise_costs.iter().zip(squares).map(|(c, q)| c * q).sum();
-        let (here_value, next_value) = (self.value(here, self.last[2]), self.value(next, tick.reward));
+        let (direction, features) = (metric.unwrap_or(tick.features), tick.features);
+        let sides = [length(direction), length(features)];
+        let rewards = [self.last[2], tick.reward].map(|r| r * self.critic.reward_feature);
+        let critics = if self.sees_pairs { here } else { direction };
+        let [here_value, next_value] = self.judge([here, next], critics, tick.reward);
         let error = tick.reward - cost + self.critic.discount * next_value - here_value;
         if !sound(error * self.rate, tick.noise) || !sound(error * self.critic.step, tick.noise) {
             self.halted = true;
@@ -205,12 +250,11 @@ impl ActorCritic {
             *cost += self.critic.noise_step * error * square;
         }
         let fade = (1.0 / (1.0 + self.learned / self.critic.half_life)).max(self.critic.floor);
-        let critics = if self.sees_pairs { here } else { metric.unwrap_or(here) };
-        self.judge(critics, self.critic.step * fade * error);
+        let lengths = if self.sees_pairs { [1.0; 2] } else { sides };
+        self.due = self.critic_step(self.critic.step * fade, lengths, rewards) * error;
         let warm = ((self.learned + 1.0) / self.critic.warm_up.max(1.0)).min(1.0);
-        let rate = self.rate * warm * fade * error;
-        self.act(policy, metric.unwrap_or(tick.features), tick.noise, rate);
-        self.last[2] = tick.reward;
+        let rate = self.actor_step(self.rate * warm * fade * error, sides, tick.noise);
+        self.act(policy, direction, tick.noise, rate);
         self.learned += 1.0;
         rate
     }
@@ -239,8 +283,15 @@ impl LearningRule for ActorCritic {
         for group in &mut self.trace {
             group.fill(Vec4::ZERO);
         }
-        self.value_trace.fill(0.0);
+        let due = std::mem::take(&mut self.due);
+        for (v, e) in self.values.iter_mut().zip(&mut self.value_trace) {
+            *v += *e * due;
+            *e = Vec4::ZERO;
+        }
+        self.last[0] += due * self.last[1];
         self.last[1] = 0.0;
+        self.reach = [0.0; MAX_OUTPUTS];
+        self.value_reach = 0.0;
     }
 
     fn trace_norm(&self) -> f32 {
@@ -250,6 +301,16 @@ impl LearningRule for ActorCritic {
     fn halted(&self) -> bool {
         self.halted
     }
+}
+
+/// Length of features with one more.
+fn whole(length: f32, more: f32) -> f32 {
+    (length * length + more * more).sqrt()
+}
+
+/// Euclidean length.
+fn length(features: &[f32]) -> f32 {
+    dot(features, features).sqrt()
 }
 
 #[cfg(test)]
@@ -273,27 +334,67 @@ mod tests {
         Tick { features, inputs: &[], noise, applied: noise, reward, next_features, next_inputs: &[] }
     }
 
+    /// All value weights, once the step that is due has been taken.
+    fn values(rule: &mut ActorCritic) -> Vec<f32> {
+        let mut taken = rule.clone();
+        taken.cut_trace();
+        taken.values.iter().flat_map(|v| v.to_array()).collect()
+    }
+
     #[test]
     fn two_ticks_are_the_equations() {
         let mut policy = Linear::new(4, (0..4).collect(), 4);
-        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC);
+        // Steps that no bound meets.
+        let critic = Critic { step: 0.25, sigma: 10.0, ..CRITIC };
+        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, critic);
         let mut noise = [0.0; 8];
         noise[..2].copy_from_slice(&[0.5, -1.0]);
         let (a, b, c) = ([1.0, 0.0, 0.5, 0.0], [0.0, 1.0, 0.5, 0.0], [0.0, 0.0, 1.0, 0.0]);
         rule.learn(&mut policy, &tick(&a, &noise, -2.0, &b));
-        // No value yet: delta = r. v = 0.5 * -2 * a; the last reward was 0, so its weight stays.
-        assert_eq!(rule.values, [-1.0, 0.0, -0.5, 0.0]);
+        // No value yet: delta = r. v = 0.25 * -2 * a; the last reward was 0, so its weight stays.
+        assert_eq!(values(&mut rule), [-0.5, 0.0, -0.25, 0.0]);
         assert!((policy.weight(1, 0) - 0.2).abs() < 1e-6);
-        // delta = -1 + 0.9 * -0.5 - -0.25.
+        // delta = -1 + 0.9 * -0.25 - -0.125.
         rule.learn(&mut policy, &tick(&b, &noise, -1.0, &c));
-        let delta = -1.0 + 0.9 * -0.5 + 0.25_f32;
+        let delta = -1.0 + 0.9 * -0.25 + 0.125_f32;
         let trace = [0.45, 1.0, 0.45 * 0.5 + 0.5, 0.0];
-        for (i, before) in [-1.0, 0.0, -0.5, 0.0].iter().enumerate() {
-            assert!((rule.values[i] - (before + 0.5 * delta * trace[i])).abs() < 1e-6);
+        let now = values(&mut rule);
+        for (i, before) in [-0.5, 0.0, -0.25, 0.0].iter().enumerate() {
+            assert!((now[i] - (before + 0.25 * delta * trace[i])).abs() < 1e-6);
         }
-        assert!((rule.last[0] - 0.5 * delta * 0.25 * -2.0).abs() < 1e-6);
+        rule.cut_trace();
+        assert!((rule.last[0] - 0.25 * delta * 0.25 * -2.0).abs() < 1e-6);
         let expected = -0.1 + 0.1 * delta * (0.8 * 0.5 * 1.0);
         assert!((policy.weight(0, 0) - expected).abs() < 1e-6);
+    }
+
+    #[test]
+    fn no_step_moves_a_mean_or_a_value_farther_than_the_bounds() {
+        let (a, b) = ([0.8, 0.6, 0.0, 0.0], [0.0, 0.6, 0.8, 0.0]);
+        for metric in [None, Some(Metric::from_moments(vec![0.25; 16], 4, 4, 0.3))] {
+            let mut policy = Linear::new(4, (0..4).collect(), 3);
+            let critic = Critic { step: 100.0, sigma: 0.2, bound: 1e9, ..CRITIC };
+            let mut rule = ActorCritic::new(4, 3, 0.9, 1000.0, critic).with(None, metric);
+            let mut exploration = crate::policy::Exploration::new(3, 0.2, 3);
+            let mut longest = 0.0_f32;
+            for k in 0..500 {
+                let (here, next) = if k % 7 < 3 { (&a, &b) } else { (&b, &a) };
+                let (before, value) = (policy.mean(here), dot(&values(&mut rule), here));
+                let reward = if k % 50 == 49 { -1e4 } else { -1.0 };
+                let known = reward + 0.9 * dot(&values(&mut rule), next) - value;
+                rule.learn(&mut policy, &tick(here, &exploration.draw(), reward, next));
+                for (after, before) in policy.mean(here).iter().zip(before) {
+                    longest = longest.max((after - before).abs());
+                }
+                // The last reward is a feature too, and may have its share of the error.
+                let moved = dot(&values(&mut rule), here) - value;
+                let weight = rule.last[0].abs() * 0.25 * 2e4;
+                assert!(moved.abs() <= known.abs() + weight + 1e-3, "{k}: {moved} {known}");
+            }
+            // In single precision, about weights that are of the order of 1.
+            assert!(longest <= STRIDE * 0.2 * 1.001 && longest > 0.5 * STRIDE * 0.2, "{longest}");
+            assert!(!rule.halted());
+        }
     }
 
     #[test]
@@ -325,11 +426,11 @@ mod tests {
     fn a_number_that_is_not_finite_stops_learning() {
         let mut policy = Linear::new(4, (0..4).collect(), 4);
         let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC);
-        rule.values[0] = f32::INFINITY;
+        rule.values[0].x = f32::INFINITY;
         let noise = [1.0; 8];
         rule.learn(&mut policy, &tick(&[1.0; 4], &noise, -1.0, &[1.0; 4]));
         assert!(rule.halted());
-        rule.values[0] = 0.0;
+        rule.values[0].x = 0.0;
         rule.learn(&mut policy, &tick(&[1.0; 4], &noise, -1.0, &[1.0; 4]));
         assert_eq!(policy.norm(), 0.0);
     }

@@ -8,7 +8,7 @@
 //! |---|---|---|
 //! | `paper` | `paper.rs` | Daucé & Dutech 2010, section 3.2 |
 //! | `baseline` | `baseline.rs` | Williams 1992: the same, reward less its running mean |
-//! | `actor-critic` | `actor_critic.rs` | Degris, Pilarski & Sutton 2012 |
+//! | `actor-critic` | `actor_critic.rs`, `pairs.rs` | Degris, Pilarski & Sutton 2012; bounded steps: Elsayed et al. 2024 |
 //! | `natural-actor-critic` | `actor_critic.rs`, `metric.rs` | Kakade 2001; Bhatnagar et al. 2009 |
 //! | `learned-reward` | `learned_reward/` | model-based value gradients: Heess et al. 2015, Deisenroth & Rasmussen 2011 |
 
