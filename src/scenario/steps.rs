@@ -24,8 +24,8 @@ const BASELINE: f64 = 0.3;
 /// The same of an actor with a critic. Its updates are bounded, so that it does not diverge: 10 learns (0.026 to 0.036 a
 /// tick after 100,000 ticks, three seeds), 1000 moves by the whole bound in every tick and is left with 0.036 to 0.093.
 const ACTOR: f64 = 10.0;
-/// Largest step of a critic that is ever taken in full: its updates are bounded too, at `1 - gamma lambda` of the error
-/// once the trace has grown, with the preset's constants 0.28. 1 and 5.5 learn alike.
+/// Largest step of a critic that makes a difference. Its updates are bounded too, at `1 - gamma lambda` of the error once the
+/// trace has grown, with the preset's constants 0.28; steps of 1 and 5.5 learn alike.
 const CRITIC: f64 = 1.0;
 
 /// Checks the steps of a plan's learner. Returns warnings, one sentence each: key, value, why, remedy.
