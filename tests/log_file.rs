@@ -50,6 +50,7 @@ fn header() -> LogHeader {
         measures: vec!["error".into()],
         channels: ChannelsTable::default(),
         machine: BTreeMap::new(),
+        realtime: Default::default(),
         clock: Clock::Virtual,
         t0_ns: 0,
         wall_at_t0_ns: 0,

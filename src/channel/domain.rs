@@ -5,9 +5,13 @@ use std::path::{Path, PathBuf};
 use iceoryx2::prelude::*;
 
 use super::ChannelError;
+use super::debris::LOCK_FILE;
+
+/// Where shared memory is.
+pub(super) const SHM: &str = "/dev/shm";
 
 /// Name of a domain, from which prefix and root follow: eight hexadecimal digits.
-#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 pub struct DomainName(String);
 
 impl DomainName {
@@ -16,15 +20,33 @@ impl DomainName {
         Self(format!("{:08x}", (run ^ (run >> 32)) as u32))
     }
 
+    /// The domain to which a file or folder in shared memory belongs, by its name; `None` for one that is not ours.
+    pub(super) fn of_file(name: &str) -> Option<Self> {
+        let digits = name.strip_prefix("tectum_")?;
+        let (digits, rest) = digits.split_at_checked(8)?;
+        let ours = digits.bytes().all(|b| b.is_ascii_digit() || (b'a'..=b'f').contains(&b));
+        (ours && (rest.is_empty() || rest.starts_with('_'))).then(|| Self(digits.to_owned()))
+    }
+
+    /// What the names of root and files begin with.
+    pub(super) fn stem(&self) -> String {
+        format!("tectum_{}", self.0)
+    }
+
     /// Prefix of all of the domain's shared-memory files.
     pub fn prefix(&self) -> String {
-        format!("tectum_{}_", self.0)
+        format!("{}_", self.stem())
     }
 
     /// The folder of the domain's nodes and services. On tmpfs, where setting up is some fifty times faster than on a
     /// disk; short, because iceoryx2 allows 70 bytes for root and prefix together.
     pub fn root(&self) -> PathBuf {
-        PathBuf::from(format!("/dev/shm/tectum_{}", self.0))
+        self.root_in(Path::new(SHM))
+    }
+
+    /// The same where shared memory is elsewhere, in tests.
+    pub(super) fn root_in(&self, shm: &Path) -> PathBuf {
+        shm.join(self.stem())
     }
 }
 
@@ -62,10 +84,11 @@ impl Domain {
 
 /// Removes every file of the domain. For the launcher, when all processes of the run have ended.
 pub fn wipe(name: &DomainName) {
-    wipe_in(Path::new("/dev/shm"), name);
+    wipe_in(Path::new(SHM), name);
 }
 
-fn wipe_in(shm: &Path, name: &DomainName) {
+/// The launcher's lock goes last, so that there is no time at which the domain has files and no lock.
+pub(super) fn wipe_in(shm: &Path, name: &DomainName) {
     let prefix = name.prefix();
     if let Ok(entries) = std::fs::read_dir(shm) {
         for entry in entries.flatten() {
@@ -74,7 +97,13 @@ fn wipe_in(shm: &Path, name: &DomainName) {
             }
         }
     }
-    let _ = std::fs::remove_dir_all(name.root());
+    let root = name.root_in(shm);
+    for entry in std::fs::read_dir(&root).into_iter().flatten().flatten().filter(|e| e.file_name() != LOCK_FILE) {
+        let folder = entry.file_type().is_ok_and(|t| t.is_dir());
+        let _ = if folder { std::fs::remove_dir_all(entry.path()) } else { std::fs::remove_file(entry.path()) };
+    }
+    let _ = std::fs::remove_file(root.join(LOCK_FILE));
+    let _ = std::fs::remove_dir(&root);
 }
 
 #[cfg(test)]

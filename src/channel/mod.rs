@@ -8,10 +8,12 @@
 //! reader. Where nothing may be lost (lockstep), the plant does not run further ahead of the logger than the reader's
 //! buffer (see [`LOG_BUFFER`]), so that overflow cannot happen, rather than block on it.
 
+mod debris;
 mod domain;
 mod ports;
 mod services;
 
+pub use debris::{Owner, Remains, survey, sweep};
 pub use domain::{Domain, DomainName, wipe};
 pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Payload, Receiver, Sender};
 pub use services::{ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts};
@@ -69,7 +71,10 @@ impl ChannelError {
             "; the run is over or was never started"
         } else if cause.contains("Permission") {
             "; start all processes of a run as the same user"
-        } else if cause.contains("UnableToGenerateUniqueNodeId") || cause.contains("OutOfMemory") {
+        } else if ["UnableToGenerateUniqueNodeId", "OutOfMemory", "NotFound", "StorageFull"]
+            .iter()
+            .any(|what| cause.contains(what))
+        {
             "; is /dev/shm mounted and large enough?"
         } else if cause.contains("Exceeds") {
             "; another process already has this role in the run"

@@ -3,6 +3,7 @@
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{blackboard, event};
 
+use super::debris::Claim;
 use super::domain::{Domain, DomainName, wipe};
 use super::ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Factory, Payload, Receiver, Sender};
 use super::{ChannelError, LOG_BUFFER, Mismatch};
@@ -81,12 +82,16 @@ pub struct Hub {
 }
 
 /// Wipes the domain when everything else is gone, also when setting up fails half-way.
+/// The claim is given back after that.
 #[derive(Debug)]
-struct Wipe(DomainName);
+struct Wipe {
+    name: DomainName,
+    _claim: Claim,
+}
 
 impl Drop for Wipe {
     fn drop(&mut self) {
-        wipe(&self.0);
+        wipe(&self.name);
     }
 }
 
@@ -96,7 +101,8 @@ impl Hub {
     /// # Errors
     /// [`ChannelError::SetUp`] when shared memory cannot be used.
     pub fn create(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
-        let wipe = Wipe(name.clone());
+        let claim = Claim::take(name).map_err(|e| ChannelError::set_up("the root", e.kind()))?;
+        let wipe = Wipe { name: name.clone(), _claim: claim };
         let domain = Domain::join(name)?;
         let wake = domain
             .node

@@ -1,15 +1,21 @@
-//! The operating-system boundary: time, signals, other processes' lives, and what machine this is.
+//! The operating-system boundary: time, signals, other processes' lives, scheduling, and what machine this is.
 //!
 //! Nothing outside this room and [`crate::channel`] asks the operating system for the time or sleeps. The loops take
 //! a [`TimeSource`], which is real (absolute deadlines on CLOCK_MONOTONIC) or stepped (the tick's own virtual time).
 
+mod holders;
 mod life;
 mod machine;
+mod realtime;
 mod signals;
 mod source;
 
+pub use holders::mapping;
 pub use life::Life;
 pub use machine::facts;
+pub use realtime::{
+    Asked, Held, RealtimeReport, Refusal, fifo, lock_limit, lock_remedy, priority_limit, priority_remedy,
+};
 pub use signals::Signals;
 pub use source::{Backoff, TimeSource, Wake};
 

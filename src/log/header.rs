@@ -62,6 +62,9 @@ pub struct LogHeader {
     pub channels: ChannelsTable,
     /// What is known of the machine: kernel, processor, cores, host and whatever else.
     pub machine: BTreeMap<String, String>,
+    /// Real time: what each process asked of the operating system, what holds and what was refused, as JSON by the
+    /// process's name; `realtime.` goes before it. Of a process that was started anew, the first account.
+    pub realtime: BTreeMap<String, String>,
     /// The clock of all instants.
     pub clock: Clock,
     /// Start of tick 0 on that clock, ns; 0 on the virtual clock.
@@ -93,6 +96,7 @@ impl LogHeader {
             measures: plan.measures.clone(),
             channels: plan.scenario.channels.clone(),
             machine,
+            realtime: BTreeMap::new(),
             clock: Clock::Virtual,
             t0_ns: 0,
             wall_at_t0_ns: 0,
@@ -113,6 +117,7 @@ impl LogHeader {
         let json = |what: &str, value: serde_json::Result<String>| value.map_err(|e| bad(format!("{what}: {e}")));
         let mut map: BTreeMap<String, String> =
             self.machine.iter().map(|(k, v)| (format!("machine.{k}"), v.clone())).collect();
+        map.extend(self.realtime.iter().map(|(k, v)| (format!("realtime.{k}"), v.clone())));
         let mut put = |key: &str, value: String| map.insert(key.to_owned(), value);
         put("run", format!("{:016x}", self.run));
         put("name", self.name.clone());
@@ -193,6 +198,7 @@ pub(super) mod tests {
             measures: vec!["error".into()],
             channels: ChannelsTable::default(),
             machine: BTreeMap::from([("kernel".into(), "Linux".into())]),
+            realtime: BTreeMap::from([("plant".into(), "{}".into())]),
             clock: Clock::Virtual,
             t0_ns: 0,
             wall_at_t0_ns: 0,
@@ -207,6 +213,7 @@ pub(super) mod tests {
         assert_eq!(map["wire.observation"], "tectum.Observation.v1");
         assert_eq!(map["topic.command"], "/command");
         assert_eq!(map["machine.kernel"], "Linux");
+        assert_eq!(map["realtime.plant"], "{}");
         assert!(map["flags"].contains("\"LEARNED\":65536"));
     }
 

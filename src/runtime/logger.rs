@@ -1,11 +1,10 @@
 //! The logger's loop: everything that the others send, merged by tick, into one file.
 
-use super::{Card, LoggerReport, Mode, RuntimeError, Seat, Session};
+use super::{Card, LoggerReport, Mode, RuntimeError, Seat, Session, read_realtime};
 use crate::channel::{LoggerPorts, Receiver};
 use crate::clock::{TimeSource, facts, monotonic_ns, pause, wall_ns};
 use crate::log::{Clock, LogError, LogHeader, LogWriter, Record, Totals};
-use crate::scenario::Plan;
-use crate::wire::{Command, Gap, Header, Learning, Observation, State};
+use crate::wire::{Command, Gap, Header, Learning, Observation, Role, State};
 
 /// One channel on its way into the log.
 struct Lane {
@@ -162,7 +161,7 @@ pub fn run_logger(seat: Seat) -> Result<LoggerReport, RuntimeError> {
         Ok(channels.iter().all(|&writers| writers >= 1))
     })?;
     let path = Card::log_path(&session.seat.folder);
-    let header = header(&session.seat.plan, &session.seat.card, &time);
+    let header = header(&session.seat, &time);
     let log = LogWriter::create(&path, &header)?;
     let mut merge = Merge { lanes: [0, 1, 2].map(Lane::new), log, every: header.every };
 
@@ -229,12 +228,18 @@ fn follow(
     }
 }
 
-fn header(plan: &Plan, card: &Card, time: &TimeSource) -> LogHeader {
+fn header(seat: &Seat, time: &TimeSource) -> LogHeader {
+    let (plan, card) = (&seat.plan, &seat.card);
     let mut header = LogHeader::new(plan, card.run_id(), card.mode.name(), facts());
     if card.mode == Mode::Realtime {
         header.clock = Clock::Monotonic;
         header.t0_ns = time.scheduled(0);
         header.wall_at_t0_ns = (wall_ns() + header.t0_ns).saturating_sub(monotonic_ns());
+        // Every process has left its account before it was ready.
+        let accounts = Role::ALL.map(|role| (role, read_realtime(&seat.folder, role)));
+        let text = |report| serde_json::to_string(&report).unwrap_or_default();
+        header.realtime =
+            accounts.into_iter().filter_map(|(role, report)| Some((role.name().to_owned(), text(report?)))).collect();
     }
     header
 }

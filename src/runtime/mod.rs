@@ -26,6 +26,8 @@ pub use gate::{Applied, Gate};
 pub use in_process::{InProcess, in_process, in_process_seen};
 pub use logger::run_logger;
 pub use plant::{PlantSide, run_plant};
-pub use reports::{ControllerReport, LoggerReport, Percentiles, PlantReport, read as read_report};
+pub use reports::{
+    ControllerReport, LoggerReport, Percentiles, PlantReport, read as read_report, read_realtime, realtime_path,
+};
 pub use seat::{Card, End, Mode, Seat, Session, identity};
 pub use tally::{Snapshot, Switch, Tally};

@@ -6,6 +6,7 @@ use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{RuntimeError, Snapshot, TickBudget};
+use crate::clock::RealtimeReport;
 use crate::report::Window;
 use crate::wire::Role;
 
@@ -114,9 +115,23 @@ fn report_path(folder: &Path, role: Role) -> PathBuf {
     folder.join(format!("{}.json", role.name()))
 }
 
+/// Where the account of the real-time set-up of `role` lies in the run's folder. A file of its own, because it is there
+/// from before the first tick on: launcher and logger read it when the run begins.
+pub fn realtime_path(folder: &Path, role: Role) -> PathBuf {
+    folder.join(format!("{}.realtime.json", role.name()))
+}
+
 /// Writes a report, whole or not at all.
 pub(super) fn write<T: Serialize>(folder: &Path, role: Role, report: &T) -> Result<(), RuntimeError> {
-    let path = report_path(folder, role);
+    write_to(report_path(folder, role), report)
+}
+
+/// Writes the account of a process's real-time set-up.
+pub(super) fn write_realtime(folder: &Path, role: Role, report: &RealtimeReport) -> Result<(), RuntimeError> {
+    write_to(realtime_path(folder, role), report)
+}
+
+fn write_to<T: Serialize>(path: PathBuf, report: &T) -> Result<(), RuntimeError> {
     let failed = |cause| RuntimeError::File { path: path.display().to_string(), cause };
     let text = serde_json::to_string_pretty(report).map_err(|e| failed(e.into()))?;
     let draft = path.with_extension("json.part");
@@ -125,6 +140,14 @@ pub(super) fn write<T: Serialize>(folder: &Path, role: Role, report: &T) -> Resu
 
 /// Reads a report; `None` when the process left none.
 pub fn read<T: DeserializeOwned>(folder: &Path, role: Role) -> Option<T> {
-    let text = std::fs::read_to_string(report_path(folder, role)).ok()?;
-    serde_json::from_str(&text).ok()
+    read_from(&report_path(folder, role))
+}
+
+/// Reads the account of a process's real-time set-up; `None` when there is none, as in lockstep.
+pub fn read_realtime(folder: &Path, role: Role) -> Option<RealtimeReport> {
+    read_from(&realtime_path(folder, role))
+}
+
+fn read_from<T: DeserializeOwned>(path: &Path) -> Option<T> {
+    serde_json::from_str(&std::fs::read_to_string(path).ok()?).ok()
 }

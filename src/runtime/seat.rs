@@ -11,7 +11,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use super::RuntimeError;
 use crate::channel::{ChannelError, Desk, DomainName, Identity};
-use crate::clock::{Life, Signals, TimeSource, pause};
+use crate::clock::{Life, RealtimeReport, Signals, TimeSource, pause};
 use crate::scenario::{ChannelsTable, Plan, Scenario};
 use crate::wire::{Phase, Role, State, Status, schema_hash};
 
@@ -123,16 +123,23 @@ impl Seat {
         Ok(open(&self.card.domain, &self.identity(), &self.plan.scenario.channels)?)
     }
 
-    /// Goes through the phases: ready, connected, and then the time source with which the ticks begin. `connected` is
+    /// In real time, asks the operating system for what the scenario says. Then goes through the phases: ready, connected, and then the time source with which the ticks begin. `connected` is
     /// asked until it says that every port has its peers.
     ///
     /// # Errors
-    /// When the run ends before it begins, or a port fails.
+    /// When the run ends before it begins, or a port fails. What the operating system refuses is none: it is in the
+    /// process's [`RealtimeReport`].
     pub fn begin(
         self,
         desk: Desk,
         mut connected: impl FnMut() -> Result<bool, ChannelError>,
     ) -> Result<(Session, TimeSource), RuntimeError> {
+        // Ports and learner are there, and no peer waits yet. Whoever is connected has left its account of this.
+        if self.card.mode == Mode::Realtime {
+            let table = format!("realtime.{}", self.role.name());
+            let report = RealtimeReport::request(self.plan.scenario.realtime.of(self.role), &table);
+            super::reports::write_realtime(&self.folder, self.role, &report)?;
+        }
         let Identity { schema, scenario, build } = self.identity();
         let status = Status {
             pid: std::process::id(),

@@ -10,7 +10,7 @@ use serde::{
     de::{Error, IgnoredAny, SeqAccess, Visitor},
 };
 
-use super::{ArmTable, LearnerTable, Source};
+use super::{ArmTable, LearnerTable, RealtimeTable, Source};
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,6 +45,9 @@ pub struct Scenario {
     /// The names of the channels.
     #[serde(default)]
     pub channels: ChannelsTable,
+    /// What each process asks of the operating system in real time.
+    #[serde(default, skip_serializing_if = "RealtimeTable::is_nothing")]
+    pub realtime: RealtimeTable,
     /// Where the scenario came from, for messages; not a key of the file, not compared and not hashed.
     #[serde(skip)]
     pub source: Source,

@@ -93,3 +93,9 @@ pub const MODEL_INPUTS: usize = 10;
 pub const MODEL_UNITS: usize = 256;
 /// Most features for a natural gradient, which inverts their second-moment matrix: the same.
 pub const METRIC_FEATURES: usize = 1024;
+/// Priorities under SCHED_FIFO.
+pub const PRIORITY: RangeInclusive<u32> = 1..=99;
+/// Largest number of a core: as many as the system's set of cores holds.
+pub const MAX_CORE: u32 = 1023;
+/// Most stack that is touched beforehand, KiB: half of the usual 8 MiB.
+pub const MAX_STACK_KIB: u32 = 4096;

@@ -12,6 +12,7 @@ mod file;
 mod learner;
 pub mod limits;
 mod presets;
+mod realtime;
 mod signals;
 mod source;
 mod steps;
@@ -27,6 +28,7 @@ pub use error::{Place, ScenarioError};
 pub use file::*;
 pub use learner::*;
 pub use presets::{Preset, presets};
+pub use realtime::{RealtimeProcess, RealtimeTable};
 pub use source::Source;
 
 use std::{fs::File, io::Read, path::Path};

@@ -7,7 +7,7 @@ use std::{collections::HashSet, fmt::Display, ops::RangeInclusive};
 
 use super::{
     EncoderTable, GateTable, LogTable, MapTable, Rule, Scenario, SignalTable, error::Problem, error::either,
-    error::quoted, find, limits, signals::signals, validate_learner, validate_plant,
+    error::quoted, find, limits, realtime, signals::signals, validate_learner, validate_plant,
 };
 use crate::wire::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
 
@@ -37,7 +37,8 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
     within_reach(scenario.learner.rule, &scenario.encoder, features)?;
     validate_learner::check(&scenario.learner, &signals)?;
     log(&scenario.log)?;
-    channels(scenario)
+    channels(scenario)?;
+    realtime::check(&scenario.realtime)
 }
 
 fn top(scenario: &Scenario) -> Result<(), Problem> {

@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use super::LaunchError;
 use super::children::Failure;
 use crate::log::{FIXED_BYTES, bytes_per_tick};
-use crate::runtime::Card;
+use crate::runtime::{Card, realtime_path};
 use crate::scenario::Plan;
+use crate::wire::Role;
 
 /// Where runs go that name no folder.
 const RUNS: &str = "runs";
@@ -112,7 +113,8 @@ impl Drop for RunFolder {
         if self.kept.get() {
             return;
         }
-        for path in [Card::path(&self.path), Card::scenario_path(&self.path)] {
+        let accounts = Role::ALL.map(|role| realtime_path(&self.path, role));
+        for path in [Card::path(&self.path), Card::scenario_path(&self.path)].into_iter().chain(accounts) {
             let _ = fs::remove_file(path);
         }
         if self.made {

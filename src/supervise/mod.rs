@@ -18,16 +18,17 @@ pub(crate) use folder::RunFolder;
 pub(crate) use progress::Progress;
 pub(crate) use story::reach;
 pub use study::study;
-pub use summary::{Ended, Span, Summary};
+pub use summary::{Ended, ProcessRealtime, Span, Summary};
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use children::Crew;
 
-use crate::channel::{DomainName, Hub};
-use crate::clock::{Signals, monotonic_ns, pause, wall_ns};
-use crate::runtime::{Card, Mode, identity};
+use crate::channel::{DomainName, Hub, sweep};
+use crate::clock::{Refusal, Signals, monotonic_ns, pause, wall_ns};
+use crate::process::say;
+use crate::runtime::{Card, Mode, identity, read_realtime};
 use crate::scenario::Plan;
 use crate::wire::{Control, Phase, Role, State};
 
@@ -73,6 +74,10 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.check_room(plan)?;
 
+    // What a launcher that was killed could not take away any more.
+    for left in sweep(false) {
+        say(&format!("tectum: removed {} from shared memory, which a run that was killed had left", left.domain));
+    }
     let run = run_id(plan);
     let domain = DomainName::of(run);
     let hub = Hub::create(&domain, &identity(plan), &plan.scenario.channels)?;
@@ -85,6 +90,9 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
     let mut run = Run { hub, crew, control, signals, progress: Progress::new(launch, &folder), ended: None };
     run.set_up(launch)?;
     folder.keep();
+    if launch.mode == Mode::Realtime {
+        warn_of_refusals(folder.path());
+    }
 
     let began = monotonic_ns();
     if run.ended.is_none() {
@@ -104,6 +112,16 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
         folder.keep_words(failure);
     }
     Ok(Summary::of_run(launch, folder.path(), &boards, ended.unwrap_or(Ended::Complete), failure, seconds))
+}
+
+/// Says what the processes asked of the operating system and were refused. The run goes on without.
+fn warn_of_refusals(folder: &Path) {
+    for role in Role::ALL {
+        for refusal in read_realtime(folder, role).into_iter().flat_map(|report| report.refused) {
+            let (name, Refusal { what, why, remedy }) = (role.name(), refusal);
+            say(&format!("tectum: warning: the {name} asked for {what} and does not have it ({why}); {remedy}"));
+        }
+    }
 }
 
 /// A run's id: different for every run on this machine, also for two that start at the same instant.

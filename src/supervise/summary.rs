@@ -8,9 +8,11 @@ use serde::Serialize;
 use super::Launch;
 use super::children::Failure;
 use super::story::{ends, story};
+use crate::clock::RealtimeReport;
 use crate::report::{self, Story, Window, thousands};
 use crate::runtime::{
-    Card, ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, TickBudget, exit, read_report,
+    Card, ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, TickBudget, exit, read_realtime,
+    read_report,
 };
 use crate::wire::{Role, Status};
 
@@ -41,6 +43,16 @@ pub struct Span {
     pub rms_error_m: Option<f64>,
     /// Mean error at the end of a target, m; null where none ended.
     pub end_error_m: Option<f64>,
+}
+
+/// What a process asked of the operating system in real time, what it had, and what it was refused.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ProcessRealtime {
+    /// Which process.
+    pub process: &'static str,
+    /// Its account.
+    #[serde(flatten)]
+    pub report: RealtimeReport,
 }
 
 /// Everything that a run tells.
@@ -92,6 +104,8 @@ pub struct Summary {
     pub observation_to_command_us: Option<Percentiles>,
     /// Real time: how the ticks were spent; null in lockstep, where there is no time to spend.
     pub tick_budget: Option<TickBudget>,
+    /// Real time: what each process asked of the operating system, what it had and what it was refused; empty otherwise.
+    pub realtime: Vec<ProcessRealtime>,
     /// The run's folder.
     pub folder: PathBuf,
     /// The log; null where there is none.
@@ -136,6 +150,8 @@ impl Summary {
         let controller: Option<ControllerReport> = read_report(folder, Role::Controller);
         let logger: LoggerReport = read_report(folder, Role::Logger).unwrap_or_default();
         let mut summary = Self::new(launch, folder, ended, seconds, &plant, controller);
+        let account = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
+        summary.realtime = Role::ALL.into_iter().filter_map(account).collect();
         let log = Card::log_path(folder);
         summary.log_bytes = std::fs::metadata(&log).map_or(0, |m| m.len());
         summary.log = log.exists().then_some(log);
@@ -208,6 +224,7 @@ impl Summary {
                 .as_ref()
                 .and_then(|c| c.tick_budget)
                 .map(|budget| TickBudget { plant_us: plant.work, ..budget }),
+            realtime: Vec::new(),
             folder: folder.to_owned(),
             log: None,
             log_bytes: 0,
@@ -305,6 +322,12 @@ impl Summary {
         }
         if let Some(budget) = &self.tick_budget {
             let _ = writeln!(text, "{:<23} {}", "tick budget", budget.to_text(24));
+        }
+        // Only where something was asked for or refused: otherwise all are as they always are.
+        if self.realtime.iter().any(|r| !r.report.is_usual()) {
+            for ProcessRealtime { process, report } in &self.realtime {
+                let _ = writeln!(text, "{:<23} {}", format!("real time, {process}"), report.to_text());
+            }
         }
         if let Some(hash) = &self.weights_hash {
             let _ = writeln!(text, "weights {hash}");
