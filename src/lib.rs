@@ -9,6 +9,7 @@
 
 pub mod channel;
 pub mod clock;
+pub mod doctor;
 pub mod encoder;
 pub mod learner;
 pub mod log;

@@ -2,6 +2,7 @@
 
 mod analyse;
 mod compare;
+mod doctor;
 mod log;
 mod replay;
 mod reproduce;
@@ -46,6 +47,8 @@ enum Command {
     Replay(replay::Arguments),
     /// Look into a log, make a torn one whole, or export it
     Log(log::Arguments),
+    /// Look whether this machine is fit for real time, and remove what killed runs have left
+    Doctor(doctor::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -56,6 +59,7 @@ fn main() -> ExitCode {
         Command::Compare(arguments) => compare::main(&arguments),
         Command::Replay(arguments) => replay::main(&arguments),
         Command::Log(arguments) => log::main(&arguments),
+        Command::Doctor(arguments) => doctor::main(&arguments),
     }
 }
 
