@@ -95,6 +95,11 @@ pub enum Owner {
         /// Their ids.
         pids: Vec<u32>,
     },
+    /// Processes, without a lock: a run of another version of this program.
+    OtherVersion {
+        /// Their ids.
+        pids: Vec<u32>,
+    },
     /// Nobody: what was left behind.
     Nobody,
     /// Without a lock and too young to tell: a run that just begins.
@@ -209,7 +214,11 @@ fn examine(shm: &Path, name: &DomainName, lock: fn(&File) -> Result<(), TryLockE
         return owned(Owner::Young);
     }
     let pids = mapping(&name.root_in(shm));
-    let owner = if pids.is_empty() { Owner::Nobody } else { Owner::Processes { pids } };
+    let owner = match (pids.is_empty(), &lock) {
+        (true, _) => Owner::Nobody,
+        (false, Some(_)) => Owner::Processes { pids },
+        (false, None) => Owner::OtherVersion { pids },
+    };
     Examined { owner, lock }
 }
 

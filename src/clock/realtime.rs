@@ -96,13 +96,17 @@ impl RealtimeReport {
             (process.lock_memory && held.locked_kib == 0).then(|| Refusal {
                 what: "lock_memory".to_owned(),
                 why: "the request was taken, and nothing is locked".to_owned(),
-                remedy: lock_remedy(),
+                remedy: lock_remedy(&program()),
             })
         }));
         let fallen = |wanted: &u32| held.scheduler != "fifo" || held.priority != *wanted;
         if let Some(wanted) = process.priority.filter(fallen) {
             let (_, why) = priority.unwrap_or((wanted, "the request was taken, and does not hold".to_owned()));
-            refused.push(Refusal { what: format!("priority = {wanted}"), why, remedy: priority_remedy(wanted) });
+            refused.push(Refusal {
+                what: format!("priority = {wanted}"),
+                why,
+                remedy: priority_remedy(wanted, &program()),
+            });
         }
         if held.timer_slack_ns > TIMER_SLACK_NS {
             refused.push(Refusal {
@@ -183,28 +187,32 @@ pub fn fifo(priority: u32) -> Result<(), String> {
     })
 }
 
-/// What allows SCHED_FIFO up to `priority`.
-pub fn priority_remedy(priority: u32) -> String {
+/// What allows `program` SCHED_FIFO up to `priority`.
+pub fn priority_remedy(priority: u32, program: &str) -> String {
     format!(
         "allow it with a line `USER - rtprio {priority}` in /etc/security/limits.conf and a new login (or `ulimit -r \
          {priority}` where the hard limit is as high), or with {}",
-        setcap()
+        setcap(program)
     )
 }
 
-/// What allows to lock memory.
-pub fn lock_remedy() -> String {
+/// What allows `program` to lock memory.
+pub fn lock_remedy(program: &str) -> String {
     format!(
         "allow it with a line `USER - memlock unlimited` in /etc/security/limits.conf and a new login (or `ulimit -l \
          unlimited`), or with {}",
-        setcap()
+        setcap(program)
     )
 }
 
 /// Both capabilities, because setting one takes the other away.
-fn setcap() -> String {
-    let program = std::env::current_exe().map_or_else(|_| "PROGRAM".to_owned(), |path| path.display().to_string());
+fn setcap(program: &str) -> String {
     format!("`sudo setcap cap_sys_nice,cap_ipc_lock=ep {program}`")
+}
+
+/// This program's file.
+fn program() -> String {
+    std::env::current_exe().map_or_else(|_| "PROGRAM".to_owned(), |path| path.display().to_string())
 }
 
 /// The most memory that may be locked, bytes; `None` where there is no limit, or none for this process.
@@ -261,7 +269,7 @@ fn take_cores(asked: &[u32], table: &str) -> Option<Refusal> {
 
 /// Locks what is there and, where no limit could be met later, what will come.
 fn lock_memory() -> Result<(), Refusal> {
-    let refusal = |why| Refusal { what: "lock_memory".to_owned(), why, remedy: lock_remedy() };
+    let refusal = |why| Refusal { what: "lock_memory".to_owned(), why, remedy: lock_remedy(&program()) };
     let limit = lock_limit();
     // Under a limit, a process that had locked all that is to come would die of its next allocation beyond it.
     let what = if limit.is_none() { MlockAllFlags::CURRENT | MlockAllFlags::FUTURE } else { MlockAllFlags::CURRENT };

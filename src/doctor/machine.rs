@@ -6,6 +6,10 @@ use std::fs;
 use super::{Check, bytes};
 use crate::clock::{facts, lock_limit, lock_remedy, priority_limit, priority_remedy};
 
+/// To whom a remedy applies; capabilities belong to one file each.
+const PROGRAMS: &str =
+    "PROGRAM` for each of the run's programs, `tectum-simulator`, `tectum-controller`, `tectum-logger";
+
 /// All of them.
 pub(super) fn checks() -> Vec<Check> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -51,7 +55,7 @@ fn kernel(release: &str, version: &str, realtime: bool) -> Check {
 
 fn priorities(limit: u64) -> Check {
     match limit {
-        0 => Check::better("real-time priority", "SCHED_FIFO is not allowed", priority_remedy(80)),
+        0 => Check::better("real-time priority", "SCHED_FIFO is not allowed", priority_remedy(80, PROGRAMS)),
         limit => Check::fine("real-time priority", format!("SCHED_FIFO up to {limit}")),
     }
 }
@@ -72,7 +76,7 @@ fn throttling(runtime: &str, period: &str) -> Check {
 fn locking(limit: Option<u64>) -> Check {
     match limit {
         None => Check::fine("locked memory", "unlimited"),
-        Some(limit) => Check::better("locked memory", format!("at most {}", bytes(limit)), lock_remedy()),
+        Some(limit) => Check::better("locked memory", format!("at most {}", bytes(limit)), lock_remedy(PROGRAMS)),
     }
 }
 

@@ -83,8 +83,11 @@ pub(super) fn debris(domains: &[Remains], removed: &[Remains]) -> Check {
         }
     }
     let living = domains.iter().filter(|r| matches!(r.owner, Owner::Launcher { .. } | Owner::Young)).count();
+    let versions = domains.iter().filter(|r| matches!(r.owner, Owner::OtherVersion { .. })).count();
     let others = domains.iter().filter(|r| r.owner == Owner::OtherUser).count();
-    for (count, what) in [(living, "of living runs"), (others, "of other users")] {
+    for (count, what) in
+        [(living, "of living runs"), (versions, "of living runs of another version"), (others, "of other users")]
+    {
         if count > 0 {
             parts.push(format!("{count} {what}"));
         }
@@ -122,8 +125,10 @@ mod tests {
     fn debris_by_owner() {
         let of = |owner| Remains { domain: "tectum_00000001".into(), owner, files: 3, bytes: 4096 };
         assert_eq!(debris(&[], &[]), Check::fine("debris of runs", "nothing left"));
-        let living = [of(Owner::Launcher { pid: Some(7) }), of(Owner::OtherUser)];
-        assert_eq!(debris(&living, &[]).found, "1 of living runs; 1 of other users");
+        let version = Owner::OtherVersion { pids: vec![8] };
+        let living = debris(&[of(Owner::Launcher { pid: Some(7) }), of(version), of(Owner::OtherUser)], &[]);
+        let found = "1 of living runs; 1 of living runs of another version; 1 of other users";
+        assert_eq!(living, Check::fine("debris of runs", found));
         let left = debris(&[of(Owner::Nobody)], &[]);
         assert_eq!(
             (left.verdict, left.found.as_str()),
