@@ -198,7 +198,7 @@ pub(super) mod tests {
             measures: vec!["error".into()],
             channels: ChannelsTable::default(),
             machine: BTreeMap::from([("kernel".into(), "Linux".into())]),
-            realtime: BTreeMap::from([("plant".into(), "{}".into())]),
+            realtime: BTreeMap::new(),
             clock: Clock::Virtual,
             t0_ns: 0,
             wall_at_t0_ns: 0,
@@ -207,7 +207,8 @@ pub(super) mod tests {
 
     #[test]
     fn the_map_says_what_a_stranger_needs() {
-        let map = sample_header().to_map(Path::new("x")).unwrap();
+        let realtime = BTreeMap::from([("plant".into(), "{}".into())]);
+        let map = LogHeader { realtime, ..sample_header() }.to_map(Path::new("x")).unwrap();
         assert_eq!(map["run"], "0000000000000abc");
         assert_eq!(map["inputs"], r#"[{"name":"target_x","unit":"m","min":-1.0,"max":1.0}]"#);
         assert_eq!(map["wire.observation"], "tectum.Observation.v1");
