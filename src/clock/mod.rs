@@ -5,6 +5,7 @@
 
 mod holders;
 mod life;
+mod limits;
 mod machine;
 mod realtime;
 mod signals;
@@ -12,10 +13,9 @@ mod source;
 
 pub use holders::mapping;
 pub use life::Life;
+pub use limits::{lock_limit, lock_remedy, priority_limit, priority_remedy};
 pub use machine::facts;
-pub use realtime::{
-    Asked, Held, RealtimeReport, Refusal, fifo, lock_limit, lock_remedy, priority_limit, priority_remedy,
-};
+pub use realtime::{Asked, Held, RealtimeReport, Refusal, fifo};
 pub use signals::Signals;
 pub use source::{Backoff, TimeSource, Wake};
 
