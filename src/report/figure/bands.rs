@@ -62,22 +62,7 @@ pub(super) fn draw(bands: &[Band], axes: &Axes, area: &Area) -> Result<(), Repor
         .map_err(refused)?;
     let bare = |_: &f64| String::new();
     let label_x: &dyn Fn(&f64) -> String = if axes.x.is_some() { &label } else { &bare };
-    chart
-        .configure_mesh()
-        .light_line_style(WHITE)
-        .bold_line_style(FAINT.stroke_width(fine(0.8)))
-        .axis_style(GREY.stroke_width(fine(1.0)))
-        .label_style(font(12.0, INK))
-        .axis_desc_style(font(13.0, INK))
-        .x_labels(9)
-        .y_labels(6)
-        .set_all_tick_mark_size(px(4))
-        .x_label_formatter(label_x)
-        .y_label_formatter(&label)
-        .x_desc(axes.x.clone().unwrap_or_default())
-        .y_desc(axes.y)
-        .draw()
-        .map_err(refused)?;
+    mesh(&mut chart, 9, label_x, axes.x.clone().unwrap_or_default(), axes.y)?;
     let dashed = |line: [(f64, f64); 2], weight: f64| {
         DashedPathElement::new(line, fine(4.0), fine(3.0), INK.mix(0.6).stroke_width(fine(weight)))
     };

@@ -76,22 +76,7 @@ fn panel(
         Some(time) => (&label, time),
         None => (&bare, String::new()),
     };
-    chart
-        .configure_mesh()
-        .light_line_style(WHITE)
-        .bold_line_style(FAINT.stroke_width(fine(0.8)))
-        .axis_style(GREY.stroke_width(fine(1.0)))
-        .label_style(font(12.0, INK))
-        .axis_desc_style(font(13.0, INK))
-        .x_labels(9)
-        .y_labels(6)
-        .set_all_tick_mark_size(px(4))
-        .x_label_formatter(label_x)
-        .y_label_formatter(&label)
-        .x_desc(time)
-        .y_desc(name)
-        .draw()
-        .map_err(refused)?;
+    mesh(&mut chart, 9, label_x, time, name)?;
     for (i, (tick, what)) in story.marks.iter().enumerate() {
         let x = clock.at(*tick);
         if !(0.0..=clock.end).contains(&x) {

@@ -20,6 +20,7 @@ pub use ways::{Way, WaysFigure, WaysRow, draw_ways};
 
 use super::{ReportError, Story};
 use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -44,6 +45,8 @@ const FAINT: RGBColor = RGBColor(228, 228, 228);
 pub type Curve = Vec<(f64, f64)>;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+/// A chart with two axes of numbers.
+type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// Draws `story` into a new file at `path`, in place of one that is there.
 ///
@@ -95,6 +98,32 @@ fn canvas(
     // The canvas keeps its fine coordinates as the view box, and is shown at its true size.
     let fine = format!("<svg width=\"{}\" height=\"{}\" ", width * FINE, height * FINE);
     Ok(svg.replacen(&fine, &format!("<svg width=\"{width}\" height=\"{height}\" "), 1))
+}
+
+/// Draws grid, axes and labels of a chart of curves: about so many labels along x, written by `label_x`.
+fn mesh(
+    chart: &mut Chart,
+    labels: usize,
+    label_x: &dyn Fn(&f64) -> String,
+    x: impl Into<String>,
+    y: impl Into<String>,
+) -> Result<(), ReportError> {
+    chart
+        .configure_mesh()
+        .light_line_style(WHITE)
+        .bold_line_style(FAINT.stroke_width(fine(0.8)))
+        .axis_style(GREY.stroke_width(fine(1.0)))
+        .label_style(font(12.0, INK))
+        .axis_desc_style(font(13.0, INK))
+        .x_labels(labels)
+        .y_labels(6)
+        .set_all_tick_mark_size(px(4))
+        .x_label_formatter(&label_x)
+        .y_label_formatter(&label)
+        .x_desc(x)
+        .y_desc(y)
+        .draw()
+        .map_err(refused)
 }
 
 fn px(pixels: u32) -> i32 {

@@ -3,7 +3,6 @@
 
 use super::*;
 use crate::report::thousands;
-use plotters::coord::types::RangedCoordf64;
 
 const WIDTH: u32 = 1010;
 const LEGEND_HEIGHT: u32 = 26;
@@ -59,8 +58,6 @@ pub struct Movements {
     pub near_m: f64,
 }
 
-type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
-
 /// Draws `movements` into a new file at `path`, in place of one that is there.
 ///
 /// # Errors
@@ -114,13 +111,13 @@ fn legend(strip: &Area, m: &Movements) -> Result<(), ReportError> {
 }
 
 /// A head with `name`, and axes below it.
-fn axes<'a, 'b>(
-    area: &'a Area<'b>,
+fn axes<'a>(
+    area: &Area<'a>,
     name: &str,
     (x_end, y_end): (f64, f64),
     (x_desc, y_desc): (&str, &str),
     x_label: &dyn Fn(&f64) -> String,
-) -> Result<Chart<'a, 'b>, ReportError> {
+) -> Result<Chart<'a>, ReportError> {
     let head = anchored(font(12.0, INK), HPos::Left, VPos::Center);
     let place = (px(MARGIN + LEFT_LABELS), px(LEGEND_HEIGHT) * 3 / 5);
     area.draw(&Text::new(name.to_owned(), place, head)).map_err(refused)?;
@@ -133,22 +130,7 @@ fn axes<'a, 'b>(
         .set_label_area_size(LabelAreaPosition::Bottom, px(BOTTOM_LABELS))
         .build_cartesian_2d(0.0..x_end, 0.0..y_end)
         .map_err(refused)?;
-    chart
-        .configure_mesh()
-        .light_line_style(WHITE)
-        .bold_line_style(FAINT.stroke_width(fine(0.8)))
-        .axis_style(GREY.stroke_width(fine(1.0)))
-        .label_style(font(12.0, INK))
-        .axis_desc_style(font(13.0, INK))
-        .x_labels(7)
-        .y_labels(6)
-        .set_all_tick_mark_size(px(4))
-        .x_label_formatter(x_label)
-        .y_label_formatter(&label)
-        .x_desc(x_desc)
-        .y_desc(y_desc)
-        .draw()
-        .map_err(refused)?;
+    mesh(&mut chart, 7, x_label, x_desc, y_desc)?;
     Ok(chart)
 }
 

@@ -2,14 +2,10 @@
 
 use super::*;
 use crate::report::{Reach, thousands};
-use plotters::coord::types::RangedCoordf64;
 
 const LEGEND_HEIGHT: u32 = 26;
 const LEFT_LABELS: u32 = 46;
 const BOTTOM_LABELS: u32 = 38;
-
-/// A chart of places.
-type Square<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// Panels below each other, all to one scale, so that they can be compared.
 pub(super) fn draw(story: &Story, reaches: &[(&str, &Reach)], area: &Area) -> Result<(), ReportError> {
@@ -40,7 +36,7 @@ pub(super) fn square<'a>(
     unit: &str,
     (centre, half): ([f64; 2], f64),
     area: &Area<'a>,
-) -> Result<Square<'a>, ReportError> {
+) -> Result<Chart<'a>, ReportError> {
     // The plot is made square within what there is.
     let (width, height) = area.dim_in_pixel();
     let side = (width as i32 - px(LEFT_LABELS + 16)).min(height as i32 - px(BOTTOM_LABELS + 8));

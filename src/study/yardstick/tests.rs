@@ -1,3 +1,5 @@
+//! The yardstick against known worlds, and its references in the order in which they must stand.
+
 use super::damped_least_squares::{Settings, TUNED};
 use super::*;
 use crate::scenario::{ArmTable, BlockTable, MirrorAxis, MirrorTable, Scenario, ShortenTable};
