@@ -21,6 +21,9 @@ pub use services::{ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts};
 /// Samples that a logger can be behind before the oldest is lost.
 pub const LOG_BUFFER: usize = 1024;
 
+/// How often a process can be started within a run: each start has a page of its own on its board.
+pub const INCARNATIONS: u32 = 256;
+
 /// What can go wrong with a channel.
 #[derive(Debug, thiserror::Error)]
 pub enum ChannelError {

@@ -3,8 +3,13 @@
 use std::time::Duration;
 
 use iceoryx2::port::{
-    listener::Listener, notifier::Notifier, publisher::Publisher, reader::EntryHandle, subscriber::Subscriber,
-    update_connections::UpdateConnections, writer::EntryHandleMut,
+    listener::Listener,
+    notifier::Notifier,
+    publisher::Publisher,
+    reader::{EntryHandle, Reader},
+    subscriber::Subscriber,
+    update_connections::UpdateConnections,
+    writer::EntryHandleMut,
 };
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::publish_subscribe;
@@ -153,6 +158,8 @@ pub struct Desk {
     pub control: BoardReader<Control>,
     /// This process's board.
     pub status: BoardWriter<Status>,
+    /// The process's start number within the run.
+    pub incarnation: u32,
 }
 
 /// The writing end of a board: the latest value counts.
@@ -166,13 +173,43 @@ impl<T: Payload> BoardWriter<T> {
     }
 }
 
-/// A reading end of a board.
-pub struct BoardReader<T: Payload>(pub(super) EntryHandle<ipc::Service, u64, T>);
+/// A reading end of a board. A process that comes back writes on a page of its own, since nobody can take the pen from the
+/// one before it: readers turn to that page.
+pub struct BoardReader<T: Payload> {
+    reader: Reader<ipc::Service, u64>,
+    entry: EntryHandle<ipc::Service, u64, T>,
+    page: u32,
+}
 
 impl<T: Payload> BoardReader<T> {
+    pub(super) fn new(reader: Reader<ipc::Service, u64>, page: u32) -> Result<Self, ChannelError> {
+        let entry = entry(&reader, page)?;
+        Ok(Self { reader, entry, page })
+    }
+
     /// The value on the board.
     #[inline]
     pub fn get(&self) -> T {
-        *self.0.get()
+        *self.entry.get()
     }
+
+    /// Turns to the page of `incarnation`. True if it was another one before.
+    ///
+    /// # Errors
+    /// [`ChannelError::SetUp`] when there is no such page.
+    pub fn turn_to(&mut self, incarnation: u32) -> Result<bool, ChannelError> {
+        if incarnation == self.page {
+            return Ok(false);
+        }
+        self.entry = entry(&self.reader, incarnation)?;
+        self.page = incarnation;
+        Ok(true)
+    }
+}
+
+fn entry<T: Payload>(
+    reader: &Reader<ipc::Service, u64>,
+    page: u32,
+) -> Result<EntryHandle<ipc::Service, u64, T>, ChannelError> {
+    reader.entry::<T>(&u64::from(page)).map_err(|e| ChannelError::set_up("a board's page", e))
 }

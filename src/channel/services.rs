@@ -6,7 +6,7 @@ use iceoryx2::service::port_factory::{blackboard, event};
 use super::debris::Claim;
 use super::domain::{Domain, DomainName, wipe};
 use super::ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Factory, Payload, Receiver, Sender};
-use super::{ChannelError, LOG_BUFFER, Mismatch};
+use super::{ChannelError, INCARNATIONS, LOG_BUFFER, Mismatch};
 use crate::scenario::ChannelsTable;
 use crate::wire::{Command, Control, Learning, Observation, Role, Status};
 
@@ -23,8 +23,8 @@ const MAX_NODES: usize = 8;
 const WAKE: &str = "wake";
 /// The launcher's board.
 const CONTROL: &str = "control";
-/// A board has one entry; this is its key.
-const ENTRY: u64 = 0;
+/// The launcher's board has one page.
+const PAGE: u32 = 0;
 
 /// What must be equal for a process to belong to a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -116,13 +116,13 @@ impl Hub {
             create_channel(&domain, &channels.command)?,
             create_channel(&domain, &channels.learning)?,
         );
-        let control = create_board::<Control>(&domain, CONTROL)?;
+        let control = create_board::<Control>(&domain, CONTROL, 1)?;
         let mut boards = Vec::new();
         for role in Role::ALL {
-            boards.push(create_board::<Status>(&domain, role.name())?);
+            boards.push(create_board::<Status>(&domain, role.name(), INCARNATIONS)?);
         }
-        let status = [read_board(&boards[0])?, read_board(&boards[1])?, read_board(&boards[2])?];
-        let writer = write_board(&control)?;
+        let status = [read_board(&boards[0], 0)?, read_board(&boards[1], 0)?, read_board(&boards[2], 0)?];
+        let writer = write_board(&control, PAGE)?;
         boards.push(control);
         Ok(Self {
             control: writer,
@@ -202,7 +202,7 @@ impl PlantPorts {
             observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
             bell,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
-            logger: read_board(&open_board(&domain, Role::Logger.name())?)?,
+            logger: read_peer(&domain, Role::Logger, &desk)?,
             _domain: domain,
         };
         Ok((ports, desk))
@@ -231,7 +231,7 @@ impl ControllerPorts {
             ear,
             command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
             learning: Sender::new(&channels.learning, open_channel(&domain, &channels.learning)?)?,
-            plant: read_board(&open_board(&domain, Role::Plant.name())?)?,
+            plant: read_peer(&domain, Role::Plant, &desk)?,
             _domain: domain,
         };
         Ok((ports, desk))
@@ -258,8 +258,8 @@ impl LoggerPorts {
             )?,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOG_BUFFER)?,
             learning: Receiver::new(&channels.learning, open_channel(&domain, &channels.learning)?, LOG_BUFFER)?,
-            plant: read_board(&open_board(&domain, Role::Plant.name())?)?,
-            controller: read_board(&open_board(&domain, Role::Controller.name())?)?,
+            plant: read_peer(&domain, Role::Plant, &desk)?,
+            controller: read_peer(&domain, Role::Controller, &desk)?,
             _domain: domain,
         };
         Ok((ports, desk))
@@ -308,20 +308,20 @@ fn open_channel<T: Payload>(domain: &Domain, name: &str) -> Result<Factory<T>, C
 }
 
 fn open_desk(domain: &Domain, role: Role) -> Result<Desk, ChannelError> {
-    Ok(Desk {
-        control: read_board(&open_board(domain, CONTROL)?)?,
-        status: write_board(&open_board(domain, role.name())?)?,
-    })
+    let control = read_board::<Control>(&open_board(domain, CONTROL)?, PAGE)?;
+    let incarnation = control.get().incarnations[role as usize];
+    Ok(Desk { control, status: write_board(&open_board(domain, role.name())?, incarnation)?, incarnation })
 }
 
-fn create_board<T: Payload + Default>(domain: &Domain, name: &str) -> Result<Board, ChannelError> {
-    domain
+fn create_board<T: Payload + Default>(domain: &Domain, name: &str, pages: u32) -> Result<Board, ChannelError> {
+    let creator = domain
         .node
         .service_builder(&service_name(&format!("board/{name}"))?)
         .blackboard_creator::<u64>()
         .max_readers(MAX_NODES)
-        .max_nodes(MAX_NODES)
-        .add::<T>(ENTRY, T::default())
+        .max_nodes(MAX_NODES);
+    (0..pages)
+        .fold(creator, |creator, page| creator.add::<T>(u64::from(page), T::default()))
         .create()
         .map_err(|e| ChannelError::set_up(format!("board {name}"), e))
 }
@@ -335,12 +335,17 @@ fn open_board(domain: &Domain, name: &str) -> Result<Board, ChannelError> {
         .map_err(|e| ChannelError::set_up(format!("board {name}"), e))
 }
 
-fn read_board<T: Payload>(board: &Board) -> Result<BoardReader<T>, ChannelError> {
+fn read_board<T: Payload>(board: &Board, page: u32) -> Result<BoardReader<T>, ChannelError> {
     let reader = board.reader_builder().create().map_err(|e| ChannelError::set_up("a board's reader", e))?;
-    reader.entry::<T>(&ENTRY).map(BoardReader).map_err(|e| ChannelError::set_up("a board's entry", e))
+    BoardReader::new(reader, page)
 }
 
-fn write_board<T: Payload>(board: &Board) -> Result<BoardWriter<T>, ChannelError> {
+/// The board of a peer, at the page of its incarnation as it is now.
+fn read_peer(domain: &Domain, role: Role, desk: &Desk) -> Result<BoardReader<Status>, ChannelError> {
+    read_board(&open_board(domain, role.name())?, desk.control.get().incarnations[role as usize])
+}
+
+fn write_board<T: Payload>(board: &Board, page: u32) -> Result<BoardWriter<T>, ChannelError> {
     let writer = board.writer_builder().create().map_err(|e| ChannelError::set_up("a board's writer", e))?;
-    writer.entry::<T>(&ENTRY).map(BoardWriter).map_err(|e| ChannelError::set_up("a board's entry", e))
+    writer.entry::<T>(&u64::from(page)).map(BoardWriter).map_err(|e| ChannelError::set_up("a board's page", e))
 }

@@ -212,7 +212,8 @@ fn await_observation(
     let mut backoff = Backoff::default();
     loop {
         // Asked before the channel is: what the plant sent before it finished is still received.
-        let over = ports.plant.get().state() >= State::Finished;
+        // A plant that failed may come back: whether it does, the launcher says.
+        let over = ports.plant.get().state() == State::Finished;
         if let Some(mut newest) = ports.observation.receive()? {
             // After a stall only the present counts; what was passed by shows in the sequence numbers.
             while let Some(newer) = if real { ports.observation.receive()? } else { None } {
@@ -247,6 +248,7 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
     let (mut command, mut learning) = (Command::default(), Learning::default());
     command.header.run = session.seat.card.run_id();
     learning.header.run = command.header.run;
+    (command.header.incarnation, learning.header.incarnation) = (session.incarnation(), session.incarnation());
     let mut meter = real.then(|| Meter::new(session.seat.plan.period_ns));
     let mut expected = 0;
 

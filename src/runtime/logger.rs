@@ -212,7 +212,7 @@ fn follow(
     let patience = (2 * session.seat.plan.period_ns / nap).max(8);
     let mut naps = 0;
     loop {
-        let over = [&ports.plant, &ports.controller].iter().all(|board| board.get().state() >= State::Finished);
+        let over = [&ports.plant, &ports.controller].iter().all(|board| board.get().state() == State::Finished);
         let ended = session.check();
         let last = over || ended.is_err();
         let force = last || (real && naps >= patience);

@@ -139,6 +139,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         Inbox { channel: &ports.command, found: None, late: 0, failure: None, answered: &mut answered, real };
     let mut observation = Observation::default();
     observation.header.run = session.seat.card.run_id();
+    observation.header.incarnation = session.incarnation();
 
     let mut tick = 0;
     loop {

@@ -4,6 +4,7 @@
 //! the run's channels (which checks schema, scenario and build), and then follows the launcher's board: ports made,
 //! ports connected, go. Nobody sends a first sample before everybody is connected.
 
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -123,8 +124,10 @@ impl Seat {
         Ok(open(&self.card.domain, &self.identity(), &self.plan.scenario.channels)?)
     }
 
-    /// In real time, asks the operating system for what the scenario says. Then goes through the phases: ready, connected, and then the time source with which the ticks begin. `connected` is
-    /// asked until it says that every port has its peers.
+    /// In real time, asks the operating system for what the scenario says. Then goes through the phases: ready, connected,
+    /// and then the time source with which the ticks begin. `connected` is asked until it says that every port has its
+    /// peers. A process that comes back into a run that goes on asks once: its peers may be away themselves, and every
+    /// port connects on its own to those who come.
     ///
     /// # Errors
     /// When the run ends before it begins, or a port fails. What the operating system refuses is none: it is in the
@@ -150,10 +153,10 @@ impl Seat {
             end_error: f32::NAN,
             ..Status::default()
         };
-        let mut session = Session { seat: self, desk, status };
+        let mut session = Session { seat: self, desk, status, beat: Cell::new(0) };
         session.enter(State::Ready);
         session.await_phase(Phase::Connect)?;
-        while !connected()? {
+        while !connected()? && session.incarnation() == 0 {
             session.check()?;
             pause(SET_UP_PACE_NS);
         }
@@ -197,11 +200,25 @@ pub struct Session {
     /// What it shows on its board; [`Session::show`] puts it there.
     pub status: Status,
     desk: Desk,
+    /// Signs of life given so far.
+    beat: Cell<u64>,
 }
 
 impl Session {
-    /// Whether, and why, the loop should end.
+    /// The process's start number within the run, from 0.
+    pub fn incarnation(&self) -> u32 {
+        self.desk.incarnation
+    }
+
+    /// The start number of the process that has, or will have, the place of `role`.
+    #[inline]
+    pub fn incarnation_of(&self, role: Role) -> u32 {
+        self.desk.control.get().incarnations[role as usize]
+    }
+
+    /// Shows a sign of life, and says whether, and why, the loop should end.
     pub fn end(&self) -> Option<End> {
+        self.show();
         if self.seat.signals.received() != 0 {
             return Some(End::Signal(self.seat.signals.received()));
         }
@@ -228,7 +245,8 @@ impl Session {
     /// Puts the status on the board.
     #[inline]
     pub fn show(&self) {
-        self.desk.status.put(self.status);
+        self.beat.set(self.beat.get() + 1);
+        self.desk.status.put(Status { beat: self.beat.get(), ..self.status });
     }
 
     /// Enters a state and shows it.

@@ -208,7 +208,6 @@ impl Run {
     /// Ends the run and waits for the processes. Gives the seconds that the ticks took.
     fn close(&mut self, began: u64) -> f64 {
         if self.ended.is_some() {
-            self.control.signal = self.signals.received();
             self.enter(if self.control.phase() >= Phase::Run { Phase::Stop } else { Phase::Abort });
             self.await_end(STOP_LIMIT);
         }

@@ -4,23 +4,29 @@ use super::schema::sample;
 
 sample! {
     /// The launcher's board: which phase the run is in.
-    Control, "1" {
+    Control, "2" {
         /// A [`Phase`] as a number.
         phase: u32,
-        /// The signal number that ended the run, 0 if none did.
-        signal: u32,
+        /// Checkpoints that were asked for by a signal so far.
+        checkpoints: u32,
         /// Start of tick 0 on the run's clock, ns; valid from [`Phase::Run`] on.
         t0_ns: u64,
+        /// Start number of each process within the run, by [`Role`]; the last entry is unused.
+        incarnations: [u32; 4],
     }
 }
 
 sample! {
     /// A process's board: how far it is.
-    Status, "2" {
+    Status, "3" {
         /// A [`State`] as a number.
         state: u32,
         /// Operating-system id of the process.
         pid: u32,
+        /// Counts the process's signs of life; one that stands still for long is a hang.
+        beat: u64,
+        /// Plant: one more than the tick at which the latest checkpoint was cut, 0 before the first.
+        checkpoint: u64,
         /// Ticks done.
         ticks: u64,
         /// Samples sent on each of its channels.
