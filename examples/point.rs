@@ -14,6 +14,7 @@ use rand::RngExt as _;
 use tectum::plant::{Outcome, Plant};
 use tectum::runtime::run_plant;
 use tectum::seed::{Rng, stream};
+use tectum::state::{Ledger, Remember};
 use tectum::wire::{MAX_MEASURES, Role};
 
 /// A point with a position and a target, both in [-1, 1] m.
@@ -29,6 +30,16 @@ struct Point {
 const TARGET_EVERY: u64 = 40;
 /// How far a command of 1 moves the point in a tick, m.
 const STRIDE: f32 = 0.1;
+
+/// What the point must know to go on where it was, should its process be killed and started again.
+impl Remember for Point {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.number("position", &mut self.position);
+        ledger.number("target", &mut self.target);
+        ledger.number("shown", &mut self.shown);
+        ledger.part("rng", &mut self.rng);
+    }
+}
 
 impl Plant for Point {
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {

@@ -20,6 +20,7 @@ pub mod report;
 pub mod runtime;
 pub mod scenario;
 pub mod seed;
+pub mod state;
 pub mod study;
 pub mod supervise;
 pub mod wire;

@@ -32,6 +32,7 @@ use glam::Vec4;
 use super::{LearningRule, Metric, Pairs, Tick, dot, sound};
 use crate::policy::{Linear, Outputs, norm};
 use crate::scenario::CriticTable;
+use crate::state::{Ledger, Remember};
 use crate::wire::MAX_OUTPUTS;
 
 /// Constants of the critic.
@@ -300,6 +301,25 @@ impl LearningRule for ActorCritic {
 
     fn halted(&self) -> bool {
         self.halted
+    }
+}
+
+impl Remember for ActorCritic {
+    /// What the pairs have seen last is not in it: they look again.
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.numbers("noise_costs", &mut self.noise_costs);
+        for group in &mut self.trace {
+            ledger.numbers("trace", group);
+        }
+        ledger.numbers("values", &mut self.values);
+        ledger.numbers("value_trace", &mut self.value_trace);
+        ledger.number("due", &mut self.due);
+        ledger.numbers("reach", &mut self.reach);
+        ledger.number("value_reach", &mut self.value_reach);
+        ledger.numbers("last", &mut self.last);
+        ledger.number("size", &mut self.size);
+        ledger.number("learned", &mut self.learned);
+        ledger.yes("halted", &mut self.halted);
     }
 }
 

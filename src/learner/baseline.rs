@@ -11,6 +11,7 @@
 
 use super::{LearningRule, Paper, Tick};
 use crate::policy::Linear;
+use crate::state::{Ledger, Remember};
 
 /// The rule and its mean.
 #[derive(Debug, Clone)]
@@ -53,6 +54,14 @@ impl LearningRule for Baseline {
 
     fn halted(&self) -> bool {
         self.rule.halted()
+    }
+}
+
+impl Remember for Baseline {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        self.rule.remember(ledger);
+        ledger.number("seen", &mut self.seen);
+        ledger.number("mean", &mut self.mean);
     }
 }
 

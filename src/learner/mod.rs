@@ -29,6 +29,7 @@ pub use paper::Paper;
 use crate::encoder::Encoder;
 use crate::policy::{Linear, Outputs};
 use crate::scenario::{CriticSight, Plan, Rule};
+use crate::state::{Ledger, Remember};
 
 /// One tick that may be learned from, with the inputs that followed it.
 #[derive(Debug, Clone, Copy)]
@@ -148,6 +149,17 @@ impl LearningRule for Learner {
 
     fn halted(&self) -> bool {
         self.rule().halted()
+    }
+}
+
+impl Remember for Learner {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        match self {
+            Self::Paper(rule) => rule.remember(ledger),
+            Self::Baseline(rule) => rule.remember(ledger),
+            Self::ActorCritic(rule) => rule.remember(ledger),
+            Self::LearnedReward(rule) => rule.remember(ledger),
+        }
     }
 }
 

@@ -14,6 +14,7 @@ use glam::Vec4;
 
 use super::{LearningRule, Tick, sound};
 use crate::policy::{Linear, Outputs, norm};
+use crate::state::{Ledger, Remember};
 
 /// The rule, its constants and its trace.
 #[derive(Debug, Clone)]
@@ -69,6 +70,15 @@ impl LearningRule for Paper {
 
     fn halted(&self) -> bool {
         self.halted
+    }
+}
+
+impl Remember for Paper {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        for group in &mut self.trace {
+            ledger.numbers("trace", group);
+        }
+        ledger.yes("halted", &mut self.halted);
     }
 }
 

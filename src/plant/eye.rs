@@ -6,6 +6,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::{Outcome, Plant};
 use crate::scenario::{EyeTable, Retina};
 use crate::seed::{Rng, stream};
+use crate::state::{Ledger, Remember};
 use crate::wire::MAX_MEASURES;
 
 /// A target's position and its velocity a second.
@@ -90,6 +91,14 @@ impl Plant for Eye {
         let mut measures = [0.0; MAX_MEASURES];
         measures[0] = miss;
         Outcome { reward: self.bonus - eccentricity(miss, self.distortion), measures }
+    }
+}
+
+impl Remember for Eye {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.part("rng", &mut self.rng);
+        ledger.numbers("position", &mut self.stimulus.position);
+        ledger.numbers("velocity", &mut self.stimulus.velocity);
     }
 }
 

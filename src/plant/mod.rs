@@ -10,6 +10,7 @@ pub use arm::{Arm, noise_share, posture};
 pub use eye::{Eye, Stimulus, log_polar};
 
 use crate::scenario::Plan;
+use crate::state::{Ledger, Remember};
 use crate::wire::MAX_MEASURES;
 
 /// What came of one tick.
@@ -22,7 +23,10 @@ pub struct Outcome {
 }
 
 /// Anything that can be controlled.
-pub trait Plant {
+///
+/// A plant lists to its ledger ([`Remember`]) what it must know to go on after its process was killed: a simulated body all
+/// of its state, one of hardware next to nothing, since the body itself remembers.
+pub trait Plant: Remember {
     /// Senses at the beginning of `tick`: writes the inputs in the scenario's order and units, and says whether a new
     /// target (or trial) begins. Ticks only grow, but may jump when the plant was late.
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool;
@@ -64,6 +68,15 @@ impl Plant for Body {
         match self {
             Self::Arm(arm) => arm.advance(tick, applied),
             Self::Eye(eye) => eye.advance(tick, applied),
+        }
+    }
+}
+
+impl Remember for Body {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        match self {
+            Self::Arm(arm) => arm.remember(ledger),
+            Self::Eye(eye) => eye.remember(ledger),
         }
     }
 }

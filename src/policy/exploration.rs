@@ -15,6 +15,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::Outputs;
 use crate::scenario::Noise;
 use crate::seed::{Rng, stream};
+use crate::state::{Ledger, Remember};
 use crate::wire::MAX_OUTPUTS;
 
 /// Noise of one standard deviation on every output, from the run's stream `exploration`.
@@ -56,6 +57,12 @@ impl Exploration {
             Noise::Gaussian => *noise,
             Noise::Laplace => noise.map(|n| if n == 0.0 { 0.0 } else { (self.sigma * SQRT_2).copysign(n) }),
         }
+    }
+}
+
+impl Remember for Exploration {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.part("rng", &mut self.rng);
     }
 }
 

@@ -11,6 +11,7 @@ pub use exploration::Exploration;
 use glam::Vec4;
 use xxhash_rust::xxh3::Xxh3;
 
+use crate::state::{Ledger, Remember};
 use crate::wire::MAX_OUTPUTS;
 
 /// One value for each output that a command can carry; those beyond the plant's stay 0.
@@ -80,6 +81,14 @@ impl Linear {
             }
         }
         hash.digest()
+    }
+}
+
+impl Remember for Linear {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        for group in &mut self.groups {
+            ledger.numbers("groups", group);
+        }
     }
 }
 

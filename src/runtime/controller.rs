@@ -10,6 +10,7 @@ use crate::encoder::{Encoder, Features};
 use crate::learner::{Learner, LearningRule, Tick};
 use crate::policy::{Exploration, Linear, Outputs};
 use crate::scenario::Plan;
+use crate::state::{Ledger, Remember};
 use crate::wire::{Command, Header, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, State, flag};
 
 /// Encoder, policy and learner: the controller's half of every tick, without clock and transport.
@@ -197,6 +198,23 @@ impl Controller {
         let (windows, first_switch, last_switch) = self.tally.finish();
         let weights_hash = format!("{:016x}", self.policy.hash());
         ControllerReport { weights_hash, windows, first_switch, last_switch, ..self.report }
+    }
+}
+
+impl Remember for Controller {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.part("policy", &mut self.policy);
+        ledger.part("exploration", &mut self.exploration);
+        ledger.part("learner", &mut self.rule);
+        ledger.maybe("answered", &mut self.answered);
+        ledger.numbers("shown", &mut self.shown);
+        ledger.numbers("features", self.features.as_mut_slice());
+        ledger.numbers("mean", &mut self.mean);
+        ledger.numbers("noise", &mut self.noise);
+        ledger.number("flags", &mut self.flags);
+        ledger.number("step", &mut self.step);
+        ledger.part("tally", &mut self.tally);
+        ledger.part("report", &mut self.report);
     }
 }
 

@@ -4,6 +4,7 @@
 
 use crate::policy::Outputs;
 use crate::scenario::GateTable;
+use crate::state::{Ledger, Remember};
 use crate::wire::{MAX_OUTPUTS, flag};
 
 /// What the gate lets through in one tick.
@@ -77,6 +78,13 @@ impl Gate {
             (0.0, flag::STOPPED)
         };
         Applied { command: self.last.map(|u| u * share), flags: flags | flag::MISSED }
+    }
+}
+
+impl Remember for Gate {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.numbers("last", &mut self.last);
+        ledger.number("missing", &mut self.missing);
     }
 }
 

@@ -9,6 +9,7 @@ use crate::clock::{Backoff, Wake, precise_timers};
 use crate::plant::{Outcome, Plant};
 use crate::policy::Outputs;
 use crate::scenario::Plan;
+use crate::state::{Ledger, Remember};
 use crate::wire::{Command, MAX_OUTPUTS, Observation, Status, flag};
 
 /// A body behind its gate: the plant's half of every tick, without clock and transport.
@@ -75,6 +76,18 @@ impl<P: Plant> PlantSide<P> {
         observation.measures = self.outcome.measures;
         observation.skipped = skipped;
         self.report.ticks += 1;
+    }
+}
+
+impl<P: Plant> Remember for PlantSide<P> {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.part("body", &mut self.body);
+        ledger.part("gate", &mut self.gate);
+        ledger.number("reward", &mut self.outcome.reward);
+        ledger.numbers("measures", &mut self.outcome.measures);
+        ledger.numbers("applied", &mut self.applied);
+        ledger.number("flags", &mut self.flags);
+        ledger.part("report", &mut self.report);
     }
 }
 

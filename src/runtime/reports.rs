@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use super::{RuntimeError, Snapshot, TickBudget};
 use crate::clock::RealtimeReport;
 use crate::report::Window;
+use crate::state::{Ledger, Remember};
 use crate::wire::Role;
 
 /// Percentiles of a duration, us.
@@ -70,6 +71,22 @@ pub struct PlantReport {
     pub work: Option<Percentiles>,
 }
 
+impl Remember for PlantReport {
+    /// Percentiles are made at the end.
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        for (name, count) in [
+            ("ticks", &mut self.ticks),
+            ("missed", &mut self.missed),
+            ("late", &mut self.late),
+            ("skipped", &mut self.skipped),
+            ("clamped", &mut self.clamped),
+            ("non_finite", &mut self.non_finite),
+        ] {
+            ledger.number(name, count);
+        }
+    }
+}
+
 /// The controller's account.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct ControllerReport {
@@ -95,6 +112,22 @@ pub struct ControllerReport {
     pub first_switch: Vec<Snapshot>,
     /// Inputs around the last whole target switch.
     pub last_switch: Vec<Snapshot>,
+}
+
+impl Remember for ControllerReport {
+    /// What is made at the end is not in it.
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        for (name, count) in [
+            ("ticks", &mut self.ticks),
+            ("unseen", &mut self.unseen),
+            ("learned", &mut self.learned),
+            ("cuts", &mut self.cuts),
+            ("invalid", &mut self.invalid),
+        ] {
+            ledger.number(name, count);
+        }
+        ledger.maybe("diverged_at", &mut self.diverged_at);
+    }
 }
 
 /// The logger's account. The three channels stand in the order observation, command, learning.

@@ -6,6 +6,7 @@
 use crate::plant::noise_share;
 use crate::report::Window;
 use crate::scenario::{ArmTable, Plan};
+use crate::state::{Ledger, Remember};
 use crate::wire::{MAX_INPUTS, Observation, flag};
 
 /// Windows of a run.
@@ -160,5 +161,58 @@ impl Tally {
     pub fn finish(mut self) -> (Vec<Window>, Vec<Snapshot>, Vec<Snapshot>) {
         self.close();
         (self.windows, self.first, self.last)
+    }
+}
+
+/// More records than any run keeps.
+const MOST: usize = 1 << 20;
+
+fn remember_windows(ledger: &mut dyn Ledger, windows: &mut Vec<Window>) {
+    let mut count = windows.len() as u64;
+    ledger.count("windows", &mut count);
+    windows.resize_with((count as usize).min(MOST), Window::default);
+    for w in windows {
+        let known = |x: Option<f64>| u64::from(x.is_some());
+        let mut counts = [w.from, w.ticks, w.ends, known(w.mean_squared_error) | known(w.end_error) << 1];
+        ledger.numbers("window_counts", &mut counts);
+        let mut means =
+            [w.loss, w.noise_share, w.mean_squared_error.unwrap_or_default(), w.end_error.unwrap_or_default()];
+        ledger.numbers("windows", &mut means);
+        *w = Window {
+            from: counts[0],
+            ticks: counts[1],
+            loss: means[0],
+            noise_share: means[1],
+            mean_squared_error: (counts[3] & 1 != 0).then_some(means[2]),
+            end_error: (counts[3] & 2 != 0).then_some(means[3]),
+            ends: counts[2],
+        };
+    }
+}
+
+/// The row `name` of ticks, and the row `inputs` beside it.
+fn remember_row(ledger: &mut dyn Ledger, [name, inputs]: [&'static str; 2], row: &mut Vec<Snapshot>) {
+    let mut count = row.len() as u64;
+    ledger.count(name, &mut count);
+    row.resize((count as usize).min(KEPT), Snapshot { tick: 0, inputs: [0.0; MAX_INPUTS] });
+    for snapshot in row {
+        ledger.number(name, &mut snapshot.tick);
+        ledger.numbers(inputs, &mut snapshot.inputs);
+    }
+}
+
+impl Remember for Tally {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        remember_windows(ledger, &mut self.windows);
+        let sums = &mut self.current;
+        let mut counts = [sums.ticks, sums.ends, self.from];
+        ledger.numbers("current_counts", &mut counts);
+        [sums.ticks, sums.ends, self.from] = counts;
+        let mut means = [sums.loss, sums.squares, sums.end_error, self.last_error];
+        ledger.numbers("current", &mut means);
+        [sums.loss, sums.squares, sums.end_error, self.last_error] = means;
+        remember_row(ledger, ["switch", "switch_inputs"], &mut self.switch.row);
+        remember_row(ledger, ["first", "first_inputs"], &mut self.first);
+        remember_row(ledger, ["last", "last_inputs"], &mut self.last);
     }
 }

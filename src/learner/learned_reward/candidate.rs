@@ -5,6 +5,7 @@ use rand::RngExt as _;
 use super::sight::Sight;
 use crate::policy::Linear;
 use crate::seed::Rng;
+use crate::state::{Ledger, Remember};
 use crate::wire::MAX_INPUTS;
 
 /// Adam's decays, and what keeps its quotient finite.
@@ -140,5 +141,21 @@ impl Candidate {
             }
         }
         norm
+    }
+}
+
+impl Remember for Candidate {
+    /// At the end of a tick the slope is used up.
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        for sight in 0..2 {
+            ledger.numbers("weights", &mut self.weights[sight]);
+            ledger.numbers("means", &mut self.means[sight]);
+            ledger.numbers("squares", &mut self.squares[sight]);
+        }
+        ledger.number("cost", &mut self.cost);
+        ledger.numbers("ends", &mut self.ends);
+        ledger.numbers("starts", &mut self.starts);
+        ledger.number("age", &mut self.age);
+        ledger.number("mean_cost", &mut self.mean_cost);
     }
 }

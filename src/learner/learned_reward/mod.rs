@@ -31,6 +31,7 @@ use crate::encoder::Encoder;
 use crate::policy::{Linear, Outputs};
 use crate::scenario::{ModelTable, Plan};
 use crate::seed::{Rng, stream};
+use crate::state::{Ledger, Remember};
 use crate::wire::MAX_INPUTS;
 use candidate::Candidate;
 use movement::Movement;
@@ -50,7 +51,7 @@ const SURE: u64 = 100;
 const SELDOM: u64 = 256;
 
 /// A tick to be learned from when there is time.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 struct Waiting {
     /// Still inputs of the tick, moved ones after it.
     inputs: [f32; MAX_INPUTS],
@@ -293,6 +294,30 @@ impl LearningRule for LearnedReward {
 
     fn halted(&self) -> bool {
         self.halted
+    }
+}
+
+impl Remember for LearnedReward {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.part("reward", &mut self.reward);
+        ledger.part("movement", &mut self.movement);
+        ledger.part("champion", &mut self.champion);
+        ledger.part("challenger", &mut self.challenger);
+        ledger.numbers("memory", &mut self.memory);
+        ledger.number("remembered", &mut self.remembered);
+        ledger.number("unchanged", &mut self.unchanged);
+        ledger.part("rng", &mut self.rng);
+        let mut waits = self.waiting.is_some();
+        ledger.yes("waits", &mut waits);
+        let waiting = self.waiting.get_or_insert_default();
+        ledger.numbers("waiting_inputs", &mut waiting.inputs);
+        ledger.numbers("waiting_before", &mut waiting.before);
+        ledger.numbers("waiting_changes", &mut waiting.changes);
+        ledger.numbers("waiting_applied", &mut waiting.applied);
+        ledger.number("waiting_reward", &mut waiting.reward);
+        self.waiting.take_if(|_| !waits);
+        ledger.number("slope_norm", &mut self.slope_norm);
+        ledger.yes("halted", &mut self.halted);
     }
 }
 

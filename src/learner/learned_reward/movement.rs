@@ -6,6 +6,7 @@
 //! outputs tell the new matrix.
 
 use crate::policy::Outputs;
+use crate::state::{Ledger, Remember};
 use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
 
 /// What is kept of the past in a tick.
@@ -109,6 +110,17 @@ impl Movement {
         self.seen += 1;
         self.usual += (square - self.usual) / self.seen.min(100) as f64;
         changed
+    }
+}
+
+impl Remember for Movement {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.numbers("gains", &mut self.gains);
+        ledger.numbers("covariance", &mut self.covariance);
+        ledger.number("usual", &mut self.usual);
+        let mut counts = [self.seen as u64, self.since as u64];
+        ledger.numbers("counts", &mut counts);
+        [self.seen, self.since] = counts.map(|n| n as usize);
     }
 }
 

@@ -11,6 +11,7 @@
 
 use super::basis::Basis;
 use crate::scenario::{ModelTable, SignalTable};
+use crate::state::{Ledger, Remember};
 
 /// Share of the covariance that is put back to the prior a tick.
 const LEAK: f64 = 1e-7;
@@ -296,6 +297,15 @@ impl Reward {
     pub(super) fn predict(&mut self, inputs: &[f32], changes: &[f32]) -> f64 {
         self.features(inputs, changes);
         self.weights.iter().zip(&self.psi).map(|(w, p)| w * p).sum()
+    }
+}
+
+impl Remember for Reward {
+    /// What rehearsal needs is worked out from the weights each time.
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.numbers("weights", &mut self.weights);
+        ledger.numbers("covariance", &mut self.covariance);
+        ledger.number("alarm", &mut self.alarm);
     }
 }
 

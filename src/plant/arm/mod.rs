@@ -19,6 +19,7 @@ use std::f32::consts::PI;
 
 use super::{Outcome, Plant};
 use crate::scenario::{ArmTable, BlockTable};
+use crate::state::{Ledger, Remember};
 use crate::wire::{MAX_MEASURES, MAX_OUTPUTS};
 use segments::Chain;
 use targets::Targets;
@@ -195,5 +196,15 @@ impl Plant for Arm {
             measures[3] = crossings;
         }
         Outcome { reward: -self.scale * cost, measures }
+    }
+}
+
+impl Remember for Arm {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.numbers("lengths", &mut self.lengths);
+        ledger.part("targets", &mut self.targets);
+        ledger.numbers("theta", &mut self.theta);
+        ledger.numbers("target", &mut self.target);
+        ledger.number("shown", &mut self.shown);
     }
 }

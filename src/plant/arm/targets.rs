@@ -5,6 +5,7 @@ use rand::RngExt as _;
 use super::square;
 use crate::scenario::ArmTable;
 use crate::seed::{Rng, stream};
+use crate::state::{Ledger, Remember};
 
 /// Where targets come from.
 #[derive(Debug, Clone)]
@@ -41,6 +42,14 @@ impl Targets {
                     }
                 }
             }
+        }
+    }
+}
+
+impl Remember for Targets {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        if let Self::Drawn { rng, .. } = self {
+            ledger.part("rng", rng);
         }
     }
 }

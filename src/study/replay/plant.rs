@@ -11,6 +11,7 @@ use super::compare::{Difference, compare};
 use crate::plant::{Body, Outcome, Plant};
 use crate::runtime::PlantSide;
 use crate::scenario::Plan;
+use crate::state::{Ledger, Remember};
 use crate::wire::{Command, MAX_INPUTS, Observation, flag};
 
 /// More ways to have come here than this are not kept apart: each needs ticks passed over whose command may have arrived or
@@ -24,6 +25,14 @@ enum Stand {
     Simulated(Body),
     /// The log's own, for a plant that nobody can run again.
     Told { inputs: [f32; MAX_INPUTS], fresh: bool, outcome: Outcome },
+}
+
+impl Remember for Stand {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        if let Self::Simulated(body) = self {
+            body.remember(ledger);
+        }
+    }
 }
 
 impl Plant for Stand {

@@ -1,0 +1,273 @@
+//! What a part must remember to go on as if it had never stopped, told once for all purposes.
+//!
+//! A part with a memory lists its numbers to a [`Ledger`], in a fixed order and by name. Who keeps the ledger decides what
+//! that is for: one copies the numbers out, another writes others in. Saving and restoring cannot disagree, because they
+//! are the same list. What a part can work out again from its scenario (constants, scratch memory) is not in it.
+
+use bytemuck::Pod;
+
+/// The type of a row's numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// `u32`
+    U32,
+    /// `u64`
+    U64,
+    /// `f32`
+    F32,
+    /// `f64`
+    F64,
+}
+
+impl Kind {
+    /// Bytes of one number.
+    pub const fn size(self) -> usize {
+        match self {
+            Self::U32 | Self::F32 => 4,
+            Self::U64 | Self::F64 => 8,
+        }
+    }
+}
+
+/// What a ledger's rows are made of: numbers, or records of one kind of number.
+pub trait Number: Pod {
+    /// The numbers' type.
+    const KIND: Kind;
+}
+
+macro_rules! number {
+    ($($ty:ty: $kind:ident),+) => { $(impl Number for $ty { const KIND: Kind = Kind::$kind; })+ };
+}
+
+number!(u32: U32, u64: U64, f32: F32, f64: F64, glam::Vec4: F32);
+
+impl<T: Number, const N: usize> Number for [T; N]
+where
+    [T; N]: Pod,
+{
+    const KIND: Kind = T::KIND;
+}
+
+/// Where numbers are written down, or read from. Rows come in a fixed order; a name that comes again continues its row.
+pub trait Ledger {
+    /// One row: to be copied from, or written over. `bytes` hold numbers of type `kind` as this machine does.
+    fn row(&mut self, name: &'static str, kind: Kind, bytes: &mut [u8]);
+
+    /// How many records the row `name`, which follows, has.
+    fn count(&mut self, name: &'static str, count: &mut u64);
+
+    /// The names that follow belong to the part `name`.
+    fn enter(&mut self, _name: &'static str) {}
+
+    /// The part entered last is over.
+    fn leave(&mut self) {}
+}
+
+impl dyn Ledger + '_ {
+    /// A row of numbers.
+    pub fn numbers<T: Number>(&mut self, name: &'static str, numbers: &mut [T]) {
+        self.row(name, T::KIND, bytemuck::cast_slice_mut(numbers));
+    }
+
+    /// One number.
+    pub fn number<T: Number>(&mut self, name: &'static str, number: &mut T) {
+        self.numbers(name, std::slice::from_mut(number));
+    }
+
+    /// Yes or no.
+    pub fn yes(&mut self, name: &'static str, yes: &mut bool) {
+        let mut word = u32::from(*yes);
+        self.number(name, &mut word);
+        *yes = word != 0;
+    }
+
+    /// A number that may be missing.
+    pub fn maybe(&mut self, name: &'static str, number: &mut Option<u64>) {
+        let mut words = number.map_or([0, 0], |n| [1, n]);
+        self.number(name, &mut words);
+        *number = (words[0] != 0).then_some(words[1]);
+    }
+
+    /// A list that grows, of at most `most` records.
+    pub fn list<T: Number>(&mut self, name: &'static str, list: &mut Vec<T>, most: usize) {
+        let mut count = list.len() as u64;
+        self.count(name, &mut count);
+        // A ledger that was damaged must not make anybody reserve memory without end.
+        list.resize(usize::try_from(count).map_or(most, |count| count.min(most)), T::zeroed());
+        self.numbers(name, list);
+    }
+
+    /// The part `name`, by its own list.
+    pub fn part(&mut self, name: &'static str, part: &mut dyn Remember) {
+        self.enter(name);
+        part.remember(self);
+        self.leave();
+    }
+}
+
+/// A part with a memory.
+pub trait Remember {
+    /// Lists everything that the part must remember.
+    fn remember(&mut self, ledger: &mut dyn Ledger);
+}
+
+/// Counts the bytes that a part needs.
+struct Measure(usize);
+
+impl Ledger for Measure {
+    fn row(&mut self, _name: &'static str, _kind: Kind, bytes: &mut [u8]) {
+        self.0 += bytes.len();
+    }
+
+    fn count(&mut self, _name: &'static str, _count: &mut u64) {
+        self.0 += 8;
+    }
+}
+
+/// Copies a part's numbers out, one row after the other.
+struct Save<'a> {
+    to: &'a mut [u8],
+    at: usize,
+}
+
+impl Ledger for Save<'_> {
+    fn row(&mut self, _name: &'static str, _kind: Kind, bytes: &mut [u8]) {
+        if let Some(to) = self.to.get_mut(self.at..self.at + bytes.len()) {
+            to.copy_from_slice(bytes);
+        }
+        self.at += bytes.len();
+    }
+
+    fn count(&mut self, name: &'static str, count: &mut u64) {
+        self.row(name, Kind::U64, bytemuck::bytes_of_mut(count));
+    }
+}
+
+/// Copies them in again.
+struct Load<'a> {
+    from: &'a [u8],
+    at: usize,
+}
+
+impl Ledger for Load<'_> {
+    fn row(&mut self, _name: &'static str, _kind: Kind, bytes: &mut [u8]) {
+        if let Some(from) = self.from.get(self.at..self.at + bytes.len()) {
+            bytes.copy_from_slice(from);
+        }
+        self.at += bytes.len();
+    }
+
+    fn count(&mut self, name: &'static str, count: &mut u64) {
+        self.row(name, Kind::U64, bytemuck::bytes_of_mut(count));
+    }
+}
+
+/// Bytes that `part` needs now.
+pub fn size(part: &mut dyn Remember) -> usize {
+    let mut measure = Measure(0);
+    part.remember(&mut measure);
+    measure.0
+}
+
+/// Copies the state of `part` into `to` and returns its size; `None` if there is no room. Allocates nothing.
+pub fn save(part: &mut dyn Remember, to: &mut [u8]) -> Option<usize> {
+    let mut save = Save { to, at: 0 };
+    part.remember(&mut save);
+    (save.at <= save.to.len()).then_some(save.at)
+}
+
+/// Gives `part`, which is made from the same scenario, the state that was saved into `from`. False if `from` is not of the
+/// right size: `part` is then neither old nor new, and of no use.
+#[must_use]
+pub fn load(part: &mut dyn Remember, from: &[u8]) -> bool {
+    let mut load = Load { from, at: 0 };
+    part.remember(&mut load);
+    load.at == from.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::Body;
+    use crate::runtime::{Controller, PlantSide};
+    use crate::scenario::{Plan, Scenario};
+    use crate::wire::{Command, Observation};
+
+    /// Plant and controller of a scenario, and what they say.
+    struct Pair {
+        plant: PlantSide<Body>,
+        controller: Controller,
+        observation: Observation,
+        command: Command,
+    }
+
+    impl Pair {
+        fn of(plan: &Plan) -> Self {
+            Self {
+                plant: PlantSide::new(Body::of(plan).unwrap(), plan),
+                controller: Controller::new(plan),
+                observation: Observation::default(),
+                command: Command::default(),
+            }
+        }
+
+        fn live(&mut self, ticks: std::ops::Range<u64>) {
+            for tick in ticks {
+                self.plant.observe(tick, 0, 0, &mut self.observation);
+                self.controller.respond(&self.observation, &mut self.command);
+                self.controller.settle(&self.observation);
+                // Now and then nothing comes: gate and trace have a memory of that.
+                self.plant.live(tick, (tick % 97 != 96).then_some(&self.command));
+            }
+        }
+    }
+
+    fn saved(part: &mut dyn Remember) -> Vec<u8> {
+        let mut bytes = vec![0; size(part)];
+        assert_eq!(save(part, &mut bytes), Some(bytes.len()));
+        bytes
+    }
+
+    /// Whatever has a memory and does not list it shows here: after the same ticks both must be in the same state, to the
+    /// last bit, and that state is all that they list and all that they say.
+    #[test]
+    fn what_is_restored_goes_on_as_if_it_had_never_stopped() {
+        for (scenario, rule) in [
+            ("paper", "paper"),
+            ("paper", "baseline"),
+            ("paper", "actor-critic"),
+            ("paper", "natural-actor-critic"),
+            ("arm", "learned-reward"),
+            ("eye", "paper"),
+            ("laplace", "paper"),
+        ] {
+            let mut plan = Scenario::find(scenario).unwrap();
+            plan.learner = toml::from_str(&format!("rule = \"{rule}\"")).unwrap();
+            let plan = plan.plan().unwrap();
+            let mut whole = Pair::of(&plan);
+            // Across a challenger's birth, a new target, and a saving in the middle of a movement.
+            whole.live(0..333);
+            let (plant, controller) = (saved(&mut whole.plant), saved(&mut whole.controller));
+            let mut back = Pair::of(&plan);
+            assert!(load(&mut back.plant, &plant) && load(&mut back.controller, &controller), "{scenario} {rule}");
+            whole.live(333..500);
+            back.live(333..500);
+            assert_eq!(whole.command, back.command, "{scenario} {rule}");
+            assert!(saved(&mut whole.plant) == saved(&mut back.plant), "{scenario} {rule}");
+            assert!(saved(&mut whole.controller) == saved(&mut back.controller), "{scenario} {rule}");
+            assert_eq!(whole.controller.policy().hash(), back.controller.policy().hash(), "{scenario} {rule}");
+            assert_eq!(whole.controller.finish(), back.controller.finish(), "{scenario} {rule}");
+            assert_eq!(whole.plant.report, back.plant.report);
+        }
+    }
+
+    #[test]
+    fn another_parts_state_is_refused() {
+        let plan = Scenario::find("paper").unwrap().plan().unwrap();
+        let mut controller = Controller::new(&plan);
+        let bytes = saved(&mut controller);
+        assert!(!load(&mut Controller::new(&plan), &bytes[1..]));
+        assert!(!load(&mut PlantSide::new(Body::of(&plan).unwrap(), &plan), &bytes));
+        assert_eq!(save(&mut controller, &mut vec![0; bytes.len() - 1]), None);
+    }
+}
