@@ -6,6 +6,8 @@
 
 use bytemuck::Pod;
 
+use crate::wire::Sample;
+
 /// The type of a row's numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
@@ -72,6 +74,11 @@ impl dyn Ledger + '_ {
     /// One number.
     pub fn number<T: Number>(&mut self, name: &'static str, number: &mut T) {
         self.numbers(name, std::slice::from_mut(number));
+    }
+
+    /// A sample, as the words that it consists of.
+    pub fn sample<S: Sample>(&mut self, name: &'static str, sample: &mut S) {
+        self.row(name, Kind::U32, bytemuck::bytes_of_mut(sample));
     }
 
     /// Yes or no.

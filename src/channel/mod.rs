@@ -12,11 +12,13 @@ mod debris;
 mod domain;
 mod ports;
 mod services;
+mod vault;
 
 pub use debris::{Owner, Remains, survey, sweep};
 pub use domain::{Domain, DomainName, wipe};
 pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Payload, Receiver, Sender};
 pub use services::{ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts};
+pub use vault::Vault;
 
 /// Samples that a logger can be behind before the oldest is lost.
 pub const LOG_BUFFER: usize = 1024;

@@ -149,6 +149,8 @@ pub struct PlantPorts {
     pub bell: Bell,
     /// Commands, newest two.
     pub command: Receiver<Command>,
+    /// How far the controller is.
+    pub controller: BoardReader<Status>,
     /// How far the logger is.
     pub logger: BoardReader<Status>,
     _domain: Domain,
@@ -202,6 +204,7 @@ impl PlantPorts {
             observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
             bell,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
+            controller: read_peer(&domain, Role::Controller, &desk)?,
             logger: read_peer(&domain, Role::Logger, &desk)?,
             _domain: domain,
         };

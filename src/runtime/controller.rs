@@ -1,17 +1,12 @@
-//! The controller's side of the tick, and its loop: learn, encode, draw, answer.
+//! The controller's side of the tick: learn, encode, draw, answer.
 
-use std::time::Duration;
-
-use super::budget::{Instants, Meter};
-use super::{ControllerReport, RuntimeError, Seat, Session, Tally};
-use crate::channel::ControllerPorts;
-use crate::clock::{Backoff, TimeSource};
+use super::{ControllerReport, Tally};
 use crate::encoder::{Encoder, Features};
 use crate::learner::{Learner, LearningRule, Tick};
 use crate::policy::{Exploration, Linear, Outputs};
 use crate::scenario::Plan;
 use crate::state::{Ledger, Remember};
-use crate::wire::{Command, Header, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, State, flag};
+use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, flag};
 
 /// Encoder, policy and learner: the controller's half of every tick, without clock and transport.
 ///
@@ -39,7 +34,7 @@ pub struct Controller {
     flags: u32,
     step: f32,
     tally: Tally,
-    report: ControllerReport,
+    pub(super) report: ControllerReport,
 }
 
 /// What makes an observation's reward another tick's than the one that the policy answered and the gate let through.
@@ -216,103 +211,6 @@ impl Remember for Controller {
         ledger.part("tally", &mut self.tally);
         ledger.part("report", &mut self.report);
     }
-}
-
-/// Longest sleep while waiting for an observation in real time: how soon the end of a run is noticed.
-const EAR_TIMEOUT: Duration = Duration::from_millis(100);
-
-/// Waits for the next observation; in real time for the newest. `None` when there will be none.
-fn await_observation(
-    ports: &ControllerPorts,
-    session: &Session,
-    real: bool,
-) -> Result<Option<Observation>, RuntimeError> {
-    let mut backoff = Backoff::default();
-    loop {
-        // Asked before the channel is: what the plant sent before it finished is still received.
-        // A plant that failed may come back: whether it does, the launcher says.
-        let over = ports.plant.get().state() == State::Finished;
-        if let Some(mut newest) = ports.observation.receive()? {
-            // After a stall only the present counts; what was passed by shows in the sequence numbers.
-            while let Some(newer) = if real { ports.observation.receive()? } else { None } {
-                newest = newer;
-            }
-            return Ok(Some(newest));
-        }
-        if over {
-            return Ok(None);
-        }
-        if real {
-            ports.ear.listen(EAR_TIMEOUT);
-            session.check()?;
-        } else if backoff.pause() {
-            session.check()?;
-        }
-    }
-}
-
-/// The controller's loop.
-///
-/// # Errors
-/// When the process does not fit the run, or the run ends in disorder.
-pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
-    let mut controller = Controller::new(&seat.plan);
-    let (ports, desk) = seat.open(ControllerPorts::open)?;
-    // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the logger.
-    let (mut session, mut time) = seat.begin(desk, || {
-        Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 2 && ports.learning.connect()? >= 1)
-    })?;
-    let real = time.is_real();
-    let (mut command, mut learning) = (Command::default(), Learning::default());
-    command.header.run = session.seat.card.run_id();
-    learning.header.run = command.header.run;
-    (command.header.incarnation, learning.header.incarnation) = (session.incarnation(), session.incarnation());
-    let mut meter = real.then(|| Meter::new(session.seat.plan.period_ns));
-    let mut expected = 0;
-
-    while let Some(observation) = await_observation(&ports, &session, real)? {
-        let seen = &observation.header;
-        time.step_to(seen.tick);
-        let arrived = time.now();
-        controller.respond(&observation, &mut command);
-        stamp(&mut command.header, seen, &time);
-        ports.command.send(&command)?;
-
-        // From here on nobody waits.
-        let answered = time.now();
-        controller.settle(&observation);
-        let improved = time.now();
-        controller.record(&observation, &mut learning);
-        stamp(&mut learning.header, seen, &time);
-        ports.learning.send(&learning)?;
-
-        controller.report.unseen += seen.sequence - expected;
-        expected = seen.sequence + 1;
-        command.header.sequence += 1;
-        learning.header.sequence += 1;
-        let status = &mut session.status;
-        status.ticks = seen.tick + 1;
-        status.sent = command.header.sequence;
-        status.lost = controller.report.unseen;
-        (status.loss, status.end_error) = controller.tally.now();
-        if let Some(meter) = &mut meter {
-            let (scheduled, done) = (seen.scheduled_ns, time.now());
-            meter.record(Instants { scheduled, seen: arrived, answered, improved, done });
-            status.learner_ns = meter.learner_ns;
-        }
-        session.show();
-    }
-    controller.report.tick_budget = meter.and_then(|meter| meter.finish());
-    let report = controller.finish();
-    session.finish(&report)?;
-    Ok(report)
-}
-
-/// Stamps a sample of the observation's tick just before it is sent.
-fn stamp(header: &mut Header, observation: &Header, time: &TimeSource) {
-    header.scheduled_ns = observation.scheduled_ns;
-    header.sensed_ns = observation.sensed_ns;
-    header.published_ns = time.now();
 }
 
 #[cfg(test)]

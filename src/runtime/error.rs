@@ -67,6 +67,11 @@ pub enum RuntimeError {
     /// The launcher ended the run at once.
     #[error("the run was ended by its launcher")]
     Aborted,
+    /// A plant's state that has no room in its vault any more.
+    #[error(
+        "what the {0} must remember has grown since its start, by more than its vault has room for; a plant lists as many numbers at every tick"
+    )]
+    Memory(&'static str),
     /// A lossless run lost something.
     #[error("{lost} samples of channel {channel} were lost in lockstep, which must not happen; the log states where")]
     Lost {
@@ -90,7 +95,7 @@ impl RuntimeError {
             }
             Self::Orphaned(_) | Self::Aborted => exit::PROCESS,
             Self::Signal(number) => exit::by_signal(*number),
-            Self::Channel(_) | Self::Signals(_) | Self::Lost { .. } => exit::ERROR,
+            Self::Channel(_) | Self::Signals(_) | Self::Lost { .. } | Self::Memory(_) => exit::ERROR,
         }
     }
 }

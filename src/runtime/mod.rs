@@ -10,22 +10,27 @@
 
 mod budget;
 mod controller;
+mod controller_loop;
 mod error;
 mod gate;
 mod in_process;
 mod logger;
+mod peer;
 mod plant;
+mod plant_loop;
 mod reports;
 mod seat;
 mod tally;
 
 pub use budget::{Slack, TickBudget};
-pub use controller::{Controller, run_controller};
+pub use controller::Controller;
+pub use controller_loop::run_controller;
 pub use error::{RuntimeError, exit};
 pub use gate::{Applied, Gate};
 pub use in_process::{InProcess, in_process, in_process_seen};
 pub use logger::run_logger;
-pub use plant::{PlantSide, run_plant};
+pub use plant::PlantSide;
+pub use plant_loop::run_plant;
 pub use reports::{
     ControllerReport, LoggerReport, Percentiles, PlantReport, read as read_report, read_realtime, realtime_path,
 };

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::RuntimeError;
-use crate::channel::{ChannelError, Desk, DomainName, Identity};
+use crate::channel::{ChannelError, Desk, DomainName, Identity, Vault};
 use crate::clock::{Life, RealtimeReport, Signals, TimeSource, pause};
 use crate::scenario::{ChannelsTable, Plan, Scenario};
 use crate::wire::{Phase, Role, State, Status, schema_hash};
@@ -124,6 +124,15 @@ impl Seat {
         Ok(open(&self.card.domain, &self.identity(), &self.plan.scenario.channels)?)
     }
 
+    /// The process's vault, for a state of `size` bytes and the last so many entries of so many bytes each.
+    ///
+    /// # Errors
+    /// When shared memory has no room for it.
+    pub(super) fn vault(&self, size: usize, entries: [usize; 2]) -> Result<Vault, RuntimeError> {
+        let room = size + GROWTH;
+        Ok(Vault::open(&self.card.domain, self.role, self.card.run_id(), room, entries)?)
+    }
+
     /// In real time, asks the operating system for what the scenario says. Then goes through the phases: ready, connected,
     /// and then the time source with which the ticks begin. `connected` is asked until it says that every port has its
     /// peers. A process that comes back into a run that goes on asks once: its peers may be away themselves, and every
@@ -176,6 +185,9 @@ impl Seat {
 pub fn identity(plan: &Plan) -> Identity {
     Identity { schema: schema_hash(), scenario: plan.hash, build: crate::BUILD.to_owned() }
 }
+
+/// By how much a state may grow while the run goes on: the account's windows, in the main.
+const GROWTH: usize = 64 << 10;
 
 /// How often the phases are looked at while a run is set up, ns.
 const SET_UP_PACE_NS: u64 = 500_000;

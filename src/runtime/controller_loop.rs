@@ -1,0 +1,230 @@
+//! The controller's loop: observations in, commands and learning records out, and what survives its death.
+//!
+//! Every observation is noted in the vault before it is answered, and the whole state is kept there every [`KEEP`]
+//! observations. A controller that comes back after a SIGKILL takes up the newest whole state and goes through what was
+//! noted since. As it is a function of its observations alone, that brings it to the very state in which it died. What it
+//! may have been about to say then it says again, under the same sequence number: who has heard it drops it.
+
+use std::time::Duration;
+
+use super::budget::{Instants, Meter};
+use super::peer::Peer;
+use super::{Controller, ControllerReport, RuntimeError, Seat, Session};
+use crate::channel::{ControllerPorts, Vault};
+use crate::clock::{Backoff, TimeSource};
+use crate::scenario::Plan;
+use crate::state::{self, Ledger, Remember};
+use crate::wire::{Command, Header, Learning, Observation, Role, State};
+
+/// Observations between two states that are kept.
+const KEEP: u64 = 64;
+/// Observations that stay noted: enough for the older of two states, should the newer one be torn.
+const NOTED: usize = 4 * KEEP as usize;
+
+/// The controller and what it said last.
+struct Answers {
+    controller: Controller,
+    command: Command,
+    learning: Learning,
+    /// Header of the observation that they answer.
+    seen: Header,
+    /// Observations answered.
+    count: u64,
+}
+
+impl Answers {
+    fn new(plan: &Plan, run: u64) -> Self {
+        let (mut command, mut learning) = (Command::default(), Learning::default());
+        (command.header.run, learning.header.run) = (run, run);
+        Self { controller: Controller::new(plan), command, learning, seen: Header::default(), count: 0 }
+    }
+
+    /// The sequence number of the next observation, if none is lost.
+    fn expected(&self) -> u64 {
+        if self.count == 0 { 0 } else { self.seen.sequence + 1 }
+    }
+
+    /// What a command waits for.
+    fn respond(&mut self, observation: &Observation) {
+        self.controller.report.unseen += observation.header.sequence - self.expected();
+        self.seen = observation.header;
+        self.controller.respond(observation, &mut self.command);
+        self.command.header.sequence = self.count;
+    }
+
+    /// What nobody waits for, but for the learning record.
+    fn settle(&mut self, observation: &Observation) {
+        self.controller.settle(observation);
+    }
+
+    fn record(&mut self, observation: &Observation) {
+        self.controller.record(observation, &mut self.learning);
+        self.learning.header.sequence = self.count;
+        self.count += 1;
+    }
+
+    /// Goes through an observation that was answered by the one before.
+    fn relive(&mut self, observation: &Observation) {
+        self.respond(observation);
+        self.settle(observation);
+        self.record(observation);
+    }
+
+    /// Takes up what the vault holds. True if there was something.
+    fn take_up(&mut self, vault: &mut Vault, fresh: impl Fn() -> Self) -> bool {
+        if let Some((_, bytes)) = vault.newest()
+            && !state::load(self, bytes)
+        {
+            *self = fresh();
+        }
+        vault.take_up();
+        while let Some(bytes) = vault.entry(self.count) {
+            let observation = bytemuck::pod_read_unaligned(bytes);
+            self.relive(&observation);
+        }
+        self.count > 0
+    }
+
+    /// Tells the readers which start of the process speaks.
+    fn introduce(&mut self, incarnation: u32) {
+        (self.command.header.incarnation, self.learning.header.incarnation) = (incarnation, incarnation);
+    }
+
+    fn stamp(&mut self, time: &TimeSource) {
+        stamp(&mut self.command.header, &self.seen, time);
+        stamp(&mut self.learning.header, &self.seen, time);
+    }
+
+    /// Shows how far the controller is.
+    fn show(&self, session: &mut Session) {
+        let status = &mut session.status;
+        status.ticks = self.seen.tick + 1;
+        status.sent = self.count;
+        status.lost = self.controller.report.unseen;
+        (status.loss, status.end_error) = self.controller.tally().now();
+        session.show();
+    }
+
+    /// Says the last answer, again.
+    fn say(&self, ports: &ControllerPorts) -> Result<(), RuntimeError> {
+        ports.command.send(&self.command)?;
+        ports.learning.send(&self.learning)?;
+        Ok(())
+    }
+}
+
+impl Remember for Answers {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.part("controller", &mut self.controller);
+        ledger.sample("command", &mut self.command);
+        ledger.sample("learning", &mut self.learning);
+        ledger.sample("seen", &mut self.seen);
+        ledger.number("count", &mut self.count);
+    }
+}
+
+/// Longest sleep while waiting for an observation in real time: how soon the end of a run is noticed.
+const EAR_TIMEOUT: Duration = Duration::from_millis(100);
+
+/// Waits for the next observation; in real time for the newest. `None` when there will be none.
+fn await_observation(
+    ports: &mut ControllerPorts,
+    plant: &mut Peer,
+    session: &Session,
+    real: bool,
+) -> Result<Option<Observation>, RuntimeError> {
+    let mut backoff = Backoff::default();
+    loop {
+        // Asked before the channel is: what the plant sent before it finished is still received. A plant that failed may
+        // come back; whether it does, the launcher says.
+        let over = ports.plant.get().state() == State::Finished;
+        if let Some(mut newest) = ports.observation.receive()? {
+            // After a stall only the present counts; what was passed by shows in the sequence numbers.
+            while let Some(newer) = if real { ports.observation.receive()? } else { None } {
+                newest = newer;
+            }
+            return Ok(Some(newest));
+        }
+        if over {
+            return Ok(None);
+        }
+        if real {
+            ports.ear.listen(EAR_TIMEOUT);
+            session.check()?;
+            plant.look(&mut ports.plant, session)?;
+        } else if backoff.pause() {
+            session.check()?;
+            plant.look(&mut ports.plant, session)?;
+        }
+    }
+}
+
+/// The controller's loop.
+///
+/// # Errors
+/// When the process does not fit the run, or the run ends in disorder.
+pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
+    let fresh = || Answers::new(&seat.plan, seat.card.run_id());
+    let mut answers = fresh();
+    let (mut ports, desk) = seat.open(ControllerPorts::open)?;
+    let mut vault = seat.vault(state::size(&mut answers), [NOTED, size_of::<Observation>()])?;
+    let came_back = answers.take_up(&mut vault, fresh);
+    // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the logger.
+    let (mut session, mut time) = seat.begin(desk, || {
+        Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 2 && ports.learning.connect()? >= 1)
+    })?;
+    let mut plant = Peer::new(Role::Plant);
+    let real = time.is_real();
+    answers.introduce(session.incarnation());
+    if came_back {
+        time.step_to(answers.seen.tick);
+        answers.stamp(&time);
+        answers.say(&ports)?;
+        answers.show(&mut session);
+    }
+    let mut meter = real.then(|| Meter::new(session.seat.plan.period_ns));
+
+    while let Some(observation) = await_observation(&mut ports, &mut plant, &session, real)? {
+        let seen = &observation.header;
+        if seen.sequence < answers.expected() {
+            // A plant that has come back says its last word again, and may not have heard the answer.
+            answers.say(&ports)?;
+            continue;
+        }
+        time.step_to(seen.tick);
+        let arrived = time.now();
+        vault.note(answers.count, bytemuck::bytes_of(&observation));
+        answers.respond(&observation);
+        stamp(&mut answers.command.header, seen, &time);
+        ports.command.send(&answers.command)?;
+
+        // From here on nobody waits.
+        let answered = time.now();
+        answers.settle(&observation);
+        let improved = time.now();
+        answers.record(&observation);
+        stamp(&mut answers.learning.header, seen, &time);
+        ports.learning.send(&answers.learning)?;
+
+        if answers.count.is_multiple_of(KEEP) && !vault.keep(answers.count, |to| state::save(&mut answers, to)) {
+            return Err(RuntimeError::Memory(Role::Controller.name()));
+        }
+        if let Some(meter) = &mut meter {
+            let (scheduled, done) = (seen.scheduled_ns, time.now());
+            meter.record(Instants { scheduled, seen: arrived, answered, improved, done });
+            session.status.learner_ns = meter.learner_ns;
+        }
+        answers.show(&mut session);
+    }
+    answers.controller.report.tick_budget = meter.and_then(|meter| meter.finish());
+    let report = answers.controller.finish();
+    session.finish(&report)?;
+    Ok(report)
+}
+
+/// Stamps a sample of the observation's tick just before it is sent.
+fn stamp(header: &mut Header, observation: &Header, time: &TimeSource) {
+    header.scheduled_ns = observation.scheduled_ns;
+    header.sensed_ns = observation.sensed_ns;
+    header.published_ns = time.now();
+}

@@ -1,0 +1,237 @@
+//! The plant's loop: waits for its tick and for the command, and survives its own death.
+//!
+//! What the plant is about to say is kept in the vault, with the plant's whole state, before it is said. A plant that comes
+//! back after a SIGKILL takes that up and says its last observation again, under the same sequence number: who has heard it
+//! drops it, and the controller answers it again. So in lockstep nothing is changed by the death of either.
+
+use hdrhistogram::Histogram;
+
+use super::peer::Peer;
+use super::reports::{Percentiles, histogram};
+use super::{PlantReport, PlantSide, RuntimeError, Seat, Session};
+use crate::channel::{BoardReader, ChannelError, LOG_BUFFER, PlantPorts, Receiver};
+use crate::clock::{Backoff, Wake, precise_timers};
+use crate::plant::Plant;
+use crate::state::{self, Ledger, Remember};
+use crate::wire::{Command, Observation, Role, Status, flag};
+
+/// Takes commands off the channel and sorts them by tick.
+struct Inbox<'a> {
+    channel: &'a Receiver<Command>,
+    /// The sequence number of the next command, if none is lost.
+    expected: u64,
+    found: Option<Command>,
+    late: u64,
+    failure: Option<ChannelError>,
+    answered: &'a mut Histogram<u64>,
+    real: bool,
+}
+
+impl Inbox<'_> {
+    /// Whether the command of `tick` is there. Older ones are counted as late and dropped.
+    fn look_for(&mut self, tick: u64) -> bool {
+        loop {
+            match self.channel.receive() {
+                Ok(None) => return self.found.is_some(),
+                // Said again by a controller that has come back.
+                Ok(Some(command)) if command.header.sequence < self.expected => {}
+                Ok(Some(command)) => {
+                    self.expected = command.header.sequence + 1;
+                    if self.real {
+                        // The command carries the instant at which its observation had been sensed.
+                        let header = &command.header;
+                        self.answered.saturating_record(header.published_ns.saturating_sub(header.sensed_ns));
+                    }
+                    if command.header.tick == tick {
+                        self.found = Some(command);
+                    } else {
+                        self.late += 1;
+                    }
+                }
+                Err(error) => {
+                    // The wait must end; the loop tells the error.
+                    self.failure = Some(error);
+                    return true;
+                }
+            }
+        }
+    }
+}
+
+/// Ticks between two looks at how far the logger is. In lockstep the plant never runs further ahead of it than its
+/// buffer, so that nothing overflows: the logger is inside the barrier, at the price of one look in so many ticks.
+const CREDIT: u64 = LOG_BUFFER as u64 / 4;
+
+/// The plant and what it said last.
+struct Voice<P> {
+    side: PlantSide<P>,
+    observation: Observation,
+    /// Observations said or about to be.
+    said: u64,
+    /// The sequence number of the next command, if none is lost.
+    expected: u64,
+}
+
+impl<P: Plant> Remember for Voice<P> {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.part("plant", &mut self.side);
+        ledger.sample("observation", &mut self.observation);
+        ledger.number("said", &mut self.said);
+        ledger.number("expected", &mut self.expected);
+    }
+}
+
+/// The plant's loop: seats `body` in the run and lives through it.
+///
+/// # Errors
+/// When the process does not fit the run, or the run ends in disorder.
+pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeError> {
+    let (mut ports, desk) = seat.open(PlantPorts::open)?;
+    let mut voice =
+        Voice { side: PlantSide::new(body, &seat.plan), observation: Observation::default(), said: 0, expected: 0 };
+    let mut vault = seat.vault(state::size(&mut voice), [0, 0])?;
+    if let Some((_, bytes)) = vault.newest()
+        && !state::load(&mut voice, bytes)
+    {
+        return Err(RuntimeError::Memory(Role::Plant.name()));
+    }
+    vault.take_up();
+    // Readers of the observation: controller and logger. Writer of the command: the controller.
+    let connected = || Ok(ports.observation.connect()? >= 2 && ports.command.connect()? >= 1);
+    let (mut session, mut time) = seat.begin(desk, connected)?;
+    precise_timers();
+
+    let real = time.is_real();
+    let ticks = session.seat.plan.scenario.ticks;
+    let (mut wake_up, mut answered, mut work) = (histogram(), histogram(), histogram());
+    let mut inbox = Inbox {
+        channel: &ports.command,
+        expected: voice.expected,
+        found: None,
+        late: voice.side.report.late,
+        failure: None,
+        answered: &mut answered,
+        real,
+    };
+    voice.observation.header.run = session.seat.card.run_id();
+    voice.observation.header.incarnation = session.incarnation();
+    let (mut controller, mut logger) = (Peer::new(Role::Controller), Peer::new(Role::Logger));
+
+    let mut tick = 0;
+    if voice.said > 0 {
+        tick = voice.observation.header.tick + 1;
+        time.step_to(voice.observation.header.tick);
+        session.status.sent = voice.said;
+        ports.observation.send(&voice.observation)?;
+        ports.bell.ring();
+    }
+    loop {
+        let mut failure = None;
+        let wake = time.await_tick(
+            tick,
+            || tick == 0 || inbox.look_for(tick - 1),
+            || {
+                if real {
+                    // A tick may be a second away.
+                    return session.end().is_some();
+                }
+                // The answer is under way, unless whoever should give it was killed before hearing the question.
+                failure = match controller.look(&mut ports.controller, &session) {
+                    Ok(true) if tick > 0 => ports.observation.send(&voice.observation).err().map(RuntimeError::from),
+                    looked => looked.err(),
+                };
+                failure.is_some() || session.must_end()
+            },
+        );
+        if let Some(error) = failure {
+            return Err(error);
+        }
+        if wake == Wake::Cancelled {
+            break;
+        }
+        let woken = time.now();
+        let late_before = voice.side.report.late;
+        if tick > 0 {
+            inbox.look_for(tick - 1);
+            if let Some(error) = inbox.failure.take() {
+                return Err(error.into());
+            }
+            voice.side.live(tick - 1, inbox.found.take().as_ref());
+            voice.side.report.late = inbox.late;
+        }
+        // Whoever wakes up a period late or more passes ticks over; never makes them up in a burst.
+        let due = time.due().min(ticks).max(tick);
+        if real {
+            let now = time.now();
+            for tick in tick..=due {
+                wake_up.saturating_record(now.saturating_sub(time.scheduled(tick)));
+            }
+        }
+        voice.side.skip(tick, due);
+        let skipped = due - tick;
+        tick = due;
+        let report = &voice.side.report;
+        session.status.ticks = tick;
+        session.status.missed = report.missed;
+        session.status.late = report.late;
+        session.status.lost = report.skipped;
+        session.show();
+        if tick >= ticks || session.stopping() {
+            break;
+        }
+        if !real && tick.is_multiple_of(CREDIT) && !await_credit(&mut ports.logger, &mut logger, &session, tick)? {
+            break;
+        }
+
+        let late = if report.late > late_before { flag::LATE } else { 0 };
+        voice.side.observe(tick, late, u32::try_from(skipped).unwrap_or(u32::MAX), &mut voice.observation);
+        let header = &mut voice.observation.header;
+        header.sequence = voice.said;
+        header.scheduled_ns = time.scheduled(tick);
+        header.sensed_ns = time.now();
+        voice.said += 1;
+        voice.expected = inbox.expected;
+        voice.observation.header.published_ns = time.now();
+        if !vault.keep(voice.said, |to| state::save(&mut voice, to)) {
+            return Err(RuntimeError::Memory(Role::Plant.name()));
+        }
+        ports.observation.send(&voice.observation)?;
+        if real {
+            ports.bell.ring();
+            work.saturating_record(time.now().saturating_sub(woken));
+        }
+        session.status.sent = voice.said;
+        tick += 1;
+    }
+    session.show();
+    session.check()?;
+    let mut report = voice.side.report;
+    if real {
+        report.wake_up = Percentiles::of(&wake_up);
+        report.observation_to_command = Percentiles::of(&answered);
+        report.work = Percentiles::of(&work);
+    }
+    session.finish(&report)?;
+    // Whoever listens for another observation finds that there is none.
+    ports.bell.ring();
+    Ok(report)
+}
+
+/// Waits until the logger has room for the next [`CREDIT`] ticks. False when the run is to end first.
+fn await_credit(
+    board: &mut BoardReader<Status>,
+    logger: &mut Peer,
+    session: &Session,
+    tick: u64,
+) -> Result<bool, RuntimeError> {
+    let mut backoff = Backoff::default();
+    while board.get().consumed + (LOG_BUFFER as u64) < tick + CREDIT {
+        if backoff.pause() {
+            logger.look(board, session)?;
+            if session.end().is_some() {
+                return Ok(false);
+            }
+        }
+    }
+    Ok(true)
+}
