@@ -1,6 +1,8 @@
 //! A run's own corner of shared memory: which names belong to it, and how they are wiped.
 
 use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::time::Duration;
 
 use iceoryx2::prelude::*;
 
@@ -64,22 +66,54 @@ impl Domain {
     pub fn join(name: &DomainName) -> Result<Self, ChannelError> {
         // Every failure comes back as a value and is told in our own words.
         set_log_level(LogLevel::Fatal);
-        let mut config = Config::default();
-        config.global.prefix = FileName::new(name.prefix().as_bytes()).expect("hexadecimal digits are a file name");
-        let root = name.root();
-        let root = iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes()).expect("a short absolute path");
-        config.global.set_root_path(&root);
-        // Clean-up belongs to the launcher alone: two processes that clean up at once can hang each other.
-        config.global.node.cleanup_dead_nodes_on_creation = false;
-        config.global.node.cleanup_dead_nodes_on_destruction = false;
-        config.global.service.cleanup_dead_nodes_on_open = false;
         let node = NodeBuilder::new()
-            .config(&config)
+            .config(&configuration(name))
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|e| ChannelError::set_up("a node", e))?;
         Ok(Self { node })
     }
+}
+
+fn configuration(name: &DomainName) -> Config {
+    let mut config = Config::default();
+    config.global.prefix = FileName::new(name.prefix().as_bytes()).expect("hexadecimal digits are a file name");
+    let root = name.root();
+    let root = iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes()).expect("a short absolute path");
+    config.global.set_root_path(&root);
+    // Clean-up belongs to the launcher alone: two processes that clean up at once can hang each other.
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    config.global.service.cleanup_dead_nodes_on_open = false;
+    config
+}
+
+/// Takes away what processes that were killed held of the domain's services, so that others can take their places. For the
+/// launcher, when no process is being set up. False if that is not done within `limit`: iceoryx2 waits without end for what
+/// a process began to make and never finished.
+pub fn bury(name: &DomainName, limit: Duration) -> bool {
+    // A segment without size is one whose maker died between making it and giving it its size: opening it would hang.
+    let prefix = name.prefix();
+    for entry in std::fs::read_dir(SHM).into_iter().flatten().flatten() {
+        let ours = entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes());
+        if ours && entry.metadata().is_ok_and(|m| m.is_file() && m.len() == 0) {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+    let config = configuration(name);
+    let (done, wait) = mpsc::channel();
+    // Not joined: if it hangs, it goes with the launcher.
+    std::thread::spawn(move || {
+        let mut clean = true;
+        let listed = Node::<ipc::Service>::list(&config, |state| {
+            if let NodeState::Dead(dead) = state {
+                clean &= dead.try_remove_stale_resources().is_ok();
+            }
+            CallbackProgression::Continue
+        });
+        let _ = done.send(clean && listed.is_ok());
+    });
+    wait.recv_timeout(limit).unwrap_or(false)
 }
 
 /// Removes every file of the domain. For the launcher, when all processes of the run have ended.

@@ -15,7 +15,7 @@ mod services;
 mod vault;
 
 pub use debris::{Owner, Remains, survey, sweep};
-pub use domain::{Domain, DomainName, wipe};
+pub use domain::{Domain, DomainName, bury, wipe};
 pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Payload, Receiver, Sender};
 pub use services::{ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts};
 pub use vault::Vault;

@@ -9,7 +9,7 @@ use iceoryx2::port::{
     reader::{EntryHandle, Reader},
     subscriber::Subscriber,
     update_connections::UpdateConnections,
-    writer::EntryHandleMut,
+    writer::{EntryHandleMut, Writer},
 };
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::publish_subscribe;
@@ -163,13 +163,22 @@ pub struct Desk {
 }
 
 /// The writing end of a board: the latest value counts.
-pub struct BoardWriter<T: Payload>(pub(super) EntryHandleMut<ipc::Service, u64, T>);
+pub struct BoardWriter<T: Payload> {
+    entry: EntryHandleMut<ipc::Service, u64, T>,
+    /// Kept, though the entry would do to write: with it goes the mark by which a dead process's place is found and freed.
+    _port: Writer<ipc::Service, u64>,
+}
 
 impl<T: Payload> BoardWriter<T> {
+    pub(super) fn new(port: Writer<ipc::Service, u64>, page: u32) -> Result<Self, ChannelError> {
+        let entry = port.entry::<T>(&u64::from(page)).map_err(|e| ChannelError::set_up("a board's page", e))?;
+        Ok(Self { entry, _port: port })
+    }
+
     /// Replaces the value on the board.
     #[inline]
     pub fn put(&self, value: T) {
-        self.0.update_with_copy(value);
+        self.entry.update_with_copy(value);
     }
 }
 

@@ -72,7 +72,7 @@ pub struct Hub {
     /// The launcher's board.
     pub control: BoardWriter<Control>,
     /// The boards of the processes, by [`Role`].
-    pub status: [BoardReader<Status>; 3],
+    status: [BoardReader<Status>; 3],
     // In reverse order of need: services go before the node, the files after all of them.
     _boards: Vec<Board>,
     _channels: (Factory<Observation>, Factory<Command>, Factory<Learning>),
@@ -138,6 +138,14 @@ impl Hub {
     /// The board of `role`.
     pub fn status(&self, role: Role) -> Status {
         self.status[role as usize].get()
+    }
+
+    /// Turns the board of `role` to the page of its next incarnation.
+    ///
+    /// # Errors
+    /// [`ChannelError::SetUp`] when it has no such page.
+    pub fn turn_to(&mut self, role: Role, incarnation: u32) -> Result<(), ChannelError> {
+        self.status[role as usize].turn_to(incarnation).map(|_| ())
     }
 }
 
@@ -350,5 +358,5 @@ fn read_peer(domain: &Domain, role: Role, desk: &Desk) -> Result<BoardReader<Sta
 
 fn write_board<T: Payload>(board: &Board, page: u32) -> Result<BoardWriter<T>, ChannelError> {
     let writer = board.writer_builder().create().map_err(|e| ChannelError::set_up("a board's writer", e))?;
-    writer.entry::<T>(&u64::from(page)).map(BoardWriter).map_err(|e| ChannelError::set_up("a board's page", e))
+    BoardWriter::new(writer, page)
 }

@@ -24,6 +24,25 @@ impl Life {
         matches!(poll(&mut fds, Some(&now)), Ok(1))
     }
 
+    /// Waits until one of the processes has ended, or for `ns` nanoseconds.
+    pub fn await_any<'a>(lives: impl Iterator<Item = &'a Self>, ns: u64) {
+        let mut fds: Vec<_> = lives.map(|life| PollFd::new(&life.fd, PollFlags::IN)).collect();
+        let limit = Timespec { tv_sec: (ns / 1_000_000_000) as i64, tv_nsec: (ns % 1_000_000_000) as i64 };
+        // A signal ends the wait early: callers look at their flags and come back.
+        let _ = poll(&mut fds, Some(&limit));
+    }
+
+    /// Stops the process (SIGSTOP), or lets it go on (SIGCONT).
+    pub fn stop(&self, stop: bool) {
+        let signal = if stop { rustix::process::Signal::STOP } else { rustix::process::Signal::CONT };
+        let _ = pidfd_send_signal(&self.fd, signal);
+    }
+
+    /// Asks the process to end (SIGTERM).
+    pub fn terminate(&self) {
+        let _ = pidfd_send_signal(&self.fd, rustix::process::Signal::TERM);
+    }
+
     /// Kills the process; one that has ended already is left alone.
     pub fn kill(&self) {
         let _ = pidfd_send_signal(&self.fd, rustix::process::Signal::KILL);

@@ -155,7 +155,7 @@ impl Merge {
 /// When the process does not fit the run, the log cannot be written, or the run ends in disorder; the log is closed in
 /// every case in which that is possible.
 pub fn run_logger(seat: Seat) -> Result<LoggerReport, RuntimeError> {
-    let (ports, desk) = seat.open(LoggerPorts::open)?;
+    let (mut ports, desk) = seat.open(LoggerPorts::open)?;
     let (mut session, time) = seat.begin(desk, || {
         let channels = [ports.observation.connect()?, ports.command.connect()?, ports.learning.connect()?];
         Ok(channels.iter().all(|&writers| writers >= 1))
@@ -165,7 +165,7 @@ pub fn run_logger(seat: Seat) -> Result<LoggerReport, RuntimeError> {
     let log = LogWriter::create(&path, &header)?;
     let mut merge = Merge { lanes: [0, 1, 2].map(Lane::new), log, every: header.every };
 
-    let ended = follow(&mut merge, &ports, &mut session, &time);
+    let ended = follow(&mut merge, &mut ports, &mut session, &time);
     if let Err(RuntimeError::Log(error)) = ended {
         // Nothing more can be written; what is there stays readable.
         return Err(error.into());
@@ -200,7 +200,7 @@ pub fn run_logger(seat: Seat) -> Result<LoggerReport, RuntimeError> {
 /// Writes until both senders have finished and everything is written.
 fn follow(
     merge: &mut Merge,
-    ports: &LoggerPorts,
+    ports: &mut LoggerPorts,
     session: &mut Session,
     time: &TimeSource,
 ) -> Result<(), RuntimeError> {
@@ -212,6 +212,8 @@ fn follow(
     let patience = (2 * session.seat.plan.period_ns / nap).max(8);
     let mut naps = 0;
     loop {
+        ports.plant.turn_to(session.incarnation_of(Role::Plant))?;
+        ports.controller.turn_to(session.incarnation_of(Role::Controller))?;
         let over = [&ports.plant, &ports.controller].iter().all(|board| board.get().state() == State::Finished);
         let ended = session.check();
         let last = over || ended.is_err();

@@ -10,7 +10,7 @@ use serde::{
     de::{Error, IgnoredAny, SeqAccess, Visitor},
 };
 
-use super::{ArmTable, LearnerTable, RealtimeTable, Source};
+use super::{ArmTable, LearnerTable, RealtimeTable, RestartTable, Source};
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,6 +45,9 @@ pub struct Scenario {
     /// The names of the channels.
     #[serde(default)]
     pub channels: ChannelsTable,
+    /// What happens when a process dies or hangs.
+    #[serde(default, skip_serializing_if = "RestartTable::is_usual")]
+    pub restart: RestartTable,
     /// What each process asks of the operating system in real time.
     #[serde(default, skip_serializing_if = "RealtimeTable::is_nothing")]
     pub realtime: RealtimeTable,

@@ -13,6 +13,7 @@ mod learner;
 pub mod limits;
 mod presets;
 mod realtime;
+mod restart;
 mod signals;
 mod source;
 mod steps;
@@ -29,6 +30,7 @@ pub use file::*;
 pub use learner::*;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeProcess, RealtimeTable};
+pub use restart::{Restart, RestartTable};
 pub use source::Source;
 
 use std::{fs::File, io::Read, path::Path};

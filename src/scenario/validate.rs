@@ -7,7 +7,7 @@ use std::{collections::HashSet, fmt::Display, ops::RangeInclusive};
 
 use super::{
     EncoderTable, GateTable, LogTable, MapTable, Rule, Scenario, SignalTable, error::Problem, error::either,
-    error::quoted, find, limits, realtime, signals::signals, validate_learner, validate_plant,
+    error::quoted, find, limits, realtime, restart, signals::signals, validate_learner, validate_plant,
 };
 use crate::wire::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
 
@@ -38,6 +38,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
     validate_learner::check(&scenario.learner, &signals)?;
     log(&scenario.log)?;
     channels(scenario)?;
+    restart::check(&scenario.restart)?;
     realtime::check(&scenario.realtime)
 }
 

@@ -10,16 +10,18 @@ use super::LaunchError;
 use crate::channel::Hub;
 use crate::clock::Life;
 use crate::runtime::exit;
-use crate::scenario::Plan;
+use crate::scenario::{Plan, Restart};
 use crate::wire::{Role, State};
 
-/// One process of the run.
+/// What stands in one process's place.
 #[derive(Debug)]
 enum Member {
-    /// Started by the launcher.
-    Child { child: Child, status: Option<ExitStatus>, said: Option<JoinHandle<String>> },
+    /// A child of the launcher.
+    Child { child: Child, life: Option<Life>, said: Option<JoinHandle<String>> },
     /// Started by somebody else; known from its board once it is there.
-    ByHand { life: Option<Life>, ended: bool, finished: bool },
+    ByHand { life: Option<Life> },
+    /// Nobody, any more or for now.
+    Gone,
 }
 
 /// How a process failed.
@@ -33,20 +35,38 @@ pub(super) struct Failure {
     pub said: (Role, String),
 }
 
+/// A process that ended before it had finished.
+#[derive(Debug)]
+pub(super) struct Death {
+    /// Its place.
+    pub role: Role,
+    /// What that means for the run, if it is not started again.
+    pub failure: Failure,
+    /// The last policy under which it is not started again.
+    pub unless: Option<Restart>,
+}
+
+/// How to start a process.
+#[derive(Debug)]
+struct Start {
+    program: PathBuf,
+    arguments: Vec<String>,
+}
+
 /// All processes, by [`Role`].
 #[derive(Debug)]
 pub(super) struct Crew {
-    members: Vec<(Role, Member)>,
-    /// The first that failed.
-    failure: Option<Failure>,
+    folder: PathBuf,
+    /// How to start each; `None` for one that somebody else starts.
+    starts: Vec<Option<Start>>,
+    members: Vec<Member>,
 }
 
 impl Crew {
     /// Starts all processes but those in `by_hand`.
     pub fn start(plan: &Plan, folder: &Path, by_hand: &[Role]) -> Result<Self, LaunchError> {
-        let mut crew = Self { members: Vec::new(), failure: None };
         // All programs are found before any is started.
-        let mut commands = Vec::new();
+        let mut starts = Vec::new();
         for role in Role::ALL {
             let (name, arguments): (&str, &[String]) = match role {
                 Role::Plant => (&plan.scenario.plant.program, &plan.scenario.plant.args),
@@ -54,7 +74,7 @@ impl Crew {
                 Role::Logger => ("tectum-logger", &[]),
             };
             if by_hand.contains(&role) {
-                commands.push((role, None));
+                starts.push(None);
                 continue;
             }
             let program = find(name).ok_or_else(|| LaunchError::Start {
@@ -64,79 +84,115 @@ impl Crew {
                         or name the plant's program by its path"
                     .to_owned(),
             })?;
-            let mut command = Command::new(program);
-            command.args(arguments).arg("--run").arg(folder);
-            commands.push((role, Some(command)));
+            starts.push(Some(Start { program, arguments: arguments.to_owned() }));
         }
-        for (role, command) in commands {
-            let member = match command {
-                Some(command) => start(role, command)?,
-                None => Member::ByHand { life: None, ended: false, finished: false },
+        let mut crew = Self { folder: folder.to_owned(), starts, members: Vec::new() };
+        for role in Role::ALL {
+            let member = match crew.starts[role as usize] {
+                Some(_) => crew.spawn(role)?,
+                None => Member::ByHand { life: None },
             };
-            crew.members.push((role, member));
+            crew.members.push(member);
         }
         Ok(crew)
     }
 
-    /// Notices who has ended.
-    pub fn reap(&mut self, hub: &Hub) {
-        for (role, member) in &mut self.members {
-            let board = hub.status(*role);
-            let failure = match member {
-                Member::Child { status: Some(_), .. } | Member::ByHand { ended: true, .. } => continue,
-                Member::Child { child, status, said } => {
-                    *status = child.try_wait().ok().flatten();
-                    status.and_then(|status| failure_of(*role, status, said.take(), board.ticks))
-                }
-                Member::ByHand { life, ended, finished } => {
-                    *finished = board.state() == State::Finished;
+    fn spawn(&self, role: Role) -> Result<Member, LaunchError> {
+        let failed = |program: &Path, cause: &str| LaunchError::Start {
+            role: role.name(),
+            program: program.display().to_string(),
+            cause: cause.to_owned(),
+        };
+        let Some(Start { program, arguments }) = &self.starts[role as usize] else {
+            return Err(failed(Path::new("?"), "it is started by hand"));
+        };
+        let mut command = Command::new(program);
+        // A process group of its own: a Ctrl-C at the terminal reaches the launcher alone, which ends the run in order.
+        command.args(arguments).arg("--run").arg(&self.folder).process_group(0);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut child = command.spawn().map_err(|cause| failed(program, &cause.to_string()))?;
+        let said = child.stderr.take().map(|pipe| std::thread::spawn(move || listen(pipe)));
+        let life = Life::of(child.id());
+        Ok(Member::Child { child, life, said })
+    }
+
+    /// Starts a process anew whose place is empty.
+    pub fn start_again(&mut self, role: Role) -> Result<(), LaunchError> {
+        self.members[role as usize] = self.spawn(role)?;
+        Ok(())
+    }
+
+    /// Notices who has ended, and says who did so before having finished.
+    pub fn reap(&mut self, hub: &Hub) -> Vec<Death> {
+        let mut deaths = Vec::new();
+        for (role, member) in Role::ALL.into_iter().zip(&mut self.members) {
+            let board = hub.status(role);
+            let finished = board.state() == State::Finished;
+            let death = match member {
+                Member::Gone => continue,
+                Member::Child { child, said, .. } => match child.try_wait() {
+                    Ok(None) => continue,
+                    Ok(Some(status)) => death_of(role, status, said.take(), board.ticks, finished),
+                    Err(_) => Some(ended_early(role, board.ticks, Some(Restart::Never))),
+                },
+                Member::ByHand { life } => {
+                    let mut ended = life.as_ref().is_some_and(Life::ended);
                     if life.is_none() && board.pid != 0 {
                         *life = Life::of(board.pid);
-                        *ended = life.is_none();
+                        ended = life.is_none();
                     }
-                    *ended |= life.as_ref().is_some_and(Life::ended);
-                    (*ended && !*finished).then(|| Failure {
-                        code: exit::PROCESS,
-                        message: format!("the {} ended before the run was over, at tick {}", role.name(), board.ticks),
-                        said: (*role, String::new()),
-                    })
+                    match (ended, finished) {
+                        (false, _) => continue,
+                        (true, true) => None,
+                        (true, false) => Some(ended_early(role, board.ticks, None)),
+                    }
                 }
             };
-            if self.failure.is_none() {
-                self.failure = failure;
-            }
+            *member = Member::Gone;
+            deaths.extend(death);
         }
+        deaths
     }
 
-    /// Whether a process has failed.
-    pub fn failed(&self) -> bool {
-        self.failure.is_some()
+    /// Waits until a child has ended, or for `ns` nanoseconds.
+    pub fn await_end(&self, ns: u64) {
+        Life::await_any(self.members.iter().filter_map(Member::life), ns);
     }
 
-    /// How the first process that failed did so.
-    pub fn failure(&self) -> Option<Failure> {
-        self.failure.clone()
+    /// A handle on a process that the launcher has started and that lives.
+    pub fn child(&self, role: Role) -> Option<&Life> {
+        match &self.members[role as usize] {
+            Member::Child { life, .. } => life.as_ref(),
+            _ => None,
+        }
     }
 
     /// Whether all processes have ended. One that is started by hand and never came counts as ended.
     pub fn gone(&self) -> bool {
-        self.members.iter().all(|(_, member)| match member {
-            Member::Child { status, .. } => status.is_some(),
-            Member::ByHand { life, ended, .. } => *ended || life.is_none(),
-        })
+        self.members.iter().all(|member| matches!(member, Member::Gone | Member::ByHand { life: None }))
     }
 
     /// Kills whoever is left, and waits for those that are ours.
     pub fn kill(&mut self) {
-        for (_, member) in &mut self.members {
+        for member in &mut self.members {
             match member {
-                Member::Child { child, status, .. } if status.is_none() => {
+                Member::Child { child, .. } => {
                     let _ = child.kill();
-                    *status = child.wait().ok();
+                    let _ = child.wait();
                 }
-                Member::ByHand { life: Some(life), ended: false, .. } => life.kill(),
+                Member::ByHand { life: Some(life) } => life.kill(),
                 _ => {}
             }
+            *member = Member::Gone;
+        }
+    }
+}
+
+impl Member {
+    fn life(&self) -> Option<&Life> {
+        match self {
+            Self::Child { life, .. } | Self::ByHand { life } => life.as_ref(),
+            Self::Gone => None,
         }
     }
 }
@@ -145,16 +201,6 @@ impl Drop for Crew {
     fn drop(&mut self) {
         self.kill();
     }
-}
-
-fn start(role: Role, mut command: Command) -> Result<Member, LaunchError> {
-    let program = command.get_program().to_string_lossy().into_owned();
-    // A process group of its own: a Ctrl-C at the terminal reaches the launcher alone, which ends the run in order.
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).process_group(0);
-    let mut child =
-        command.spawn().map_err(|cause| LaunchError::Start { role: role.name(), program, cause: cause.to_string() })?;
-    let said = child.stderr.take().map(|pipe| std::thread::spawn(move || listen(pipe)));
-    Ok(Member::Child { child, status: None, said })
 }
 
 /// Reads all that a process says, so that it never waits for a reader, and keeps the beginning.
@@ -176,9 +222,20 @@ fn find(name: &str) -> Option<PathBuf> {
     beside.into_iter().chain(std::env::split_paths(&path).map(|folder| folder.join(name))).find(|p| p.is_file())
 }
 
-fn failure_of(role: Role, status: ExitStatus, said: Option<JoinHandle<String>>, tick: u64) -> Option<Failure> {
+fn ended_early(role: Role, tick: u64, unless: Option<Restart>) -> Death {
+    let message = format!("the {} ended before the run was over, at tick {tick}", role.name());
+    Death { role, failure: Failure { code: exit::PROCESS, message, said: (role, String::new()) }, unless }
+}
+
+fn death_of(
+    role: Role,
+    status: ExitStatus,
+    said: Option<JoinHandle<String>>,
+    tick: u64,
+    finished: bool,
+) -> Option<Death> {
     if status.success() {
-        return None;
+        return (!finished).then(|| ended_early(role, tick, Some(Restart::OnFailure)));
     }
     let said = said.and_then(|listener| listener.join().ok()).unwrap_or_default();
     let name = role.name();
@@ -189,11 +246,15 @@ fn failure_of(role: Role, status: ExitStatus, said: Option<JoinHandle<String>>, 
         (None, Some(line)) => format!("the {name} ended: {line}"),
         (None, None) => format!("the {name} ended at tick {tick} with exit code {}", status.code().unwrap_or(-1)),
     };
+    let is = |code: u8| status.code() == Some(i32::from(code));
     // Codes that say what the user can do are taken over; all others say that a process failed.
-    let code = match status.code() {
-        Some(code) if code == i32::from(exit::INPUT) => exit::INPUT,
-        Some(code) if code == i32::from(exit::MISMATCH) => exit::MISMATCH,
-        _ => exit::PROCESS,
+    let code = [exit::INPUT, exit::MISMATCH].into_iter().find(|&code| is(code)).unwrap_or(exit::PROCESS);
+    let unless = match code {
+        // What does not fit will not fit the next time.
+        exit::INPUT | exit::MISMATCH => None,
+        // Somebody has asked it to end, and it did.
+        _ if is(exit::TERMINATED) || is(exit::INTERRUPTED) => Some(Restart::OnFailure),
+        _ => Some(Restart::Never),
     };
-    Some(Failure { code, message, said: (role, said) })
+    Some(Death { role, failure: Failure { code, message, said: (role, said) }, unless })
 }

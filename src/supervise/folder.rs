@@ -2,6 +2,7 @@
 
 use std::cell::Cell;
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use super::LaunchError;
@@ -103,7 +104,10 @@ impl RunFolder {
     pub(super) fn keep_words(&self, failure: &Failure) {
         let (role, said) = &failure.said;
         if !said.is_empty() {
-            let _ = fs::write(self.path.join(format!("{}.stderr", role.name())), said);
+            // One after the other, for a process that failed more than once.
+            let path = self.path.join(format!("{}.stderr", role.name()));
+            let file = fs::OpenOptions::new().create(true).append(true).open(path);
+            let _ = file.and_then(|mut file| file.write_all(said.as_bytes()));
         }
     }
 }

@@ -7,14 +7,16 @@ use serde::Serialize;
 
 use super::Launch;
 use super::children::Failure;
+use super::keeper::Incident;
 use super::story::{ends, story};
+use super::watch::End;
 use crate::clock::RealtimeReport;
 use crate::report::{self, Story, Window, thousands};
 use crate::runtime::{
     Card, ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, TickBudget, exit, read_realtime,
     read_report,
 };
-use crate::wire::{Role, Status};
+use crate::wire::Role;
 
 /// How a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -106,6 +108,8 @@ pub struct Summary {
     pub tick_budget: Option<TickBudget>,
     /// Real time: what each process asked of the operating system, what it had and what it was refused; empty otherwise.
     pub realtime: Vec<ProcessRealtime>,
+    /// Processes that died or hung and were started again, in order.
+    pub restarts: Vec<Incident>,
     /// The run's folder.
     pub folder: PathBuf,
     /// The log; null where there is none.
@@ -131,14 +135,8 @@ pub struct Summary {
 impl Summary {
     /// The summary of a run of processes, from what they left in its folder; for one that left nothing, from what its
     /// board said last.
-    pub(super) fn of_run(
-        launch: &Launch,
-        folder: &Path,
-        boards: &[Status; 3],
-        ended: Ended,
-        failure: Option<Failure>,
-        seconds: f64,
-    ) -> Self {
+    pub(super) fn of_run(launch: &Launch, folder: &Path, end: End, seconds: f64) -> Self {
+        let End { ended, failure, incidents, boards, .. } = end;
         let board = &boards[Role::Plant as usize];
         let plant = read_report(folder, Role::Plant).unwrap_or_else(|| PlantReport {
             ticks: board.sent,
@@ -150,6 +148,7 @@ impl Summary {
         let controller: Option<ControllerReport> = read_report(folder, Role::Controller);
         let logger: LoggerReport = read_report(folder, Role::Logger).unwrap_or_default();
         let mut summary = Self::new(launch, folder, ended, seconds, &plant, controller);
+        summary.restarts = incidents;
         let account = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
         summary.realtime = Role::ALL.into_iter().filter_map(account).collect();
         let log = Card::log_path(folder);
@@ -225,6 +224,7 @@ impl Summary {
                 .and_then(|c| c.tick_budget)
                 .map(|budget| TickBudget { plant_us: plant.work, ..budget }),
             realtime: Vec::new(),
+            restarts: Vec::new(),
             folder: folder.to_owned(),
             log: None,
             log_bytes: 0,
@@ -308,6 +308,14 @@ impl Summary {
         }
         let _ =
             writeln!(text, "missed {}  late {}  lost {}  limited {}", self.missed, self.late, self.lost, self.clamped);
+        for role in Role::ALL {
+            let back: Vec<_> = self.restarts.iter().filter(|incident| incident.process == role.name()).collect();
+            if let Some(last) = back.last() {
+                let times = if back.len() == 1 { "once".to_owned() } else { format!("{} times", back.len()) };
+                let _ =
+                    writeln!(text, "{:<23} {times}; at last {}", format!("started again, {}", role.name()), last.what);
+            }
+        }
         for (label, percentiles) in [
             ("wake-up lateness", &self.wake_up_lateness_us),
             ("observation to command", &self.observation_to_command_us),

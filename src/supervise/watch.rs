@@ -1,0 +1,245 @@
+//! A run in progress, as its launcher sees it: phases, signals, deaths, silences, returns, and the end.
+
+use std::time::Duration;
+
+use super::children::{Crew, Failure};
+use super::keeper::{Incident, Keeper};
+use super::{Ended, Launch, LaunchError, Progress};
+use crate::channel::{DomainName, Hub, bury};
+use crate::clock::{Signals, monotonic_ns, pause};
+use crate::process::say;
+use crate::runtime::{Mode, exit};
+use crate::wire::{Control, Phase, Role, State, Status};
+
+/// How long processes that the launcher starts may take to get ready or to connect.
+const SET_UP_LIMIT: Duration = Duration::from_secs(20);
+/// After a signal or a failure: how long the processes have to end in good order, and then to end at once. Together they
+/// stay below the second that a user waits after Ctrl-C.
+const STOP_LIMIT: Duration = Duration::from_millis(600);
+const ABORT_LIMIT: Duration = Duration::from_millis(200);
+/// After the planned end: how long the last samples may take to reach the disk.
+const CLOSE_LIMIT: Duration = Duration::from_secs(60);
+/// How long it may take to take away what a dead process held.
+const BURY_LIMIT: Duration = Duration::from_secs(5);
+/// How often the launcher looks at boards and signals, ns: often enough to end a lockstep run promptly, and in real
+/// time, where its processor time is somebody else's latency, four times less often. A death wakes it at once.
+const LOOK_NS: u64 = 5_000_000;
+const LOOK_REALTIME_NS: u64 = 20_000_000;
+
+/// A run in progress.
+pub(super) struct Run {
+    hub: Hub,
+    domain: DomainName,
+    crew: Crew,
+    control: Control,
+    signals: Signals,
+    progress: Progress,
+    keeper: Keeper,
+    look_ns: u64,
+    /// Why the run ends before its last tick, if it does.
+    ended: Option<Ended>,
+    /// The first failure that was not made good.
+    failure: Option<Failure>,
+    /// What all those said who died.
+    deaths: Vec<Failure>,
+}
+
+/// How a run ended, for its summary.
+pub(super) struct End {
+    pub ended: Ended,
+    pub failure: Option<Failure>,
+    pub deaths: Vec<Failure>,
+    pub incidents: Vec<Incident>,
+    /// What each process said last of itself.
+    pub boards: [Status; 3],
+}
+
+impl Run {
+    pub fn new(
+        launch: &Launch,
+        hub: Hub,
+        crew: Crew,
+        signals: Signals,
+        progress: Progress,
+        domain: &DomainName,
+    ) -> Self {
+        Self {
+            hub,
+            domain: domain.clone(),
+            crew,
+            control: Control::default(),
+            signals,
+            progress,
+            keeper: Keeper::new(&launch.plan.scenario.restart, monotonic_ns()),
+            look_ns: if launch.mode == Mode::Realtime { LOOK_REALTIME_NS } else { LOOK_NS },
+            ended: None,
+            failure: None,
+            deaths: Vec::new(),
+        }
+    }
+
+    fn enter(&mut self, phase: Phase) {
+        self.control.phase = phase as u32;
+        self.hub.control.put(self.control);
+    }
+
+    fn state(&self, role: Role) -> State {
+        self.hub.status(role).state()
+    }
+
+    /// Leads the processes through set-up.
+    pub fn set_up(&mut self, launch: &Launch) -> Result<(), LaunchError> {
+        for (state, next) in [(State::Ready, Phase::Connect), (State::Connected, Phase::Run)] {
+            let began = monotonic_ns();
+            while Role::ALL.iter().any(|&role| self.state(role) < state) {
+                if self.look() {
+                    return match self.failure.take() {
+                        // Nothing has begun yet, so nothing is left.
+                        Some(failure) => Err(LaunchError::Refused { code: failure.code, message: failure.message }),
+                        None => Ok(()),
+                    };
+                }
+                let waited = Duration::from_nanos(monotonic_ns() - began);
+                if launch.by_hand.is_empty() && waited > SET_UP_LIMIT {
+                    let late = Role::ALL.into_iter().find(|&role| self.state(role) < state).map_or("", Role::name);
+                    return Err(LaunchError::NotReady { role: late, seconds: waited.as_secs() });
+                }
+                pause(LOOK_NS / 10);
+            }
+            if next == Phase::Connect {
+                self.enter(next);
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets the ticks begin, and watches until all processes have finished or the run is to end early.
+    pub fn go(&mut self, t0_ns: u64) {
+        if self.ended.is_some() {
+            return;
+        }
+        self.control.t0_ns = t0_ns;
+        self.enter(Phase::Run);
+        while Role::ALL.iter().any(|&role| self.state(role) != State::Finished) {
+            if self.look() {
+                return;
+            }
+            self.listen();
+            self.revive();
+            self.progress.show(&self.hub);
+            self.crew.await_end(self.look_ns);
+        }
+    }
+
+    /// Looks at signals and deaths. True when the run is to end early.
+    fn look(&mut self) -> bool {
+        for death in self.crew.reap(&self.hub) {
+            self.deaths.push(death.failure.clone());
+            let going = self.ended.is_none() && self.control.phase() == Phase::Run;
+            if going && self.keeper.take(&death, monotonic_ns(), false) {
+                say(&format!("tectum: {}; it is started again", death.failure.message));
+            } else {
+                self.fail(death.failure);
+            }
+        }
+        if self.ended.is_none() {
+            if self.signals.received() != 0 {
+                self.ended = Some(Ended::Signal(self.signals.received()));
+            } else if self.failure.is_some() {
+                self.ended = Some(Ended::Failed);
+            }
+        }
+        self.ended.is_some()
+    }
+
+    fn fail(&mut self, failure: Failure) {
+        self.failure.get_or_insert(failure);
+    }
+
+    /// Kills those who give no sign of life, and those who came back and do not get ready.
+    fn listen(&mut self) {
+        let now = monotonic_ns();
+        for role in Role::ALL {
+            let Some(life) = self.crew.child(role) else { continue };
+            let board = self.hub.status(role);
+            let hangs = match board.state() {
+                State::Running => self.keeper.silent(role, board.beat, now),
+                State::Finished | State::Failed => false,
+                _ => self.keeper.age(role, now) > SET_UP_LIMIT.as_nanos() as u64,
+            };
+            if hangs {
+                say(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));
+                life.kill();
+            }
+        }
+    }
+
+    /// Starts a process again whose wait is over.
+    fn revive(&mut self) {
+        // One at a time: what a process has half made while it is set up must not be taken for a dead one's.
+        let settles = |role| self.crew.child(role).is_some() && self.state(role) < State::Running;
+        if Role::ALL.into_iter().any(settles) {
+            return;
+        }
+        let Some(role) = self.keeper.due(monotonic_ns()) else { return };
+        let failed = |message: String| Failure { code: exit::PROCESS, message, said: (role, String::new()) };
+        if !bury(&self.domain, BURY_LIMIT) {
+            let text = format!("the {} cannot be started again: what it held cannot be taken from it", role.name());
+            return self.fail(failed(text));
+        }
+        let incarnation = self.keeper.started(role, monotonic_ns());
+        if let Err(error) = self.hub.turn_to(role, incarnation) {
+            return self.fail(failed(error.to_string()));
+        }
+        self.control.incarnations[role as usize] = incarnation;
+        self.hub.control.put(self.control);
+        if let Err(error) = self.crew.start_again(role) {
+            self.fail(failed(error.to_string()));
+        }
+    }
+
+    /// Ends the run and waits for the processes. Gives the seconds that the ticks took.
+    pub fn close(&mut self, began: u64) -> f64 {
+        if self.ended.is_some() {
+            self.enter(if self.control.phase() >= Phase::Run { Phase::Stop } else { Phase::Abort });
+            self.await_end(STOP_LIMIT);
+        }
+        let seconds = (monotonic_ns() - began) as f64 / 1e9;
+        if self.ended.is_none() && !self.await_end(CLOSE_LIMIT) {
+            self.ended = Some(Ended::Failed);
+        }
+        self.enter(Phase::Abort);
+        if !self.await_end(ABORT_LIMIT) {
+            self.crew.kill();
+        }
+        self.look();
+        self.progress.clear();
+        seconds
+    }
+
+    /// Waits until all processes have ended. False when `limit` passes first.
+    fn await_end(&mut self, limit: Duration) -> bool {
+        let began = monotonic_ns();
+        loop {
+            self.look();
+            if self.crew.gone() {
+                return true;
+            }
+            if Duration::from_nanos(monotonic_ns() - began) > limit {
+                return false;
+            }
+            self.crew.await_end(LOOK_NS / 5);
+        }
+    }
+
+    /// Takes the run apart: the domain is wiped.
+    pub fn end(self) -> End {
+        End {
+            ended: self.ended.unwrap_or(Ended::Complete),
+            failure: self.failure,
+            deaths: self.deaths,
+            incidents: self.keeper.incidents,
+            boards: Role::ALL.map(|role| self.hub.status(role)),
+        }
+    }
+}
