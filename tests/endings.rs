@@ -20,6 +20,9 @@ const MOMENTS: [Moment; 3] = [Moment::SetUp, Moment::First, Moment::Middle];
 
 fn start(place: &Place, mode: &str, moment: Moment) -> Process {
     let scenario = place.arm(&[("every", "1"), ("period_ms", "5")]);
+    // Here a death is the end: `tests/restarts.rs` has the others.
+    let never = "\n[restart]\nplant = \"never\"\ncontroller = \"never\"\nlogger = \"never\"\n";
+    std::fs::write(&scenario, std::fs::read_to_string(&scenario).unwrap() + never).unwrap();
     let mut run = place.run(&[&scenario, "--mode", mode, "--ticks", "10000000", "--json"]);
     let (card, log) = (place.run_folder().join("run.json"), place.run_folder().join("log.mcap"));
     match moment {
