@@ -8,6 +8,7 @@
 #![warn(missing_docs)]
 
 pub mod channel;
+pub mod checkpoint;
 pub mod clock;
 pub mod doctor;
 pub mod encoder;

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use tectum::process::say;
 use tectum::runtime::Mode;
 use tectum::scenario::Scenario;
-use tectum::supervise::{Launch, LaunchError, Summary, run, study};
+use tectum::supervise::{Launch, LaunchError, Summary, resume, run, study};
 use tectum::wire::Role;
 
 use super::print;
@@ -18,7 +18,8 @@ Examples:
   tectum run                                   scenarios/arm.toml in lockstep
   tectum run paper --seed 7 --ticks 1000000    another scenario, seed and length
   tectum run --mode realtime --ticks 200       ten seconds on the real clock
-  tectum run --name demo --by-hand controller  wait for a controller that you start yourself")]
+  tectum run --name demo --by-hand controller  wait for a controller that you start yourself
+  tectum run --resume runs/arm-1               go on where a run was interrupted")]
 pub struct Arguments {
     /// A scenario file, or the name of a built-in scenario
     #[arg(default_value = "scenarios/arm.toml")]
@@ -41,6 +42,12 @@ pub struct Arguments {
     /// A process that you start yourself; may be given more than once
     #[arg(long, value_enum, value_name = "PROCESS")]
     by_hand: Vec<RoleArgument>,
+    /// Write a checkpoint every N ticks; one is written at the end in any case, and on SIGUSR1
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    checkpoint_every: u64,
+    /// Go on with a lockstep run from its last checkpoint, in a new folder
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["scenario", "mode", "ticks", "seed"])]
+    resume: Option<PathBuf>,
     /// Print one JSON object instead of the table
     #[arg(long)]
     json: bool,
@@ -99,11 +106,22 @@ fn launch(arguments: &Arguments) -> Result<Summary, LaunchError> {
 
 /// From what was asked for to what will be done; every check that needs nothing started happens here.
 fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
-    let mut scenario = Scenario::find(Path::new(&arguments.scenario))?;
-    scenario.ticks = arguments.ticks.unwrap_or(scenario.ticks);
-    scenario.seed = arguments.seed.unwrap_or(scenario.seed);
+    let (resumed, plan) = match &arguments.resume {
+        Some(run) => {
+            let (resumed, plan) = resume(run)?;
+            (Some(resumed), plan)
+        }
+        None => {
+            let mut scenario = Scenario::find(Path::new(&arguments.scenario))?;
+            scenario.ticks = arguments.ticks.unwrap_or(scenario.ticks);
+            scenario.seed = arguments.seed.unwrap_or(scenario.seed);
+            (None, scenario.plan()?)
+        }
+    };
     Ok(Launch {
-        plan: scenario.plan()?,
+        plan,
+        checkpoint_every: arguments.checkpoint_every,
+        resumed,
         mode: match arguments.mode {
             ModeArgument::Lockstep => Mode::Lockstep,
             ModeArgument::Realtime => Mode::Realtime,

@@ -11,6 +11,7 @@ use super::budget::{Instants, Meter};
 use super::peer::Peer;
 use super::{Controller, ControllerReport, RuntimeError, Seat, Session};
 use crate::channel::{ControllerPorts, Vault};
+use crate::checkpoint;
 use crate::clock::{Backoff, TimeSource};
 use crate::scenario::Plan;
 use crate::state::{self, Ledger, Remember};
@@ -33,9 +34,8 @@ struct Answers {
 }
 
 impl Answers {
-    fn new(plan: &Plan, run: u64) -> Self {
-        let (mut command, mut learning) = (Command::default(), Learning::default());
-        (command.header.run, learning.header.run) = (run, run);
+    fn new(plan: &Plan) -> Self {
+        let (command, learning) = (Command::default(), Learning::default());
         Self { controller: Controller::new(plan), command, learning, seen: Header::default(), count: 0 }
     }
 
@@ -70,24 +70,36 @@ impl Answers {
         self.record(observation);
     }
 
-    /// Takes up what the vault holds. True if there was something.
-    fn take_up(&mut self, vault: &mut Vault, fresh: impl Fn() -> Self) -> bool {
-        if let Some((_, bytes)) = vault.newest()
-            && !state::load(self, bytes)
-        {
-            *self = fresh();
+    /// Takes up what the vault holds, or the checkpoint that the run begins with. True if it was the vault.
+    fn take_up(&mut self, vault: &mut Vault, seat: &Seat) -> Result<bool, RuntimeError> {
+        if let Some((_, bytes)) = vault.newest() {
+            if !state::load(self, bytes) {
+                return Err(RuntimeError::Memory(Role::Controller.name()));
+            }
+        } else {
+            seat.resume(self)?;
         }
+        let before = (vault.newest().is_some(), self.count);
         vault.take_up();
         while let Some(bytes) = vault.entry(self.count) {
             let observation = bytemuck::pod_read_unaligned(bytes);
             self.relive(&observation);
         }
-        self.count > 0
+        Ok(before.0 || self.count > before.1)
     }
 
-    /// Tells the readers which start of the process speaks.
-    fn introduce(&mut self, incarnation: u32) {
-        (self.command.header.incarnation, self.learning.header.incarnation) = (incarnation, incarnation);
+    /// Tells the readers which run and which start of the process speaks.
+    fn introduce(&mut self, run: u64, incarnation: u32) {
+        for header in [&mut self.command.header, &mut self.learning.header] {
+            (header.run, header.incarnation) = (run, incarnation);
+        }
+    }
+
+    /// The state as a checkpoint, as of when `tick` begins.
+    fn checkpoint(&mut self, tick: u64, seat: &Seat) -> Vec<u8> {
+        let facts = seat.facts(tick, self.count);
+        let policy = self.controller.policy().clone();
+        checkpoint::encode(&facts, self, Some(&policy))
     }
 
     fn stamp(&mut self, time: &TimeSource) {
@@ -164,18 +176,18 @@ fn await_observation(
 /// # Errors
 /// When the process does not fit the run, or the run ends in disorder.
 pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
-    let fresh = || Answers::new(&seat.plan, seat.card.run_id());
-    let mut answers = fresh();
+    let mut answers = Answers::new(&seat.plan);
     let (mut ports, desk) = seat.open(ControllerPorts::open)?;
     let mut vault = seat.vault(state::size(&mut answers), [NOTED, size_of::<Observation>()])?;
-    let came_back = answers.take_up(&mut vault, fresh);
+    let came_back = answers.take_up(&mut vault, &seat)?;
+    let writer = seat.writer()?;
     // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the logger.
     let (mut session, mut time) = seat.begin(desk, || {
         Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 2 && ports.learning.connect()? >= 1)
     })?;
     let mut plant = Peer::new(Role::Plant);
     let real = time.is_real();
-    answers.introduce(session.incarnation());
+    answers.introduce(session.seat.card.run_id(), session.incarnation());
     if came_back {
         time.step_to(answers.seen.tick);
         answers.stamp(&time);
@@ -191,6 +203,8 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
             answers.say(&ports)?;
             continue;
         }
+        // Looked at while the plant waits: it announces its next checkpoint with the observation before it.
+        let cut = ports.plant.get().checkpoint == seen.tick + 2;
         time.step_to(seen.tick);
         let arrived = time.now();
         vault.note(answers.count, bytemuck::bytes_of(&observation));
@@ -206,6 +220,9 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
         stamp(&mut answers.learning.header, seen, &time);
         ports.learning.send(&answers.learning)?;
 
+        if cut {
+            writer.write(seen.tick + 1, answers.checkpoint(seen.tick + 1, &session.seat));
+        }
         if answers.count.is_multiple_of(KEEP) && !vault.keep(answers.count, |to| state::save(&mut answers, to)) {
             return Err(RuntimeError::Memory(Role::Controller.name()));
         }
@@ -215,6 +232,13 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
             session.status.learner_ns = meter.learner_ns;
         }
         answers.show(&mut session);
+    }
+    let end = answers.seen.tick + u64::from(answers.count > 0);
+    writer.write(end, answers.checkpoint(end, &session.seat));
+    let report = &mut answers.controller.report;
+    match writer.finish() {
+        Ok(written) => report.checkpoints = written,
+        Err(cause) => report.checkpoint_failure = Some(cause),
     }
     answers.controller.report.tick_budget = meter.and_then(|meter| meter.finish());
     let report = answers.controller.finish();

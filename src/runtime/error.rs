@@ -1,6 +1,7 @@
 //! What ends a process before its time, and the exit codes of all programs.
 
 use crate::channel::ChannelError;
+use crate::checkpoint::CheckpointError;
 use crate::log::LogError;
 use crate::scenario::ScenarioError;
 
@@ -39,6 +40,12 @@ pub enum RuntimeError {
     /// The log.
     #[error(transparent)]
     Log(#[from] LogError),
+    /// The checkpoint that the run begins with.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// No thread for writing checkpoints.
+    #[error("no thread can be started for checkpoints: {0}; look at the limits of the system (ulimit -u)")]
+    Thread(std::io::Error),
     /// There is no such run.
     #[error("there is no run at {path}: {cause}; name a run that `tectum run` has started, or its folder")]
     NoRun {
@@ -90,12 +97,15 @@ impl RuntimeError {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Channel(ChannelError::Mismatch(_)) => exit::MISMATCH,
-            Self::Scenario(_) | Self::NoRun { .. } | Self::File { .. } | Self::Log(_) | Self::NotSimulated(_) => {
-                exit::INPUT
-            }
+            Self::Checkpoint(_)
+            | Self::Scenario(_)
+            | Self::NoRun { .. }
+            | Self::File { .. }
+            | Self::Log(_)
+            | Self::NotSimulated(_) => exit::INPUT,
             Self::Orphaned(_) | Self::Aborted => exit::PROCESS,
             Self::Signal(number) => exit::by_signal(*number),
-            Self::Channel(_) | Self::Signals(_) | Self::Lost { .. } | Self::Memory(_) => exit::ERROR,
+            Self::Channel(_) | Self::Signals(_) | Self::Thread(_) | Self::Lost { .. } | Self::Memory(_) => exit::ERROR,
         }
     }
 }

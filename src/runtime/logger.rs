@@ -1,6 +1,6 @@
 //! The logger's loop: everything that the others send, merged by tick, into one file.
 
-use super::{Card, LoggerReport, Mode, RuntimeError, Seat, Session, read_realtime};
+use super::{Card, LoggerReport, Mode, Resumed, RuntimeError, Seat, Session, read_realtime};
 use crate::channel::{LoggerPorts, Receiver};
 use crate::clock::{TimeSource, facts, monotonic_ns, pause, wall_ns};
 use crate::log::{Clock, LogError, LogHeader, LogWriter, Record, Totals};
@@ -165,6 +165,18 @@ pub fn run_logger(seat: Seat) -> Result<LoggerReport, RuntimeError> {
     let log = LogWriter::create(&path, &header)?;
     let mut merge = Merge { lanes: [0, 1, 2].map(Lane::new), log, every: header.every };
 
+    if let Some(Resumed { tick, sequences: [observation, answer], .. }) = session.seat.card.resumed {
+        for (lane, sequence) in merge.lanes.iter_mut().zip([observation, answer, answer]) {
+            lane.expected = sequence;
+        }
+        session.status.consumed = tick;
+    }
+    if session.incarnation() > 0 {
+        // What was sent before is lost to this start of the logger; nobody need wait for it.
+        session.status.consumed = ports.plant.get().ticks;
+    }
+    session.show();
+
     let ended = follow(&mut merge, &mut ports, &mut session, &time);
     if let Err(RuntimeError::Log(error)) = ended {
         // Nothing more can be written; what is there stays readable.
@@ -219,7 +231,7 @@ fn follow(
         let last = over || ended.is_err();
         let force = last || (real && naps >= patience);
         let any = merge.drain(ports, force)?;
-        session.status.consumed = merge.consumed();
+        session.status.consumed = session.status.consumed.max(merge.consumed());
         session.status.lost = merge.lanes.iter().map(|lane| lane.lost).sum();
         session.show();
         if last {

@@ -34,5 +34,5 @@ pub use plant_loop::run_plant;
 pub use reports::{
     ControllerReport, LoggerReport, Percentiles, PlantReport, read as read_report, read_realtime, realtime_path,
 };
-pub use seat::{Card, End, Mode, Seat, Session, identity};
+pub use seat::{Card, End, Mode, Resumed, Seat, Session, identity};
 pub use tally::{Snapshot, Switch, Tally};

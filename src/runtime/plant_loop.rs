@@ -10,6 +10,7 @@ use super::peer::Peer;
 use super::reports::{Percentiles, histogram};
 use super::{PlantReport, PlantSide, RuntimeError, Seat, Session};
 use crate::channel::{BoardReader, ChannelError, LOG_BUFFER, PlantPorts, Receiver};
+use crate::checkpoint;
 use crate::clock::{Backoff, Wake, precise_timers};
 use crate::plant::Plant;
 use crate::state::{self, Ledger, Remember};
@@ -81,6 +82,13 @@ impl<P: Plant> Remember for Voice<P> {
     }
 }
 
+impl<P: Plant> Voice<P> {
+    /// The state as a checkpoint, as of when `tick` begins.
+    fn checkpoint(&mut self, tick: u64, seat: &Seat) -> Vec<u8> {
+        checkpoint::encode(&seat.facts(tick, self.said), self, None)
+    }
+}
+
 /// The plant's loop: seats `body` in the run and lives through it.
 ///
 /// # Errors
@@ -90,12 +98,16 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     let mut voice =
         Voice { side: PlantSide::new(body, &seat.plan), observation: Observation::default(), said: 0, expected: 0 };
     let mut vault = seat.vault(state::size(&mut voice), [0, 0])?;
-    if let Some((_, bytes)) = vault.newest()
-        && !state::load(&mut voice, bytes)
-    {
-        return Err(RuntimeError::Memory(Role::Plant.name()));
+    let came_back = vault.newest().is_some();
+    if let Some((_, bytes)) = vault.newest() {
+        if !state::load(&mut voice, bytes) {
+            return Err(RuntimeError::Memory(Role::Plant.name()));
+        }
+    } else {
+        seat.resume(&mut voice)?;
     }
     vault.take_up();
+    let writer = seat.writer()?;
     // Readers of the observation: controller and logger. Writer of the command: the controller.
     let connected = || Ok(ports.observation.connect()? >= 2 && ports.command.connect()? >= 1);
     let (mut session, mut time) = seat.begin(desk, connected)?;
@@ -117,11 +129,15 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     voice.observation.header.incarnation = session.incarnation();
     let (mut controller, mut logger) = (Peer::new(Role::Controller), Peer::new(Role::Logger));
 
-    let mut tick = 0;
-    if voice.said > 0 {
-        tick = voice.observation.header.tick + 1;
+    let card = session.seat.card.clone();
+    let mut asked = session.checkpoints_asked();
+    let mut tick = card.resumed.as_ref().map_or(0, |resumed| resumed.tick);
+    // Whether all ticks before this one are lived through.
+    let mut lived = true;
+    session.status.sent = voice.said;
+    if came_back {
+        (tick, lived) = (voice.observation.header.tick + 1, false);
         time.step_to(voice.observation.header.tick);
-        session.status.sent = voice.said;
         ports.observation.send(&voice.observation)?;
         ports.bell.ring();
     }
@@ -129,7 +145,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         let mut failure = None;
         let wake = time.await_tick(
             tick,
-            || tick == 0 || inbox.look_for(tick - 1),
+            || lived || inbox.look_for(tick - 1),
             || {
                 if real {
                     // A tick may be a second away.
@@ -137,7 +153,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
                 }
                 // The answer is under way, unless whoever should give it was killed before hearing the question.
                 failure = match controller.look(&mut ports.controller, &session) {
-                    Ok(true) if tick > 0 => ports.observation.send(&voice.observation).err().map(RuntimeError::from),
+                    Ok(true) if !lived => ports.observation.send(&voice.observation).err().map(RuntimeError::from),
                     looked => looked.err(),
                 };
                 failure.is_some() || session.must_end()
@@ -151,7 +167,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         }
         let woken = time.now();
         let late_before = voice.side.report.late;
-        if tick > 0 {
+        if !lived {
             inbox.look_for(tick - 1);
             if let Some(error) = inbox.failure.take() {
                 return Err(error.into());
@@ -184,6 +200,17 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         }
 
         let late = if report.late > late_before { flag::LATE } else { 0 };
+        if session.status.checkpoint == tick + 1 {
+            voice.expected = inbox.expected;
+            writer.write(tick, voice.checkpoint(tick, &session.seat));
+        }
+        // Announced a tick ahead, before the observation goes out: the controller then cuts its own after its command.
+        let wanted = session.checkpoints_asked();
+        if wanted != asked || card.checkpoint_every > 0 && (tick + 1).is_multiple_of(card.checkpoint_every) {
+            asked = wanted;
+            session.status.checkpoint = tick + 2;
+            session.show();
+        }
         voice.side.observe(tick, late, u32::try_from(skipped).unwrap_or(u32::MAX), &mut voice.observation);
         let header = &mut voice.observation.header;
         header.sequence = voice.said;
@@ -202,10 +229,17 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         }
         session.status.sent = voice.said;
         tick += 1;
+        lived = false;
     }
     session.show();
     session.check()?;
+    voice.expected = inbox.expected;
+    writer.write(tick, voice.checkpoint(tick, &session.seat));
     let mut report = voice.side.report;
+    match writer.finish() {
+        Ok(written) => report.checkpoints = written,
+        Err(cause) => report.checkpoint_failure = Some(cause),
+    }
     if real {
         report.wake_up = Percentiles::of(&wake_up);
         report.observation_to_command = Percentiles::of(&answered);

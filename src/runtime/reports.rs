@@ -63,6 +63,10 @@ pub struct PlantReport {
     pub clamped: u64,
     /// Commands that held a value that is not a number.
     pub non_finite: u64,
+    /// Checkpoints written by the process that ended the run.
+    pub checkpoints: u64,
+    /// Why one could not be written, one sentence; null where all could.
+    pub checkpoint_failure: Option<String>,
     /// Real time: from a tick's scheduled instant to the plant's waking up for it.
     pub wake_up: Option<Percentiles>,
     /// Real time: from the sensing of an observation to the sending of the command that answers it.
@@ -102,6 +106,10 @@ pub struct ControllerReport {
     pub invalid: u64,
     /// The first tick at which the weights were no longer numbers.
     pub diverged_at: Option<u64>,
+    /// Checkpoints written by the process that ended the run.
+    pub checkpoints: u64,
+    /// Why one could not be written, one sentence; null where all could.
+    pub checkpoint_failure: Option<String>,
     /// Real time: how the ticks were spent.
     pub tick_budget: Option<TickBudget>,
     /// XXH3-64 of the weights at the end, hexadecimal.

@@ -12,8 +12,10 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use super::RuntimeError;
 use crate::channel::{ChannelError, Desk, DomainName, Identity, Vault};
+use crate::checkpoint::{self, Checkpoint, Facts, Writer};
 use crate::clock::{Life, RealtimeReport, Signals, TimeSource, pause};
 use crate::scenario::{ChannelsTable, Plan, Scenario};
+use crate::state::Remember;
 use crate::wire::{Phase, Role, State, Status, schema_hash};
 
 /// How ticks follow each other.
@@ -50,6 +52,23 @@ pub struct Card {
     pub domain: DomainName,
     /// The launcher's process id.
     pub launcher: u32,
+    /// A checkpoint every so many ticks; 0: only at the end, and when one is asked for.
+    #[serde(default)]
+    pub checkpoint_every: u64,
+    /// The run that this one goes on with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resumed: Option<Resumed>,
+}
+
+/// Where a run that goes on with another one begins.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Resumed {
+    /// The other run's folder, with the checkpoints.
+    pub from: PathBuf,
+    /// The tick that begins.
+    pub tick: u64,
+    /// Sequence numbers of the next observation, and of the next command and learning record.
+    pub sequences: [u64; 2],
 }
 
 impl Card {
@@ -131,6 +150,31 @@ impl Seat {
     pub(super) fn vault(&self, size: usize, entries: [usize; 2]) -> Result<Vault, RuntimeError> {
         let room = size + GROWTH;
         Ok(Vault::open(&self.card.domain, self.role, self.card.run_id(), room, entries)?)
+    }
+
+    /// Gives `part` the state of the checkpoint that the run begins with. False if it begins with none.
+    ///
+    /// # Errors
+    /// When the checkpoint cannot be read or is not this process's.
+    pub(super) fn resume(&self, part: &mut dyn Remember) -> Result<bool, RuntimeError> {
+        let Some(resumed) = &self.card.resumed else { return Ok(false) };
+        let checkpoint = Checkpoint::read(&checkpoint::path(&resumed.from, resumed.tick, self.role))?;
+        checkpoint.fits(self.role, self.plan.hash)?;
+        checkpoint.restore(part)?;
+        Ok(true)
+    }
+
+    /// The facts of a checkpoint of this process, which sends `sequence` next.
+    pub(super) fn facts(&self, tick: u64, sequence: u64) -> Facts {
+        Facts::new(self.role, self.card.run_id(), tick, sequence, self.plan.hash)
+    }
+
+    /// What writes this process's checkpoints.
+    ///
+    /// # Errors
+    /// When there can be no more threads.
+    pub(super) fn writer(&self) -> Result<Writer, RuntimeError> {
+        Writer::new(&self.folder, self.role).map_err(RuntimeError::Thread)
     }
 
     /// In real time, asks the operating system for what the scenario says. Then goes through the phases: ready, connected,
@@ -247,6 +291,12 @@ impl Session {
     #[inline]
     pub fn stopping(&self) -> bool {
         self.seat.signals.received() != 0 || self.desk.control.get().phase() >= Phase::Stop
+    }
+
+    /// Checkpoints that were asked for so far.
+    #[inline]
+    pub fn checkpoints_asked(&self) -> u32 {
+        self.desk.control.get().checkpoints
     }
 
     /// Whether the loop must end at once, its peers being beyond waiting for.

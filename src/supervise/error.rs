@@ -1,6 +1,7 @@
 //! Why a run could not begin.
 
 use crate::channel::ChannelError;
+use crate::checkpoint::CheckpointError;
 use crate::runtime::exit;
 use crate::scenario::ScenarioError;
 
@@ -10,6 +11,9 @@ pub enum LaunchError {
     /// The scenario.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
+    /// The checkpoint to go on from.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
     /// Shared memory.
     #[error(transparent)]
     Channel(#[from] ChannelError),
@@ -72,7 +76,11 @@ impl LaunchError {
     /// The exit code that tells this error.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Scenario(_) | Self::Folder { .. } | Self::NoRoom { .. } | Self::NotSimulated(_) => exit::INPUT,
+            Self::Scenario(_)
+            | Self::Checkpoint(_)
+            | Self::Folder { .. }
+            | Self::NoRoom { .. }
+            | Self::NotSimulated(_) => exit::INPUT,
             Self::Start { .. } => exit::INPUT,
             Self::Refused { code, .. } => *code,
             Self::NotReady { .. } => exit::PROCESS,

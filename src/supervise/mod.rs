@@ -10,6 +10,7 @@ mod error;
 mod folder;
 mod keeper;
 mod progress;
+mod resume;
 mod story;
 mod study;
 mod summary;
@@ -19,6 +20,7 @@ pub use error::LaunchError;
 pub(crate) use folder::RunFolder;
 pub use keeper::Incident;
 pub(crate) use progress::Progress;
+pub use resume::resume;
 pub(crate) use story::reach;
 pub use study::study;
 pub use summary::{Ended, ProcessRealtime, Span, Summary};
@@ -31,7 +33,7 @@ use watch::Run;
 use crate::channel::{DomainName, Hub, sweep};
 use crate::clock::{Refusal, Signals, monotonic_ns, wall_ns};
 use crate::process::say;
-use crate::runtime::{Card, Mode, identity, read_realtime};
+use crate::runtime::{Card, Mode, Resumed, identity, read_realtime};
 use crate::scenario::Plan;
 use crate::wire::{Control, Role};
 
@@ -48,6 +50,10 @@ pub struct Launch {
     pub name: Option<String>,
     /// Processes that somebody else starts.
     pub by_hand: Vec<Role>,
+    /// A checkpoint every so many ticks; 0: only at the end.
+    pub checkpoint_every: u64,
+    /// Where the run begins, if it goes on with another one ([`resume`]).
+    pub resumed: Option<Resumed>,
     /// Show a progress line on standard error.
     pub progress: bool,
 }
@@ -71,7 +77,14 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
     let run = run_id(plan);
     let domain = DomainName::of(run);
     let hub = Hub::create(&domain, &identity(plan), &plan.scenario.channels)?;
-    let card = Card { run: format!("{run:016x}"), mode: launch.mode, domain, launcher: std::process::id() };
+    let card = Card {
+        run: format!("{run:016x}"),
+        mode: launch.mode,
+        domain,
+        launcher: std::process::id(),
+        checkpoint_every: launch.checkpoint_every,
+        resumed: launch.resumed.clone(),
+    };
     folder.write_card(&card, plan)?;
 
     hub.control.put(Control::default());

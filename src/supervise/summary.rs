@@ -72,6 +72,8 @@ pub struct Summary {
     pub ticks: u64,
     /// Ticks planned.
     pub ticks_planned: u64,
+    /// The tick with which this part of the run began, if it goes on with another one.
+    pub resumed_at: Option<u64>,
     /// Seconds that they took.
     pub seconds: f64,
     /// Ticks a second.
@@ -124,6 +126,8 @@ pub struct Summary {
     pub warnings: Vec<String>,
     /// What went wrong, one sentence; null where nothing did.
     pub failure: Option<String>,
+    #[serde(skip)]
+    checkpoint_failure: Option<String>,
     #[serde(skip)]
     code: u8,
     #[serde(skip)]
@@ -203,8 +207,10 @@ impl Summary {
             ended,
             ticks,
             ticks_planned: plan.scenario.ticks,
+            resumed_at: launch.resumed.as_ref().map(|resumed| resumed.tick),
             seconds,
-            ticks_per_second: ticks as f64 / seconds.max(1e-9),
+            ticks_per_second: ticks.saturating_sub(launch.resumed.as_ref().map_or(0, |r| r.tick)) as f64
+                / seconds.max(1e-9),
             missed: plant.missed,
             late: plant.late,
             skipped: plant.skipped,
@@ -232,6 +238,10 @@ impl Summary {
             figure: None,
             warnings: plan.warnings.clone(),
             failure: None,
+            checkpoint_failure: plant
+                .checkpoint_failure
+                .clone()
+                .or(controller.as_ref().and_then(|c| c.checkpoint_failure.clone())),
             code: match ended {
                 Ended::Complete => exit::OK,
                 Ended::Signal(number) => exit::by_signal(number),
@@ -252,6 +262,9 @@ impl Summary {
                     thousands(tick)
                 ),
             );
+        }
+        if let Some(cause) = self.checkpoint_failure.take() {
+            self.complain(exit::INPUT, format!("not all checkpoints were written: {cause}"));
         }
         if let Some(story) = &self.story {
             let path = self.folder.join("figure.svg");
@@ -292,9 +305,10 @@ impl Summary {
             Ended::Signal(number) => format!(" of {} (ended by signal {number})", thousands(self.ticks_planned)),
             Ended::Failed => format!(" of {} (failed)", thousands(self.ticks_planned)),
         };
+        let from = self.resumed_at.map_or(String::new(), |tick| format!(", the last from {} on,", thousands(tick)));
         let _ = writeln!(
             text,
-            "{}, {}, seed {}: {} ticks{how} in {:.1} s, {} ticks/s",
+            "{}, {}, seed {}: {} ticks{how}{from} in {:.1} s, {} ticks/s",
             self.scenario,
             self.mode.name(),
             self.seed,

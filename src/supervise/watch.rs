@@ -124,6 +124,10 @@ impl Run {
             if self.look() {
                 return;
             }
+            if self.signals.checkpoint_asked() {
+                self.control.checkpoints += 1;
+                self.hub.control.put(self.control);
+            }
             self.listen();
             self.revive();
             self.progress.show(&self.hub);

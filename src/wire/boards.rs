@@ -25,7 +25,7 @@ sample! {
         pid: u32,
         /// Counts the process's signs of life; one that stands still for long is a hang.
         beat: u64,
-        /// Plant: one more than the tick at which the latest checkpoint was cut, 0 before the first.
+        /// Plant: one more than the tick at whose beginning the next checkpoint is, or the last one was, cut; 0 before the first.
         checkpoint: u64,
         /// Ticks done.
         ticks: u64,

@@ -1,0 +1,234 @@
+//! Checkpoints: the whole state of a process at a tick, in a file of its own, to go on from later.
+//!
+//! A run's plant and controller each write one at the same tick, into the run's folder `checkpoints`:
+//! `<tick>.plant.safetensors` and `<tick>.controller.safetensors`. Both hold what is true when tick `<tick>` begins: all ticks
+//! before it are lived through, answered and learned from. Every row that a part lists ([`crate::state`]) is a tensor under
+//! the part's name, so that the file can be read wherever safetensors can; the controller's has besides the policy as a
+//! matrix, `weights`, of shape (outputs, features). The metadata has one entry, `tectum`, a JSON object: [`Facts`] and `check`.
+//!
+//! A file is written under another name, brought to the disk, and renamed: it is there whole or not at all. `check` is a
+//! checksum over the facts and all tensors with their names, types and shapes. A file that is damaged, of another run, or of another
+//! scenario, schema or build is refused by name before anything of it is used.
+
+mod error;
+mod ledger;
+mod writer;
+
+pub use error::CheckpointError;
+pub use writer::Writer;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+use xxhash_rust::xxh3::Xxh3;
+
+use crate::policy::Linear;
+use crate::state::{Kind, Remember};
+use crate::wire::Role;
+use ledger::{Collect, Restore, Tensor};
+
+/// Where a run's checkpoints lie in its folder.
+pub const FOLDER: &str = "checkpoints";
+/// The name of the metadata entry.
+const ENTRY: &str = "tectum";
+/// The policy as a matrix, for readers of the file alone.
+const WEIGHTS: &str = "weights";
+/// Changes whenever what is written means something else.
+const FORMAT: u32 = 1;
+
+/// Whose state a checkpoint is, and as of when.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Facts {
+    /// Version of the format.
+    format: u32,
+    /// `plant` or `controller`.
+    pub role: String,
+    /// Id of the run, hexadecimal.
+    pub run: String,
+    /// The tick that begins.
+    pub tick: u64,
+    /// Sequence number of the next sample that the process sends.
+    pub sequence: u64,
+    /// Hash of the scenario, hexadecimal.
+    pub scenario: String,
+    /// Hash of the layout of all samples, hexadecimal.
+    pub schema: String,
+    /// Package version and commit.
+    pub build: String,
+}
+
+impl Facts {
+    /// The facts of a checkpoint by this build.
+    pub fn new(role: Role, run: u64, tick: u64, sequence: u64, scenario: u64) -> Self {
+        Self {
+            format: FORMAT,
+            role: role.name().to_owned(),
+            run: format!("{run:016x}"),
+            tick,
+            sequence,
+            scenario: format!("{scenario:016x}"),
+            schema: format!("{:016x}", crate::wire::schema_hash()),
+            build: crate::BUILD.to_owned(),
+        }
+    }
+}
+
+/// The metadata entry.
+#[derive(Serialize, Deserialize)]
+struct Entry {
+    #[serde(flatten)]
+    facts: Facts,
+    check: String,
+}
+
+/// A checkpoint that was read and found whole.
+#[derive(Debug)]
+pub struct Checkpoint {
+    path: PathBuf,
+    /// Whose, and as of when.
+    pub facts: Facts,
+    tensors: BTreeMap<String, Tensor>,
+}
+
+/// The file of a checkpoint in a run's folder.
+pub fn path(folder: &Path, tick: u64, role: Role) -> PathBuf {
+    folder.join(FOLDER).join(format!("{tick}.{}.safetensors", role.name()))
+}
+
+/// The ticks at which both plant and controller of the run in `folder` have left a checkpoint, in order.
+pub fn ticks(folder: &Path) -> Vec<u64> {
+    let entries = std::fs::read_dir(folder.join(FOLDER)).into_iter().flatten().flatten();
+    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+    let of_plant = names.filter_map(|name| name.strip_suffix(".plant.safetensors")?.parse().ok());
+    let mut ticks: Vec<u64> = of_plant.filter(|&tick| path(folder, tick, Role::Controller).exists()).collect();
+    ticks.sort_unstable();
+    ticks
+}
+
+/// Every state as a file's bytes. `policy` is the controller's.
+pub fn encode(facts: &Facts, part: &mut dyn Remember, policy: Option<&Linear>) -> Vec<u8> {
+    let mut collect = Collect::default();
+    part.remember(&mut collect);
+    let mut tensors = collect.tensors;
+    if let Some(policy) = policy {
+        let rows = (0..policy.outputs()).flat_map(|o| (0..policy.features()).map(move |f| policy.weight(o, f)));
+        let bytes = rows.flat_map(f32::to_ne_bytes).collect();
+        let shape = vec![policy.outputs(), policy.features()];
+        tensors.insert(WEIGHTS.to_owned(), Tensor { kind: Kind::F32, shape, bytes });
+    }
+    write(facts, &tensors)
+}
+
+fn write(facts: &Facts, tensors: &BTreeMap<String, Tensor>) -> Vec<u8> {
+    let entry = Entry { facts: facts.clone(), check: check(facts, tensors) };
+    let text = serde_json::to_string(&entry).unwrap_or_default();
+    let views = tensors.iter().map(|(name, t)| {
+        let view = TensorView::new(dtype(t.kind), t.shape.clone(), &t.bytes).expect("a shape of as many numbers");
+        (name.as_str(), view)
+    });
+    // One entry: several would come in the order of a hash map.
+    let metadata = Some([(ENTRY.to_owned(), text)].into_iter().collect());
+    safetensors::serialize(views, metadata).expect("a header of some kilobytes")
+}
+
+fn check(facts: &Facts, tensors: &BTreeMap<String, Tensor>) -> String {
+    let mut hash = Xxh3::new();
+    hash.update(serde_json::to_string(facts).unwrap_or_default().as_bytes());
+    for (name, Tensor { kind, shape, bytes }) in tensors {
+        hash.update(format!("{name} {kind:?} {shape:?} {}\n", bytes.len()).as_bytes());
+        hash.update(bytes);
+    }
+    format!("{:016x}", hash.digest())
+}
+
+fn dtype(kind: Kind) -> Dtype {
+    match kind {
+        Kind::U32 => Dtype::U32,
+        Kind::U64 => Dtype::U64,
+        Kind::F32 => Dtype::F32,
+        Kind::F64 => Dtype::F64,
+    }
+}
+
+fn kind(dtype: Dtype) -> Option<Kind> {
+    [Kind::U32, Kind::U64, Kind::F32, Kind::F64].into_iter().find(|&kind| self::dtype(kind) == dtype)
+}
+
+impl Checkpoint {
+    /// Reads a checkpoint.
+    ///
+    /// # Errors
+    /// [`CheckpointError`], which names the file.
+    pub fn read(path: &Path) -> Result<Self, CheckpointError> {
+        let bytes = std::fs::read(path).map_err(|cause| CheckpointError::Read { path: path.to_owned(), cause })?;
+        Self::parse(path, &bytes)
+    }
+
+    /// The same over bytes; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, CheckpointError> {
+        let damaged = |what: &str| CheckpointError::Damaged { path: path.to_owned(), what: what.to_owned() };
+        let foreign = || CheckpointError::Foreign { path: path.to_owned() };
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| damaged(&e.to_string()))?;
+        let text = header.metadata().as_ref().and_then(|map| map.get(ENTRY)).ok_or_else(foreign)?;
+        let Entry { facts, check: stated } =
+            serde_json::from_str(text).map_err(|_| damaged("its metadata cannot be read"))?;
+        if facts.format != FORMAT {
+            return Err(foreign());
+        }
+        let file = SafeTensors::deserialize(bytes).map_err(|e| damaged(&e.to_string()))?;
+        let mut tensors = BTreeMap::new();
+        for (name, view) in file.iter() {
+            let kind = kind(view.dtype()).ok_or_else(|| damaged("it holds numbers of an unknown type"))?;
+            let tensor = Tensor { kind, shape: view.shape().to_vec(), bytes: view.data().to_vec() };
+            tensors.insert(name.to_owned(), tensor);
+        }
+        if check(&facts, &tensors) != stated {
+            return Err(damaged("its checksum does not fit its content"));
+        }
+        // What the checksum does not see: spaces and the like.
+        if write(&facts, &tensors) != bytes {
+            return Err(damaged("it is not as it was written"));
+        }
+        Ok(Self { path: path.to_owned(), facts, tensors })
+    }
+
+    /// Whether this is the state of `role` in a run of that scenario by this build, whatever the run.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Mismatch`], which says what differs.
+    pub fn fits(&self, role: Role, scenario: u64) -> Result<(), CheckpointError> {
+        let ours = Facts::new(role, 0, self.facts.tick, self.facts.sequence, scenario);
+        let theirs = &self.facts;
+        for (what, ours, theirs) in [
+            ("role", ours.role, &theirs.role),
+            ("scenario", ours.scenario, &theirs.scenario),
+            ("schema", ours.schema, &theirs.schema),
+            ("build", ours.build, &theirs.build),
+        ] {
+            if ours != *theirs {
+                let (path, theirs) = (self.path.clone(), theirs.clone());
+                return Err(CheckpointError::Mismatch { path, what, ours, theirs });
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives `part` the state. One that does not take it exactly is of no use afterwards.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Damaged`] when something is missing, too much, or of another size.
+    pub fn restore(&self, part: &mut dyn Remember) -> Result<(), CheckpointError> {
+        let mut restore = Restore::new(&self.tensors, &[WEIGHTS]);
+        part.remember(&mut restore);
+        restore.finish().map_err(|what| CheckpointError::Damaged { path: self.path.clone(), what })
+    }
+}
+
+#[cfg(test)]
+mod tests;

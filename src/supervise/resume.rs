@@ -1,0 +1,48 @@
+//! Going on with a run that was interrupted, from its last checkpoint.
+
+use std::path::Path;
+
+use super::LaunchError;
+use crate::checkpoint::{self, Checkpoint, CheckpointError};
+use crate::runtime::{Card, Mode, Resumed};
+use crate::scenario::{Plan, Scenario};
+use crate::wire::Role;
+
+/// Where the lockstep run in the folder `given` (or called so, under `runs/`) can go on, and its scenario. Both checkpoints are
+/// read and compared with it here, before anything is started.
+///
+/// # Errors
+/// [`LaunchError::Checkpoint`] when there is no checkpoint, or one that is damaged or another's; [`LaunchError::Scenario`].
+pub fn resume(given: &Path) -> Result<(Resumed, Plan), LaunchError> {
+    let named = Path::new("runs").join(given);
+    let folder = if !given.exists() && named.exists() { named } else { given.to_owned() };
+    let none = |what: String| LaunchError::Checkpoint(CheckpointError::None { folder: folder.clone(), what });
+    let text = std::fs::read_to_string(Card::path(&folder))
+        .map_err(|_| none("this is not the folder of a run; name one, or its name under runs/".to_owned()))?;
+    let card: Card = serde_json::from_str(&text).map_err(|e| none(format!("run.json cannot be read: {e}")))?;
+    if card.mode != Mode::Lockstep {
+        return Err(none("the run followed the real clock; only a lockstep run can be resumed".to_owned()));
+    }
+    let plan = Scenario::load(&Card::scenario_path(&folder))?.plan()?;
+    let Some(&tick) = checkpoint::ticks(&folder).last() else {
+        let what = "there is no checkpoint of both plant and controller; runs leave one at their end, and every N ticks \
+                    with --checkpoint-every N";
+        return Err(none(what.to_owned()));
+    };
+    if tick >= plan.scenario.ticks {
+        return Err(none(format!("the run came to its end, tick {tick}; there is nothing to go on with")));
+    }
+    let mut sequences = [0; 2];
+    for (role, sequence) in [Role::Plant, Role::Controller].into_iter().zip(&mut sequences) {
+        let path = checkpoint::path(&folder, tick, role);
+        let checkpoint = Checkpoint::read(&path)?;
+        checkpoint.fits(role, plan.hash)?;
+        if (checkpoint.facts.run.as_str(), checkpoint.facts.tick) != (card.run.as_str(), tick) {
+            let (theirs, ours) = (checkpoint.facts.run, card.run);
+            return Err(LaunchError::Checkpoint(CheckpointError::Mismatch { path, what: "run", ours, theirs }));
+        }
+        *sequence = checkpoint.facts.sequence;
+    }
+    let from = std::path::absolute(&folder).unwrap_or(folder);
+    Ok((Resumed { from, tick, sequences }, plan))
+}
