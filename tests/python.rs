@@ -62,3 +62,18 @@ fn python_reads_a_repaired_log() {
         assert_eq!(read["attachments"], serde_json::json!(["scenario.toml"]), "{read}");
     }
 }
+
+#[test]
+#[ignore = "needs a Python with the packages of tests/python/requirements.txt, named by TECTUM_PYTHON"]
+fn python_reads_a_checkpoint() {
+    let place = Place::new();
+    let scenario = place.arm(&[]);
+    let run = place.run(&[&scenario, "--ticks", "3000", "--json"]).wait().expect(0).json();
+    let read = [&script("read_checkpoint.py"), "run/checkpoints/3000.controller.safetensors"];
+    let read = place.start(python(), &read).wait().expect(0).json();
+    assert_eq!(read["weights_hash"], run["weights_hash"], "{read}");
+    assert_eq!(read["shape"], serde_json::json!([4, 320]), "{read}");
+    assert_eq!(read["facts"]["tick"], 3000, "{read}");
+    let names = read["tensors"].as_array().unwrap();
+    assert!(names.iter().any(|name| name == "controller.learner.trace"), "{read}");
+}
