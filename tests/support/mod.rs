@@ -132,6 +132,20 @@ impl Process {
         }
     }
 
+    /// Waits for `ready`, or for the end of the process if that comes first.
+    pub fn until_over(&mut self, what: &str, mut ready: impl FnMut() -> bool) {
+        let mut over = false;
+        let began = Instant::now();
+        while !over && !ready() {
+            over = self.child.try_wait().unwrap().is_some();
+            if began.elapsed() > WATCHDOG {
+                let outcome = self.collect();
+                panic!("waiting for {what}, the process hung\n{outcome:#?}");
+            }
+            std::thread::park_timeout(Duration::from_micros(200));
+        }
+    }
+
     /// Waits until the run's log has messages in it, which is when ticks run.
     pub fn until_ticking(&mut self) {
         let log = self.folder.join("log.mcap");
