@@ -54,6 +54,7 @@ fn header() -> LogHeader {
         clock: Clock::Virtual,
         t0_ns: 0,
         wall_at_t0_ns: 0,
+        segment: Default::default(),
     }
 }
 
@@ -91,7 +92,7 @@ fn a_log_comes_back_as_it_was_written() {
     write_ticks(&mut log, 0..10).unwrap();
     let gap = Gap { channel: 1, first: 10, count: 2, total: 2 };
     log.gap(&gap).unwrap();
-    let totals = Totals { lost: [0, 2, 0], thinned: [9, 9, 9], last_tick: Some(99), complete: false };
+    let totals = Totals { lost: [0, 2, 0], thinned: [9, 9, 9], last_tick: Some(99), ..Totals::default() };
     let summary = log.finish(&totals).unwrap();
     assert_eq!(summary.bytes, std::fs::metadata(&path).unwrap().len());
 

@@ -62,7 +62,7 @@ fn flips_are_found(log: &[u8], n: usize, unfindable: impl Fn(&Body, usize, u8) -
     let place = Place::new();
     let (bodies, end) = bodies(log);
     let torn = &log[..end];
-    let whole = replay(&place.file("torn.mcap", torn), None, false).unwrap();
+    let whole = replay(&[place.file("torn.mcap", torn)], None, false).unwrap();
     assert_eq!((whole.difference, whole.torn), (None, true));
     let mut rng = stream(8, "flips");
     let mut found = [0; 2];
@@ -75,7 +75,7 @@ fn flips_are_found(log: &[u8], n: usize, unfindable: impl Fn(&Body, usize, u8) -
         }
         let mut bytes = torn.to_vec();
         bytes[body.at + offset] ^= mask;
-        match replay(&place.file("flipped.mcap", &bytes), None, false) {
+        match replay(&[place.file("flipped.mcap", &bytes)], None, false) {
             Ok(Replay { difference: Some(_), .. }) => found[0] += 1,
             Err(ReplayError::Log(_) | ReplayError::Lost { .. }) => found[1] += 1,
             other => panic!("bit {mask:#04x} of byte {offset} of {:?}: {other:?}", body.sample),
@@ -251,7 +251,12 @@ fn a_log_with_losses_is_replayed_up_to_the_first() {
     }
     lossy.finish(&Totals { lost: [0, 1, 0], last_tick: Some(99), complete: true, ..Totals::default() }).unwrap();
     let text = replayed(&place, &["lossy.mcap"]).expect(2).stderr;
-    for words in ["a gap on channel command, 1 missing from sequence number 40 on", "up to tick 39 it is", "lockstep"] {
+    for words in [
+        "a gap on channel command, 1 missing from sequence number 40 on",
+        "up to tick 39 it is",
+        "(ticks 40 to 99)",
+        "lockstep",
+    ] {
         assert!(text.contains(words), "{words}: {text}");
     }
 }

@@ -15,6 +15,7 @@ mod error;
 mod gate;
 mod in_process;
 mod logger;
+mod merge;
 mod peer;
 mod plant;
 mod plant_loop;

@@ -7,45 +7,14 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{RuntimeError, Snapshot, TickBudget};
 use crate::clock::RealtimeReport;
+pub use crate::log::Percentiles;
 use crate::report::Window;
 use crate::state::{Ledger, Remember};
 use crate::wire::Role;
 
-/// Percentiles of a duration, us.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Percentiles {
-    /// Number of values.
-    pub count: u64,
-    /// Median.
-    pub p50: f64,
-    /// 90th percentile.
-    pub p90: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// 99.9th percentile.
-    pub p999: f64,
-    /// Largest.
-    pub max: f64,
-}
-
-impl Percentiles {
-    /// The percentiles of a histogram of nanoseconds; `None` when it is empty.
-    pub fn of(histogram: &Histogram<u64>) -> Option<Self> {
-        let at = |q| histogram.value_at_quantile(q) as f64 / 1000.0;
-        (!histogram.is_empty()).then(|| Self {
-            count: histogram.len(),
-            p50: at(0.5),
-            p90: at(0.9),
-            p99: at(0.99),
-            p999: at(0.999),
-            max: histogram.max() as f64 / 1000.0,
-        })
-    }
-}
-
 /// A minute in nanoseconds, to three significant digits; longer waits count as a minute.
 pub(super) fn histogram() -> Histogram<u64> {
-    Histogram::new_with_max(60_000_000_000, 3).expect("fixed bounds")
+    crate::log::histogram()
 }
 
 /// The plant's account.
@@ -122,6 +91,7 @@ pub struct ControllerReport {
     pub last_switch: Vec<Snapshot>,
 }
 
+<<<<<<< HEAD
 impl Remember for ControllerReport {
     /// What is made at the end is not in it.
     fn remember(&mut self, ledger: &mut dyn Ledger) {
@@ -139,6 +109,10 @@ impl Remember for ControllerReport {
 }
 
 /// The logger's account. The three channels stand in the order observation, command, learning.
+=======
+/// The logger's account: of the run, with what earlier loggers of the same run wrote. The three channels stand in the order
+/// observation, command, learning.
+>>>>>>> 0528749 (Logs in segments: a logger that comes back goes on in a file of its own and states what is missing; three histograms in the log; a full disk leaves a closed log and a run that goes on)
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct LoggerReport {
     /// Messages written.
@@ -147,8 +121,20 @@ pub struct LoggerReport {
     pub lost: [u64; 3],
     /// Samples left out on purpose.
     pub thinned: [u64; 3],
-    /// Size of the log, bytes.
+    /// Samples that came twice, of which one was dropped.
+    pub duplicates: [u64; 3],
+    /// The tick from which on samples are missing because the log did not take them.
+    pub missing_from: Option<u64>,
+    /// Why it did not, or why it could not be closed.
+    pub failure: Option<String>,
+    /// Size of the log, all segments, bytes.
     pub bytes: u64,
+    /// Real time: from a tick's scheduled instant to its sensing; see [`Timings`](crate::log::Timings).
+    pub wake_up_lateness: Option<Percentiles>,
+    /// Real time: from the sensing of an observation to the sending of the command that answers it.
+    pub observation_to_command: Option<Percentiles>,
+    /// Real time: from the sending of a command to the observation that tells that it was applied.
+    pub command_to_applied: Option<Percentiles>,
 }
 
 /// Where the report of `role` lies in the run's folder.

@@ -36,8 +36,8 @@ pub enum ReplayError {
     /// The logger lost samples.
     #[error(
         "the log {} states a gap on channel {channel}, {count} missing from sequence number {first} on; {until}, \
-         and what was learned behind that cannot be told; run the scenario again in lockstep, where nothing is lost, or on a \
-         machine with less to do", path.display()
+         and what was learned behind that{behind} cannot be told; run the scenario again in lockstep, where nothing is lost \
+         while its logger lives, or on a machine with less to do", path.display()
     )]
     Lost {
         /// The log.
@@ -50,6 +50,17 @@ pub enum ReplayError {
         count: u64,
         /// How far it was replayed.
         until: String,
+        /// The ticks that come behind.
+        behind: String,
+    },
+    /// A later segment by itself.
+    #[error(
+        "the log {} is a later segment of its run's, and what was learned before it cannot be told from it; give the run's \
+         folder, with all segments", path.display()
+    )]
+    Middle {
+        /// The log.
+        path: PathBuf,
     },
     /// The other learner cannot be given this experience.
     #[error("the learner {rule:?} cannot learn from the log {}: {error}", path.display())]
