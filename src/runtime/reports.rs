@@ -91,7 +91,6 @@ pub struct ControllerReport {
     pub last_switch: Vec<Snapshot>,
 }
 
-<<<<<<< HEAD
 impl Remember for ControllerReport {
     /// What is made at the end is not in it.
     fn remember(&mut self, ledger: &mut dyn Ledger) {
@@ -108,11 +107,8 @@ impl Remember for ControllerReport {
     }
 }
 
-/// The logger's account. The three channels stand in the order observation, command, learning.
-=======
 /// The logger's account: of the run, with what earlier loggers of the same run wrote. The three channels stand in the order
 /// observation, command, learning.
->>>>>>> 0528749 (Logs in segments: a logger that comes back goes on in a file of its own and states what is missing; three histograms in the log; a full disk leaves a closed log and a run that goes on)
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct LoggerReport {
     /// Messages written.
