@@ -1,5 +1,7 @@
 //! What each process leaves in the run's folder when its loop is over, for the launcher's summary.
 
+use std::fs::File;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use hdrhistogram::Histogram;
@@ -154,11 +156,41 @@ pub(super) fn write_realtime(folder: &Path, role: Role, report: &RealtimeReport)
     write_to(realtime_path(folder, role), report)
 }
 
+/// Room kept for a report, bytes; the controller's has its windows in it.
+const ROOM: u64 = 256 << 10;
+
+/// Keeps room on the disk for the report of `role`, so that a disk that fills up meanwhile costs nobody's account. Best
+/// effort: not every file system can.
+pub(super) fn keep_room(folder: &Path, role: Role) {
+    if let Ok(file) = open_draft(&report_path(folder, role)) {
+        let _ = rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::KEEP_SIZE, 0, ROOM);
+    }
+}
+
+/// Takes away what processes left that never came to their report.
+pub fn sweep_drafts(folder: &Path) {
+    for role in Role::ALL {
+        let _ = std::fs::remove_file(draft_of(&report_path(folder, role)));
+    }
+}
+
+fn draft_of(path: &Path) -> PathBuf {
+    path.with_extension("json.part")
+}
+
+/// Opens the draft of the file at `path` as it is: its room is not given away.
+fn open_draft(path: &Path) -> std::io::Result<File> {
+    File::options().write(true).create(true).truncate(false).open(draft_of(path))
+}
+
 fn write_to<T: Serialize>(path: PathBuf, report: &T) -> Result<(), RuntimeError> {
     let failed = |cause| RuntimeError::File { path: path.display().to_string(), cause };
     let text = serde_json::to_string_pretty(report).map_err(|e| failed(e.into()))?;
-    let draft = path.with_extension("json.part");
-    std::fs::write(&draft, text).and_then(|()| std::fs::rename(&draft, &path)).map_err(failed)
+    let written = open_draft(&path).and_then(|mut file| {
+        file.write_all(text.as_bytes())?;
+        file.set_len(text.len() as u64)
+    });
+    written.and_then(|()| std::fs::rename(draft_of(&path), &path)).map_err(failed)
 }
 
 /// Reads a report; `None` when the process left none.

@@ -15,7 +15,7 @@ use crate::log;
 use crate::report::{self, Story, Window, thousands};
 use crate::runtime::{
     ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, TickBudget, exit, read_realtime,
-    read_report,
+    read_report, sweep_drafts,
 };
 use crate::wire::Role;
 
@@ -159,6 +159,7 @@ impl Summary {
         });
         let controller: Option<ControllerReport> = read_report(folder, Role::Controller);
         let logger: LoggerReport = read_report(folder, Role::Logger).unwrap_or_default();
+        sweep_drafts(folder);
         let mut summary = Self::new(launch, folder, ended, seconds, &plant, controller);
         summary.restarts = incidents;
         let account = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
