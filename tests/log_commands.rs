@@ -161,6 +161,8 @@ fn a_damaged_log_is_refused_by_name_and_byte() {
 fn a_log_in_use_is_left_alone() {
     let place = Place::new();
     let scenario = place.arm(&[("every", "1"), ("period_ms", "5")]);
+    let text = fs::read_to_string(&scenario).unwrap() + "\n[restart]\nlogger = \"never\"\n";
+    fs::write(&scenario, text).unwrap();
     let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", "100000"]);
     run.until_ticking();
     let text = refused(&place, &["repair", "run"]);

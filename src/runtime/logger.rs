@@ -117,6 +117,7 @@ fn follow(
         let known = if real { [0; 3] } else { senders.sent };
         let any = drain(merge, ports, known, force)?;
         session.status.consumed = merge.consumed();
+        session.status.ticks = session.status.consumed;
         session.status.lost = merge.lanes.iter().map(|lane| lane.lost).sum();
         session.show();
         if last {

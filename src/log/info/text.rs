@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::{ChannelInfo, Info, SegmentInfo, State};
+use super::{ChannelInfo, Info, State};
 use crate::log::GAP_TOPIC;
 
 impl Info {
@@ -78,11 +78,24 @@ impl Info {
     }
 
     fn list_segments(&self, text: &mut String) {
-        let _ = writeln!(text, "\n{:<16}{:>12}{:>12}  state", "segment", "first tick", "last tick");
+        let _ = writeln!(
+            text,
+            "\n{:<16}{:>12}{:>12}{:>20}  state",
+            "segment", "first tick", "last tick", "missing before it"
+        );
         for s in &self.segments {
             let name = s.log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
             let [first, last] = [s.first_tick, s.last_tick].map(|t| t.map_or("-".to_owned(), |t| t.to_string()));
-            let _ = writeln!(text, "{name:<16}{first:>12}{last:>12}  {}{}", state(s.state, s.torn_at), missing(s));
+            let missing = s.missing_before.map(|n| n.to_string()).join(" ");
+            let state = match (s.state, s.torn_at) {
+                // How it is made whole, is said once.
+                (State::Torn, Some(at)) => format!("torn at byte {at}"),
+                (other, at) => state(other, at),
+            };
+            let _ = writeln!(text, "{name:<16}{first:>12}{last:>12}{missing:>20}  {state}");
+        }
+        if self.segments.iter().any(|s| s.state == State::Torn) {
+            let _ = writeln!(text, "`tectum log repair` makes what is torn whole");
         }
     }
 
@@ -112,17 +125,6 @@ fn state(state: State, torn_at: Option<u64>) -> String {
         (State::Growing, Some(at)) => format!("{at} bytes so far; its logger still writes it"),
         (State::Repaired, _) => "whole, repaired".to_owned(),
         _ => "whole".to_owned(),
-    }
-}
-
-/// What a segment lacks at its beginning.
-fn missing(segment: &SegmentInfo) -> String {
-    let [observations, commands, learnings] = segment.missing_before;
-    match segment.missing_before.iter().any(|&n| n > 0) {
-        true => format!(
-            "; before it {observations} observations, {commands} commands, {learnings} learning records are missing"
-        ),
-        false => String::new(),
     }
 }
 

@@ -5,7 +5,9 @@
 //! through the gate, and with the simulator's bodies, inputs, rewards and measures must come of what was applied. So hardly
 //! a byte of a log can be another one without being found:
 //!
-//! - In lockstep with the simulator, every byte of every sample is checked, stamps included.
+//! - In lockstep with the simulator, every byte of every sample is checked, stamps included. A writer's start number within
+//!   the run may rise from one sample to the next: a process that comes back goes on where it was. At which sample it rose,
+//!   nothing else tells.
 //! - In real time instants are what they are. That of publication stands twice in the log, and the reader compares them; that
 //!   of sensing stands in the answer, too. What nothing else tells is the instant at which an observation that nobody
 //!   answered was sensed (it must lie between schedule and publication), and the flag `LATE`.
