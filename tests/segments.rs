@@ -115,7 +115,7 @@ fn in_lockstep_a_logger_that_is_killed_costs_what_it_says() {
     let text = tectum(&place, &["replay", "run"]).expect(2).stderr;
     assert!(text.contains("states a gap on channel ") && text.contains(" it is what this build makes of it"), "{text}");
     let text = tectum(&place, &["replay", "run/log-1.mcap"]).expect(2).stderr;
-    assert!(text.contains("is a later segment of its run's"), "{text}");
+    assert!(text.contains("it is a later segment: give the run's folder"), "{text}");
 
     // All segments made whole, and they say what they said.
     let before = Info::of(&files).unwrap();

@@ -85,7 +85,7 @@ pub struct Segment {
     /// The logger's start number within the run; 0 for the first file.
     pub number: u32,
     /// Sequence number of the first sample that no earlier segment accounts for, written, stated to be lost, or left out on
-    /// purpose.
+    /// purpose. In the first segment 0, unless the run goes on with another one.
     pub begins: [u64; 3],
     /// Messages in earlier segments: observations, commands, learning records, gaps.
     pub written: [u64; 4],
@@ -98,6 +98,11 @@ pub struct Segment {
 }
 
 impl Segment {
+    /// Sequence number of the run's first sample on channel `i`: not 0 where the run goes on with another one.
+    pub fn first(&self, i: usize) -> u64 {
+        self.begins[i].saturating_sub(self.written[i]).saturating_sub(self.lost[i]).saturating_sub(self.thinned[i])
+    }
+
     fn put(&self, map: &mut BTreeMap<String, String>) {
         let mut put = |key: String, value: u64| map.insert(key, value.to_string());
         put("segment".into(), self.number.into());

@@ -16,41 +16,38 @@ pub struct Past {
     pub missing_from: Option<u64>,
     /// The three durations of the ticks so far.
     pub timings: Timings,
-    /// Size of all files, bytes, and their number.
+    /// Size of all files, bytes.
     pub bytes: u64,
-    /// Number of files.
-    pub files: u64,
 }
 
 /// Messages between two signs of life.
 const BEAT: u64 = 4096;
 
 impl Past {
-    /// Before the first segment.
-    pub fn none(period_ns: u64) -> Self {
+    /// Before the first segment of a run that begins with the samples `begins`, at tick `tick`: not 0 where it goes on with
+    /// another run.
+    pub fn none(period_ns: u64, begins: [u64; 3], tick: u64) -> Self {
         Self {
-            segment: Segment::default(),
-            last_ticks: [None; 3],
+            segment: Segment { begins, ..Segment::default() },
+            last_ticks: [tick.checked_sub(1); 3],
             missing_from: None,
             timings: Timings::new(period_ns),
             bytes: 0,
-            files: 0,
         }
     }
 
-    /// Reads all segments in `folder`, and touches none. One that is torn or damaged counts as far as it can be read; one
-    /// that does not describe its run, not at all. `beat` is called now and then.
-    pub fn of(folder: &Path, period_ns: u64, mut beat: impl FnMut()) -> Self {
-        let mut past = Self::none(period_ns);
-        let mut account = Account::default();
+    /// Reads all segments in `folder`, and touches none; this is what came before them. One that is torn or damaged counts as
+    /// far as it can be read; one that does not describe its run, not at all. `beat` is called now and then.
+    pub fn with(mut self, folder: &Path, mut beat: impl FnMut()) -> Self {
+        let mut account = None;
         for path in segments(folder) {
-            past.bytes += std::fs::metadata(&path).map_or(0, |file| file.len());
-            past.files += 1;
+            self.bytes += std::fs::metadata(&path).map_or(0, |file| file.len());
             if let Ok(log) = LogReader::open(&path) {
-                past.take(log, &mut account, &mut beat);
+                let account = account.get_or_insert_with(|| log.account());
+                self.take(log, account, &mut beat);
             }
         }
-        past
+        self
     }
 
     /// What the log at `path`, which was left torn, holds by itself, with what its beginning says of those before it. Half a
@@ -60,15 +57,12 @@ impl Past {
     ///
     /// As [`LogReader::open`].
     pub fn of_torn(path: &Path) -> Result<Self, LogError> {
-        let mut past = Self::none(0);
+        let mut past = Self::none(0, [0; 3], 0);
         let log = LogReader::open(path)?;
         let (before, mut account) = (log.begins(), log.account());
         let end = past.take(log, &mut account, &mut || ());
         (0..4).for_each(|i| past.segment.written[i] += before.written[i]);
-        for i in 0..3 {
-            let others = past.segment.written[i].saturating_add(past.segment.lost[i]);
-            past.segment.thinned[i] = past.segment.begins[i].saturating_sub(others);
-        }
+        (0..3).for_each(|i| past.segment.thinned[i] = past.thinned(i, before.first(i)));
         // What is cut off is none of the log's: that it stays is no harm either.
         let _ = File::options().write(true).open(path).and_then(|file| file.set_len(end));
         Ok(past)
@@ -90,7 +84,9 @@ impl Past {
         self.segment.written[3] = account.gaps;
         for (i, lane) in account.lanes.iter().enumerate() {
             self.segment.written[i] = lane.messages;
-            self.last_ticks[i] = lane.ticks.map(|(_, last)| last);
+        }
+        for (i, lane) in account.lanes.iter().enumerate() {
+            self.last_ticks[i] = lane.ticks.map_or(self.last_ticks[i], |(_, last)| Some(last));
         }
         let said = log.begins();
         match log.totals() {
@@ -99,8 +95,8 @@ impl Past {
                 (self.segment.lost, self.segment.thinned) = (totals.lost, totals.thinned);
                 self.segment.duplicates = totals.duplicates;
                 for i in 0..3 {
-                    let known = self.segment.written[i].saturating_add(totals.lost[i]);
-                    self.segment.begins[i] = known.saturating_add(totals.thinned[i]);
+                    let known = [self.segment.written[i], totals.lost[i], totals.thinned[i]];
+                    self.segment.begins[i] = known.iter().fold(said.first(i), |sum, n| sum.saturating_add(*n));
                 }
             }
             None => {
@@ -108,7 +104,7 @@ impl Past {
                 for (i, lane) in account.lanes.iter().enumerate() {
                     let next = lane.next().max(said.begins[i]).max(self.segment.begins[i]);
                     (self.segment.begins[i], self.segment.lost[i]) = (next, lane.stated);
-                    self.segment.thinned[i] = next.saturating_sub(self.segment.written[i]).saturating_sub(lane.stated);
+                    self.segment.thinned[i] = self.thinned(i, said.first(i));
                 }
             }
         }
@@ -118,5 +114,11 @@ impl Past {
             self.timings.restore(map);
         }
         log.position()
+    }
+
+    /// What is neither written nor lost of channel `i`, whose first sample in the run is `first`.
+    fn thinned(&self, i: usize, first: u64) -> u64 {
+        let Segment { begins, written, lost, .. } = &self.segment;
+        begins[i].saturating_sub(first).saturating_sub(written[i]).saturating_sub(lost[i])
     }
 }

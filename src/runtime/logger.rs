@@ -5,7 +5,7 @@
 //! nobody waits for it in vain, and closes the log with what it could not hold.
 
 use super::merge::{Closed, Merge};
-use super::{LoggerReport, Mode, RuntimeError, Seat, Session, read_realtime};
+use super::{LoggerReport, Mode, Resumed, RuntimeError, Seat, Session, read_realtime};
 use crate::channel::LoggerPorts;
 use crate::clock::{TimeSource, facts, monotonic_ns, pause, wall_ns};
 use crate::log::{Clock, LogHeader, LogWriter, Past, Record, Segment, segment_path};
@@ -50,10 +50,13 @@ pub fn run_logger(seat: Seat) -> Result<LoggerReport, RuntimeError> {
     })?;
     let (folder, period_ns) = (session.seat.folder.clone(), session.seat.plan.period_ns);
     let incarnation = session.incarnation();
-    let past = match incarnation {
-        0 => Past::none(period_ns),
-        _ => Past::of(&folder, period_ns, || session.show()),
+    let past = match &session.seat.card.resumed {
+        Some(Resumed { tick, sequences: [observation, answer], .. }) => {
+            Past::none(period_ns, [*observation, *answer, *answer], *tick)
+        }
+        None => Past::none(period_ns, [0; 3], 0),
     };
+    let past = if incarnation > 0 { past.with(&folder, || session.show()) } else { past };
     let header = header(&session, &time, &past);
     let log = LogWriter::create(&segment_path(&folder, incarnation), &header);
     let mut merge = match log {

@@ -13,7 +13,9 @@ pub(super) struct Lane {
     channel: u64,
     /// Received and not yet written.
     head: Option<Record>,
-    /// Sequence number of the next sample.
+    /// Sequence number of the run's first sample.
+    first: u64,
+    /// Sequence number of the next one.
     expected: u64,
     /// The last tick received.
     last: Option<u64>,
@@ -30,6 +32,7 @@ impl Lane {
     fn after(past: &Past, i: usize) -> Self {
         Self {
             channel: i as u64,
+            first: past.segment.first(i),
             expected: past.segment.begins[i],
             last: past.last_ticks[i],
             through: past.last_ticks[i],
@@ -245,7 +248,7 @@ impl Merge {
             last_tick: lanes.iter().filter_map(|lane| lane.last).max(),
             complete,
         };
-        let written = lanes.each_ref().map(|lane| lane.expected.saturating_sub(lane.lost + lane.thinned));
+        let written = lanes.each_ref().map(|lane| lane.expected.saturating_sub(lane.first + lane.lost + lane.thinned));
         let mut closed = Closed { totals, written, failure: self.failure, timings: self.timings };
         let Some(mut log) = self.log else { return closed };
         let ended = gaps

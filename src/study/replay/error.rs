@@ -53,14 +53,16 @@ pub enum ReplayError {
         /// The ticks that come behind.
         behind: String,
     },
-    /// A later segment by itself.
+    /// What comes before is not in it.
     #[error(
-        "the log {} is a later segment of its run's, and what was learned before it cannot be told from it; give the run's \
-         folder, with all segments", path.display()
+        "the log {} begins in the middle of what was learned, and what came before cannot be told from it; {remedy}",
+        path.display()
     )]
     Middle {
         /// The log.
         path: PathBuf,
+        /// What to do about it.
+        remedy: &'static str,
     },
     /// The other learner cannot be given this experience.
     #[error("the learner {rule:?} cannot learn from the log {}: {error}", path.display())]

@@ -106,7 +106,11 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
         return Err(ReplayError::Thinned { path: path.to_owned(), every: log.every() });
     }
     if log.begins().begins != [0; 3] {
-        return Err(ReplayError::Middle { path: path.to_owned() });
+        let remedy = match log.begins().number {
+            0 => "its run goes on with another one, whose log it would need",
+            _ => "it is a later segment: give the run's folder, with all of them",
+        };
+        return Err(ReplayError::Middle { path: path.to_owned(), remedy });
     }
     let other = learner.map(|rule| other(&plan, rule, path)).transpose()?;
     let mut run = Follower::new(&plan, Clockwork::of(&log, &plan), other);
