@@ -36,6 +36,7 @@ fn header() -> LogHeader {
         clock: Clock::Virtual,
         t0_ns: 0,
         wall_at_t0_ns: 0,
+        segment: Default::default(),
     }
 }
 

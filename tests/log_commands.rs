@@ -7,8 +7,10 @@ use std::fs;
 
 use serde_json::Value;
 use support::content::read;
+use support::slow::run_with_a_stopped_logger;
 use support::{Outcome, Place, TECTUM, signal_process};
 use tectum::log::Record;
+use tectum::wire::flag;
 
 fn log(place: &Place, arguments: &[&str]) -> Outcome {
     let mut all = vec!["log"];
@@ -58,7 +60,7 @@ fn a_whole_log_at_a_glance() {
     for (i, topic) in ["/observation", "/command", "/learning"].into_iter().enumerate() {
         let expected = serde_json::json!({
             "topic": topic, "messages": 3000, "first_tick": 0, "last_tick": 2999, "per_second": 20.0,
-            "lost_stated": 0, "lost_found": 0, "thinned": 0, "agrees": true,
+            "lost_stated": 0, "lost_found": 0, "thinned": 0, "duplicates": 0, "incarnations": [[0, 0]], "agrees": true,
         });
         assert_eq!(info["channels"][i], expected);
     }
@@ -159,6 +161,8 @@ fn a_damaged_log_is_refused_by_name_and_byte() {
 fn a_log_in_use_is_left_alone() {
     let place = Place::new();
     let scenario = place.arm(&[("every", "1"), ("period_ms", "5")]);
+    let text = fs::read_to_string(&scenario).unwrap() + "\n[restart]\nlogger = \"never\"\n";
+    fs::write(&scenario, text).unwrap();
     let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", "100000"]);
     run.until_ticking();
     let text = refused(&place, &["repair", "run"]);
@@ -219,19 +223,55 @@ fn a_channel_becomes_a_table() {
     assert!(refused(&place, &["csv", "run", "--out", "no/such/folder.csv"]).contains("no such file or folder"));
 }
 
+/// The three durations of a run on the real clock: in the log, in the summary, and in the samples.
+#[test]
+fn durations_are_in_the_log_and_in_the_summary() {
+    const KEYS: [&str; 3] = ["wake_up_lateness_us", "observation_to_command_us", "command_to_applied_us"];
+    let place = Place::new();
+    let scenario = place.arm(&[("every", "1"), ("period_ms", "5")]);
+    let summary = place.run(&[&scenario, "--mode", "realtime", "--ticks", "200", "--json"]).wait().expect(0).json();
+    let info = log(&place, &["info", "run", "--json"]).expect(0).json();
+    let path = place.run_folder().join("log.mcap");
+    let (_, content) = read(&path);
+    let expected = [
+        content.observations.iter().map(|o| 1 + u64::from(o.skipped)).sum(),
+        content.commands.len() as u64,
+        content
+            .observations
+            .iter()
+            .filter(|o| o.header.flags & (flag::FIRST | flag::MISSED | flag::SKIPPED) == 0)
+            .count() as u64,
+    ];
+    for (key, count) in KEYS.into_iter().zip(expected) {
+        assert_eq!(summary[key]["count"], count, "{key}: {summary}");
+        assert!(summary[key]["p50"].as_f64() > Some(0.0), "{key}: {summary}");
+        assert_eq!(info[key], summary[key], "{key}");
+    }
+    assert_eq!(info["recounted"], false);
+    let text = log(&place, &["info", "run"]).expect(0).stdout;
+    assert!(text.contains("\ncommand to applied      p50 "), "{text}");
+
+    // Torn before its end, a log is counted again, and says so; the samples tell the same.
+    let (bodies, _) = support::bytes::bodies(&fs::read(&path).unwrap());
+    let last = bodies.last().unwrap();
+    place.file("torn.mcap", &fs::read(&path).unwrap()[..last.at + last.length]);
+    let torn = log(&place, &["info", "torn.mcap", "--json"]).expect(0).json();
+    assert_eq!((&torn["recounted"], &torn["state"]), (&true.into(), &"torn".into()));
+    for key in KEYS {
+        assert_eq!(torn[key], summary[key], "{key}");
+    }
+    // Lockstep has no time to tell of.
+    let place = Place::new();
+    ran(&place, "1", "100");
+    let info = log(&place, &["info", "run", "--json"]).expect(0).json();
+    assert!(KEYS.iter().all(|key| info[key] == Value::Null) && info["recounted"] == false, "{info}");
+}
+
 /// Losses of a real run: stated, found, and marked where they are.
 #[test]
 fn losses_are_stated_found_and_marked() {
     let place = Place::new();
-    let scenario = place.arm(&[("every", "1"), ("period_ms", "1")]);
-    let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", "3500", "--json"]);
-    let logger = run.member("tectum-logger");
-    run.until_ticking();
-    signal_process(logger, "STOP");
-    // The fault itself: as long as it takes for the buffer of 1024 samples to overflow, and half as much again.
-    std::thread::sleep(std::time::Duration::from_millis(1536));
-    signal_process(logger, "CONT");
-    let summary = run.wait().expect(0).json();
+    let summary = run_with_a_stopped_logger(&place, 1536);
     assert!(summary["lost"].as_u64() > Some(0), "{summary}");
     let info = log(&place, &["info", "run", "--json"]).expect(0).json();
     let (reader, content) = read(&place.run_folder().join("log.mcap"));

@@ -54,6 +54,7 @@ fn header() -> LogHeader {
         clock: Clock::Virtual,
         t0_ns: 0,
         wall_at_t0_ns: 0,
+        segment: Default::default(),
     }
 }
 
@@ -91,7 +92,7 @@ fn a_log_comes_back_as_it_was_written() {
     write_ticks(&mut log, 0..10).unwrap();
     let gap = Gap { channel: 1, first: 10, count: 2, total: 2 };
     log.gap(&gap).unwrap();
-    let totals = Totals { lost: [0, 2, 0], thinned: [9, 9, 9], last_tick: Some(99), complete: false };
+    let totals = Totals { lost: [0, 2, 0], thinned: [9, 9, 9], last_tick: Some(99), ..Totals::default() };
     let summary = log.finish(&totals).unwrap();
     assert_eq!(summary.bytes, std::fs::metadata(&path).unwrap().len());
 
@@ -157,19 +158,64 @@ fn a_message_costs_no_allocation() {
     assert_eq!(ALLOCATIONS.get() - before, 0);
 }
 
-/// A process under a limit on the size of its files, as `ulimit -f` sets it, gets to know what happened, and what it had
-/// written stays readable.
+/// Runs one of these tests again in a process under a limit on the size of its files, as `ulimit -f` sets it.
+fn under_a_limit(test: &str, path: &Path) {
+    let output = Process::new("sh")
+        // Without the trap the kernel ends the process with SIGXFSZ.
+        .args(["-c", "trap '' XFSZ; ulimit -S -f 4096; exec \"$0\" --exact \"$1\" --nocapture"])
+        .arg(std::env::current_exe().unwrap())
+        .arg(test)
+        .env("TECTUM_TEST_LIMITED_LOG", path)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Sets another limit for this process, bytes; `None` for the most that it may have.
+fn limit(bytes: Option<u64>) {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let maximum = getrlimit(Resource::Fsize).maximum;
+    setrlimit(Resource::Fsize, Rlimit { current: bytes.or(maximum), maximum }).unwrap();
+}
+
+/// A limit is noticed before anything is cut off by it, and the log is closed in the room that was kept for that.
 #[test]
-fn the_limit_on_a_files_size_is_named() {
+fn a_log_without_room_is_closed_with_what_it_lacks() {
+    let gap = |count| Gap { channel: 1, first: 0, count, total: count };
     if let Some(path) = std::env::var_os("TECTUM_TEST_LIMITED_LOG") {
         let mut log = LogWriter::create(Path::new(&path), &header()).unwrap();
         let error = write_ticks(&mut log, 0..1_000_000).unwrap_err();
-        assert!(error.is_full(), "{error}");
+        assert!(error.is_full() && !log.broken(), "{error}");
         assert!(error.to_string().contains("the limit on the size of a file is reached; raise the limit"), "{error}");
+        let tick = log.written()[2];
+        assert!(write_ticks(&mut log, tick..tick + 1).unwrap_err().is_full(), "and again");
+        log.missing_from(tick, &error).unwrap();
+        log.gap(&gap(tick)).unwrap();
+        log.finish(&Totals { missing_from: Some(tick), ..Totals::default() }).unwrap();
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    under_a_limit("a_log_without_room_is_closed_with_what_it_lacks", &path);
+    let mut log = LogReader::open(&path).unwrap();
+    let records: Vec<Record> = log.by_ref().map(Result::unwrap).collect();
+    let ticks = records.len() as u64 / 3;
+    assert!(ticks > 1000 && log.finished(), "{ticks}");
+    assert_eq!((records.last(), log.missing_from()), (Some(&Record::Gap(gap(ticks))), Some(ticks)));
+    assert!(log.metadata()["tectum.missing"]["why"].contains("ulimit -f"));
+}
+
+/// Where the room that was kept is taken away all the same, what was written before stays readable.
+#[test]
+fn a_write_that_fails_leaves_a_torn_log() {
+    if let Some(path) = std::env::var_os("TECTUM_TEST_LIMITED_LOG") {
+        let mut log = LogWriter::create(Path::new(&path), &header()).unwrap();
+        write_ticks(&mut log, 0..500).unwrap();
+        limit(Some(std::fs::metadata(&path).unwrap().len() + 300));
+        let error = write_ticks(&mut log, 500..1_000).unwrap_err();
+        assert!(error.is_full() && log.broken(), "{error}");
         // There is room again, but half a message may stand at the end, and nothing is put behind it.
-        use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
-        let most = getrlimit(Resource::Fsize).maximum;
-        setrlimit(Resource::Fsize, Rlimit { current: most, maximum: most }).unwrap();
+        limit(None);
         assert_eq!(log.flush().unwrap_err().to_string(), error.to_string());
         let again = log.finish(&Totals::default()).unwrap_err();
         assert_eq!(again.to_string(), error.to_string());
@@ -177,21 +223,11 @@ fn the_limit_on_a_files_size_is_named() {
     }
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
-    let this = std::env::current_exe().unwrap();
-    let output = Process::new("sh")
-        // Without the trap the kernel ends the process with SIGXFSZ.
-        .args([
-            "-c",
-            "trap '' XFSZ; ulimit -S -f 128; exec \"$0\" --exact the_limit_on_a_files_size_is_named --nocapture",
-        ])
-        .arg(this)
-        .env("TECTUM_TEST_LIMITED_LOG", &path)
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    under_a_limit("a_write_that_fails_leaves_a_torn_log", &path);
     let mut log = LogReader::open(&path).unwrap();
     let records = log.by_ref().map(Result::unwrap).count();
-    assert!(records > 100 && !log.finished(), "{records}");
+    // When the log was dropped, the rest of the message that was cut off went out.
+    assert!(records == 1502 && !log.finished(), "{records}");
 }
 
 /// A log for the scripts in `tests/python`, with the arm and the paper's learner as a few plain loops in single

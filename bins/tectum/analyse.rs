@@ -50,7 +50,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
 fn study(arguments: &Arguments) -> Result<(Analysis, String), AnalyseError> {
     let log = log::find(&arguments.log)?;
     let analysis = analyse(&log, !arguments.measured_only, true)?;
-    let beside = log.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
+    let beside = log[0].parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_owned();
     let out = arguments.out.clone().unwrap_or(beside);
     let failed = |path: &Path, error| AnalyseError::Write { path: path.to_owned(), error };
     std::fs::create_dir_all(&out).map_err(|error| failed(&out, error))?;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
-use tectum::log::{CsvChannel, Info, LogError, LogReader, csv, find, repair};
+use tectum::log::{CsvChannel, Info, LogError, Repair, RunLog, csv, find, repair};
 use tectum::process::say;
 use tectum::runtime::exit;
 
@@ -28,7 +28,7 @@ enum Work {
     /// Say of which run a log is, whether it is whole, what it holds and what it lacks
     #[command(after_help = "Example: tectum log info runs/arm-1 --json")]
     Info(Common),
-    /// Make a torn log whole, so that every MCAP reader takes it; a whole one is left alone
+    /// Make a torn log whole, all its segments, so that every MCAP reader takes it; a whole one is left alone
     #[command(after_help = "\
 Examples:
   tectum log repair runs/arm-1                      the torn original is kept as log.mcap.torn
@@ -95,8 +95,8 @@ pub fn main(arguments: &Arguments) -> ExitCode {
             .and_then(|log| Info::of(&log))
             .map(|info| print(&if common.json { info.to_json() + "\n" } else { info.to_text() })),
         Work::Repair { common, out } => find(&common.log)
-            .and_then(|log| repair(&log, out.as_deref()))
-            .map(|done| print(&if common.json { done.to_json() + "\n" } else { done.to_text() })),
+            .and_then(|log| mend(&log, out.as_deref()))
+            .map(|done| print(&if common.json { json(&done) + "\n" } else { text(&done) })),
         Work::Csv { log, channel, out } => find(log).and_then(|log| export(&log, channel.channel(), out.as_deref())),
     };
     match done {
@@ -108,12 +108,33 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     }
 }
 
-fn export(path: &Path, channel: CsvChannel, out: Option<&Path>) -> Result<(), LogError> {
-    let mut log = LogReader::open(path)?;
+/// Makes every segment whole that is torn. One after the other: what is done is done, whatever comes after.
+fn mend(segments: &[PathBuf], out: Option<&Path>) -> Result<Vec<Repair>, LogError> {
+    if let (Some(out), true) = (out, segments.len() > 1) {
+        let error = std::io::Error::other("the log has several segments, which would all go there; name one of them");
+        return Err(LogError::Export { path: out.to_owned(), error });
+    }
+    segments.iter().map(|log| repair(log, out)).collect()
+}
+
+/// One object, or one a segment.
+fn json(done: &[Repair]) -> String {
+    match done {
+        [one] => one.to_json(),
+        several => format!("[{}]", several.iter().map(Repair::to_json).collect::<Vec<_>>().join(",\n")),
+    }
+}
+
+fn text(done: &[Repair]) -> String {
+    done.iter().map(Repair::to_text).collect()
+}
+
+fn export(segments: &[PathBuf], channel: CsvChannel, out: Option<&Path>) -> Result<(), LogError> {
+    let mut log = RunLog::open(segments)?;
     let target = out.unwrap_or(Path::new("standard output"));
     let failed = |error| LogError::Export { path: target.to_owned(), error };
     // Opened for writing, a file is empty.
-    if out.is_some_and(|out| same(out, path)) {
+    if out.is_some_and(|out| segments.iter().any(|log| same(out, log))) {
         return Err(failed(std::io::Error::other("it is the log itself")));
     }
     let mut sink: Box<dyn Write> = match out {
@@ -126,7 +147,7 @@ fn export(path: &Path, channel: CsvChannel, out: Option<&Path>) -> Result<(), Lo
         done => drop(done.map_err(failed)??),
     }
     if !log.finished() {
-        say(&format!("tectum: the log {} was cut off; it was exported as far as it goes", path.display()));
+        say(&format!("tectum: the log {} was cut off; it was exported as far as it goes", log.path().display()));
     }
     Ok(())
 }

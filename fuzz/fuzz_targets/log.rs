@@ -7,7 +7,7 @@ use std::io::{Cursor, Read};
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use tectum::log::{CsvChannel, Info, LogError, LogReader, Record, csv, mend};
+use tectum::log::{CsvChannel, Info, LogError, LogReader, Record, RunLog, csv, mend};
 use tectum::study::replay;
 
 fn open(bytes: &[u8]) -> Result<LogReader, LogError> {
@@ -40,12 +40,12 @@ fn bytes<T: Copy + std::fmt::Debug>(sample: &T) -> Vec<u8> {
 fuzz_target!(|bytes: &[u8]| {
     let Ok(mut log) = open(bytes) else { return };
     let (all, error) = messages(&mut log);
-    if let Ok(info) = open(bytes).and_then(|log| Info::over(log, Path::new("log.mcap"), bytes.len() as u64)) {
+    if let Ok(info) = open(bytes).and_then(|log| Info::over(RunLog::of(log))) {
         assert!(!info.to_text().is_empty() && !info.to_json().is_empty());
     }
     for channel in [CsvChannel::Observation, CsvChannel::Command, CsvChannel::Learning, CsvChannel::Gap] {
-        if let Ok(mut log) = open(bytes) {
-            csv(&mut log, channel, &mut std::io::sink()).expect("a sink takes everything").ok();
+        if let Ok(log) = open(bytes) {
+            csv(&mut RunLog::of(log), channel, &mut std::io::sink()).expect("a sink takes everything").ok();
         }
     }
     let mut whole = Cursor::new(Vec::new());
@@ -61,7 +61,7 @@ fuzz_target!(|bytes: &[u8]| {
         Err(error) => assert!(!error.to_string().is_empty()),
     }
     if let Ok(log) = open(bytes) {
-        match replay::over(log, Path::new("log.mcap"), None, false) {
+        match replay::over(RunLog::of(log), None, false) {
             Ok(done) => assert!(!done.to_text().is_empty()),
             Err(error) => assert!(!error.to_string().is_empty()),
         }

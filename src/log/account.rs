@@ -3,8 +3,11 @@
 //! A gap is told twice, once by the logger's own statement and once by the sequence numbers; the two are counted apart, so
 //! that they can be compared. The statement stands right before the channel's next sample.
 
-use super::Record;
+use super::{Record, Segment};
 use crate::wire::{Gap, Header};
+
+/// More starts of a writer than this are not kept apart.
+const MOST_INCARNATIONS: usize = 256;
 
 /// The messages of a log, counted as they are read.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -26,17 +29,37 @@ pub struct Lane {
     pub published_ns: Option<(u64, u64)>,
     /// Sequence number of the next sample.
     pub expected: u64,
-    /// Samples that the log states to be missing.
+    /// The writer's start numbers, each with the tick of its first sample, in the order of the log.
+    pub incarnations: Vec<(u32, u64)>,
+    /// Samples that the log states to be missing, those of earlier segments included.
     pub stated: u64,
     /// Sequence numbers that no statement explains: samples left out on purpose in a thinned log, otherwise a fault.
     pub unexplained: u64,
     /// Statements that the sequence numbers contradict, and samples whose number is not above the one before.
     pub contradictions: u64,
-    /// What was stated since the last sample: sequence number of the first, and how many.
-    pending: Option<(u64, u64)>,
+    /// What was stated since the last sample.
+    pending: Option<Stated>,
+}
+
+/// Statements in a row: sequence numbers from the first missing one up to but without `end`, and how many are missing. In a
+/// thinned log some of those between may be there and left out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Stated {
+    first: u64,
+    end: u64,
+    count: u64,
 }
 
 impl Account {
+    /// The beginning of a segment.
+    pub fn after(segment: &Segment) -> Self {
+        let mut account = Self::default();
+        for (i, lane) in account.lanes.iter_mut().enumerate() {
+            (lane.expected, lane.stated) = (segment.begins[i], segment.lost[i]);
+        }
+        account
+    }
+
     /// Takes the next message in. Gives, for a sample, how many of its channel are stated to be missing right before it.
     pub fn take(&mut self, record: &Record) -> u64 {
         let lane = match record {
@@ -59,22 +82,28 @@ impl Lane {
     fn state(&mut self, gap: &Gap) {
         self.stated = self.stated.saturating_add(gap.count);
         self.contradictions += u64::from(gap.total != self.stated);
-        let (first, count) = self.pending.get_or_insert((gap.first, 0));
-        // Statements in a row add up.
-        self.contradictions += u64::from(first.saturating_add(*count) != gap.first);
-        *count = count.saturating_add(gap.count);
+        let pending = self.pending.get_or_insert(Stated { first: gap.first, end: gap.first, count: 0 });
+        self.contradictions += u64::from(gap.first < pending.end);
+        pending.end = gap.first.saturating_add(gap.count);
+        pending.count = pending.count.saturating_add(gap.count);
     }
 
     fn take(&mut self, header: &Header) -> u64 {
         self.messages += 1;
         self.ticks = Some((self.ticks.map_or(header.tick, |(first, _)| first), header.tick));
+        let incarnation = header.incarnation;
+        if self.incarnations.last().is_none_or(|&(last, _)| last != incarnation)
+            && self.incarnations.len() < MOST_INCARNATIONS
+        {
+            self.incarnations.push((incarnation, header.tick));
+        }
         let ns = header.published_ns;
         self.published_ns = Some((self.published_ns.map_or(ns, |(first, _)| first), ns));
-        let (first, count) = self.pending.take().unwrap_or((self.expected, 0));
+        let none = Stated { first: self.expected, end: self.expected, count: 0 };
+        let Stated { first, end, count } = self.pending.take().unwrap_or(none);
         let jump = header.sequence.checked_sub(self.expected);
         // In a log without thinning the statement is the jump; in a thinned one it lies within.
-        let inside =
-            jump.is_some_and(|jump| first >= self.expected && count <= jump - (first - self.expected).min(jump));
+        let inside = jump.is_some() && first >= self.expected && end <= header.sequence;
         self.contradictions += u64::from(!inside);
         self.unexplained += jump.unwrap_or(0).saturating_sub(count);
         self.expected = header.sequence.saturating_add(1);
@@ -83,7 +112,12 @@ impl Lane {
 
     /// Samples stated to be missing behind the last one, which no sequence number shows.
     pub fn at_the_end(&self) -> u64 {
-        self.pending.map_or(0, |(_, count)| count)
+        self.pending.map_or(0, |pending| pending.count)
+    }
+
+    /// Sequence number of the first sample that the log does not account for.
+    pub fn next(&self) -> u64 {
+        self.pending.map_or(self.expected, |pending| pending.end).max(self.expected)
     }
 
     /// Messages a second of the run's clock, between the first and the last.
@@ -137,5 +171,8 @@ mod tests {
     fn what_a_thinned_log_leaves_out_is_not_lost() {
         let lane = account(&[sample(0), sample(7), gap(9, 2, 2), sample(14)]);
         assert_eq!((lane.stated, lane.unexplained, lane.contradictions), (2, 6 + 4, 0));
+        // Number 10 was there.
+        let lane = account(&[sample(7), gap(9, 1, 1), gap(11, 2, 3), sample(14)]);
+        assert_eq!((lane.stated, lane.unexplained, lane.contradictions), (3, 7 + 3, 0));
     }
 }

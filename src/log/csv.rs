@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use super::header::flag_words;
-use super::{Account, CHANNELS, LogError, LogReader, Record};
+use super::{CHANNELS, LogError, Record, RunLog};
 use crate::scenario::SignalTable;
 use crate::wire::{Header, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, flag};
 
@@ -35,10 +35,10 @@ const HEADER: &str = "tick,time (s),sequence,scheduled (ns),sensed (ns),publishe
 ///
 /// The outer error is that of writing to `out`, the inner one that of reading the log; what came before has been
 /// written.
-pub fn csv(log: &mut LogReader, channel: CsvChannel, out: &mut dyn Write) -> io::Result<Result<u64, LogError>> {
+pub fn csv(log: &mut RunLog, channel: CsvChannel, out: &mut dyn Write) -> io::Result<Result<u64, LogError>> {
     let names = Names::of(log);
     let mut line = names.line(channel);
-    let mut account = Account::default();
+    let mut account = log.account();
     let mut rows = 0;
     let period_ns: u64 = log.run("period_ns").and_then(|ns| ns.parse().ok()).unwrap_or(0);
     let columns = line.len();
@@ -101,7 +101,7 @@ struct Names {
 }
 
 impl Names {
-    fn of(log: &LogReader) -> Self {
+    fn of(log: &RunLog) -> Self {
         let signals = |key: &str, most: usize| {
             let table: Option<Vec<SignalTable>> = log.run(key).and_then(|json| serde_json::from_str(json).ok());
             let named = |s: SignalTable| if s.unit.is_empty() { s.name } else { format!("{} ({})", s.name, s.unit) };

@@ -71,6 +71,65 @@ pub struct LogHeader {
     pub t0_ns: u64,
     /// Wall time at that instant, ns since 1970; 0 on the virtual clock.
     pub wall_at_t0_ns: u64,
+    /// Which part of the run's log the file is, and what the parts before it hold.
+    pub segment: Segment,
+}
+
+/// A part of a run's log: a logger that was started anew leaves the files that are there as they are, and writes another.
+///
+/// In the metadata record `tectum.run` its number stands under `segment`, and for each channel (`observation` and so on)
+/// `begins.<channel>` and `before.<channel>.written`, `.lost`, `.thinned` and `.duplicates`; `before.gap.written` too. A log
+/// without these keys is the first of its run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Segment {
+    /// The logger's start number within the run; 0 for the first file.
+    pub number: u32,
+    /// Sequence number of the first sample that no earlier segment accounts for, written, stated to be lost, or left out on
+    /// purpose. In the first segment 0, unless the run goes on with another one.
+    pub begins: [u64; 3],
+    /// Messages in earlier segments: observations, commands, learning records, gaps.
+    pub written: [u64; 4],
+    /// Samples that earlier segments state to be missing.
+    pub lost: [u64; 3],
+    /// Samples left out of earlier segments on purpose.
+    pub thinned: [u64; 3],
+    /// Samples that came twice so far, of which one was dropped.
+    pub duplicates: [u64; 3],
+}
+
+impl Segment {
+    /// Sequence number of the run's first sample on channel `i`: not 0 where the run goes on with another one.
+    pub fn first(&self, i: usize) -> u64 {
+        self.begins[i].saturating_sub(self.written[i]).saturating_sub(self.lost[i]).saturating_sub(self.thinned[i])
+    }
+
+    fn put(&self, map: &mut BTreeMap<String, String>) {
+        let mut put = |key: String, value: u64| map.insert(key, value.to_string());
+        put("segment".into(), self.number.into());
+        put("before.gap.written".into(), self.written[3]);
+        for (i, name) in CHANNELS.iter().enumerate() {
+            put(format!("begins.{name}"), self.begins[i]);
+            put(format!("before.{name}.written"), self.written[i]);
+            put(format!("before.{name}.lost"), self.lost[i]);
+            put(format!("before.{name}.thinned"), self.thinned[i]);
+            put(format!("before.{name}.duplicates"), self.duplicates[i]);
+        }
+    }
+
+    /// What `tectum.run` says; a key that is missing or holds something else counts as 0.
+    pub(super) fn from_map(map: &BTreeMap<String, String>) -> Segment {
+        let number = |key: &str| map.get(key).and_then(|value| value.parse::<u64>().ok()).unwrap_or(0);
+        let each = |what: &str| CHANNELS.map(|name| number(&format!("before.{name}.{what}")));
+        let [observation, command, learning] = each("written");
+        Segment {
+            number: u32::try_from(number("segment")).unwrap_or(0),
+            begins: CHANNELS.map(|name| number(&format!("begins.{name}"))),
+            written: [observation, command, learning, number("before.gap.written")],
+            lost: each("lost"),
+            thinned: each("thinned"),
+            duplicates: each("duplicates"),
+        }
+    }
 }
 
 impl LogHeader {
@@ -100,6 +159,7 @@ impl LogHeader {
             clock: Clock::Virtual,
             t0_ns: 0,
             wall_at_t0_ns: 0,
+            segment: Segment::default(),
         }
     }
 
@@ -143,6 +203,7 @@ impl LogHeader {
         put("wire.command", Command::NAME.to_owned());
         put("wire.learning", Learning::NAME.to_owned());
         put("wire.gap", Gap::NAME.to_owned());
+        self.segment.put(&mut map);
         Ok(map)
     }
 }
@@ -202,6 +263,7 @@ pub(super) mod tests {
             clock: Clock::Virtual,
             t0_ns: 0,
             wall_at_t0_ns: 0,
+            segment: Segment::default(),
         }
     }
 
@@ -216,6 +278,23 @@ pub(super) mod tests {
         assert_eq!(map["machine.kernel"], "Linux");
         assert_eq!(map["realtime.plant"], "{}");
         assert!(map["flags"].contains("\"LEARNED\":65536"));
+    }
+
+    #[test]
+    fn a_segment_survives_its_map() {
+        let segment = Segment {
+            number: 3,
+            begins: [10, 11, 12],
+            written: [7, 8, 9, 2],
+            lost: [1, 2, 3],
+            thinned: [2, 1, 0],
+            duplicates: [4, 5, 6],
+        };
+        let map = LogHeader { segment, ..sample_header() }.to_map(Path::new("x")).unwrap();
+        assert_eq!((map["segment"].as_str(), map["begins.command"].as_str()), ("3", "11"));
+        assert_eq!(Segment::from_map(&map), segment);
+        // A log from before there were segments.
+        assert_eq!(Segment::from_map(&BTreeMap::new()), Segment::default());
     }
 
     #[test]

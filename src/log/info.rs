@@ -1,14 +1,18 @@
 //! What a log is: of which run, whole or torn, how much of what, and what it lacks.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::fs::File;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::{Account, CHANNELS, GAP_TOPIC, LogError, LogReader, Record, TOTALS_METADATA, in_use};
+use super::{
+    Account, CHANNELS, Clock, HISTOGRAMS_METADATA, LogError, MISSING_METADATA, Percentiles, Record, RunLog, SegmentEnd,
+    TOTALS_METADATA, Timings, in_use,
+};
 use crate::wire::flag;
+
+mod text;
 
 /// How a log ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -44,21 +48,50 @@ pub struct ChannelInfo {
     pub lost_found: Option<u64>,
     /// Samples left out on purpose, so far as the log tells.
     pub thinned: u64,
+    /// Samples that came twice, of which one was dropped, so far as the log tells.
+    pub duplicates: u64,
+    /// Start numbers of its writer within the run, each with the tick of its first sample in the log.
+    pub incarnations: Vec<(u32, u64)>,
     /// Statements, sequence numbers and totals say the same.
     pub agrees: bool,
+}
+
+/// A segment of a log.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SegmentInfo {
+    /// The file.
+    pub log: PathBuf,
+    /// The start number of the logger that wrote it.
+    pub number: u32,
+    /// Its size, bytes.
+    pub bytes: u64,
+    /// How it ends.
+    pub state: State,
+    /// Where the last whole record of a torn segment ends, bytes from its start.
+    pub torn_at: Option<u64>,
+    /// The first tick of a sample in it.
+    pub first_tick: Option<u64>,
+    /// The last one.
+    pub last_tick: Option<u64>,
+    /// Samples that it states to be missing before its first: observations, commands, learning records.
+    pub missing_before: [u64; 3],
 }
 
 /// A log at a glance.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Info {
-    /// The file.
+    /// The file; for a log in several segments, their folder.
     pub log: PathBuf,
-    /// Its size, bytes.
+    /// Its size, all segments, bytes.
     pub bytes: u64,
-    /// How it ends.
+    /// How its last segment ends.
     pub state: State,
-    /// Where the last whole record of a torn log ends, bytes from its start.
+    /// Where the last whole record of a torn log ends, bytes from the start of its last segment.
     pub torn_at: Option<u64>,
+    /// Its segments.
+    pub segments: Vec<SegmentInfo>,
+    /// The tick from which on samples are missing because there was no room for them, and why.
+    pub missing_from: Option<(u64, String)>,
     /// The scenario's name.
     pub scenario: String,
     /// Its seed.
@@ -87,69 +120,77 @@ pub struct Info {
     pub channels: Vec<ChannelInfo>,
     /// Statements of missing samples on the channel `/gap`.
     pub gaps: u64,
+    /// Real time: from a tick's scheduled instant to its sensing, us; see [`Timings`].
+    pub wake_up_lateness_us: Option<Percentiles>,
+    /// Real time: from sensing to the sending of the command, us.
+    pub observation_to_command_us: Option<Percentiles>,
+    /// Real time: from the sending of a command to the observation that tells that it was applied, us.
+    pub command_to_applied_us: Option<Percentiles>,
+    /// The three were counted from the samples in the log, which did not come to its end.
+    pub recounted: bool,
 }
 
 impl Info {
-    /// Reads the log at `path` to its end.
+    /// Reads the log in `segments`, of one run and in their order, to its end.
     ///
     /// # Errors
     ///
-    /// As [`LogReader::open`] and its iterator: a torn log is none, a damaged one is.
-    pub fn of(path: &Path) -> Result<Info, LogError> {
-        let file = File::open(path).map_err(|e| LogError::read(path, e))?;
-        let bytes = file.metadata().map_err(|e| LogError::read(path, e))?.len();
-        let growing = in_use(&file);
-        let mut info = Self::over(LogReader::over(path, Box::new(file))?, path, bytes)?;
-        if growing && info.state == State::Torn {
-            info.state = State::Growing;
-        }
-        Ok(info)
+    /// As [`RunLog::open`] and its iterator: a torn log is none, a damaged one is.
+    pub fn of(segments: &[PathBuf]) -> Result<Info, LogError> {
+        Self::over(RunLog::open(segments)?)
     }
 
-    /// The same from a reader at its beginning.
+    /// The same from a log at its beginning.
     ///
     /// # Errors
     ///
-    /// As the reader's iterator.
-    pub fn over(mut log: LogReader, path: &Path, bytes: u64) -> Result<Info, LogError> {
-        let mut account = Account::default();
+    /// As the log's iterator.
+    pub fn over(mut log: RunLog) -> Result<Info, LogError> {
+        let mut account = log.account();
         let mut weights_hash = None;
-        for record in log.by_ref() {
+        let number = |log: &RunLog, key: &str| log.run(key).and_then(|value| value.parse::<u64>().ok());
+        let period_ns = number(&log, "period_ns").unwrap_or(0);
+        let mut timings = Timings::new(period_ns);
+        let mut parts = vec![Part::default()];
+        while let Some(record) = log.next() {
             let record = record?;
             account.take(&record);
+            timings.take(&record);
+            // A segment may hold nothing.
+            parts.resize(log.begun(), Part::default());
+            parts[log.begun() - 1].take(&record);
             if let Record::Learning(s) = &record
                 && s.header.flags & flag::HASHED != 0
             {
                 weights_hash = Some((format!("{:016x}", s.weights_hash), s.header.tick));
             }
         }
-        let state = match (log.finished(), log.repaired()) {
-            (true, false) => State::Whole,
-            (true, true) => State::Repaired,
-            (false, _) => State::Torn,
-        };
+        parts.resize(log.begun(), Part::default());
+        let segments: Vec<_> = parts.into_iter().zip(log.segments()).map(|(part, end)| part.info(end)).collect();
+        let last = segments.last().map_or((State::Torn, None), |last| (last.state, last.torn_at));
+        let said = |name: &str| log.segment().metadata().get(name);
+        // Whoever counts the totals of a torn log afterwards has not seen the run's end.
+        let counted = said(TOTALS_METADATA).is_some_and(|totals| totals.contains_key("repaired"));
+        // The logger counted what it did not write, too.
+        let stored = said(HISTOGRAMS_METADATA).is_some_and(|map| timings.restore(map));
+        let real = log.run("clock") == Some(Clock::Monotonic.name());
+        let [wake_up, answer, applied] = timings.percentiles().map(|percentiles| percentiles.filter(|_| real));
         let text = |key: &str| log.run(key).unwrap_or("unknown").to_owned();
-        let number = |key: &str| log.run(key).and_then(|value| value.parse::<u64>().ok());
-        let period_ns = number("period_ns").unwrap_or(0);
         let ticks = account.lanes.iter().filter_map(|lane| lane.ticks);
         let span = ticks.reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
-        // Whoever counts the totals of a torn log afterwards has not seen the run's end.
-        let counted = log.metadata().get(TOTALS_METADATA).is_some_and(|totals| totals.contains_key("repaired"));
-        let machine = log.metadata().get(super::RUN_METADATA);
-        let machine = machine
-            .into_iter()
-            .flatten()
-            .filter_map(|(k, v)| Some((k.strip_prefix("machine.")?.to_owned(), v.clone())));
+        let machine = log.description().iter();
+        let machine = machine.filter_map(|(k, v)| Some((k.strip_prefix("machine.")?.to_owned(), v.clone())));
         Ok(Info {
-            log: path.to_owned(),
-            bytes,
-            state,
-            torn_at: (state == State::Torn).then(|| log.position()),
+            log: log.path().to_owned(),
+            bytes: segments.iter().map(|segment| segment.bytes).sum(),
+            state: last.0,
+            torn_at: last.1,
+            missing_from: log.missing_from().map(|tick| (tick, why_missing(&log))),
             scenario: text("name"),
-            seed: number("seed"),
-            planned_ticks: number("ticks"),
+            seed: number(&log, "seed"),
+            planned_ticks: number(&log, "ticks"),
             mode: text("mode"),
-            started: number("wall_at_t0_ns").filter(|&ns| ns > 0).map(utc),
+            started: number(&log, "wall_at_t0_ns").filter(|&ns| ns > 0).map(utc),
             build: text("build"),
             machine: machine.collect(),
             period_s: period_ns as f64 / 1e9,
@@ -161,6 +202,11 @@ impl Info {
             weights_hash,
             channels: (0..3).map(|i| channel(&log, &account, i)).collect(),
             gaps: account.gaps,
+            wake_up_lateness_us: wake_up,
+            observation_to_command_us: answer,
+            command_to_applied_us: applied,
+            recounted: real && !stored,
+            segments,
         })
     }
 
@@ -173,82 +219,80 @@ impl Info {
     pub fn to_json(&self) -> String {
         serde_json::to_string_pretty(self).unwrap_or_default()
     }
+}
 
-    /// The same for people.
-    pub fn to_text(&self) -> String {
-        let mut text = String::new();
-        let state = match (self.state, self.torn_at) {
-            (State::Torn, Some(at)) => format!("torn at byte {at}: `tectum log repair` makes it whole"),
-            (State::Growing, Some(at)) => format!("{at} bytes so far; its logger still writes it"),
-            (State::Repaired, _) => "whole, repaired".to_owned(),
-            _ => "whole".to_owned(),
+/// What a segment holds.
+#[derive(Debug, Clone, Default)]
+struct Part {
+    ticks: Option<(u64, u64)>,
+    missing_before: [u64; 3],
+    begun: [bool; 3],
+}
+
+impl Part {
+    fn take(&mut self, record: &Record) {
+        let channel = match record {
+            Record::Observation(_) => 0,
+            Record::Command(_) => 1,
+            Record::Learning(_) => 2,
+            Record::Gap(gap) => {
+                if let Some(i) = usize::try_from(gap.channel).ok().filter(|&i| i < 3 && !self.begun[i]) {
+                    self.missing_before[i] = self.missing_before[i].saturating_add(gap.count);
+                }
+                return;
+            }
         };
-        let or = |value: Option<u64>| value.map_or("-".to_owned(), |value| value.to_string());
-        let mut row = |key: &str, value: String| {
-            let _ = writeln!(text, "{key:<9}{value}");
+        self.begun[channel] = true;
+        if let Some(tick) = record.header().map(|header| header.tick) {
+            self.ticks = Some(self.ticks.map_or((tick, tick), |(first, last)| (first.min(tick), last.max(tick))));
+        }
+    }
+
+    fn info(self, end: SegmentEnd) -> SegmentInfo {
+        // What is not in a file is neither long nor in use.
+        let file = File::open(&end.path).ok();
+        let bytes = file.as_ref().and_then(|file| file.metadata().ok()).map_or(end.position, |file| file.len());
+        let state = match (end.finished, end.repaired) {
+            (true, false) => State::Whole,
+            (true, true) => State::Repaired,
+            (false, _) if file.is_some_and(|file| in_use(&file)) => State::Growing,
+            (false, _) => State::Torn,
         };
-        row("log", format!("{} ({} bytes)", self.log.display(), self.bytes));
-        row("state", state);
-        row("run", format!("{}, {}, seed {}", self.scenario, self.mode, or(self.seed)));
-        if let Some(started) = &self.started {
-            row("started", started.clone());
+        let torn = matches!(state, State::Torn | State::Growing);
+        SegmentInfo {
+            log: end.path,
+            number: end.number,
+            bytes,
+            state,
+            torn_at: torn.then_some(end.position),
+            first_tick: self.ticks.map(|(first, _)| first),
+            last_tick: self.ticks.map(|(_, last)| last),
+            missing_before: self.missing_before,
         }
-        row("build", self.build.clone());
-        let known = ["host", "kernel", "processor", "cores"].map(|key| self.machine.get(key).map(String::as_str));
-        if let [Some(host), Some(kernel), Some(processor), Some(cores)] = known {
-            row("machine", format!("{host}, {kernel}, {processor}, {cores} cores"));
-        }
-        let ticks = match self.complete {
-            Some(true) => "all of them",
-            Some(false) => "the run ended before",
-            None => "the log does not say whether the run came to its end",
-        };
-        row(
-            "ticks",
-            format!("{} planned, {ticks}; {} s of {} s each", or(self.planned_ticks), self.duration_s, self.period_s),
-        );
-        if self.every > 1 {
-            row("thinned", format!("every {}th tick is written", self.every));
-        }
-        if let Some((hash, tick)) = &self.weights_hash {
-            row("weights", format!("{hash} at tick {tick}"));
-        }
-        let _ = writeln!(
-            text,
-            "\n{:<16}{:>12}{:>12}{:>12}{:>10}{:>10}{:>10}",
-            "", "messages", "first tick", "last tick", "a second", "lost", "found"
-        );
-        for c in &self.channels {
-            let rate = c.per_second.map_or("-".to_owned(), |rate| format!("{rate:.2}"));
-            let [first, last, found] = [c.first_tick, c.last_tick, c.lost_found].map(or);
-            let _ = writeln!(
-                text,
-                "{:<16}{:>12}{first:>12}{last:>12}{rate:>10}{:>10}{found:>10}",
-                c.topic, c.messages, c.lost_stated
-            );
-        }
-        let _ = writeln!(text, "{GAP_TOPIC:<16}{:>12}", self.gaps);
-        for c in self.channels.iter().filter(|c| !c.agrees) {
-            let _ =
-                writeln!(text, "\n{}: what the log states to be lost is not what its sequence numbers say", c.topic);
-        }
-        text
     }
 }
 
-fn channel(log: &LogReader, account: &Account, i: usize) -> ChannelInfo {
+/// Why samples are missing, in the logger's own words; the last segment's, where it has any.
+fn why_missing(log: &RunLog) -> String {
+    let said = log.segment().metadata().get(MISSING_METADATA).and_then(|map| map.get("why"));
+    said.map_or_else(|| "an earlier segment says why".to_owned(), Clone::clone)
+}
+
+fn channel(log: &RunLog, account: &Account, i: usize) -> ChannelInfo {
     let lane = &account.lanes[i];
     let thinned = log.every() > 1;
-    let totals = log.totals();
+    let (totals, before) = (log.totals(), log.begins());
     // What stands behind the last sample is known from the totals alone.
-    let said =
-        |key: &str| log.metadata().get(TOTALS_METADATA)?.get(&format!("{}.{key}", CHANNELS[i]))?.parse::<u64>().ok();
+    let said = |key: &str| {
+        log.segment().metadata().get(TOTALS_METADATA)?.get(&format!("{}.{key}", CHANNELS[i]))?.parse::<u64>().ok()
+    };
     let totals_agree = totals.is_none_or(|t| {
         t.lost[i] == lane.stated
-            && said("written") == Some(lane.messages)
+            && said("written") == before.written[i].checked_add(lane.messages)
             && t.thinned[i] >= if thinned { lane.unexplained } else { 0 }
     });
     let found = lane.stated.saturating_add(lane.unexplained);
+    let duplicates = totals.map_or(before.duplicates[i], |totals| totals.duplicates[i]);
     ChannelInfo {
         topic: log.run(&format!("topic.{}", CHANNELS[i])).map_or_else(|| format!("/{}", CHANNELS[i]), str::to_owned),
         messages: lane.messages,
@@ -258,6 +302,8 @@ fn channel(log: &LogReader, account: &Account, i: usize) -> ChannelInfo {
         lost_stated: lane.stated,
         lost_found: (!thinned).then_some(found),
         thinned: if thinned { totals.map_or(lane.unexplained, |t| t.thinned[i]) } else { 0 },
+        duplicates,
+        incarnations: lane.incarnations.clone(),
         agrees: totals_agree && lane.contradictions == 0 && (thinned || lane.unexplained == 0),
     }
 }

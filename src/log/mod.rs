@@ -1,4 +1,4 @@
-//! The run's log: MCAP files, written one message at a time and read back, whole or torn.
+//! The run's log: MCAP files, written one message at a time and read back, whole or torn, one or several.
 //!
 //! A log must be worth something without this program and after any death of the logger. So every sample goes into an
 //! unchunked MCAP file as `cdr` under a `ros2msg` schema, which MCAP tools in other languages decode unaided; the
@@ -11,8 +11,20 @@
 //! 2. the metadata record `tectum.run`: see [`LogHeader`];
 //! 3. schemas and channels: `/observation`, `/command` and `/learning` (or the scenario's names for them), and `/gap`;
 //! 4. the messages: four bytes of encapsulation (`00 01 00 00`) and then the sample's own bytes;
-//! 5. if the logger came to its end, the metadata record `tectum.totals` (see [`Totals`]), MCAP's summary, and checksums;
-//!    [`repair()`] gives them to a log that was torn, with the metadata record `tectum.repair`.
+//! 5. if the logger came to its end, in real time the metadata record `tectum.histograms` (see [`Timings`]), then
+//!    `tectum.totals` (see [`Totals`]), MCAP's summary, and checksums; [`repair()`] gives them to a log that was torn, with
+//!    the metadata record `tectum.repair`.
+//!
+//! *Segments.* A logger that was started anew within its run leaves what it finds as it is, torn or not, and writes another
+//! file beside `log.mcap`: `log-1.mcap`, `log-2.mcap` and so on, numbered by its starts (a number is missing where it was killed
+//! before it could begin). Each is a log by itself; `tectum.run` says which segment it is and what those before it hold (see
+//! [`Segment`]). What reached none of them is stated by the messages on `/gap` at the beginning of the new one; totals and
+//! histograms are those of the run so far. [`RunLog`] reads all of them as one log.
+//!
+//! *A full disk.* The file is given room ahead of what is written, so that it can still be closed when there is no more. Then
+//! the metadata record `tectum.missing` says at once from which tick on samples are missing (`from_tick`) and why (`why`); behind
+//! it, at the run's end, come the statements on `/gap` of all that is missing, and totals whose `missing_from` names the tick
+//! again. A file system that cannot give room ahead leaves a torn log instead.
 //!
 //! `log_time` and `publish_time` of a message are its `published_ns`, moved from the run's clock to wall time by the two
 //! instants in `tectum.run`. In lockstep both are 0, so that equal runs write equal messages.
@@ -23,24 +35,30 @@ mod error;
 mod header;
 mod info;
 mod parse;
+mod past;
 mod reader;
 mod repair;
+mod room;
+mod segments;
+mod timings;
 mod writer;
 
 pub use account::{Account, Lane};
 pub use csv::{CsvChannel, csv};
 pub use error::LogError;
 pub(crate) use header::flag_words;
-pub use header::{Clock, LogHeader};
-pub use info::{ChannelInfo, Info, State};
+pub use header::{Clock, LogHeader, Segment};
+pub use info::{ChannelInfo, Info, SegmentInfo, State};
+pub use past::Past;
 pub use reader::LogReader;
 pub use repair::{Mended, Repair, mend, repair};
+pub use segments::{RunLog, SegmentEnd, find, segment_path, segments};
+pub use timings::{Percentiles, Timings, histogram};
 pub use writer::{LogWriter, Summary};
 
 use crate::wire::{Command, Gap, Header, Learning, Observation};
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
-use std::path::{Path, PathBuf};
 
 /// Topic of the log's own statements about what it lacks.
 pub const GAP_TOPIC: &str = "/gap";
@@ -52,7 +70,11 @@ pub const RUN_METADATA: &str = "tectum.run";
 pub const TOTALS_METADATA: &str = "tectum.totals";
 /// Name of the metadata record of a torn log that was made whole: at which byte it was torn, and who counted its totals.
 pub const REPAIR_METADATA: &str = "tectum.repair";
-/// The log's file in a run's folder.
+/// Name of the metadata record that says from which tick on samples are missing because there was no room for them.
+pub const MISSING_METADATA: &str = "tectum.missing";
+/// Name of the metadata record with the histograms of a run on the real clock.
+pub const HISTOGRAMS_METADATA: &str = "tectum.histograms";
+/// The log's file in a run's folder; see [`segment_path`] for those of a logger that was started anew.
 pub const LOG_FILE: &str = "log.mcap";
 
 /// What a log takes beside its messages, bytes: schemas (twice), scenario, metadata and summary. An allowance for
@@ -89,34 +111,24 @@ impl Record {
     }
 }
 
-/// Finds a log: `given` itself, the one in the folder `given`, or that of the run called `given` under `runs/`.
-///
-/// # Errors
-///
-/// [`LogError::NoLog`] if there is none.
-pub fn find(given: &Path) -> Result<PathBuf, LogError> {
-    let named = Path::new("runs").join(given);
-    let place = if !given.exists() && named.exists() { named } else { given.to_owned() };
-    let log = if place.is_dir() { place.join(LOG_FILE) } else { place.clone() };
-    if log.exists() {
-        return Ok(log);
-    }
-    let why = if place.is_dir() { "is a folder without a log.mcap" } else { "does not exist" };
-    Err(LogError::NoLog { path: place, why: why.to_owned() })
-}
-
 /// Whether a logger that lives still writes this log: it holds a lock on the file as long as it does.
 fn in_use(log: &File) -> bool {
     matches!(log.try_lock_shared(), Err(TryLockError::WouldBlock))
 }
 
-/// How a log ended, channel by channel. The three channels stand in the order observation, command, learning.
+/// How a log ended, channel by channel: the run so far, with all segments before. The three channels stand in the order
+/// observation, command, learning. Every sequence number that the logger knows of is written, lost or thinned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Totals {
     /// Samples that were sent and never reached the log.
     pub lost: [u64; 3],
     /// Samples left out on purpose, because only every N-th tick is written.
     pub thinned: [u64; 3],
+    /// Samples that came twice, from a process that was started anew and said again what it had said last: the second was
+    /// dropped.
+    pub duplicates: [u64; 3],
+    /// The tick from which on samples are missing, because there was no room for them or the log could not be written.
+    pub missing_from: Option<u64>,
     /// The last tick that the logger saw, written or not; `None` if it saw none.
     pub last_tick: Option<u64>,
     /// The run came to its planned end, and the logger saw it.
@@ -133,22 +145,28 @@ impl Totals {
             map.insert(format!("{name}.written"), written[i].to_string());
             map.insert(format!("{name}.lost"), self.lost[i].to_string());
             map.insert(format!("{name}.thinned"), self.thinned[i].to_string());
+            map.insert(format!("{name}.duplicates"), self.duplicates[i].to_string());
         }
         map.insert("gap.written".into(), written[3].to_string());
-        map.insert("last_tick".into(), self.last_tick.map_or(String::new(), |t| t.to_string()));
+        let tick = |tick: Option<u64>| tick.map_or(String::new(), |tick| tick.to_string());
+        map.insert("missing_from".into(), tick(self.missing_from));
+        map.insert("last_tick".into(), tick(self.last_tick));
         map.insert("complete".into(), self.complete.to_string());
         map
     }
 
-    /// `None` if a key is missing or does not hold what it should.
+    /// `None` if a key is missing or does not hold what it should. What logs did not have before there were segments may be
+    /// missing.
     fn from_map(map: &BTreeMap<String, String>) -> Option<Totals> {
         let mut totals = Totals::default();
         for (i, name) in CHANNELS.iter().enumerate() {
             totals.lost[i] = map.get(&format!("{name}.lost"))?.parse().ok()?;
             totals.thinned[i] = map.get(&format!("{name}.thinned"))?.parse().ok()?;
+            totals.duplicates[i] = map.get(&format!("{name}.duplicates")).map_or(Ok(0), |n| n.parse()).ok()?;
         }
-        let last = map.get("last_tick")?;
-        totals.last_tick = if last.is_empty() { None } else { Some(last.parse().ok()?) };
+        let tick = |text: &str| if text.is_empty() { Ok(None) } else { text.parse().map(Some) };
+        totals.last_tick = tick(map.get("last_tick")?).ok()?;
+        totals.missing_from = tick(map.get("missing_from").map_or("", String::as_str)).ok()?;
         totals.complete = map.get("complete")?.parse().ok()?;
         Some(totals)
     }
@@ -169,10 +187,21 @@ mod tests {
 
     #[test]
     fn totals_survive_their_map() {
-        let totals = Totals { lost: [1, 2, 3], thinned: [4, 5, 6], last_tick: Some(7), complete: true };
+        let totals = Totals {
+            lost: [1, 2, 3],
+            thinned: [4, 5, 6],
+            duplicates: [0, 1, 2],
+            missing_from: Some(5),
+            last_tick: Some(7),
+            complete: true,
+        };
         assert_eq!(Totals::from_map(&totals.to_map([8; 4])), Some(totals));
         let none = Totals::default();
         assert_eq!(Totals::from_map(&none.to_map([0; 4])), Some(none));
+        // As written before there were segments.
+        let mut older = none.to_map([0; 4]);
+        older.retain(|key, _| key != "missing_from" && !key.ends_with("duplicates"));
+        assert_eq!(Totals::from_map(&older), Some(none));
         let mut broken = totals.to_map([8; 4]);
         broken.insert("command.lost".into(), "some".into());
         assert_eq!(Totals::from_map(&broken), None);

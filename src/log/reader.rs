@@ -6,7 +6,8 @@
 
 use super::parse::{self, op};
 use super::{
-    ENCAPSULATION, LogError, REPAIR_METADATA, RUN_METADATA, Record, SCENARIO_ATTACHMENT, TOTALS_METADATA, Totals,
+    Account, ENCAPSULATION, LogError, MISSING_METADATA, REPAIR_METADATA, RUN_METADATA, Record, SCENARIO_ATTACHMENT,
+    Segment, TOTALS_METADATA, Totals,
 };
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
 use mcap::McapError;
@@ -131,6 +132,11 @@ impl LogReader {
         Ok(log)
     }
 
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.contents.path
+    }
+
     /// All metadata records read so far, by name; `tectum.run` is there from the start, `tectum.totals` stands behind
     /// the last message.
     pub fn metadata(&self) -> &BTreeMap<String, BTreeMap<String, String>> {
@@ -150,6 +156,22 @@ impl LogReader {
     /// What the logger said at its end; `None` before the last message was read, and for a torn log.
     pub fn totals(&self) -> Option<Totals> {
         Totals::from_map(self.contents.metadata.get(TOTALS_METADATA)?)
+    }
+
+    /// Which part of the run's log the file is, and what the parts before it hold.
+    pub fn begins(&self) -> Segment {
+        self.contents.metadata.get(RUN_METADATA).map(Segment::from_map).unwrap_or_default()
+    }
+
+    /// The count of messages that goes with the file.
+    pub fn account(&self) -> Account {
+        Account::after(&self.begins())
+    }
+
+    /// The tick from which on samples are missing because there was no room for them; known with the last message.
+    pub fn missing_from(&self) -> Option<u64> {
+        let said = || self.contents.metadata.get(MISSING_METADATA)?.get("from_tick")?.parse().ok();
+        self.totals().map_or_else(said, |totals| totals.missing_from)
     }
 
     /// A torn log that was made whole again afterwards; known with the last message.

@@ -145,7 +145,7 @@ pub fn mend<W: Write + Seek>(
     sink: W,
 ) -> Result<Option<Mended>, LogError> {
     let mut log = LogReader::over(path, open()?)?;
-    let mut account = Account::default();
+    let mut account = log.account();
     for record in log.by_ref() {
         account.take(&record?);
     }
@@ -179,16 +179,20 @@ pub fn mend<W: Write + Seek>(
     Ok(Some(mended))
 }
 
-/// The totals of what is there. Whether the run came to its end, nobody saw.
+/// The totals of what is there, and of the segments before it. Whether the run came to its end, nobody saw.
 fn totals(log: &LogReader, account: &Account, mended: &Mended) -> BTreeMap<String, String> {
-    let thinned = log.every() > 1;
+    let (thinned, before) = (log.every() > 1, log.begins());
     let totals = Totals {
         lost: account.lanes.each_ref().map(|lane| lane.stated),
-        thinned: account.lanes.each_ref().map(|lane| if thinned { lane.unexplained } else { 0 }),
+        thinned: std::array::from_fn(|i| {
+            before.thinned[i].saturating_add(if thinned { account.lanes[i].unexplained } else { 0 })
+        }),
+        duplicates: before.duplicates,
+        missing_from: log.missing_from(),
         last_tick: mended.last_tick,
         complete: false,
     };
-    let mut map = totals.to_map(mended.messages);
+    let mut map = totals.to_map(std::array::from_fn(|i| before.written[i].saturating_add(mended.messages[i])));
     map.insert("repaired".into(), "true".into());
     map
 }

@@ -4,11 +4,16 @@
 //! a message lies in the operating system's cache as soon as its call is over: the process may die at any instant, only
 //! a machine that loses its power takes the last seconds with it. [`LogWriter::finish`] asks for the disk itself.
 //!
+//! A disk that is full is noticed before a message is cut off by it: see [`room`](super::room). Statements of gaps and the end
+//! of the log have room all the same.
+//!
 //! A message costs no allocation: its bytes are put together in the writer, and `mcap` keeps what it needs once the
 //! checksum's batch buffer has grown to its 32 KiB.
 
+use super::room::{RESERVE, Room};
 use super::{
-    ENCAPSULATION, GAP_TOPIC, LogError, LogHeader, RUN_METADATA, Record, SCENARIO_ATTACHMENT, TOTALS_METADATA, Totals,
+    ENCAPSULATION, GAP_TOPIC, HISTOGRAMS_METADATA, LogError, LogHeader, MESSAGE_OVERHEAD, MISSING_METADATA,
+    RUN_METADATA, Record, SCENARIO_ATTACHMENT, Segment, TOTALS_METADATA, Timings, Totals,
 };
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
 use mcap::records::MessageHeader;
@@ -36,6 +41,8 @@ pub struct LogWriter {
     shift_ns: i128,
     /// Log time of the last message; a gap has no time of its own.
     last_ns: u64,
+    /// What earlier segments hold.
+    before: Segment,
     data: [u8; LARGEST],
 }
 
@@ -48,6 +55,9 @@ struct Output {
     mcap: Option<Mcap>,
     errno: Arc<AtomicI32>,
     failed: bool,
+    room: Room,
+    /// Bytes written so far, of messages and what comes before them.
+    at: u64,
 }
 
 /// What a finished log holds.
@@ -57,7 +67,7 @@ pub struct Summary {
     pub path: PathBuf,
     /// Its size, bytes.
     pub bytes: u64,
-    /// Messages written: observations, commands, learning records, gaps.
+    /// Messages written to it: observations, commands, learning records, gaps.
     pub written: [u64; 4],
     /// What the logger said at the end.
     pub totals: Totals,
@@ -80,24 +90,28 @@ impl LogWriter {
 
     fn over(file: File, path: &Path, header: &LogHeader, run: BTreeMap<String, String>) -> Result<LogWriter, LogError> {
         let errno = Arc::new(AtomicI32::new(0));
+        let room = Room::of(file.try_clone().map_err(|e| LogError::write(path, e))?);
         let sink = BufWriter::with_capacity(64 * 1024, Sink { file, errno: errno.clone() });
         let library = format!("tectum {}", crate::BUILD);
         let options = mcap::WriteOptions::new().use_chunks(false).compression(None).profile("ros2").library(library);
         let mcap = options.create(sink).map_err(|e| LogError::write(path, io_error(e, &errno)))?;
-        let mut file = Output { path: path.to_owned(), mcap: Some(mcap), errno, failed: false };
+        let mut file = Output { path: path.to_owned(), mcap: Some(mcap), errno, failed: false, room, at: 0 };
         let channels = file.run(|mcap| describe(mcap, header, run))?;
+        file.at = file.room.length().map_err(|e| LogError::write(path, e))?;
         let mut data = [0; LARGEST];
         data[..ENCAPSULATION.len()].copy_from_slice(&ENCAPSULATION);
         let shift_ns = i128::from(header.wall_at_t0_ns) - i128::from(header.t0_ns);
-        Ok(LogWriter { file, channels, written: [0; 4], shift_ns, last_ns: header.wall_at_t0_ns, data })
+        let (last_ns, before) = (header.wall_at_t0_ns, header.segment);
+        Ok(LogWriter { file, channels, written: [0; 4], shift_ns, last_ns, before, data })
     }
 
     /// Writes an observation and hands it to the operating system.
     ///
     /// # Errors
     ///
-    /// [`LogError::Write`], as all methods that write; after the first failure the log takes nothing more, and every
-    /// call says so again.
+    /// [`LogError::Write`], as all methods that write. If it [is full](LogError::is_full) and [`broken`](Self::broken) is
+    /// false, the sample was not written and the log can still be closed. After any other failure the log takes nothing
+    /// more, and every call says so again.
     pub fn observation(&mut self, sample: &Observation) -> Result<(), LogError> {
         self.sample(0, sample.header.sequence, sample.header.published_ns, sample)?;
         self.flush()
@@ -158,6 +172,41 @@ impl LogWriter {
         self.file.run(mcap::Writer::flush)
     }
 
+    /// Says in the log itself, and at once, that samples are missing from `tick` on, and why.
+    ///
+    /// # Errors
+    ///
+    /// As [`observation`](Self::observation).
+    pub fn missing_from(&mut self, tick: u64, why: &LogError) -> Result<(), LogError> {
+        let map = [("from_tick", tick.to_string()), ("why", why.to_string())];
+        self.metadata(MISSING_METADATA, map.map(|(key, value)| (key.to_owned(), value)).into())?;
+        self.flush()
+    }
+
+    /// Writes the histograms, before the log is closed. Where there may be no room for them, they are left out.
+    ///
+    /// # Errors
+    ///
+    /// As [`observation`](Self::observation).
+    pub fn timings(&mut self, timings: &Timings) -> Result<(), LogError> {
+        let map = timings.to_map();
+        let size: usize = map.iter().map(|(key, value)| key.len() + value.len()).sum();
+        if size as u64 > RESERVE / 2 && self.file.room.secure(self.file.at + size as u64).is_err() {
+            return Ok(());
+        }
+        self.metadata(HISTOGRAMS_METADATA, map)
+    }
+
+    fn metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), LogError> {
+        let record = mcap::records::Metadata { name: name.into(), metadata };
+        self.file.run(|mcap| mcap.write_metadata(&record))
+    }
+
+    /// Writing has failed: the file is torn, and takes nothing more.
+    pub fn broken(&self) -> bool {
+        self.file.failed
+    }
+
     /// Messages written so far: observations, commands, learning records, gaps.
     pub fn written(&self) -> [u64; 4] {
         self.written
@@ -168,14 +217,15 @@ impl LogWriter {
         &self.file.path
     }
 
-    /// Closes the log: totals, MCAP's summary and checksums, and then the disk itself.
+    /// Closes the log: totals, which are those of the run with all segments, MCAP's summary and checksums, and then the disk
+    /// itself.
     ///
     /// # Errors
     ///
     /// As [`observation`](Self::observation); the file is then torn, but readable.
     pub fn finish(mut self, totals: &Totals) -> Result<Summary, LogError> {
-        let metadata = mcap::records::Metadata { name: TOTALS_METADATA.into(), metadata: totals.to_map(self.written) };
-        self.file.run(|mcap| mcap.write_metadata(&metadata))?;
+        let written = std::array::from_fn(|i| self.before.written[i] + self.written[i]);
+        self.metadata(TOTALS_METADATA, totals.to_map(written))?;
         self.file.run(mcap::Writer::finish)?;
         let path = self.file.path.clone();
         let bytes = self.file.sync().map_err(|e| LogError::write(&path, e))?;
@@ -191,6 +241,10 @@ impl LogWriter {
         let head = ENCAPSULATION.len();
         let end = head + size_of::<S>();
         self.data[head..end].copy_from_slice(bytemuck::bytes_of(sample));
+        // A statement of what is missing has its room always.
+        if channel < 3 {
+            self.file.room.secure(self.file.at).map_err(|e| LogError::write(&self.file.path, e))?;
+        }
         let header = MessageHeader {
             channel_id: self.channels[channel],
             // MCAP has 32 bits here; the sample's own header has them all.
@@ -200,6 +254,7 @@ impl LogWriter {
         };
         let data = &self.data[..end];
         self.file.run(|mcap| mcap.write_to_known_channel(&header, data))?;
+        self.file.at += (MESSAGE_OVERHEAD + end) as u64;
         self.last_ns = ns;
         self.written[channel] += 1;
         Ok(())
@@ -222,8 +277,10 @@ impl Output {
     fn sync(&mut self) -> io::Result<u64> {
         let Some(mcap) = self.mcap.take() else { return Ok(0) };
         let mut sink = mcap.into_inner().into_inner().map_err(|e| e.into_error())?;
+        let end = sink.file.seek(SeekFrom::End(0))?;
+        self.room.give_back(end)?;
         sink.file.sync_all()?;
-        sink.file.seek(SeekFrom::End(0))
+        Ok(end)
     }
 }
 

@@ -15,6 +15,7 @@ mod error;
 mod gate;
 mod in_process;
 mod logger;
+mod merge;
 mod peer;
 mod plant;
 mod plant_loop;
@@ -33,6 +34,7 @@ pub use plant::PlantSide;
 pub use plant_loop::run_plant;
 pub use reports::{
     ControllerReport, LoggerReport, Percentiles, PlantReport, read as read_report, read_realtime, realtime_path,
+    sweep_drafts,
 };
 pub use seat::{Card, End, Mode, Resumed, Seat, Session, identity};
 pub use tally::{Snapshot, Switch, Tally};

@@ -1,5 +1,7 @@
 //! What each process leaves in the run's folder when its loop is over, for the launcher's summary.
 
+use std::fs::File;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use hdrhistogram::Histogram;
@@ -7,45 +9,14 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{RuntimeError, Snapshot, TickBudget};
 use crate::clock::RealtimeReport;
+pub use crate::log::Percentiles;
 use crate::report::Window;
 use crate::state::{Ledger, Remember};
 use crate::wire::Role;
 
-/// Percentiles of a duration, us.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Percentiles {
-    /// Number of values.
-    pub count: u64,
-    /// Median.
-    pub p50: f64,
-    /// 90th percentile.
-    pub p90: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// 99.9th percentile.
-    pub p999: f64,
-    /// Largest.
-    pub max: f64,
-}
-
-impl Percentiles {
-    /// The percentiles of a histogram of nanoseconds; `None` when it is empty.
-    pub fn of(histogram: &Histogram<u64>) -> Option<Self> {
-        let at = |q| histogram.value_at_quantile(q) as f64 / 1000.0;
-        (!histogram.is_empty()).then(|| Self {
-            count: histogram.len(),
-            p50: at(0.5),
-            p90: at(0.9),
-            p99: at(0.99),
-            p999: at(0.999),
-            max: histogram.max() as f64 / 1000.0,
-        })
-    }
-}
-
 /// A minute in nanoseconds, to three significant digits; longer waits count as a minute.
 pub(super) fn histogram() -> Histogram<u64> {
-    Histogram::new_with_max(60_000_000_000, 3).expect("fixed bounds")
+    crate::log::histogram()
 }
 
 /// The plant's account.
@@ -138,7 +109,8 @@ impl Remember for ControllerReport {
     }
 }
 
-/// The logger's account. The three channels stand in the order observation, command, learning.
+/// The logger's account: of the run, with what earlier loggers of the same run wrote. The three channels stand in the order
+/// observation, command, learning.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct LoggerReport {
     /// Messages written.
@@ -147,8 +119,20 @@ pub struct LoggerReport {
     pub lost: [u64; 3],
     /// Samples left out on purpose.
     pub thinned: [u64; 3],
-    /// Size of the log, bytes.
+    /// Samples that came twice, of which one was dropped.
+    pub duplicates: [u64; 3],
+    /// The tick from which on samples are missing because the log did not take them.
+    pub missing_from: Option<u64>,
+    /// Why it did not, or why it could not be closed.
+    pub failure: Option<String>,
+    /// Size of the log, all segments, bytes.
     pub bytes: u64,
+    /// Real time: from a tick's scheduled instant to its sensing; see [`Timings`](crate::log::Timings).
+    pub wake_up_lateness: Option<Percentiles>,
+    /// Real time: from the sensing of an observation to the sending of the command that answers it.
+    pub observation_to_command: Option<Percentiles>,
+    /// Real time: from the sending of a command to the observation that tells that it was applied.
+    pub command_to_applied: Option<Percentiles>,
 }
 
 /// Where the report of `role` lies in the run's folder.
@@ -172,11 +156,41 @@ pub(super) fn write_realtime(folder: &Path, role: Role, report: &RealtimeReport)
     write_to(realtime_path(folder, role), report)
 }
 
+/// Room kept for a report, bytes; the controller's has its windows in it.
+const ROOM: u64 = 256 << 10;
+
+/// Keeps room on the disk for the report of `role`, so that a disk that fills up meanwhile costs nobody's account. Best
+/// effort: not every file system can.
+pub(super) fn keep_room(folder: &Path, role: Role) {
+    if let Ok(file) = open_draft(&report_path(folder, role)) {
+        let _ = rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::KEEP_SIZE, 0, ROOM);
+    }
+}
+
+/// Takes away what processes left that never came to their report.
+pub fn sweep_drafts(folder: &Path) {
+    for role in Role::ALL {
+        let _ = std::fs::remove_file(draft_of(&report_path(folder, role)));
+    }
+}
+
+fn draft_of(path: &Path) -> PathBuf {
+    path.with_extension("json.part")
+}
+
+/// Opens the draft of the file at `path` as it is: its room is not given away.
+fn open_draft(path: &Path) -> std::io::Result<File> {
+    File::options().write(true).create(true).truncate(false).open(draft_of(path))
+}
+
 fn write_to<T: Serialize>(path: PathBuf, report: &T) -> Result<(), RuntimeError> {
     let failed = |cause| RuntimeError::File { path: path.display().to_string(), cause };
     let text = serde_json::to_string_pretty(report).map_err(|e| failed(e.into()))?;
-    let draft = path.with_extension("json.part");
-    std::fs::write(&draft, text).and_then(|()| std::fs::rename(&draft, &path)).map_err(failed)
+    let written = open_draft(&path).and_then(|mut file| {
+        file.write_all(text.as_bytes())?;
+        file.set_len(text.len() as u64)
+    });
+    written.and_then(|()| std::fs::rename(draft_of(&path), &path)).map_err(failed)
 }
 
 /// Reads a report; `None` when the process left none.

@@ -215,6 +215,7 @@ impl Seat {
         }
         session.enter(State::Connected);
         session.await_phase(Phase::Run)?;
+        super::reports::keep_room(&session.seat.folder, session.seat.role);
         session.enter(State::Running);
         let period = session.seat.plan.period_ns;
         let time = match session.seat.card.mode {

@@ -11,10 +11,11 @@ use super::keeper::Incident;
 use super::story::{ends, story};
 use super::watch::End;
 use crate::clock::RealtimeReport;
+use crate::log;
 use crate::report::{self, Story, Window, thousands};
 use crate::runtime::{
-    Card, ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, TickBudget, exit, read_realtime,
-    read_report,
+    ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, TickBudget, exit, read_realtime,
+    read_report, sweep_drafts,
 };
 use crate::wire::Role;
 
@@ -102,10 +103,13 @@ pub struct Summary {
     pub first: Option<Span>,
     /// The last twentieth.
     pub last: Option<Span>,
-    /// Real time: from a tick's scheduled instant to the plant's waking up, us.
+    /// Real time: from a tick's scheduled instant to its sensing, us; of a run without a logger's account, to the plant's
+    /// waking up.
     pub wake_up_lateness_us: Option<Percentiles>,
     /// Real time: from sensing to the sending of the command, us.
     pub observation_to_command_us: Option<Percentiles>,
+    /// Real time: from the sending of a command to the observation that tells that it was applied, us.
+    pub command_to_applied_us: Option<Percentiles>,
     /// Real time: how the ticks were spent; null in lockstep, where there is no time to spend.
     pub tick_budget: Option<TickBudget>,
     /// Real time: what each process asked of the operating system, what it had and what it was refused; empty otherwise.
@@ -114,9 +118,13 @@ pub struct Summary {
     pub restarts: Vec<Incident>,
     /// The run's folder.
     pub folder: PathBuf,
-    /// The log; null where there is none.
+    /// The log; null where there is none. Its folder, if it has several segments.
     pub log: Option<PathBuf>,
-    /// Its size, bytes.
+    /// Its segments: one, and one more for each logger that was started anew.
+    pub log_segments: usize,
+    /// The tick from which on samples are missing because the log did not take them; null where it did.
+    pub log_missing_from: Option<u64>,
+    /// Its size, all segments, bytes.
     pub log_bytes: u64,
     /// Every how many ticks are in it.
     pub log_every: u64,
@@ -151,13 +159,24 @@ impl Summary {
         });
         let controller: Option<ControllerReport> = read_report(folder, Role::Controller);
         let logger: LoggerReport = read_report(folder, Role::Logger).unwrap_or_default();
+        sweep_drafts(folder);
         let mut summary = Self::new(launch, folder, ended, seconds, &plant, controller);
         summary.restarts = incidents;
         let account = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
         summary.realtime = Role::ALL.into_iter().filter_map(account).collect();
-        let log = Card::log_path(folder);
-        summary.log_bytes = std::fs::metadata(&log).map_or(0, |m| m.len());
-        summary.log = log.exists().then_some(log);
+        let mut segments = log::segments(folder);
+        summary.log_bytes = segments.iter().filter_map(|log| Some(std::fs::metadata(log).ok()?.len())).sum();
+        summary.log_segments = segments.len();
+        summary.log = if segments.len() > 1 { Some(folder.to_owned()) } else { segments.pop() };
+        summary.log_missing_from = logger.missing_from;
+        // The logger's account outlives plants and controllers.
+        for (told, counted) in [
+            (&mut summary.wake_up_lateness_us, logger.wake_up_lateness),
+            (&mut summary.observation_to_command_us, logger.observation_to_command),
+            (&mut summary.command_to_applied_us, logger.command_to_applied),
+        ] {
+            *told = counted.or(*told);
+        }
         summary.lost_by_channel = logger.lost;
         summary.lost = logger.lost.iter().sum();
         if let Some(Failure { code, message, .. }) = failure {
@@ -165,6 +184,11 @@ impl Summary {
             if ended == Ended::Failed {
                 summary.code = code;
             }
+        }
+        if let Some(why) = logger.failure {
+            let from =
+                logger.missing_from.map(|tick| format!("the log lacks everything from tick {} on: ", thousands(tick)));
+            summary.complain(exit::INPUT, from.unwrap_or_default() + &why);
         }
         summary.conclude();
         summary
@@ -225,6 +249,7 @@ impl Summary {
             last,
             wake_up_lateness_us: plant.wake_up,
             observation_to_command_us: plant.observation_to_command,
+            command_to_applied_us: None,
             tick_budget: controller
                 .as_ref()
                 .and_then(|c| c.tick_budget)
@@ -233,6 +258,8 @@ impl Summary {
             restarts: Vec::new(),
             folder: folder.to_owned(),
             log: None,
+            log_segments: 0,
+            log_missing_from: None,
             log_bytes: 0,
             log_every: plan.scenario.log.every,
             figure: None,
@@ -333,6 +360,7 @@ impl Summary {
         for (label, percentiles) in [
             ("wake-up lateness", &self.wake_up_lateness_us),
             ("observation to command", &self.observation_to_command_us),
+            ("command to applied", &self.command_to_applied_us),
         ] {
             if let Some(p) = percentiles {
                 let _ = writeln!(
@@ -359,7 +387,10 @@ impl Summary {
                 1 => String::new(),
                 n => format!(", every {n}th tick"),
             };
-            let _ = writeln!(text, "log     {} ({:.1} MB{every})", log.display(), self.log_bytes as f64 / 1e6);
+            let segments =
+                if self.log_segments > 1 { format!(", {} segments", self.log_segments) } else { String::new() };
+            let _ =
+                writeln!(text, "log     {} ({:.1} MB{segments}{every})", log.display(), self.log_bytes as f64 / 1e6);
         }
         if let Some(figure) = &self.figure {
             let _ = writeln!(text, "figure  {}", figure.display());

@@ -8,6 +8,7 @@
 
 pub mod bytes;
 pub mod content;
+pub mod slow;
 
 use std::fs;
 use std::io::Read as _;

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::log::header::tests::sample_header;
-use crate::log::{Info, LogHeader, LogWriter, Record, State};
+use crate::log::{ENCAPSULATION, Info, LogHeader, LogWriter, Record, RunLog, State};
 use crate::wire::{Command, Gap, Learning, Observation};
 use proptest::prelude::*;
 use std::io::Cursor;
@@ -25,10 +25,17 @@ static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
         log.command(&c).unwrap();
         log.learning(&l).unwrap();
     }
-    let totals = Totals { lost: [0, 1, 0], thinned: [8, 7, 8], last_tick: Some(11), complete: true };
+    let totals =
+        Totals { lost: [0, 1, 0], thinned: [8, 7, 8], last_tick: Some(11), complete: true, ..Totals::default() };
     log.finish(&totals).unwrap();
     std::fs::read(&path).unwrap()
 });
+
+/// Where the records begin.
+fn records() -> impl Iterator<Item = usize> {
+    let next = |&at: &usize| Some(at + 9 + u64::from_le_bytes(WHOLE.get(at + 1..at + 9)?.try_into().ok()?) as usize);
+    std::iter::successors(Some(mcap::MAGIC.len()), next).take_while(|at| at + mcap::MAGIC.len() < WHOLE.len())
+}
 
 fn open(bytes: &[u8]) -> Box<dyn Read + Send> {
     Box::new(Cursor::new(bytes.to_vec()))
@@ -69,8 +76,8 @@ fn check_cut(length: usize) {
         // What was there is there, byte for byte.
         assert_eq!(whole[..done.torn_at as usize], torn[..done.torn_at as usize], "{length}");
     }
-    let info = Info::over(LogReader::over(Path::new("log.mcap"), open(&whole)).unwrap(), Path::new("log.mcap"), 0);
-    let info = info.unwrap();
+    let log = LogReader::over(Path::new("log.mcap"), open(&whole)).unwrap();
+    let info = Info::over(RunLog::of(log)).unwrap();
     assert!(info.agrees() && info.state == State::Repaired, "{length}: {info:?}");
     // Other readers' way: through the summary.
     let summary = mcap::Summary::read(&whole).unwrap().unwrap();
@@ -81,22 +88,21 @@ fn check_cut(length: usize) {
 
 #[test]
 fn the_ends_of_records_are_places_to_cut_like_any_other() {
-    let mut at = mcap::MAGIC.len();
-    while at < WHOLE.len() - mcap::MAGIC.len() {
+    for at in records() {
         [at - 1, at, at + 1, at + 9].into_iter().filter(|&length| length < WHOLE.len()).for_each(check_cut);
-        at += 9 + u64::from_le_bytes(WHOLE[at + 1..at + 9].try_into().unwrap()) as usize;
     }
     assert!(mended(&WHOLE).unwrap().is_none());
 }
 
 #[test]
 fn what_is_damaged_stays_damaged() {
+    // The learning record of tick 6, and within it the place at which its sequence number has ended and its instants begin.
+    let end = records().filter(|&at| WHOLE[at] == op::MESSAGE).nth(3 + 3 + 2).unwrap();
+    let at = end + 9 + 22 + ENCAPSULATION.len() + 24;
     let mut bytes = WHOLE.clone();
-    let at = bytes.len() / 2;
     bytes[at] ^= 1;
     assert!(matches!(mended(&bytes), Err(LogError::Damaged { .. })));
     // Zeros with something behind them are no tear, however they are read.
-    let end = read(&WHOLE[..at]).1.position() as usize;
     for n in 9..200 {
         let mut bytes = WHOLE.clone();
         bytes[end..end + n].fill(0);

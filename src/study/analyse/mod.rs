@@ -25,7 +25,7 @@ pub use cut::{Cut, Cutter, LeftOut};
 pub use error::AnalyseError;
 pub use statistics::{Fit, Quartiles};
 
-use crate::log::{LogReader, Record};
+use crate::log::{Record, RunLog};
 use crate::report::figure::{Bell, Dots, Movements};
 use crate::report::thousands;
 use crate::scenario::{Plan, Scenario};
@@ -177,14 +177,16 @@ pub struct Analysis {
     pub rows: Vec<Row>,
 }
 
-/// Analyses the movements in the log at `path`. With `noiseless`, plant and controller are followed through the log to
+/// Analyses the movements in the log in `segments`, of one run and in their order. With `noiseless`, plant and controller are followed through the log to
 /// tell how the movements would have been without exploration noise, which takes as long as the learning took; with
 /// `progress`, a line on standard error shows how far it is, if that is a terminal.
 ///
 /// # Errors
 /// [`AnalyseError`] if it is no log, is thinned, or its plant does not measure what movements are made of.
-pub fn analyse(path: &Path, noiseless: bool, progress: bool) -> Result<Analysis, AnalyseError> {
-    let mut log = LogReader::open(path)?;
+pub fn analyse(segments: &[PathBuf], noiseless: bool, progress: bool) -> Result<Analysis, AnalyseError> {
+    let mut log = RunLog::open(segments)?;
+    let path = log.path().to_owned();
+    let path = path.as_path();
     let plan = plan_of(&log, path)?;
     let every = log.every();
     if every > 1 {
@@ -262,7 +264,7 @@ pub fn analyse(path: &Path, noiseless: bool, progress: bool) -> Result<Analysis,
     })
 }
 
-fn plan_of(log: &LogReader, path: &Path) -> Result<Plan, AnalyseError> {
+fn plan_of(log: &RunLog, path: &Path) -> Result<Plan, AnalyseError> {
     Scenario::parse(log.scenario(), "scenario.toml")
         .and_then(Scenario::plan)
         .map_err(|error| AnalyseError::Scenario { path: path.to_owned(), error: Box::new(error) })

@@ -1,7 +1,7 @@
 //! The stamps of a run: in lockstep a function of the tick, in real time as far as one follows from another.
 
 use super::compare::Difference;
-use crate::log::LogReader;
+use crate::log::RunLog;
 use crate::scenario::Plan;
 use crate::wire::Header;
 
@@ -18,7 +18,7 @@ pub struct Clockwork {
 
 impl Clockwork {
     /// The clock of the run in `log`.
-    pub fn of(log: &LogReader, plan: &Plan) -> Self {
+    pub fn of(log: &RunLog, plan: &Plan) -> Self {
         Self {
             run: log.run("run").and_then(|run| u64::from_str_radix(run, 16).ok()).unwrap_or(0),
             lockstep: log.run("clock") == Some(crate::log::Clock::Virtual.name()),
@@ -40,14 +40,22 @@ impl Clockwork {
         }
     }
 
-    /// The header of an answer to `observation`; in real time, when it was published is taken as `logged`.
-    pub fn stamp_answer(&self, header: &mut Header, observation: &Header, sequence: u64, logged: &Header) {
+    /// The header of an answer to `observation`, by a writer that has been started at least `incarnation` times anew; in
+    /// real time, when it was published is taken as `logged`.
+    pub fn stamp_answer(
+        &self,
+        header: &mut Header,
+        observation: &Header,
+        sequence: u64,
+        incarnation: u32,
+        logged: &Header,
+    ) {
         header.run = self.run;
         header.sequence = sequence;
         header.scheduled_ns = observation.scheduled_ns;
         header.sensed_ns = observation.sensed_ns;
         header.published_ns = if self.lockstep { observation.scheduled_ns } else { logged.published_ns };
-        header.incarnation = 0;
+        header.incarnation = logged.incarnation.max(incarnation);
     }
 
     /// Nothing is sensed before its time, nor published before it was sensed.

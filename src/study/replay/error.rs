@@ -36,8 +36,8 @@ pub enum ReplayError {
     /// The logger lost samples.
     #[error(
         "the log {} states a gap on channel {channel}, {count} missing from sequence number {first} on; {until}, \
-         and what was learned behind that cannot be told; run the scenario again in lockstep, where nothing is lost, or on a \
-         machine with less to do", path.display()
+         and what was learned behind that{behind} cannot be told; run the scenario again in lockstep, where nothing is lost \
+         while its logger lives, or on a machine with less to do", path.display()
     )]
     Lost {
         /// The log.
@@ -50,6 +50,19 @@ pub enum ReplayError {
         count: u64,
         /// How far it was replayed.
         until: String,
+        /// The ticks that come behind.
+        behind: String,
+    },
+    /// What comes before is not in it.
+    #[error(
+        "the log {} begins in the middle of what was learned, and what came before cannot be told from it; {remedy}",
+        path.display()
+    )]
+    Middle {
+        /// The log.
+        path: PathBuf,
+        /// What to do about it.
+        remedy: &'static str,
     },
     /// The other learner cannot be given this experience.
     #[error("the learner {rule:?} cannot learn from the log {}: {error}", path.display())]

@@ -44,6 +44,8 @@ pub struct Follower {
     due: VecDeque<(Observation, Learning)>,
     /// The last command followed.
     answer: Option<Command>,
+    /// Start numbers of the writers of commands and learning records: they only rise.
+    incarnations: [u32; 2],
     /// What was checked.
     pub counts: Counts,
 }
@@ -61,6 +63,7 @@ impl Follower {
             learnings: VecDeque::new(),
             due: VecDeque::new(),
             answer: None,
+            incarnations: [0; 2],
             counts: Counts::default(),
         }
     }
@@ -104,8 +107,10 @@ impl Follower {
             }
         }
         while let (Some((observation, replayed)), Some(logged)) = (self.due.front_mut(), self.learnings.front()) {
-            self.clock.stamp_answer(&mut replayed.header, &observation.header, self.counts.records, &logged.header);
+            let (header, known) = (&mut replayed.header, self.incarnations[1]);
+            self.clock.stamp_answer(header, &observation.header, self.counts.records, known, &logged.header);
             compare("learning", observation.header.tick, logged, replayed)?;
+            self.incarnations[1] = logged.header.incarnation;
             self.clock.check_order(&logged.header, "learning")?;
             self.counts.hashes += u64::from(logged.header.flags & flag::HASHED != 0);
             self.counts.records += 1;
@@ -120,8 +125,10 @@ impl Follower {
         let Some(logged) = self.commands.pop_front() else { return Ok(()) };
         let (mut command, mut learning) = (Command::default(), Learning::default());
         self.controller.respond(observation, &mut command);
-        self.clock.stamp_answer(&mut command.header, &observation.header, self.counts.answers, &logged.header);
+        let (header, known) = (&mut command.header, self.incarnations[0]);
+        self.clock.stamp_answer(header, &observation.header, self.counts.answers, known, &logged.header);
         compare("command", observation.header.tick, &logged, &command)?;
+        self.incarnations[0] = logged.header.incarnation;
         self.clock.check_order(&logged.header, "command")?;
         self.controller.settle(observation);
         self.controller.record(observation, &mut learning);

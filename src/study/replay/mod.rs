@@ -5,7 +5,9 @@
 //! through the gate, and with the simulator's bodies, inputs, rewards and measures must come of what was applied. So hardly
 //! a byte of a log can be another one without being found:
 //!
-//! - In lockstep with the simulator, every byte of every sample is checked, stamps included.
+//! - In lockstep with the simulator, every byte of every sample is checked, stamps included. A writer's start number within
+//!   the run may rise from one sample to the next: a process that comes back goes on where it was. At which sample it rose,
+//!   nothing else tells.
 //! - In real time instants are what they are. That of publication stands twice in the log, and the reader compares them; that
 //!   of sensing stands in the answer, too. What nothing else tells is the instant at which an observation that nobody
 //!   answered was sensed (it must lie between schedule and publication), and the flag `LATE`.
@@ -30,7 +32,7 @@ pub use error::ReplayError;
 pub use other::OffPolicy;
 
 use super::yardstick::{Score, TestSet, World};
-use crate::log::{LogReader, Record};
+use crate::log::{Record, RunLog};
 use crate::report::thousands;
 use crate::runtime::Controller;
 use crate::scenario::{LearnerTable, Plan, Rule, Scenario};
@@ -78,28 +80,37 @@ pub struct Replay {
     pub other: Option<OffPolicy>,
 }
 
-/// Replays the log at `path`. With `learner`, a learner of that rule under its preset is given the same experience (see
+/// Replays the log in `segments`, of one run and in their order. With `learner`, a learner of that rule under its preset is given the same experience (see
 /// [`OffPolicy`]). With `progress`, a line on standard error shows how far it is, if that is a terminal.
 ///
 /// # Errors
 ///
 /// [`ReplayError`] if there is nothing to replay: no log, a damaged one, one without all ticks.
-pub fn replay(path: &Path, learner: Option<Rule>, progress: bool) -> Result<Replay, ReplayError> {
-    over(LogReader::open(path)?, path, learner, progress)
+pub fn replay(segments: &[PathBuf], learner: Option<Rule>, progress: bool) -> Result<Replay, ReplayError> {
+    over(RunLog::open(segments)?, learner, progress)
 }
 
-/// The same from a reader at its beginning; `path` stands for it in messages.
+/// The same from a log at its beginning.
 ///
 /// # Errors
 ///
 /// As [`replay`].
-pub fn over(mut log: LogReader, path: &Path, learner: Option<Rule>, progress: bool) -> Result<Replay, ReplayError> {
+pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Replay, ReplayError> {
+    let path = log.path().to_owned();
+    let path = path.as_path();
     let build = log.run("build").unwrap_or("unknown").to_owned();
     let plan = Scenario::parse(log.scenario(), "scenario.toml").and_then(Scenario::plan).map_err(|error| {
         ReplayError::Scenario { path: path.to_owned(), error: Box::new(error), build: build.clone() }
     })?;
     if log.every() > 1 {
         return Err(ReplayError::Thinned { path: path.to_owned(), every: log.every() });
+    }
+    if log.begins().begins != [0; 3] {
+        let remedy = match log.begins().number {
+            0 => "its run goes on with another one, whose log it would need",
+            _ => "it is a later segment: give the run's folder, with all of them",
+        };
+        return Err(ReplayError::Middle { path: path.to_owned(), remedy });
     }
     let other = learner.map(|rule| other(&plan, rule, path)).transpose()?;
     let mut run = Follower::new(&plan, Clockwork::of(&log, &plan), other);
@@ -109,14 +120,17 @@ pub fn over(mut log: LogReader, path: &Path, learner: Option<Rule>, progress: bo
         let record = record.inspect_err(|_| progress.clear())?;
         if let Record::Gap(gap) = &record {
             progress.clear();
+            let until = run.plant().last().map_or("nothing comes before".to_owned(), |tick| {
+                format!("up to tick {tick} it is what this build makes of it")
+            });
+            let gap = *gap;
             return Err(ReplayError::Lost {
                 path: path.to_owned(),
                 channel: ["observation", "command", "learning"].get(gap.channel as usize).copied().unwrap_or("unknown"),
                 first: gap.first,
                 count: gap.count,
-                until: run.plant().last().map_or("nothing comes before".to_owned(), |tick| {
-                    format!("up to tick {tick} it is what this build makes of it")
-                }),
+                until,
+                behind: behind(&mut log, run.plant().last())?,
             });
         }
         if let Err(found) = run.take(&record) {
@@ -179,7 +193,17 @@ fn other(plan: &Plan, rule: Rule, path: &Path) -> Result<Other, ReplayError> {
     Ok(Other::new(&plan))
 }
 
-fn warnings(log: &LogReader, plan: &Plan, build: &str) -> Vec<String> {
+/// The ticks behind a gap, of which nothing can be told.
+fn behind(log: &mut RunLog, last: Option<u64>) -> Result<String, ReplayError> {
+    let mut end = None;
+    for record in log {
+        end = end.max(record?.header().map(|header| header.tick));
+    }
+    let from = last.map_or(0, |tick| tick + 1);
+    Ok(end.filter(|&end| end >= from).map_or_else(String::new, |end| format!(" (ticks {from} to {end})")))
+}
+
+fn warnings(log: &RunLog, plan: &Plan, build: &str) -> Vec<String> {
     let mut warnings = Vec::new();
     if build != crate::BUILD {
         warnings.push(format!("the log was written by build {build}, and this is {}", crate::BUILD));

@@ -64,6 +64,7 @@ pub struct PlantShadow {
     /// Observations so far, and the tick of the last.
     seen: u64,
     last: Option<u64>,
+    incarnation: u32,
 }
 
 impl PlantShadow {
@@ -75,7 +76,7 @@ impl PlantShadow {
         let simulated = body.is_some();
         let told = Stand::Told { inputs: [0.0; MAX_INPUTS], fresh: false, outcome: Outcome::default() };
         let side = PlantSide::new(body.map_or(told, Stand::Simulated), plan);
-        Self { sides: vec![side], simulated, ticks: plan.scenario.ticks, seen: 0, last: None }
+        Self { sides: vec![side], simulated, ticks: plan.scenario.ticks, seen: 0, last: None, incarnation: 0 }
     }
 
     /// Whether the body is run again, so that every bit of an observation is checked.
@@ -107,7 +108,8 @@ impl PlantShadow {
         // First what the rest is counted from: the tick, and how far it is from the one before.
         replayed.header.run = clock.run;
         replayed.header.sequence = self.seen;
-        replayed.header.incarnation = 0;
+        // Whoever was started anew does not go back.
+        replayed.header.incarnation = logged.header.incarnation.max(self.incarnation);
         if clock.lockstep || tick < due || tick >= self.ticks {
             replayed.header.tick = due;
         }
@@ -149,6 +151,7 @@ impl PlantShadow {
         self.sides = fitting;
         self.seen += 1;
         self.last = Some(tick);
+        self.incarnation = logged.header.incarnation;
         Ok(())
     }
 }

@@ -1,0 +1,251 @@
+//! The segments of a run's log: which files they are, and all of them read as one log.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::{Path, PathBuf};
+
+use super::{Account, LOG_FILE, LogError, LogReader, RUN_METADATA, Record, Segment, Totals};
+
+/// Finds a log: `given` itself, the one in the folder `given`, or that of the run called `given` under `runs/`. Gives its
+/// segments in their order; one, if `given` is a file.
+///
+/// # Errors
+///
+/// [`LogError::NoLog`] if there is none.
+pub fn find(given: &Path) -> Result<Vec<PathBuf>, LogError> {
+    let named = Path::new("runs").join(given);
+    let place = if !given.exists() && named.exists() { named } else { given.to_owned() };
+    let log = if place.is_dir() { segments(&place) } else { vec![place.clone()] };
+    if log.first().is_some_and(|log| log.exists()) {
+        return Ok(log);
+    }
+    let why = if place.is_dir() { "is a folder without a log.mcap" } else { "does not exist" };
+    Err(LogError::NoLog { path: place, why: why.to_owned() })
+}
+
+/// The file that a logger writes in its run's folder at its start number `incarnation`: `log.mcap`, `log-1.mcap` and so on.
+pub fn segment_path(folder: &Path, incarnation: u32) -> PathBuf {
+    folder.join(match incarnation {
+        0 => LOG_FILE.to_owned(),
+        n => format!("log-{n}.mcap"),
+    })
+}
+
+/// The segments that lie in `folder`, in their order.
+pub fn segments(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut found: Vec<u32> = entries.filter_map(|entry| number(entry.file_name().to_str()?)).collect();
+    found.sort_unstable();
+    found.into_iter().map(|n| segment_path(folder, n)).collect()
+}
+
+/// The start number in a segment's name.
+fn number(name: &str) -> Option<u32> {
+    if name == LOG_FILE {
+        return Some(0);
+    }
+    let digits = name.strip_prefix("log-")?.strip_suffix(".mcap")?;
+    digits.parse().ok().filter(|n: &u32| *n > 0 && n.to_string() == digits)
+}
+
+/// A run's log, one segment after the other: an iterator over its messages. Its description is that of the first segment.
+///
+/// A segment in the middle that is torn ends where its last whole record does; what did not reach it is stated at the
+/// beginning of the next. One whose logger was killed before it had described the run is passed by, if there are others.
+pub struct RunLog {
+    path: PathBuf,
+    run: BTreeMap<String, String>,
+    scenario: String,
+    /// The segment in hand.
+    log: LogReader,
+    waiting: VecDeque<PathBuf>,
+    ended: Vec<SegmentEnd>,
+}
+
+/// How far a segment was read, and how it ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SegmentEnd {
+    /// The file.
+    pub path: PathBuf,
+    /// The start number of the logger that wrote it.
+    pub number: u32,
+    /// It was read to an end that its logger wrote.
+    pub finished: bool,
+    /// It was torn and made whole afterwards.
+    pub repaired: bool,
+    /// Bytes up to the end of the last whole record.
+    pub position: u64,
+}
+
+impl SegmentEnd {
+    fn of(log: &LogReader) -> Self {
+        Self {
+            path: log.path().to_owned(),
+            number: log.begins().number,
+            finished: log.finished(),
+            repaired: log.repaired(),
+            position: log.position(),
+        }
+    }
+}
+
+impl RunLog {
+    /// Opens the segments, in their order.
+    ///
+    /// # Errors
+    ///
+    /// As [`LogReader::open`], for the first that can be read.
+    pub fn open(segments: &[PathBuf]) -> Result<RunLog, LogError> {
+        let mut waiting: VecDeque<PathBuf> = segments.iter().cloned().collect();
+        let alone = segments.len() == 1;
+        let mut refused = None;
+        while let Some(path) = waiting.pop_front() {
+            match LogReader::open(&path) {
+                Ok(log) => {
+                    let folder = path.parent().filter(|_| !alone).unwrap_or(&path);
+                    return Ok(RunLog { path: folder.to_owned(), waiting, ..RunLog::of(log) });
+                }
+                Err(error @ LogError::NotALog { .. }) => drop(refused.get_or_insert(error)),
+                Err(error) => return Err(error),
+            }
+        }
+        let none = || LogError::NoLog { path: PathBuf::new(), why: "is no log".to_owned() };
+        Err(refused.unwrap_or_else(none))
+    }
+
+    /// One log as it is, at its beginning.
+    pub fn of(log: LogReader) -> RunLog {
+        let run = log.metadata().get(RUN_METADATA).cloned().unwrap_or_default();
+        let (path, scenario) = (log.path().to_owned(), log.scenario().to_owned());
+        RunLog { path, run, scenario, log, waiting: VecDeque::new(), ended: Vec::new() }
+    }
+
+    /// The log, as messages name it: the file, or the folder with the segments.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// A value of the run's description, for example `seed` or `clock`.
+    pub fn run(&self, key: &str) -> Option<&str> {
+        self.run.get(key).map(String::as_str)
+    }
+
+    /// All of the run's description.
+    pub fn description(&self) -> &BTreeMap<String, String> {
+        &self.run
+    }
+
+    /// The resolved scenario, TOML.
+    pub fn scenario(&self) -> &str {
+        &self.scenario
+    }
+
+    /// Every how many ticks are written.
+    pub fn every(&self) -> u64 {
+        self.run("every").and_then(|every| every.parse().ok()).unwrap_or(1).max(1)
+    }
+
+    /// What the log goes on from: the beginning, unless it is a later segment by itself.
+    pub fn begins(&self) -> Segment {
+        Segment::from_map(&self.run)
+    }
+
+    /// The count of messages that goes with the log.
+    pub fn account(&self) -> Account {
+        Account::after(&self.begins())
+    }
+
+    /// The segment that is being read.
+    pub fn segment(&self) -> &LogReader {
+        &self.log
+    }
+
+    /// How many segments have been begun; the message read last belongs to the last of them.
+    pub fn begun(&self) -> usize {
+        self.ended.len() + 1
+    }
+
+    /// The segments that have been begun, each with its end; that of the last is known when the log has been read.
+    pub fn segments(&self) -> Vec<SegmentEnd> {
+        self.ended.iter().cloned().chain([SegmentEnd::of(&self.log)]).collect()
+    }
+
+    /// What the last logger said at its end; `None` before the last message was read, and when it was torn.
+    pub fn totals(&self) -> Option<Totals> {
+        self.log.totals()
+    }
+
+    /// The tick from which on samples are missing for want of room; known with the last message.
+    pub fn missing_from(&self) -> Option<u64> {
+        self.log.missing_from()
+    }
+
+    /// The last segment was torn and made whole afterwards; known with the last message.
+    pub fn repaired(&self) -> bool {
+        self.log.repaired()
+    }
+
+    /// The log was read to an end that its last logger wrote. False until the iterator has ended.
+    pub fn finished(&self) -> bool {
+        self.waiting.is_empty() && self.log.finished()
+    }
+
+    /// Turns to the next segment. `None` if there is none.
+    fn turn(&mut self) -> Option<Result<(), LogError>> {
+        loop {
+            match LogReader::open(&self.waiting.pop_front()?) {
+                Ok(log) if log.run("run") == self.run("run") => {
+                    self.ended.push(SegmentEnd::of(&self.log));
+                    self.log = log;
+                    return Some(Ok(()));
+                }
+                Ok(log) => {
+                    return Some(Err(LogError::not_a_log(log.path(), "it belongs to another run than log.mcap")));
+                }
+                Err(LogError::NotALog { .. }) => {}
+                Err(error) => return Some(Err(error)),
+            }
+        }
+    }
+}
+
+impl Iterator for RunLog {
+    type Item = Result<Record, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            match self.log.next() {
+                Some(Err(error)) => {
+                    self.waiting.clear();
+                    return Some(Err(error));
+                }
+                Some(record) => return Some(record),
+                None => match self.turn()? {
+                    Ok(()) => {}
+                    Err(error) => {
+                        self.waiting.clear();
+                        return Some(Err(error));
+                    }
+                },
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn segments_stand_in_the_order_of_their_numbers() {
+        let folder = tempfile::tempdir().unwrap();
+        let names =
+            ["log-10.mcap", "log.mcap", "log-2.mcap", "log-02.mcap", "log-0.mcap", "log-x.mcap", "log.mcap.torn"];
+        names.iter().for_each(|name| std::fs::write(folder.path().join(name), "").unwrap());
+        let found: Vec<_> =
+            find(folder.path()).unwrap().iter().map(|p| p.strip_prefix(folder.path()).unwrap().to_owned()).collect();
+        assert_eq!(found, ["log.mcap", "log-2.mcap", "log-10.mcap"].map(PathBuf::from));
+        assert_eq!(find(&folder.path().join("log-2.mcap")).unwrap().len(), 1);
+        let none = find(&folder.path().join("log-3.mcap")).unwrap_err().to_string();
+        assert!(none.contains("log-3.mcap does not exist"), "{none}");
+    }
+}
