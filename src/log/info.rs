@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::{Account, CHANNELS, GAP_TOPIC, LogError, LogReader, Record, TOTALS_METADATA, in_use};
-use crate::wire::flag;
+use crate::log::header::flag_words;
+use crate::wire::{Command, Observation, flag};
 
 /// How a log ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -87,6 +88,8 @@ pub struct Info {
     pub channels: Vec<ChannelInfo>,
     /// Statements of missing samples on the channel `/gap`.
     pub gaps: u64,
+    /// What observations and commands in the log are flagged with, and how many are; targets and the first are left out.
+    pub flags: BTreeMap<String, u64>,
 }
 
 impl Info {
@@ -114,9 +117,14 @@ impl Info {
     pub fn over(mut log: LogReader, path: &Path, bytes: u64) -> Result<Info, LogError> {
         let mut account = Account::default();
         let mut weights_hash = None;
+        let mut flagged = [0; 32];
         for record in log.by_ref() {
             let record = record?;
             account.take(&record);
+            if let Record::Observation(Observation { header, .. }) | Record::Command(Command { header, .. }) = &record {
+                let flags = header.flags & !(flag::FIRST | flag::NEW_TARGET);
+                (0..32).for_each(|bit| flagged[bit] += u64::from(flags >> bit & 1));
+            }
             if let Record::Learning(s) = &record
                 && s.header.flags & flag::HASHED != 0
             {
@@ -161,6 +169,7 @@ impl Info {
             weights_hash,
             channels: (0..3).map(|i| channel(&log, &account, i)).collect(),
             gaps: account.gaps,
+            flags: (0..32).zip(flagged).filter(|(_, n)| *n > 0).map(|(bit, n)| (flag_words(1 << bit), n)).collect(),
         })
     }
 
@@ -228,6 +237,10 @@ impl Info {
             );
         }
         let _ = writeln!(text, "{GAP_TOPIC:<16}{:>12}", self.gaps);
+        if !self.flags.is_empty() {
+            let flags: Vec<_> = self.flags.iter().map(|(name, n)| format!("{name} {n}")).collect();
+            let _ = writeln!(text, "\nflags    {}", flags.join("  "));
+        }
         for c in self.channels.iter().filter(|c| !c.agrees) {
             let _ =
                 writeln!(text, "\n{}: what the log states to be lost is not what its sequence numbers say", c.topic);

@@ -1,10 +1,10 @@
 //! The controller's side of the tick: learn, encode, draw, answer.
 
-use super::{ControllerReport, Tally};
+use super::{ControllerReport, Line, Tally};
 use crate::encoder::{Encoder, Features};
 use crate::learner::{Learner, LearningRule, Tick};
 use crate::policy::{Exploration, Linear, Outputs};
-use crate::scenario::Plan;
+use crate::scenario::{Plan, limits::RANGE};
 use crate::state::{Ledger, Remember};
 use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, flag};
 
@@ -12,8 +12,26 @@ use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, flag}
 ///
 /// A tick has two parts. [`respond`](Self::respond) is what a command waits for; [`settle`](Self::settle) and
 /// [`record`](Self::record) come after it has gone out.
+///
+/// # Credit for a limited command
+///
+/// The policy draws `u = m + n`, with the mean `m` and the noise `n` of standard deviation `sigma`; the gate applies
+/// `a = c(u)`, limited in size, step or position. Credit goes to what was applied: the rules are handed `a - m` in the place
+/// of `n`, for whatever reason the gate limited the command, and nothing at all where the hold policy chose it.
+///
+/// That is biased. To the policy the gate is a part of the world, so that `n` itself, limited or not, would give the true
+/// gradient of the expected reward, at a greater variance; the best that can be said given that `u` went beyond a limit `l`
+/// is `n`'s mean there, `sigma phi(z) / (1 - Phi(z))` with `z = (l - m) / sigma` (Fujita & Maeda 2018; Chou et al. 2017 on
+/// what clipping does to Gaussian policies). `l - m = sigma z` is always less than that: commands near a limit are credited
+/// with too little, by `0.8 sigma` where the mean stands right at it, and as limited noise no longer has mean 0, a constant
+/// in the reward does not cancel: where the mean is beyond a limit, punishment drives it further out and reward brings it
+/// back. Rules with a baseline or a critic hardly feel it; the paper's own rule, whose rewards are all negative, does.
+/// What speaks for it all the same: it is what happened, it is bounded by the limits and not by the tails of the noise, and
+/// it is the same number that a model of movement and reward has to learn from.
 #[derive(Debug, Clone)]
 pub struct Controller {
+    /// The observations' way to here.
+    line: Line<Observation>,
     encoder: Encoder,
     policy: Linear,
     exploration: Exploration,
@@ -48,6 +66,7 @@ impl Controller {
         let encoder = plan.encoder();
         let (len, order) = (encoder.len(), encoder.positions().collect());
         Self {
+            line: Line::of(plan),
             policy: Linear::new(len, order, outputs),
             exploration: Exploration::new(scenario.seed, scenario.policy.sigma as f32, outputs)
                 .distributed(scenario.policy.noise),
@@ -73,11 +92,41 @@ impl Controller {
     ///
     /// Credit goes to what was applied: when the gate limited the command, the noise is what the applied command differs
     /// from the mean by; the rules are handed its score. When the command was not applied at all, or observations are missing in between, nothing is
-    /// learned and the trace is cut. An observation with a value that is not a number is answered with zero.
+    /// learned and the trace is cut. An observation with a value that is not a number, or beyond any range that a scenario may
+    /// name, is answered with zero. What the scenario's faults make of the observation is between here and that; when they
+    /// leave nothing of this tick, the answer stands for silence ([`flag::UNHEARD`]).
     pub fn respond(&mut self, observation: &Observation, command: &mut Command) {
+        if self.line.is_clean() {
+            return self.answer(observation, command);
+        }
+        let tick = observation.header.tick;
+        let mut heard = None;
+        let stale = &mut self.report.stale;
+        self.line.pass(tick, Some(observation), |o| match o.header.tick == tick {
+            true => heard = Some(*o),
+            false => *stale += 1,
+        });
+        match heard {
+            Some(heard) => self.answer(&heard, command),
+            None => self.say_nothing(tick, command),
+        }
+    }
+
+    /// The answer to an observation that was not heard. What the policy answered last stays what it was: when the next
+    /// observation is heard, one is missing in between.
+    fn say_nothing(&mut self, tick: u64, command: &mut Command) {
+        self.report.unheard += 1;
+        (self.flags, self.step) = (0, 0.0);
+        (self.mean, self.noise) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
+        (command.header.tick, command.header.flags) = (tick, flag::UNHEARD);
+        (command.mean, command.drawn) = (self.mean, self.noise);
+    }
+
+    fn answer(&mut self, observation: &Observation, command: &mut Command) {
         let tick = observation.header.tick;
         let inputs = &observation.inputs[..self.inputs];
-        let blind = !inputs.iter().all(|x| x.is_finite());
+        // False for what is not a number, too.
+        let blind = !inputs.iter().all(|x| f64::from(x.abs()) <= RANGE);
         if !blind {
             self.encoder.encode(inputs, &mut self.next);
         }
@@ -198,6 +247,7 @@ impl Controller {
 
 impl Remember for Controller {
     fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.part("line", &mut self.line);
         ledger.part("policy", &mut self.policy);
         ledger.part("exploration", &mut self.exploration);
         ledger.part("learner", &mut self.rule);
