@@ -17,7 +17,8 @@ use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, flag}
 ///
 /// The policy draws `u = m + n`, with the mean `m` and the noise `n` of standard deviation `sigma`; the gate applies
 /// `a = c(u)`, limited in size, step or position. Credit goes to what was applied: the rules are handed `a - m` in the place
-/// of `n`, for whatever reason the gate limited the command, and nothing at all where the hold policy chose it.
+/// of `n`, for whatever reason the gate limited the command, and nothing at all where the hold policy chose it, or where no
+/// gate could have made `a` of `u`: then the command was corrupted on its way, and it was that which was limited.
 ///
 /// That is biased. To the policy the gate is a part of the world, so that `n` itself, limited or not, would give the true
 /// gradient of the expected reward, at a greater variance; the best that can be said given that `u` went beyond a limit `l`
@@ -46,6 +47,10 @@ pub struct Controller {
     features: Features,
     mean: Outputs,
     noise: Outputs,
+    /// What was applied in the tick before that answer.
+    before: Outputs,
+    /// Whatever was applied is credited, whoever chose it.
+    off_policy: bool,
     /// Features of the observation in hand.
     next: Features,
     /// What the learner did in this tick.
@@ -81,11 +86,18 @@ impl Controller {
             encoder,
             mean: [0.0; MAX_OUTPUTS],
             noise: [0.0; MAX_OUTPUTS],
+            before: [0.0; MAX_OUTPUTS],
+            off_policy: false,
             flags: 0,
             step: 0.0,
             tally: Tally::new(plan),
             report: ControllerReport::default(),
         }
+    }
+
+    /// The same for commands that another policy chose: whatever was applied is credited.
+    pub fn off_policy(self) -> Self {
+        Self { off_policy: true, ..self }
     }
 
     /// Learns from the observation's reward and answers its inputs. Fills mean, drawn output, tick and flags.
@@ -131,6 +143,7 @@ impl Controller {
             self.encoder.encode(inputs, &mut self.next);
         }
         self.learn(observation, blind);
+        self.before = observation.applied;
 
         command.header.tick = tick;
         command.header.flags = 0;
@@ -164,15 +177,28 @@ impl Controller {
         self.noise = [0.0; MAX_OUTPUTS];
     }
 
+    /// Whether `applied` can be what a gate made of the policy's command. Size, ramp and position bring a command nearer to
+    /// zero, a step nearer to what was applied before: so it lies within these. Else it was another's command that was limited.
+    fn explains(&self, applied: &Outputs) -> bool {
+        let asked = self.mean.iter().zip(&self.noise).map(|(mean, noise)| mean + noise);
+        asked.zip(&self.before).zip(applied).all(|((asked, &before), &applied)| {
+            let (low, high) = (asked.min(before).min(0.0), asked.max(before).max(0.0));
+            low <= applied && applied <= high
+        })
+    }
+
     fn learn(&mut self, observation: &Observation, blind: bool) {
         let flags = observation.header.flags;
         self.flags = 0;
         self.step = 0.0;
         let Some(answered) = self.answered else { return };
-        let ours = flags & NOT_OURS == 0 && observation.header.tick == answered + 1;
+        let clamped = flags & flag::CLAMPED != 0;
+        let ours = flags & NOT_OURS == 0
+            && observation.header.tick == answered + 1
+            && (!clamped || self.off_policy || self.explains(&observation.applied));
         if ours && !blind && observation.reward.is_finite() {
             let mut applied: Outputs = std::array::from_fn(|i| self.mean[i] + self.noise[i]);
-            if flags & flag::CLAMPED != 0 {
+            if clamped {
                 applied = observation.applied;
                 for (noise, (applied, mean)) in self.noise.iter_mut().zip(applied.iter().zip(self.mean)) {
                     *noise = applied - mean;
@@ -256,6 +282,7 @@ impl Remember for Controller {
         ledger.numbers("features", self.features.as_mut_slice());
         ledger.numbers("mean", &mut self.mean);
         ledger.numbers("noise", &mut self.noise);
+        ledger.numbers("before", &mut self.before);
         ledger.number("flags", &mut self.flags);
         ledger.number("step", &mut self.step);
         ledger.part("tally", &mut self.tally);
@@ -292,6 +319,9 @@ mod tests {
             (0, 0, flag::LEARNED),
             (flag::NEW_TARGET, 0, flag::LEARNED),
             (flag::CLAMPED, 0, flag::LEARNED),
+            (flag::CLAMPED | flag::STEP_LIMITED | flag::POSITION_LIMITED | flag::RAMPED, 0, flag::LEARNED),
+            (flag::LATE, 0, flag::LEARNED),
+            (flag::MISSED | flag::STOPPED | flag::CLAMPED | flag::STEP_LIMITED, 0, flag::TRACE_CUT),
             (flag::MISSED | flag::HELD, 0, flag::TRACE_CUT),
             (flag::SKIPPED, 2, flag::TRACE_CUT),
             (flag::FIRST, 0, flag::TRACE_CUT),
@@ -318,14 +348,23 @@ mod tests {
         answer(&mut explicit, &observation(0, flag::FIRST));
         let mut applied = observation(1, flag::CLAMPED);
         applied.applied = command.drawn;
-        applied.applied[0] = 0.001;
-        explicit.noise[0] = 0.001 - command.mean[0];
-        for i in 1..4 {
-            explicit.noise[i] = command.drawn[i] - command.mean[i];
+        applied.applied[0] *= 0.5;
+        for i in 0..4 {
+            explicit.noise[i] = applied.applied[i] - command.mean[i];
         }
-        answer(&mut limited, &applied);
+        let mut foreign = limited.clone();
+        assert_eq!(answer(&mut limited, &applied).1, flag::LEARNED);
         answer(&mut explicit, &observation(1, 0));
         assert_eq!(limited.policy.hash(), explicit.policy.hash());
+
+        // No gate makes that of what was asked for: it was another's command, corrupted on its way.
+        applied.applied[0] *= 3.0;
+        assert_eq!(answer(&mut foreign.clone(), &applied).1, flag::TRACE_CUT);
+        // Unless it comes from what was applied before, a step away.
+        foreign.before[0] = applied.applied[0] * 1.5;
+        assert_eq!(answer(&mut foreign.clone(), &applied).1, flag::LEARNED);
+        foreign.before[0] = 0.0;
+        assert_eq!(answer(&mut foreign.off_policy(), &applied).1, flag::LEARNED);
     }
 
     #[test]
@@ -333,7 +372,7 @@ mod tests {
         let mut scenario = Scenario::find("paper").unwrap();
         scenario.learner.alpha_over_variance = 1000.0;
         for reward in [-1e36, -10.0] {
-            let mut controller = Controller::new(&scenario.clone().plan().unwrap());
+            let mut controller = Controller::new(&scenario.clone().plan().unwrap()).off_policy();
             for tick in 0..400 {
                 let mut observation = observation(tick, if tick == 0 { flag::FIRST } else { flag::CLAMPED });
                 // The gate holds what is applied within limits, while the mean grows.
@@ -362,5 +401,39 @@ mod tests {
         assert_eq!(answer(&mut controller, &worthless).1, flag::TRACE_CUT);
         assert_eq!(controller.policy.norm(), 0.0);
         assert_eq!(answer(&mut controller, &observation(4, 0)).1, flag::LEARNED);
+        // Nor what no range could hold, finite as it is.
+        let mut absurd = observation(5, 0);
+        absurd.inputs[0] = 1e30;
+        let (command, flags) = answer(&mut controller, &absurd);
+        assert_eq!((command.drawn, command.header.flags, flags), ([0.0; 8], flag::INVALID, flag::TRACE_CUT));
+    }
+
+    /// Silence is answered with silence, what comes late is nothing, and no credit crosses over.
+    #[test]
+    fn what_was_not_heard_is_neither_answered_nor_learned_from() {
+        let mut scenario = Scenario::find("paper").unwrap();
+        scenario.faults =
+            toml::from_str("[[channel]]\nchannel = \"observation\"\nkind = \"delay\"\nfrom = 2\nuntil = 3\nticks = 2")
+                .unwrap();
+        let mut controller = Controller::new(&scenario.plan().unwrap());
+        let mut clean = self::controller();
+        for tick in 0..2 {
+            let observation = observation(tick, if tick == 0 { flag::FIRST } else { 0 });
+            assert_eq!(answer(&mut controller, &observation), answer(&mut clean, &observation));
+        }
+        let (command, flags) = answer(&mut controller, &observation(2, 0));
+        assert_eq!((command.header.tick, command.header.flags, flags), (2, flag::UNHEARD, 0));
+        assert_eq!((command.mean, command.drawn), ([0.0; 8], [0.0; 8]));
+        let mut learning = Learning::default();
+        controller.record(&observation(2, 0), &mut learning);
+        assert_eq!((learning.header.tick, learning.noise, learning.reward), (2, [0.0; 8], 0.0));
+        // Heard again, one is missing in between; the draws are those that come next.
+        let norm = controller.policy.norm();
+        let (command, flags) = answer(&mut controller, &observation(3, 0));
+        assert_eq!((command.header.flags, flags, controller.policy.norm()), (0, flag::TRACE_CUT, norm));
+        assert_eq!(controller.noise, clean.exploration.draw());
+        // The delayed one is there, and says nothing of this tick.
+        assert_eq!(answer(&mut controller, &observation(4, 0)).1, flag::LEARNED);
+        assert_eq!((controller.report.unheard, controller.report.stale, controller.report.cuts), (1, 1, 1));
     }
 }
