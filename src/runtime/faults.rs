@@ -8,19 +8,18 @@
 //! Whether a fault happens in a tick is drawn from a hash of the run's seed, the fault's place in the scenario's list and
 //! the tick, not from a generator: one more fault changes no other, and a line's only memory is what is under way in it.
 
-use bytemuck::Pod;
 use xxhash_rust::xxh3::xxh3_64_with_seed;
 
 use crate::scenario::{ChannelFault, FaultChannel, FaultKind, FaultValue, Plan};
 use crate::state::{Ledger, Remember};
-use crate::wire::{Command, Header, Observation};
+use crate::wire::{Command, Header, Observation, Sample};
 
 /// Most samples under way in a line; with more, the one that has been under way for longest is lost. One fault keeps at
 /// most 16 samples, so that only three or more of long delay can come to it.
 const UNDER_WAY: usize = 32;
 
 /// What a line carries.
-pub trait Carried: Pod {
+pub trait Carried: Sample + Default {
     /// The channel.
     const CHANNEL: FaultChannel;
 
@@ -103,7 +102,7 @@ impl<T: Carried> Line<T> {
             faults: ours.map(|(place, table)| Fault { place, table: table.clone() }).collect(),
             seed: xxh3_64_with_seed(b"faults", plan.scenario.seed),
             signals: Signals { inputs: plan.inputs.len(), outputs: plan.outputs.len() },
-            under_way: [Waiting { sample: T::zeroed(), due: 0, behind: false }; UNDER_WAY],
+            under_way: [Waiting { sample: T::default(), due: 0, behind: false }; UNDER_WAY],
             waiting: 0,
             last: None,
             frozen_until: 0,
@@ -208,25 +207,20 @@ impl<T: Carried> Remember for Line<T> {
         ledger.numbers("line", &mut counts);
         [_, _, self.frozen_until] = counts;
         self.waiting = (counts[0] as usize).min(UNDER_WAY);
-        let mut last = self.last.unwrap_or(T::zeroed());
-        ledger.numbers("last", words(&mut last));
+        let mut last = self.last.unwrap_or_default();
+        ledger.sample("last", &mut last);
         self.last = (counts[1] != 0).then_some(last);
         // All of them, so that what is to be remembered always has the same size.
         for (i, w) in self.under_way.iter_mut().enumerate() {
             if i >= self.waiting {
-                *w = Waiting { sample: T::zeroed(), due: 0, behind: false };
+                *w = Waiting { sample: T::default(), due: 0, behind: false };
             }
             let mut when = [w.due, u64::from(w.behind)];
             ledger.numbers("due", &mut when);
-            ledger.numbers("under_way", words(&mut w.sample));
+            ledger.sample("under_way", &mut w.sample);
             (w.due, w.behind) = (when[0], when[1] != 0);
         }
     }
-}
-
-/// A sample's words: samples are made of whole ones.
-fn words<T: Carried>(sample: &mut T) -> &mut [u64] {
-    bytemuck::cast_slice_mut(std::slice::from_mut(sample))
 }
 
 #[cfg(test)]

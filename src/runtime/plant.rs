@@ -86,10 +86,14 @@ impl<P: Plant> PlantSide<P> {
     pub fn live(&mut self, tick: u64, command: Option<&Command>) {
         let command = command.filter(|c| c.header.flags & flag::UNHEARD == 0);
         let (mut found, mut late) = (None, 0);
-        self.line.pass(tick, command, |c| match c.header.tick == tick {
-            true => found = Some(c.drawn),
-            false => late += 1,
-        });
+        if self.line.is_clean() {
+            found = command.map(|c| c.drawn);
+        } else {
+            self.line.pass(tick, command, |c| match c.header.tick == tick {
+                true => found = Some(c.drawn),
+                false => late += 1,
+            });
+        }
         let spans = self.gate.spans(|| self.body.joints());
         let applied = self.gate.pass(found.as_ref(), self.told.as_ref().or(spans.as_ref()));
         self.report.late += late;
