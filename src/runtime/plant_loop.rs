@@ -135,7 +135,8 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     let (mut controller, mut logger) = (Peer::new(Role::Controller), Peer::new(Role::Logger));
 
     let (most, period_ms) = (session.seat.plan.scenario.overrun.max_consecutive, session.seat.plan.scenario.period_ms);
-    let (mut overruns, mut given_up) = (0, None);
+    // The time that a plant was away is no overrun of the one that has come back.
+    let (mut overruns, mut given_up, mut back) = (0, None, came_back);
     let card = session.seat.card.clone();
     let mut asked = session.checkpoints_asked();
     let mut tick = card.resumed.as_ref().map_or(0, |resumed| resumed.tick);
@@ -199,7 +200,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         session.status.late = report.late;
         session.status.lost = report.skipped;
         session.show();
-        overruns = if skipped > 0 { overruns + skipped } else { 0 };
+        overruns = if skipped > 0 && !std::mem::take(&mut back) { overruns + skipped } else { 0 };
         if real && most > 0 && overruns > most {
             given_up = Some(RuntimeError::Overrun { overruns, most, tick, period_ms });
             break;
