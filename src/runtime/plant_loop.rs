@@ -200,7 +200,8 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         session.status.late = report.late;
         session.status.lost = report.skipped;
         session.show();
-        overruns = if skipped > 0 && !std::mem::take(&mut back) { overruns + skipped } else { 0 };
+        overruns = if skipped == 0 || back { 0 } else { overruns + skipped };
+        back = false;
         if real && most > 0 && overruns > most {
             given_up = Some(RuntimeError::Overrun { overruns, most, tick, period_ms });
             break;
