@@ -247,6 +247,8 @@ mod tests {
             ("arm", "learned-reward"),
             ("eye", "paper"),
             ("laplace", "paper"),
+            ("office", "paper"),
+            ("office", "learned-reward"),
         ] {
             let mut plan = Scenario::find(scenario).unwrap();
             plan.learner = toml::from_str(&format!("rule = \"{rule}\"")).unwrap();

@@ -91,7 +91,7 @@ impl Loop {
 #[test]
 fn a_tick_allocates_nothing() {
     // A tick of `arm` takes a thousand times longer: its learner improves the policy from the 20th on.
-    for (name, ticks) in [("paper", 10_000), ("eye", 10_000), ("arm", 60)] {
+    for (name, ticks) in [("paper", 10_000), ("eye", 10_000), ("arm", 60), ("office", 300)] {
         let mut all = Loop::new(name);
         let before = count();
         for tick in 0..ticks {

@@ -101,6 +101,21 @@ fn every_rule_survives() {
     }
 }
 
+/// The gate's ramp, what a faulty channel has under way: all of it is taken up again.
+#[test]
+fn faults_and_limits_go_on_as_well() {
+    for (program, role) in [("tectum-controller", "controller"), ("tectum-simulator", "plant")] {
+        let place = Place::new();
+        let scenario = scenario(&place, "office", &[("rule", "\"paper\"")], QUICK);
+        let hash = undisturbed(&scenario, "20000");
+        let mut run = place.run(&[&scenario, "--ticks", "20000", "--json"]);
+        let log = place.run_folder().join("log.mcap");
+        // 521 bytes a tick.
+        strike(&mut run, &log, program, "KILL", random_steps(8, 5, 8_000_000));
+        assert_eq!(check(&place, &run.wait().expect(0), role, &hash), 5, "{program}");
+    }
+}
+
 #[test]
 fn a_process_that_hangs_is_killed_and_comes_back() {
     let place = Place::new();

@@ -217,7 +217,7 @@ pub(crate) fn flag_words(flags: u32) -> String {
 }
 
 /// The bits of a header's flags by name.
-const FLAGS: [(&str, u32); 15] = [
+const FLAGS: [(&str, u32); 19] = [
     ("FIRST", flag::FIRST),
     ("MISSED", flag::MISSED),
     ("HELD", flag::HELD),
@@ -230,6 +230,10 @@ const FLAGS: [(&str, u32); 15] = [
     ("LATE", flag::LATE),
     ("INVALID", flag::INVALID),
     ("DIVERGED", flag::DIVERGED),
+    ("STEP_LIMITED", flag::STEP_LIMITED),
+    ("POSITION_LIMITED", flag::POSITION_LIMITED),
+    ("RAMPED", flag::RAMPED),
+    ("UNHEARD", flag::UNHEARD),
     ("LEARNED", flag::LEARNED),
     ("TRACE_CUT", flag::TRACE_CUT),
     ("HASHED", flag::HASHED),

@@ -10,7 +10,8 @@ use super::{
     Account, CHANNELS, Clock, HISTOGRAMS_METADATA, LogError, MISSING_METADATA, Percentiles, Record, RunLog, SegmentEnd,
     TOTALS_METADATA, Timings, in_use,
 };
-use crate::wire::flag;
+use crate::log::header::flag_words;
+use crate::wire::{Command, Observation, flag};
 
 mod text;
 
@@ -128,6 +129,8 @@ pub struct Info {
     pub command_to_applied_us: Option<Percentiles>,
     /// The three were counted from the samples in the log, which did not come to its end.
     pub recounted: bool,
+    /// What observations and commands in the log are flagged with, and how many are; targets and the first are left out.
+    pub flags: BTreeMap<String, u64>,
 }
 
 impl Info {
@@ -152,6 +155,7 @@ impl Info {
         let period_ns = number(&log, "period_ns").unwrap_or(0);
         let mut timings = Timings::new(period_ns);
         let mut parts = vec![Part::default()];
+        let mut flagged = [0; 32];
         while let Some(record) = log.next() {
             let record = record?;
             account.take(&record);
@@ -159,6 +163,10 @@ impl Info {
             // A segment may hold nothing.
             parts.resize(log.begun(), Part::default());
             parts[log.begun() - 1].take(&record);
+            if let Record::Observation(Observation { header, .. }) | Record::Command(Command { header, .. }) = &record {
+                let flags = header.flags & !(flag::FIRST | flag::NEW_TARGET);
+                (0..32).for_each(|bit| flagged[bit] += u64::from(flags >> bit & 1));
+            }
             if let Record::Learning(s) = &record
                 && s.header.flags & flag::HASHED != 0
             {
@@ -207,6 +215,7 @@ impl Info {
             command_to_applied_us: applied,
             recounted: real && !stored,
             segments,
+            flags: (0..32).zip(flagged).filter(|(_, n)| *n > 0).map(|(bit, n)| (flag_words(1 << bit), n)).collect(),
         })
     }
 

@@ -9,6 +9,7 @@ mod eye;
 pub use arm::{Arm, noise_share, posture};
 pub use eye::{Eye, Stimulus, log_polar};
 
+use crate::policy::Outputs;
 use crate::scenario::Plan;
 use crate::state::{Ledger, Remember};
 use crate::wire::MAX_MEASURES;
@@ -22,6 +23,15 @@ pub struct Outcome {
     pub measures: [f32; MAX_MEASURES],
 }
 
+/// A plant's joints at the beginning of a tick, for the gate's limits of position: one for each output, in their order.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Joints {
+    /// Where they are, rad, as measured.
+    pub position: Outputs,
+    /// How far a command of 1 moves each in one tick, rad; negative where it turns the other way.
+    pub travel: Outputs,
+}
+
 /// Anything that can be controlled.
 ///
 /// A plant lists to its ledger ([`Remember`]) what it must know to go on after its process was killed: a simulated body all
@@ -33,6 +43,12 @@ pub trait Plant: Remember {
 
     /// Lives through `tick` with the command that the gate let through, and says what came of it.
     fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome;
+
+    /// The joints as they are, if the outputs move joints; asked before a tick is lived through. Without them there can be no
+    /// limits of position (`positions` under `[gate]`).
+    fn joints(&self) -> Option<Joints> {
+        None
+    }
 }
 
 /// The bodies of the simulator.
@@ -68,6 +84,13 @@ impl Plant for Body {
         match self {
             Self::Arm(arm) => arm.advance(tick, applied),
             Self::Eye(eye) => eye.advance(tick, applied),
+        }
+    }
+
+    fn joints(&self) -> Option<Joints> {
+        match self {
+            Self::Arm(arm) => arm.joints(),
+            Self::Eye(eye) => eye.joints(),
         }
     }
 }

@@ -65,6 +65,26 @@ pub enum RuntimeError {
     /// The scenario names another plant than this program.
     #[error("the scenario names no arm and no eye: its plant is `{0}`, which must be started in the simulator's place")]
     NotSimulated(String),
+    /// The scenario limits positions of joints that the plant does not tell.
+    #[error(
+        "`positions` under [gate] needs a plant that tells where its joints are, and `{0}` does not; take it out, or give its `Plant` the method `joints`"
+    )]
+    NoJoints(String),
+    /// The plant could not keep its deadlines.
+    #[error(
+        "the plant passed over {overruns} ticks in a row up to tick {tick}, and {most} are allowed (`max_consecutive` under [overrun]); \
+             give it more than {period_ms} ms a tick, a priority and a core of its own under [realtime], or a machine with less to do"
+    )]
+    Overrun {
+        /// Ticks passed over in a row.
+        overruns: u64,
+        /// How many are allowed.
+        most: u64,
+        /// The tick at which it gave up.
+        tick: u64,
+        /// The tick's period, ms.
+        period_ms: f64,
+    },
     /// Signal handlers could not be installed.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
@@ -102,8 +122,9 @@ impl RuntimeError {
             | Self::NoRun { .. }
             | Self::File { .. }
             | Self::Log(_)
-            | Self::NotSimulated(_) => exit::INPUT,
-            Self::Orphaned(_) | Self::Aborted => exit::PROCESS,
+            | Self::NotSimulated(_)
+            | Self::NoJoints(_) => exit::INPUT,
+            Self::Orphaned(_) | Self::Aborted | Self::Overrun { .. } => exit::PROCESS,
             Self::Signal(number) => exit::by_signal(*number),
             Self::Channel(_) | Self::Signals(_) | Self::Thread(_) | Self::Lost { .. } | Self::Memory(_) => exit::ERROR,
         }

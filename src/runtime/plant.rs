@@ -1,10 +1,10 @@
 //! The plant's side of the tick: a body behind its gate.
 
-use super::{Gate, PlantReport};
+use super::{Gate, Line, PlantReport, Spans};
 use crate::plant::{Outcome, Plant};
 use crate::policy::Outputs;
 use crate::scenario::Plan;
-use crate::state::{Ledger, Remember};
+use crate::state::{Ledger, Remember, save, size};
 use crate::wire::{Command, MAX_OUTPUTS, Observation, flag};
 
 /// A body behind its gate: the plant's half of every tick, without clock and transport.
@@ -12,6 +12,10 @@ use crate::wire::{Command, MAX_OUTPUTS, Observation, flag};
 pub struct PlantSide<P> {
     body: P,
     gate: Gate,
+    /// The commands' way to here.
+    line: Line<Command>,
+    /// What is left by limits of position, where the body cannot say and somebody else can.
+    told: Option<Spans>,
     outputs: usize,
     outcome: Outcome,
     applied: Outputs,
@@ -27,6 +31,8 @@ impl<P: Plant> PlantSide<P> {
         Self {
             body,
             gate: Gate::new(&plan.scenario.gate, outputs),
+            line: Line::of(plan),
+            told: None,
             outputs,
             outcome: Outcome::default(),
             applied: [0.0; MAX_OUTPUTS],
@@ -35,19 +41,74 @@ impl<P: Plant> PlantSide<P> {
         }
     }
 
+    /// Whether nothing can go wrong on the commands' way to the gate, but for what the run itself does to them.
+    pub fn is_clean(&self) -> bool {
+        self.line.is_clean()
+    }
+
+    /// Tells what limits of position leave, for the ticks that follow: nobody is asked where the joints are.
+    pub(crate) fn tell(&mut self, spans: Spans) {
+        self.told = Some(spans);
+    }
+
+    /// Whether the gate limits positions.
+    pub(crate) fn limits_positions(&self) -> bool {
+        self.gate.spans(|| None).is_some()
+    }
+
+    /// Takes what was applied in the tick lived last, and what limited it, from `observation`.
+    pub(crate) fn take_over(&mut self, observation: &Observation) {
+        const LIMITS: u32 = flag::CLAMPED | flag::STEP_LIMITED | flag::POSITION_LIMITED;
+        self.applied = observation.applied;
+        self.flags = self.flags & !LIMITS | observation.header.flags & LIMITS;
+        self.gate.take_over(self.applied);
+    }
+
+    /// All that decides how it goes on, as bytes.
+    pub(crate) fn standing(&mut self) -> Vec<u8> {
+        [&mut self.body as &mut dyn Remember, &mut self.gate, &mut self.line]
+            .into_iter()
+            .flat_map(|part| {
+                let mut bytes = vec![0; size(part)];
+                save(part, &mut bytes);
+                bytes
+            })
+            .collect()
+    }
+
     /// The body.
     pub fn body_mut(&mut self) -> &mut P {
         &mut self.body
     }
 
-    /// Lives through `tick` with the command that arrived for it; `None` if it was missed.
+    /// Lives through `tick` with the command that arrived for it; `None` if it was missed. One that stands for silence is
+    /// none. What the scenario's faults make of it is between here and the gate.
     pub fn live(&mut self, tick: u64, command: Option<&Command>) {
-        let applied = self.gate.pass(command.map(|c| &c.drawn));
-        self.report.missed += u64::from(applied.flags & flag::MISSED != 0);
-        self.report.clamped += u64::from(applied.flags & flag::CLAMPED != 0);
-        self.report.non_finite += u64::from(applied.flags & flag::NON_FINITE != 0);
+        let command = command.filter(|c| c.header.flags & flag::UNHEARD == 0);
+        let (mut found, mut late) = (None, 0);
+        if self.line.is_clean() {
+            found = command.map(|c| c.drawn);
+        } else {
+            self.line.pass(tick, command, |c| match c.header.tick == tick {
+                true => found = Some(c.drawn),
+                false => late += 1,
+            });
+        }
+        let spans = self.gate.spans(|| self.body.joints());
+        let applied = self.gate.pass(found.as_ref(), self.told.as_ref().or(spans.as_ref()));
+        self.report.late += late;
+        for (count, flag) in [
+            (&mut self.report.missed, flag::MISSED),
+            (&mut self.report.clamped, flag::CLAMPED),
+            (&mut self.report.step_limited, flag::STEP_LIMITED),
+            (&mut self.report.position_limited, flag::POSITION_LIMITED),
+            (&mut self.report.ramped, flag::RAMPED),
+            (&mut self.report.non_finite, flag::NON_FINITE),
+        ] {
+            *count += u64::from(applied.flags & flag != 0);
+        }
         self.applied = applied.command;
-        self.flags = applied.flags;
+        self.flags = applied.flags | if late > 0 { flag::LATE } else { 0 };
         self.outcome = self.body.advance(tick, &applied.command[..self.outputs]);
     }
 
@@ -78,6 +139,7 @@ impl<P: Plant> Remember for PlantSide<P> {
     fn remember(&mut self, ledger: &mut dyn Ledger) {
         ledger.part("body", &mut self.body);
         ledger.part("gate", &mut self.gate);
+        ledger.part("line", &mut self.line);
         ledger.number("reward", &mut self.outcome.reward);
         ledger.numbers("measures", &mut self.outcome.measures);
         ledger.numbers("applied", &mut self.applied);

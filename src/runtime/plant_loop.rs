@@ -22,6 +22,7 @@ struct Inbox<'a> {
     /// The sequence number of the next command, if none is lost.
     expected: u64,
     found: Option<Command>,
+    /// Commands that came after their tick, since the loop asked last.
     late: u64,
     failure: Option<ChannelError>,
     answered: &'a mut Histogram<u64>,
@@ -92,8 +93,12 @@ impl<P: Plant> Voice<P> {
 /// The plant's loop: seats `body` in the run and lives through it.
 ///
 /// # Errors
-/// When the process does not fit the run, or the run ends in disorder.
+/// When the process does not fit the run, the run ends in disorder, or the plant gives up on its deadlines
+/// ([`RuntimeError::Overrun`]); what is said of such a run is complete all the same.
 pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeError> {
+    if !seat.plan.scenario.gate.positions.is_empty() && body.joints().is_none() {
+        return Err(RuntimeError::NoJoints(seat.plan.scenario.plant.program.clone()));
+    }
     let (mut ports, desk) = seat.open(PlantPorts::open)?;
     let mut voice =
         Voice { side: PlantSide::new(body, &seat.plan), observation: Observation::default(), said: 0, expected: 0 };
@@ -120,7 +125,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         channel: &ports.command,
         expected: voice.expected,
         found: None,
-        late: voice.side.report.late,
+        late: 0,
         failure: None,
         answered: &mut answered,
         real,
@@ -129,6 +134,9 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     voice.observation.header.incarnation = session.incarnation();
     let (mut controller, mut logger) = (Peer::new(Role::Controller), Peer::new(Role::Logger));
 
+    let (most, period_ms) = (session.seat.plan.scenario.overrun.max_consecutive, session.seat.plan.scenario.period_ms);
+    // The time that a plant was away is no overrun of the one that has come back.
+    let (mut overruns, mut given_up, mut back) = (0, None, came_back);
     let card = session.seat.card.clone();
     let mut asked = session.checkpoints_asked();
     let mut tick = card.resumed.as_ref().map_or(0, |resumed| resumed.tick);
@@ -173,7 +181,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
                 return Err(error.into());
             }
             voice.side.live(tick - 1, inbox.found.take().as_ref());
-            voice.side.report.late = inbox.late;
+            voice.side.report.late += std::mem::take(&mut inbox.late);
         }
         // Whoever wakes up a period late or more passes ticks over; never makes them up in a burst.
         let due = time.due().min(ticks).max(tick);
@@ -192,6 +200,12 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         session.status.late = report.late;
         session.status.lost = report.skipped;
         session.show();
+        overruns = if skipped == 0 || back { 0 } else { overruns + skipped };
+        back = false;
+        if real && most > 0 && overruns > most {
+            given_up = Some(RuntimeError::Overrun { overruns, most, tick, period_ms });
+            break;
+        }
         if tick >= ticks || session.stopping() {
             break;
         }
@@ -248,7 +262,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     session.finish(&report)?;
     // Whoever listens for another observation finds that there is none.
     ports.bell.ring();
-    Ok(report)
+    given_up.map_or(Ok(report), Err)
 }
 
 /// Waits until the logger has room for the next [`CREDIT`] ticks. False when the run is to end first.

@@ -30,8 +30,14 @@ pub struct PlantReport {
     pub late: u64,
     /// Ticks passed over because the plant itself was late.
     pub skipped: u64,
-    /// Commands that the gate limited.
+    /// Ticks in which the gate limited what was wanted, for whatever reason.
     pub clamped: u64,
+    /// Ticks in which the gate limited the change of the applied command.
+    pub step_limited: u64,
+    /// Ticks in which the gate kept a joint from going over its limits.
+    pub position_limited: u64,
+    /// Commands that the gate's ramp limited.
+    pub ramped: u64,
     /// Commands that held a value that is not a number.
     pub non_finite: u64,
     /// Checkpoints written by the process that ended the run.
@@ -55,6 +61,9 @@ impl Remember for PlantReport {
             ("late", &mut self.late),
             ("skipped", &mut self.skipped),
             ("clamped", &mut self.clamped),
+            ("step_limited", &mut self.step_limited),
+            ("position_limited", &mut self.position_limited),
+            ("ramped", &mut self.ramped),
             ("non_finite", &mut self.non_finite),
         ] {
             ledger.number(name, count);
@@ -69,6 +78,10 @@ pub struct ControllerReport {
     pub ticks: u64,
     /// Observations that it never saw.
     pub unseen: u64,
+    /// Ticks in which a fault of the channel let it hear nothing, and it answered so.
+    pub unheard: u64,
+    /// Observations that a fault of the channel let come after their tick; it neither answers nor learns from them.
+    pub stale: u64,
     /// Ticks learned from.
     pub learned: u64,
     /// Times that the trace was cut.
@@ -99,6 +112,8 @@ impl Remember for ControllerReport {
         for (name, count) in [
             ("ticks", &mut self.ticks),
             ("unseen", &mut self.unseen),
+            ("unheard", &mut self.unheard),
+            ("stale", &mut self.stale),
             ("learned", &mut self.learned),
             ("cuts", &mut self.cuts),
             ("invalid", &mut self.invalid),

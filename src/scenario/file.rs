@@ -10,7 +10,7 @@ use serde::{
     de::{Error, IgnoredAny, SeqAccess, Visitor},
 };
 
-use super::{ArmTable, LearnerTable, RealtimeTable, RestartTable, Source};
+use super::{ArmTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable, Source};
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -51,6 +51,12 @@ pub struct Scenario {
     /// What each process asks of the operating system in real time.
     #[serde(default, skip_serializing_if = "RealtimeTable::is_nothing")]
     pub realtime: RealtimeTable,
+    /// What the plant does when it cannot keep its own deadlines.
+    #[serde(default, skip_serializing_if = "OverrunTable::is_nothing")]
+    pub overrun: OverrunTable,
+    /// What is made to go wrong, on purpose.
+    #[serde(default, skip_serializing_if = "FaultsTable::is_nothing")]
+    pub faults: FaultsTable,
     /// Where the scenario came from, for messages; not a key of the file, not compared and not hashed.
     #[serde(skip)]
     pub source: Source,
@@ -172,18 +178,6 @@ pub enum Noise {
     Laplace,
 }
 
-/// `[gate]`: between a command and the actuators.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct GateTable {
-    /// Largest command in magnitude, on every output.
-    pub max_command: f64,
-    /// Ticks for which the last command is held when none comes.
-    pub hold_ticks: u32,
-    /// Ticks over which it then decays to zero.
-    pub decay_ticks: u32,
-}
-
 /// `[log]`: what is written down.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -268,12 +262,6 @@ impl Default for EyeTable {
 impl Default for PolicyTable {
     fn default() -> Self {
         Self { sigma: 0.003, noise: Noise::Gaussian }
-    }
-}
-
-impl Default for GateTable {
-    fn default() -> Self {
-        Self { max_command: 0.05, hold_ticks: 2, decay_ticks: 4 }
     }
 }
 

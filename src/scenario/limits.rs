@@ -65,7 +65,21 @@ pub const MIN_SIGMA: f64 = 1e-9;
 /// The step `alpha / sigma^2`. Features of unit norm diverge above 2 for rewards of the order of 1; 1000 leaves room
 /// for rewards that are small.
 pub const STEP: RangeInclusive<f64> = 0.0..=1000.0;
-/// Most ticks of hold or decay.
+/// Largest angle in the gate's limits of position in magnitude, rad; one that no joint reaches is no limit.
+pub const POSITION: f64 = 1000.0;
+/// Least distance between the two limits of a position, rad.
+pub const LEAST_COURSE: f64 = 1e-3;
+/// Most faults of channels, and of processes.
+pub const MAX_FAULTS: usize = 16;
+/// Most ticks by which a sample is delayed or doubled: what is under way has to be kept.
+pub const MAX_DELAY: u64 = 16;
+/// Most ticks of a frozen channel.
+pub const MAX_FREEZE: u64 = 1_000_000;
+/// Most ticks at which one thing happens to a process.
+pub const MAX_STRIKES: usize = 1000;
+/// How long a process is stopped, ms.
+pub const STOPPED_MS: RangeInclusive<f64> = 1.0..=60_000.0;
+/// Most ticks of hold, of decay or of the gate's ramp.
 pub const MAX_HOLD: u32 = 1_000_000;
 /// Time constants of a learner, ticks.
 pub const LEARNER_TICKS: RangeInclusive<f64> = 1.0..=1e12;

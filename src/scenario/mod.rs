@@ -8,7 +8,9 @@
 
 mod arm;
 mod error;
+mod faults;
 mod file;
+mod gate;
 mod learner;
 pub mod limits;
 mod presets;
@@ -26,7 +28,11 @@ mod tests;
 
 pub use arm::*;
 pub use error::{Place, ScenarioError};
+pub use faults::{
+    ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsTable, ProcessAct, ProcessFault,
+};
 pub use file::*;
+pub use gate::{GateTable, OverrunTable, PerOutput};
 pub use learner::*;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeProcess, RealtimeTable};

@@ -2,7 +2,7 @@
 
 use std::{f64::consts::PI, path::Path};
 
-use super::{ArmTable, EyeTable, MirrorAxis, Retina, Scenario, SignalTable};
+use super::{ArmTable, EyeTable, MirrorAxis, PerOutput, Retina, Scenario, SignalTable};
 
 /// The name of the simulator's program.
 const SIMULATOR: &str = "tectum-simulator";
@@ -24,8 +24,8 @@ pub(super) fn is_simulator(program: &str) -> bool {
 pub(super) fn signals(scenario: &Scenario) -> Signals {
     let plant = &scenario.plant;
     let known = match (&plant.arm, &plant.eye) {
-        (Some(arm), _) => of_arm(arm, scenario.gate.max_command),
-        (None, Some(eye)) => of_eye(eye, scenario.gate.max_command),
+        (Some(arm), _) => of_arm(arm, &scenario.gate.max_command),
+        (None, Some(eye)) => of_eye(eye, &scenario.gate.max_command),
         (None, None) => Signals { inputs: Vec::new(), outputs: Vec::new(), measures: Vec::new() },
     };
     Signals {
@@ -35,7 +35,7 @@ pub(super) fn signals(scenario: &Scenario) -> Signals {
     }
 }
 
-fn of_arm(arm: &ArmTable, max_command: f64) -> Signals {
+fn of_arm(arm: &ArmTable, max_command: &PerOutput) -> Signals {
     let joints = 1..=arm.lengths.len();
     let [low, high] = arm.arena;
     // A mirrored coordinate lies in the arena's mirror image.
@@ -55,12 +55,12 @@ fn of_arm(arm: &ArmTable, max_command: f64) -> Signals {
     }
     Signals {
         inputs,
-        outputs: joints.map(|joint| signal(&format!("{output}_{joint}"), "1", [-max_command, max_command])).collect(),
+        outputs: joints.map(|joint| limited(&format!("{output}_{joint}"), max_command.of(joint - 1))).collect(),
         measures,
     }
 }
 
-fn of_eye(eye: &EyeTable, max_command: f64) -> Signals {
+fn of_eye(eye: &EyeTable, max_command: &PerOutput) -> Signals {
     let inputs = match eye.retina {
         Retina::Linear => vec![
             signal("position_x", "1", [-1.0, 1.0]),
@@ -78,9 +78,14 @@ fn of_eye(eye: &EyeTable, max_command: f64) -> Signals {
     };
     Signals {
         inputs,
-        outputs: ["up", "down", "left", "right"].map(|name| signal(name, "1", [-max_command, max_command])).to_vec(),
+        outputs: (0..).zip(["up", "down", "left", "right"]).map(|(i, name)| limited(name, max_command.of(i))).collect(),
         measures: vec!["error".to_owned()],
     }
+}
+
+/// An output that the gate limits.
+fn limited(name: &str, limit: f64) -> SignalTable {
+    signal(name, "1", [-limit, limit])
 }
 
 fn signal(name: &str, unit: &str, [min, max]: [f64; 2]) -> SignalTable {

@@ -89,7 +89,7 @@ fn follow<'d, 'i>(document: &'d DeTable<'i>, path: &str) -> Option<(usize, &'d D
 /// The first list that stands where a table belongs, and where it begins. serde would take its entries for the table's
 /// keys in the order of their declaration, which nobody means.
 pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> {
-    const TABLES: [&str; 13] = [
+    const TABLES: [&str; 15] = [
         "plant",
         "plant.arm",
         "plant.arm.reward",
@@ -103,9 +103,19 @@ pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> 
         "gate",
         "log",
         "channels",
+        "overrun",
+        "faults",
     ];
-    const LISTS_OF_TABLES: [&str; 6] =
-        ["plant.inputs", "plant.outputs", "plant.arm.block", "plant.arm.shorten", "plant.arm.mirror", "encoder.maps"];
+    const LISTS_OF_TABLES: [&str; 8] = [
+        "plant.inputs",
+        "plant.outputs",
+        "plant.arm.block",
+        "plant.arm.shorten",
+        "plant.arm.mirror",
+        "encoder.maps",
+        "faults.channel",
+        "faults.process",
+    ];
     let table = TABLES.iter().find_map(|path| match follow(document, path)? {
         (start, DeValue::Array(_), true) => Some(((*path).to_owned(), start)),
         _ => None,

@@ -49,9 +49,17 @@ fn assert_bounds(plan: &Plan) {
     }
     assert!(features <= 65_536);
 
-    assert!(0.0 < s.gate.max_command && s.gate.max_command <= 1e6);
-    assert!(0.0 < s.policy.sigma && s.policy.sigma <= s.gate.max_command);
-    assert!(s.gate.hold_ticks <= 1_000_000 && s.gate.decay_ticks <= 1_000_000);
+    let outputs = plan.outputs.len();
+    for numbers in std::iter::once(&s.gate.max_command).chain(&s.gate.max_step) {
+        assert!((0..outputs).all(|i| 0.0 < numbers.of(i) && numbers.of(i) <= 1e6));
+        assert!(!matches!(numbers, PerOutput::Each(list) if list.len() != outputs));
+    }
+    assert!((0..outputs).all(|i| 0.0 < s.policy.sigma && s.policy.sigma <= s.gate.max_command.of(i)));
+    assert!(s.gate.hold_ticks <= 1_000_000 && s.gate.decay_ticks <= 1_000_000 && s.gate.ramp_ticks <= 1_000_000);
+    assert!(s.gate.positions.is_empty() || (s.gate.positions.len() == outputs && s.plant.eye.is_none()));
+    assert!(s.gate.positions.iter().all(|[low, high]| -1000.0 <= *low && low + 0.001 <= *high && *high <= 1000.0));
+    assert!(s.overrun.max_consecutive <= 1_000_000_000_000);
+    assert_faults(&s.faults);
     assert!((0.0..1.0).contains(&s.learner.beta) && (0.0..=1000.0).contains(&s.learner.alpha_over_variance));
     assert!(s.log.every >= 1 && s.log.hash_every >= 1);
     let channels = [&s.channels.observation, &s.channels.command, &s.channels.learning];
@@ -91,6 +99,30 @@ fn assert_bounds(plan: &Plan) {
         assert!((1e-3..=1e6).contains(&eye.distortion) && (1e-6..=10.0).contains(&eye.spread));
         assert!(eye.bonus.abs() <= 1000.0);
     }
+}
+
+fn assert_faults(faults: &FaultsTable) {
+    assert!(faults.channel.len() <= 16 && faults.process.len() <= 16);
+    for fault in &faults.channel {
+        assert!(fault.probability.is_none_or(|p| 0.0 < p && p <= 1.0));
+        assert!(fault.probability.is_some() || fault.from.is_some() || fault.until.is_some());
+        assert!(fault.until.is_none_or(|until| fault.from.unwrap_or(0) < until && until <= 1_000_000_000_000));
+        assert!(fault.from.is_none_or(|from| from <= 1_000_000_000_000));
+        let most = match fault.kind {
+            FaultKind::Delay | FaultKind::Duplicate => 16,
+            FaultKind::Freeze => 1_000_000,
+            _ => 1,
+        };
+        assert!((1..=most).contains(&fault.ticks()));
+        assert_eq!(fault.value.is_some(), fault.kind == FaultKind::Corrupt);
+    }
+    for fault in &faults.process {
+        assert!((1..=1000).contains(&fault.at.len()) && fault.at.is_sorted_by(|a, b| a < b));
+        assert!(fault.at.iter().all(|&tick| tick <= 1_000_000_000_000));
+        assert_eq!(fault.for_ms.is_some(), fault.act == ProcessAct::Stop);
+        assert!(fault.for_ms.is_none_or(|ms| (1.0..=60_000.0).contains(&ms)));
+    }
+    assert_eq!(faults.in_words().len(), faults.channel.len() + faults.process.len());
 }
 
 /// Reads and plans a text; whatever comes of it must hold up.
@@ -224,6 +256,20 @@ fn everything() -> Scenario {
     arm.limits = vec![[-2.6, 2.6]; arm.lengths.len()];
     (arm.reward.near, arm.reward.collision) = (Some(0.5), 0.1);
     scenario.plant.args = vec!["--quiet".to_owned()];
+    scenario.gate = toml::from_str(
+        "max_command = [0.1, 0.2, 0.05, 0.1]\nmax_step = 0.02\nramp_ticks = 10\n\
+         positions = [[-2.5, 2.5], [-1, 1], [-100, 100], [0, 3]]",
+    )
+    .unwrap();
+    scenario.overrun.max_consecutive = 20;
+    scenario.faults = toml::from_str(
+        "[[channel]]\nchannel = \"observation\"\nkind = \"delay\"\nprobability = 0.1\nticks = 3\n\
+         [[channel]]\nchannel = \"command\"\nkind = \"freeze\"\nfrom = 10\nuntil = 20\nticks = 100\n\
+         [[channel]]\nchannel = \"command\"\nkind = \"corrupt\"\nfrom = 5\nvalue = \"nan\"\n\
+         [[process]]\nprocess = \"logger\"\ndo = \"stop\"\nat = [100, 200]\nfor_ms = 250\n\
+         [[process]]\nprocess = \"plant\"\ndo = \"kill\"\nat = [7]",
+    )
+    .unwrap();
     scenario
 }
 

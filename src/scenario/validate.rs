@@ -6,24 +6,25 @@
 use std::{collections::HashSet, fmt::Display, ops::RangeInclusive};
 
 use super::{
-    EncoderTable, GateTable, LogTable, MapTable, Rule, Scenario, SignalTable, error::Problem, error::either,
-    error::quoted, find, limits, realtime, restart, signals::signals, validate_learner, validate_plant,
+    EncoderTable, LogTable, MapTable, Rule, Scenario, SignalTable, error::Problem, error::either, error::quoted,
+    faults, find, gate, limits, realtime, restart, signals::signals, validate_learner, validate_plant,
 };
 use crate::wire::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
 
 /// Checks a whole scenario.
 pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
     top(scenario)?;
-    gate(&scenario.gate)?;
+    gate::check(&scenario.gate, &scenario.overrun)?;
     validate_plant::check(&scenario.plant)?;
 
     let signals = signals(scenario);
+    gate::check_outputs(&scenario.gate, &scenario.plant, &signals.outputs)?;
     signal_list("plant.inputs", &signals.inputs, MAX_INPUTS)?;
     signal_list("plant.outputs", &signals.outputs, MAX_OUTPUTS)?;
     measures(&signals.measures)?;
 
     let features = encoder(&scenario.encoder, &signals.inputs)?;
-    policy(scenario.policy.sigma, scenario.gate.max_command)?;
+    policy(scenario.policy.sigma, scenario.gate.max_command.least())?;
     let still = match &scenario.plant {
         plant if plant.eye.is_some() => Some("the eye"),
         plant if plant.arm.as_ref().is_some_and(|arm| arm.open_loop) => Some("an arm in an open loop"),
@@ -39,7 +40,8 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
     log(&scenario.log)?;
     channels(scenario)?;
     restart::check(&scenario.restart)?;
-    realtime::check(&scenario.realtime)
+    realtime::check(&scenario.realtime)?;
+    faults::check(&scenario.faults)
 }
 
 fn top(scenario: &Scenario) -> Result<(), Problem> {
@@ -60,16 +62,6 @@ fn top(scenario: &Scenario) -> Result<(), Problem> {
         return Err(Problem::value("period_ms", show(period), remedy));
     }
     ticks("ticks", scenario.ticks, *limits::TICKS.start())
-}
-
-fn gate(gate: &GateTable) -> Result<(), Problem> {
-    number("gate.max_command", gate.max_command, limits::COMMAND, "give more than 0 (1e-9 or more), up to 1e6")?;
-    for (key, value) in [("gate.hold_ticks", gate.hold_ticks), ("gate.decay_ticks", gate.decay_ticks)] {
-        if value > limits::MAX_HOLD {
-            return Err(Problem::value(key, value, "give 0 to 1000000 ticks"));
-        }
-    }
-    Ok(())
 }
 
 fn signal_list(key: &str, signals: &[SignalTable], most: usize) -> Result<(), Problem> {

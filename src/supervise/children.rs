@@ -252,6 +252,8 @@ fn death_of(
     let unless = match code {
         // What does not fit will not fit the next time.
         exit::INPUT | exit::MISMATCH => None,
+        // It has finished its part of the run, and tells what went wrong in it.
+        _ if finished => None,
         // Somebody has asked it to end, and it did.
         _ if is(exit::TERMINATED) || is(exit::INTERRUPTED) => Some(Restart::OnFailure),
         _ => Some(Restart::Never),

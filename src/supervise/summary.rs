@@ -85,8 +85,20 @@ pub struct Summary {
     pub late: u64,
     /// Ticks that the plant passed over, being late itself.
     pub skipped: u64,
-    /// Commands that the gate limited.
+    /// Ticks in which the gate limited what was wanted, for whatever reason.
     pub clamped: u64,
+    /// Among them, those in which it limited the change from tick to tick,
+    pub step_limited: u64,
+    /// kept a joint from going over its limits,
+    pub position_limited: u64,
+    /// or let commands grow that had just begun to come.
+    pub ramped: u64,
+    /// Commands that held a value that is not a number.
+    pub non_finite: u64,
+    /// Ticks in which a fault of the channel let the controller hear nothing.
+    pub unheard: u64,
+    /// Observations that a fault of the channel let come to it after their tick.
+    pub stale: u64,
     /// Samples that did not reach the log, all channels together.
     pub lost: u64,
     /// The same by channel: observation, command, learning.
@@ -130,6 +142,8 @@ pub struct Summary {
     pub log_every: u64,
     /// The figure; null where there is nothing to draw.
     pub figure: Option<PathBuf>,
+    /// What was made to go wrong, on purpose: `[faults]` of the scenario in words. Empty for a clean run.
+    pub faults: Vec<String>,
     /// What the scenario's settings make likely to go wrong, one sentence each.
     pub warnings: Vec<String>,
     /// What went wrong, one sentence; null where nothing did.
@@ -239,6 +253,12 @@ impl Summary {
             late: plant.late,
             skipped: plant.skipped,
             clamped: plant.clamped,
+            step_limited: plant.step_limited,
+            position_limited: plant.position_limited,
+            ramped: plant.ramped,
+            non_finite: plant.non_finite,
+            unheard: controller.as_ref().map_or(0, |c| c.unheard),
+            stale: controller.as_ref().map_or(0, |c| c.stale),
             lost: 0,
             lost_by_channel: [0; 3],
             weights_hash: controller.as_ref().map(|c| c.weights_hash.clone()),
@@ -263,6 +283,7 @@ impl Summary {
             log_bytes: 0,
             log_every: plan.scenario.log.every,
             figure: None,
+            faults: plan.scenario.faults.in_words(),
             warnings: plan.warnings.clone(),
             failure: None,
             checkpoint_failure: plant
@@ -349,6 +370,27 @@ impl Summary {
         }
         let _ =
             writeln!(text, "missed {}  late {}  lost {}  limited {}", self.missed, self.late, self.lost, self.clamped);
+        // Only what happened.
+        let mut row = |label: &str, counts: &[(&str, u64)]| {
+            let happened: Vec<_> =
+                counts.iter().filter(|(_, n)| *n > 0).map(|(what, n)| format!("{what} {n}")).collect();
+            if !happened.is_empty() {
+                let _ = writeln!(text, "{label:<23} {}", happened.join("  "));
+            }
+        };
+        row(
+            "gate",
+            &[
+                ("by step", self.step_limited),
+                ("by position", self.position_limited),
+                ("by ramp", self.ramped),
+                ("not a number", self.non_finite),
+            ],
+        );
+        row("heard", &[("nothing", self.unheard), ("too late", self.stale)]);
+        for fault in &self.faults {
+            let _ = writeln!(text, "{:<23} {fault}", "fault, on purpose");
+        }
         for role in Role::ALL {
             let back: Vec<_> = self.restarts.iter().filter(|incident| incident.process == role.name()).collect();
             if let Some(last) = back.last() {

@@ -101,7 +101,7 @@ pub mod flag {
     pub const DECAYED: u32 = 1 << 3;
     /// Observation: the hold policy stopped the plant (command zero).
     pub const STOPPED: u32 = 1 << 4;
-    /// Observation: the gate limited the command.
+    /// Observation: the gate limited the command; why it did stands beside it where it was not the command's size alone.
     pub const CLAMPED: u32 = 1 << 5;
     /// Observation: the command held a value that is not a number; it counts as missed.
     pub const NON_FINITE: u32 = 1 << 6;
@@ -116,6 +116,14 @@ pub mod flag {
     /// Command and learning: a number that is not finite was met in learning. The learner has stopped, and where the
     /// weights themselves are no longer numbers the answer is zero.
     pub const DIVERGED: u32 = 1 << 11;
+    /// Observation: the gate limited the change of the applied command from tick to tick.
+    pub const STEP_LIMITED: u32 = 1 << 12;
+    /// Observation: the gate kept a joint from going over its limits.
+    pub const POSITION_LIMITED: u32 = 1 << 13;
+    /// Observation: commands had just begun to come, or come back, and the gate let them grow.
+    pub const RAMPED: u32 = 1 << 14;
+    /// Command: the controller heard nothing of this tick; the sample stands for silence, and counts as missed.
+    pub const UNHEARD: u32 = 1 << 15;
     /// Learning: the weights were changed with the reward of tick k-1.
     pub const LEARNED: u32 = 1 << 16;
     /// Learning: the trace was cleared, because what happened in tick k-1 is not what the policy asked for.

@@ -61,6 +61,10 @@ impl Info {
             );
         }
         let _ = writeln!(text, "{GAP_TOPIC:<16}{:>12}", self.gaps);
+        if !self.flags.is_empty() {
+            let flags: Vec<_> = self.flags.iter().map(|(name, n)| format!("{name} {n}")).collect();
+            let _ = writeln!(text, "\nflags    {}", flags.join("  "));
+        }
         if several {
             self.list_segments(&mut text);
         }

@@ -17,7 +17,7 @@ pub use segments::posture;
 
 use std::f32::consts::PI;
 
-use super::{Outcome, Plant};
+use super::{Joints, Outcome, Plant};
 use crate::scenario::{ArmTable, BlockTable};
 use crate::state::{Ledger, Remember};
 use crate::wire::{MAX_MEASURES, MAX_OUTPUTS};
@@ -196,6 +196,13 @@ impl Plant for Arm {
             measures[3] = crossings;
         }
         Outcome { reward: -self.scale * cost, measures }
+    }
+
+    /// A joint that comes round is measured in [-pi, pi), so that a limit between is a wall that it crosses from neither side,
+    /// and one beyond is none. In an open loop every tick starts from angle 0.
+    fn joints(&self) -> Option<Joints> {
+        let position = if self.table.open_loop { [0.0; MAX_OUTPUTS] } else { self.theta };
+        Some(Joints { position, travel: [self.period * self.gain; MAX_OUTPUTS] })
     }
 }
 

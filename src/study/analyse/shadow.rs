@@ -109,7 +109,8 @@ impl Shadow {
         loop {
             self.encoder.encode(&inputs[..self.inputs], &mut self.features);
             let mean = self.controller.policy().mean(self.features.as_slice());
-            let applied = gate.pass(Some(&mean)).command;
+            let spans = gate.spans(|| twin.joints());
+            let applied = gate.pass(Some(&mean), spans.as_ref()).command;
             let outcome = twin.advance(tick, &applied[..self.outputs]);
             track.points.push(cutter.end(&outcome.measures));
             track.errors.push(f64::from(outcome.measures[cutter.error]));

@@ -58,7 +58,7 @@ impl Other {
     pub fn new(plan: &Plan) -> Self {
         Self {
             rule: plan.scenario.learner.rule,
-            controller: Controller::new(plan),
+            controller: Controller::new(plan).off_policy(),
             outputs: plan.outputs.len(),
             squares: 0.0,
             ticks: 0,

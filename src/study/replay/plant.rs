@@ -2,13 +2,17 @@
 //!
 //! What an observation says of the tick before (the applied command, the flags) follows from the command that arrived and
 //! the gate; with the simulator's bodies, so does everything else in it. Whether a command arrived in time is told by the
-//! flags, except where the plant passed ticks over right after: then both are tried.
+//! flags, except where the plant passed ticks over right after, or where the scenario's faults may have taken it: then both
+//! are tried.
+//!
+//! The limits of position of a plant that nobody can run again depend on what the log does not tell. What was applied under
+//! them is taken as it stands, if it lies between zero and what the gate would have let through without them.
 
 use std::path::Path;
 
 use super::clockwork::Clockwork;
 use super::compare::{Difference, compare};
-use crate::plant::{Body, Outcome, Plant};
+use crate::plant::{Body, Joints, Outcome, Plant};
 use crate::runtime::PlantSide;
 use crate::scenario::Plan;
 use crate::state::{Ledger, Remember};
@@ -52,6 +56,14 @@ impl Plant for Stand {
             Self::Told { outcome, .. } => *outcome,
         }
     }
+
+    fn joints(&self) -> Option<Joints> {
+        match self {
+            Self::Simulated(body) => body.joints(),
+            // A log does not tell them.
+            Self::Told { .. } => None,
+        }
+    }
 }
 
 /// Gate and body of a run, followed through its log.
@@ -60,6 +72,8 @@ pub struct PlantShadow {
     /// The ways to have come here; one, as a rule.
     sides: Vec<PlantSide<Stand>>,
     simulated: bool,
+    /// A command that arrived may be missed all the same, by a fault of the channel.
+    faulty: bool,
     ticks: u64,
     /// Observations so far, and the tick of the last.
     seen: u64,
@@ -76,7 +90,8 @@ impl PlantShadow {
         let simulated = body.is_some();
         let told = Stand::Told { inputs: [0.0; MAX_INPUTS], fresh: false, outcome: Outcome::default() };
         let side = PlantSide::new(body.map_or(told, Stand::Simulated), plan);
-        Self { sides: vec![side], simulated, ticks: plan.scenario.ticks, seen: 0, last: None, incarnation: 0 }
+        let faulty = !side.is_clean();
+        Self { sides: vec![side], simulated, faulty, ticks: plan.scenario.ticks, seen: 0, last: None, incarnation: 0 }
     }
 
     /// Whether the body is run again, so that every bit of an observation is checked.
@@ -119,12 +134,13 @@ impl PlantShadow {
         compare("observation", due + skipped, logged, &replayed)?;
         clock.check_order(&logged.header, "observation")?;
 
-        // Then what came of the tick before.
+        // Then what came of the tick before. In lockstep a command always arrives.
         let missed = logged.header.flags & (flag::MISSED | flag::NON_FINITE) == flag::MISSED;
         let arrived: &[Option<&Command>] = match (skipped, command) {
             (_, None) => &[None],
-            (0, Some(_)) if missed => &[None],
-            (0, Some(command)) => &[Some(command)],
+            (0, Some(command)) if clock.lockstep => &[Some(command)],
+            (0, Some(_)) if missed && !self.faulty => &[None],
+            (0, Some(command)) if !missed => &[Some(command)],
             (_, Some(command)) => &[Some(command), None],
         };
         // Entries that no input uses are 0.
@@ -145,6 +161,16 @@ impl PlantShadow {
                 }
             }
         }
+        if fitting.len() > 1 {
+            // Ways that have come to the same are one.
+            let mut known: Vec<Vec<u8>> = Vec::with_capacity(fitting.len());
+            fitting.retain_mut(|side| {
+                let standing = side.standing();
+                let new = !known.contains(&standing);
+                known.push(standing);
+                new
+            });
+        }
         if fitting.is_empty() {
             return first;
         }
@@ -164,9 +190,18 @@ impl PlantSide<Stand> {
             *fresh = logged.header.flags & flag::NEW_TARGET != 0;
             *outcome = Outcome { reward: logged.reward, measures: logged.measures };
         }
+        let guessed = matches!(self.body_mut(), Stand::Told { .. }) && self.limits_positions();
+        if guessed {
+            let limited = logged.header.flags & flag::POSITION_LIMITED != 0;
+            self.tell(logged.applied.map(|u| if limited { [u.min(0.0), u.max(0.0)] } else { [f32::MIN, f32::MAX] }));
+        }
         if due > 0 {
             self.live(due - 1, command);
         }
         self.skip(due, tick);
+        // Of the ticks passed over, the log tells the last one only.
+        if guessed && tick > due {
+            self.take_over(logged);
+        }
     }
 }

@@ -170,14 +170,15 @@ fn test(plan: &Plan, controller: &Controller) -> Vec<(Vec<f32>, f64)> {
     let mut arm = Arm::new(&table, plan.period_ns as f64 / 1e9, TEST_SEED);
     let mut encoder = plan.encoder();
     let mut features = encoder.features();
-    let limit = plan.scenario.gate.max_command as f32;
+    let limits = plan.scenario.gate.max_command.outputs();
     (0..TARGETS as u64)
         .map(|tick| {
             let mut inputs = [0.0; MAX_INPUTS];
             arm.sense(tick, &mut inputs);
             encoder.encode(&inputs[..plan.inputs.len()], &mut features);
             let mut command = [0.0; MAX_OUTPUTS];
-            for (to, mean) in command.iter_mut().zip(controller.policy().mean(features.as_slice())) {
+            let mean = controller.policy().mean(features.as_slice());
+            for ((to, mean), limit) in command.iter_mut().zip(mean).zip(limits) {
                 *to = mean.clamp(-limit, limit);
             }
             let outcome = arm.advance(tick, &command[..plan.outputs.len()]);

@@ -284,7 +284,7 @@ fn test(plan: &Plan, controller: &Controller) -> Vec<Measures> {
     let mut arm = Arm::new(&table, period_s, TEST_SEED);
     let mut encoder = plan.encoder();
     let mut features = encoder.features();
-    let limit = plan.scenario.gate.max_command as f32;
+    let limits = plan.scenario.gate.max_command.outputs();
     let mut inputs = [0.0; MAX_INPUTS];
     let movement = |target: u64| {
         let from = target * table.target_every;
@@ -297,7 +297,8 @@ fn test(plan: &Plan, controller: &Controller) -> Vec<Measures> {
             arm.sense(tick, &mut inputs);
             encoder.encode(&inputs[..plan.inputs.len()], &mut features);
             let mut command = [0.0; MAX_OUTPUTS];
-            for (to, mean) in command.iter_mut().zip(controller.policy().mean(features.as_slice())) {
+            let mean = controller.policy().mean(features.as_slice());
+            for ((to, mean), limit) in command.iter_mut().zip(mean).zip(limits) {
                 *to = mean.clamp(-limit, limit);
             }
             let outcome = arm.advance(tick, &command[..plan.outputs.len()]);

@@ -29,7 +29,7 @@ use crate::encoder::Encoder;
 use crate::plant::Arm;
 use crate::policy::{Exploration, Linear, Outputs};
 use crate::runtime::PlantSide;
-use crate::scenario::Plan;
+use crate::scenario::{FaultsTable, Plan};
 use crate::wire::{Command, Observation};
 
 /// The loss to reach: that of the paper's rule after 9 million ticks, exploration noise's share taken out.
@@ -61,6 +61,8 @@ impl TestSet {
     /// The test of `world` for policies of `plan`, whose plant is the arm.
     pub fn new(plan: &Plan, world: World) -> Self {
         let mut plan = plan.clone();
+        // A test of what was learned, not of what went wrong on the way.
+        plan.scenario.faults = FaultsTable::default();
         plan.scenario.plant.arm = Some(world.with_targets(&world.draw_targets(TARGETS, TEST_SEED)));
         let encoder = Encoder::new(&plan.maps, plan.scenario.encoder.normalise);
         Self { plan, world, encoder }

@@ -1,0 +1,146 @@
+//! What the controller learns from and what it does not, observation by observation.
+
+use super::*;
+use crate::scenario::Scenario;
+
+fn controller() -> Controller {
+    Controller::new(&Scenario::find("paper").unwrap().plan().unwrap())
+}
+
+fn observation(tick: u64, flags: u32) -> Observation {
+    let mut observation = Observation { reward: -1.0, ..Observation::default() };
+    observation.header.tick = tick;
+    observation.header.flags = flags;
+    observation.inputs[..6].copy_from_slice(&[0.1, -0.2, 0.3, 0.4, -0.5, 0.6]);
+    observation
+}
+
+fn answer(controller: &mut Controller, observation: &Observation) -> (Command, u32) {
+    let mut command = Command::default();
+    controller.respond(observation, &mut command);
+    (command, controller.flags)
+}
+
+#[test]
+fn a_reward_is_learned_from_only_if_it_is_the_policys_own() {
+    for (flags, skip, expected) in [
+        (0, 0, flag::LEARNED),
+        (flag::NEW_TARGET, 0, flag::LEARNED),
+        (flag::CLAMPED, 0, flag::LEARNED),
+        (flag::CLAMPED | flag::STEP_LIMITED | flag::POSITION_LIMITED | flag::RAMPED, 0, flag::LEARNED),
+        (flag::LATE, 0, flag::LEARNED),
+        (flag::MISSED | flag::STOPPED | flag::CLAMPED | flag::STEP_LIMITED, 0, flag::TRACE_CUT),
+        (flag::MISSED | flag::HELD, 0, flag::TRACE_CUT),
+        (flag::SKIPPED, 2, flag::TRACE_CUT),
+        (flag::FIRST, 0, flag::TRACE_CUT),
+        (0, 1, flag::TRACE_CUT),
+    ] {
+        let mut controller = controller();
+        assert_eq!(answer(&mut controller, &observation(0, flag::FIRST)).1, 0);
+        assert_eq!(answer(&mut controller, &observation(1, 0)).1, flag::LEARNED);
+        let before = controller.policy.hash();
+        assert_eq!(answer(&mut controller, &observation(2 + skip, flags)).1, expected, "flags {flags:x}");
+        let learned = controller.policy.hash() != before;
+        assert_eq!(learned, expected == flag::LEARNED, "flags {flags:x}");
+        if expected == flag::TRACE_CUT {
+            assert_eq!(controller.rule.trace_norm(), 0.0);
+        }
+    }
+}
+
+#[test]
+fn credit_goes_to_the_applied_command() {
+    let mut limited = controller();
+    let mut explicit = controller();
+    let (command, _) = answer(&mut limited, &observation(0, flag::FIRST));
+    answer(&mut explicit, &observation(0, flag::FIRST));
+    let mut applied = observation(1, flag::CLAMPED);
+    applied.applied = command.drawn;
+    applied.applied[0] *= 0.5;
+    for i in 0..4 {
+        explicit.noise[i] = applied.applied[i] - command.mean[i];
+    }
+    let mut foreign = limited.clone();
+    assert_eq!(answer(&mut limited, &applied).1, flag::LEARNED);
+    answer(&mut explicit, &observation(1, 0));
+    assert_eq!(limited.policy.hash(), explicit.policy.hash());
+
+    // No gate makes that of what was asked for: it was another's command, corrupted on its way.
+    applied.applied[0] *= 3.0;
+    assert_eq!(answer(&mut foreign.clone(), &applied).1, flag::TRACE_CUT);
+    // Unless it comes from what was applied before, a step away.
+    foreign.before[0] = applied.applied[0] * 1.5;
+    assert_eq!(answer(&mut foreign.clone(), &applied).1, flag::LEARNED);
+    foreign.before[0] = 0.0;
+    assert_eq!(answer(&mut foreign.off_policy(), &applied).1, flag::LEARNED);
+}
+
+#[test]
+fn weights_stay_numbers_whatever_the_step() {
+    let mut scenario = Scenario::find("paper").unwrap();
+    scenario.learner.alpha_over_variance = 1000.0;
+    for reward in [-1e36, -10.0] {
+        let mut controller = Controller::new(&scenario.clone().plan().unwrap()).off_policy();
+        for tick in 0..400 {
+            let mut observation = observation(tick, if tick == 0 { flag::FIRST } else { flag::CLAMPED });
+            // The gate holds what is applied within limits, while the mean grows.
+            observation.applied[..4].copy_from_slice(&[0.05; 4]);
+            observation.reward = reward;
+            let (command, _) = answer(&mut controller, &observation);
+            controller.settle(&observation);
+            assert!(command.drawn.iter().all(|u| u.is_finite()), "{command:?}");
+        }
+        assert!(controller.halted() && controller.policy.norm().is_finite(), "{reward}");
+        assert!(controller.report.diverged_at.is_some());
+    }
+}
+
+#[test]
+fn values_that_are_not_numbers_are_answered_with_zero_and_not_learned_from() {
+    let mut controller = controller();
+    answer(&mut controller, &observation(0, flag::FIRST));
+    let mut blind = observation(1, 0);
+    blind.inputs[3] = f32::NAN;
+    let (command, flags) = answer(&mut controller, &blind);
+    assert_eq!((command.drawn, command.header.flags, flags), ([0.0; 8], flag::INVALID, flag::TRACE_CUT));
+    assert_eq!(answer(&mut controller, &observation(2, 0)).1, 0, "nothing to credit after a blind answer");
+    let mut worthless = observation(3, 0);
+    worthless.reward = f32::INFINITY;
+    assert_eq!(answer(&mut controller, &worthless).1, flag::TRACE_CUT);
+    assert_eq!(controller.policy.norm(), 0.0);
+    assert_eq!(answer(&mut controller, &observation(4, 0)).1, flag::LEARNED);
+    // Nor what no range could hold, finite as it is.
+    let mut absurd = observation(5, 0);
+    absurd.inputs[0] = 1e30;
+    let (command, flags) = answer(&mut controller, &absurd);
+    assert_eq!((command.drawn, command.header.flags, flags), ([0.0; 8], flag::INVALID, flag::TRACE_CUT));
+}
+
+/// Silence is answered with silence, what comes late is nothing, and no credit crosses over.
+#[test]
+fn what_was_not_heard_is_neither_answered_nor_learned_from() {
+    let mut scenario = Scenario::find("paper").unwrap();
+    scenario.faults =
+        toml::from_str("[[channel]]\nchannel = \"observation\"\nkind = \"delay\"\nfrom = 2\nuntil = 3\nticks = 2")
+            .unwrap();
+    let mut controller = Controller::new(&scenario.plan().unwrap());
+    let mut clean = self::controller();
+    for tick in 0..2 {
+        let observation = observation(tick, if tick == 0 { flag::FIRST } else { 0 });
+        assert_eq!(answer(&mut controller, &observation), answer(&mut clean, &observation));
+    }
+    let (command, flags) = answer(&mut controller, &observation(2, 0));
+    assert_eq!((command.header.tick, command.header.flags, flags), (2, flag::UNHEARD, 0));
+    assert_eq!((command.mean, command.drawn), ([0.0; 8], [0.0; 8]));
+    let mut learning = Learning::default();
+    controller.record(&observation(2, 0), &mut learning);
+    assert_eq!((learning.header.tick, learning.noise, learning.reward), (2, [0.0; 8], 0.0));
+    // Heard again, one is missing in between; the draws are those that come next.
+    let norm = controller.policy.norm();
+    let (command, flags) = answer(&mut controller, &observation(3, 0));
+    assert_eq!((command.header.flags, flags, controller.policy.norm()), (0, flag::TRACE_CUT, norm));
+    assert_eq!(controller.noise, clean.exploration.draw());
+    // The delayed one is there, and says nothing of this tick.
+    assert_eq!(answer(&mut controller, &observation(4, 0)).1, flag::LEARNED);
+    assert_eq!((controller.report.unheard, controller.report.stale, controller.report.cuts), (1, 1, 1));
+}

@@ -1,0 +1,203 @@
+//! A simulated day at the office: every learner with every fault, in one process, kept as a table.
+//!
+//! The table in `tests/snapshots/office.txt` is what came out, exactly; `TECTUM_BLESS=1 cargo test --test office` writes it
+//! anew. A change of it is a change of what faults do, and is reviewed there.
+
+use std::fmt::Write as _;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use tectum::plant::Body;
+use tectum::report::Window;
+use tectum::runtime::{Controller, ControllerReport, PlantReport, PlantSide};
+use tectum::scenario::{Plan, Scenario};
+use tectum::wire::{Command, Learning, Observation, flag};
+
+const TICKS: u64 = 2000;
+
+/// The rules; the last one with few imagined movements, so that debug builds are quick.
+const RULES: [(&str, &str); 5] = [
+    ("paper", "rule = \"paper\""),
+    ("baseline", "rule = \"baseline\""),
+    ("actor-critic", "rule = \"actor-critic\""),
+    ("natural-actor-critic", "rule = \"natural-actor-critic\""),
+    ("learned-reward", "rule = \"learned-reward\"\n[learner.model]\nmovements = 4\nsteps = 1\nmemory = 64"),
+];
+
+/// The kinds of fault, each with what else it needs.
+const KINDS: [(&str, &str, &str); 7] = [
+    ("delay", "delay", "ticks = 3"),
+    ("drop", "drop", ""),
+    ("duplicate", "duplicate", "ticks = 3"),
+    ("reorder", "reorder", ""),
+    ("freeze", "freeze", "ticks = 3"),
+    ("not a number", "corrupt", "value = \"nan\""),
+    ("huge", "corrupt", "value = \"huge\""),
+];
+
+/// A cell of the matrix: the rule, the fault, and the plan.
+struct Cell {
+    rule: &'static str,
+    fault: String,
+    plan: Plan,
+}
+
+/// The arm of `scenarios/paper.toml` under a rule and with more tables behind.
+fn plan(learner: &str, more: &str) -> Plan {
+    let paper = std::fs::read_to_string("scenarios/paper.toml").unwrap();
+    let (head, tail) = paper.split_once("\n[learner]").unwrap();
+    let (_, tail) = tail.split_once("\n# The paper has no limit").unwrap();
+    let text = format!("{head}\n[learner]\n{learner}\n# {tail}\n{more}");
+    let mut scenario = Scenario::parse(&text, "office").unwrap();
+    (scenario.seed, scenario.ticks) = (3, TICKS);
+    scenario.plan().unwrap()
+}
+
+fn cells() -> Vec<Cell> {
+    let mut cells = Vec::new();
+    for (rule, learner) in RULES {
+        cells.push(Cell { rule, fault: "none".to_owned(), plan: plan(learner, "") });
+        for channel in ["observation", "command"] {
+            for (name, kind, more) in KINDS {
+                let more = format!(
+                    "[[faults.channel]]\nchannel = \"{channel}\"\nkind = \"{kind}\"\nprobability = 0.05\n{more}"
+                );
+                cells.push(Cell { rule, fault: format!("{channel} {name}"), plan: plan(learner, &more) });
+            }
+        }
+    }
+    let mut office = Scenario::find("office").unwrap();
+    office.ticks = TICKS;
+    office.learner = toml::from_str(RULES[4].1.replace("[learner.model]", "[model]").as_str()).unwrap();
+    cells.push(Cell { rule: "learned-reward", fault: "office.toml".to_owned(), plan: office.plan().unwrap() });
+    cells
+}
+
+/// The run, with what must hold in every tick of it, whatever goes wrong.
+fn run(plan: &Plan) -> (PlantReport, ControllerReport) {
+    let mut side = PlantSide::new(Body::of(plan).unwrap(), plan);
+    let mut controller = Controller::new(plan);
+    let (mut observation, mut command, mut learning) =
+        (Observation::default(), Command::default(), Learning::default());
+    for tick in 0..plan.scenario.ticks {
+        let asked = command.drawn;
+        side.observe(tick, 0, 0, &mut observation);
+        let flags = observation.header.flags;
+        assert!(observation.applied.iter().all(|u| u.abs() <= 0.05), "{observation:?}");
+        assert!(observation.inputs.iter().all(|x| x.is_finite()) && observation.reward.is_finite());
+        // Whatever was applied and is not what was asked for is flagged, so that credit goes by it or not at all.
+        if flags & (flag::FIRST | flag::MISSED | flag::CLAMPED) == 0 {
+            assert_eq!(observation.applied, asked, "tick {tick}, flags {flags:#x}");
+        }
+        controller.respond(&observation, &mut command);
+        controller.settle(&observation);
+        controller.record(&observation, &mut learning);
+        assert!(command.drawn.iter().all(|u| u.is_finite()) && learning.weights_norm.is_finite());
+        if flags & flag::MISSED != 0 {
+            assert_eq!(learning.header.flags & flag::LEARNED, 0, "tick {tick}");
+        }
+        side.live(tick, Some(&command));
+    }
+    (side.report, controller.finish())
+}
+
+/// Mean loss over the last quarter of the run.
+fn loss(windows: &[Window]) -> f64 {
+    let late: Vec<_> = windows.iter().filter(|w| w.from >= TICKS * 3 / 4).collect();
+    let ticks: u64 = late.iter().map(|w| w.ticks).sum();
+    late.iter().map(|w| w.loss * w.ticks as f64).sum::<f64>() / ticks as f64
+}
+
+const HEAD: &str = "\
+A day at the office: the arm of scenarios/paper.toml, seed 3, 2000 ticks, with a chance of 0.05 a tick for one fault.
+A delay, a duplicate and a freeze take 3 ticks. learned-reward imagines few movements, and office.toml has its own faults.
+
+missed: ticks in which the hold policy answered. late: commands after their tick. limited: ticks in which the gate limited.
+bad: commands that were not numbers. unheard: ticks of which the controller heard nothing. stale: observations after their
+tick. blind: observations whose inputs were none. learned: ticks learned from. cuts: of the trace. loss: a tick, over the last
+quarter of the run. cost: ticks that the fault took from the learner, of a hundred, and what it added to the loss.
+
+";
+
+#[test]
+fn a_day_at_the_office() {
+    let cells = cells();
+    let results: Vec<_> = cells.iter().map(|_| Mutex::new(None)).collect();
+    let next = AtomicUsize::new(0);
+    std::thread::scope(|scope| {
+        for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
+            scope.spawn(|| {
+                loop {
+                    let i = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(cell) = cells.get(i) else { break };
+                    *results[i].lock().unwrap() = Some(run(&cell.plan));
+                }
+            });
+        }
+    });
+    let mut text = HEAD.to_owned();
+    let _ = writeln!(
+        text,
+        "{:<21}{:<25}{:>7}{:>6}{:>8}{:>5}{:>8}{:>6}{:>6}{:>8}{:>6}{:>9}{:>6}{:>9}  weights",
+        "rule",
+        "fault",
+        "missed",
+        "late",
+        "limited",
+        "bad",
+        "unheard",
+        "stale",
+        "blind",
+        "learned",
+        "cuts",
+        "loss",
+        "cost",
+        ""
+    );
+    let mut clean = (0, 0.0, String::new());
+    for (cell, result) in cells.iter().zip(results) {
+        let (p, c) = result.into_inner().unwrap().unwrap();
+        let loss = loss(&c.windows);
+        if cell.fault == "none" {
+            clean = (c.learned, loss, c.weights_hash.clone());
+            assert_eq!((p.missed, p.late, c.unheard, c.stale, c.invalid, c.cuts), (0, 0, 0, 0, 0, 0), "{}", cell.rule);
+        } else {
+            assert!(
+                p.missed + p.late + p.clamped + c.stale + c.invalid > 50,
+                "{} {}: nothing went wrong",
+                cell.rule,
+                cell.fault
+            );
+        }
+        // What comes twice is told by its tick, and costs nothing.
+        if cell.fault.ends_with("duplicate") {
+            assert_eq!((c.learned, &c.weights_hash), (clean.0, &clean.2), "{} {}", cell.rule, cell.fault);
+        }
+        assert_eq!(c.diverged_at, None, "{} {}", cell.rule, cell.fault);
+        let taken = 100.0 * (clean.0 - c.learned.min(clean.0)) as f64 / clean.0 as f64;
+        let _ = writeln!(
+            text,
+            "{:<21}{:<25}{:>7}{:>6}{:>8}{:>5}{:>8}{:>6}{:>6}{:>8}{:>6}{loss:>9.4}{taken:>6.1}{:>+9.4}  {}",
+            cell.rule,
+            cell.fault,
+            p.missed,
+            p.late,
+            p.clamped,
+            p.non_finite,
+            c.unheard,
+            c.stale,
+            c.invalid,
+            c.learned,
+            c.cuts,
+            loss - clean.1,
+            c.weights_hash
+        );
+    }
+    let path = "tests/snapshots/office.txt";
+    if std::env::var_os("TECTUM_BLESS").is_some() {
+        std::fs::write(path, &text).unwrap();
+    }
+    let kept = std::fs::read_to_string(path).unwrap_or_default();
+    let changed: Vec<_> = text.lines().zip(kept.lines().chain(std::iter::repeat(""))).filter(|(a, b)| a != b).collect();
+    assert!(changed.is_empty() && kept == text, "{path} is another one; TECTUM_BLESS=1 writes it anew: {changed:#?}");
+}
