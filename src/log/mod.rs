@@ -40,6 +40,7 @@ mod reader;
 mod repair;
 mod room;
 mod segments;
+mod sink;
 mod timings;
 mod writer;
 

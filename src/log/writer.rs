@@ -11,6 +11,7 @@
 //! checksum's batch buffer has grown to its 32 KiB.
 
 use super::room::{RESERVE, Room};
+use super::sink::{Sink, io_error};
 use super::{
     ENCAPSULATION, GAP_TOPIC, HISTOGRAMS_METADATA, LogError, LogHeader, MESSAGE_OVERHEAD, MISSING_METADATA,
     RUN_METADATA, Record, SCENARIO_ATTACHMENT, Segment, TOTALS_METADATA, Timings, Totals,
@@ -20,10 +21,10 @@ use mcap::records::MessageHeader;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufWriter, ErrorKind, Seek, SeekFrom, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicI32, Ordering};
+use std::sync::atomic::AtomicI32;
 
 /// Room for the largest message's data.
 const LARGEST: usize = ENCAPSULATION.len() + size_of::<Observation>();
@@ -318,51 +319,6 @@ fn describe(mcap: &mut Mcap, header: &LogHeader, run: BTreeMap<String, String>) 
 fn channel<S: Sample>(mcap: &mut Mcap, topic: &str) -> mcap::McapResult<u16> {
     let schema = mcap.add_schema(S::ROS_NAME, "ros2msg", S::ros2msg().as_bytes())?;
     mcap.add_channel(schema, topic, "cdr", &BTreeMap::from([("sample".to_owned(), S::NAME.to_owned())]))
-}
-
-/// The file, with a memory for the operating system's error: on its way up through `mcap` it gets wrapped beyond
-/// recognition, and whether the disk is full matters to whoever calls.
-struct Sink {
-    file: File,
-    errno: Arc<AtomicI32>,
-}
-
-impl Sink {
-    fn note<T>(&self, result: io::Result<T>) -> io::Result<T> {
-        if let Err(e) = &result
-            && e.kind() != ErrorKind::Interrupted
-        {
-            self.errno.store(e.raw_os_error().unwrap_or(0), Ordering::Relaxed);
-        }
-        result
-    }
-}
-
-impl Write for Sink {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let result = self.file.write(bytes);
-        self.note(result)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        let result = self.file.flush();
-        self.note(result)
-    }
-}
-
-impl Seek for Sink {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        let result = self.file.seek(to);
-        self.note(result)
-    }
-}
-
-fn io_error(error: mcap::McapError, errno: &AtomicI32) -> io::Error {
-    match (errno.load(Ordering::Relaxed), error) {
-        (0, mcap::McapError::Io(e)) => e,
-        (0, e) => io::Error::other(e),
-        (code, _) => io::Error::from_raw_os_error(code),
-    }
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ pub mod exit {
     pub const OK: u8 = 0;
     /// An error that no other code names.
     pub const ERROR: u8 = 1;
-    /// Bad input: arguments, scenario, folder, or a disk without room.
+    /// Bad input: arguments, scenario, folder, or a disk without room, also one that fills up while the run goes on.
     pub const INPUT: u8 = 2;
     /// A process does not fit the run it was to join.
     pub const MISMATCH: u8 = 3;
