@@ -162,3 +162,45 @@ fn a_process_that_dies_again_and_again_ends_the_run() {
     assert!(outcome.json()["failure"].as_str().unwrap().contains("the controller was killed by signal 9"));
     assert_no_debris(&place.run_folder());
 }
+
+/// What a scenario makes happen to processes happens, in the given order, and changes nothing in lockstep.
+#[test]
+fn faults_of_processes_happen_at_their_ticks() {
+    let place = Place::new();
+    let faults = r#"
+[[faults.process]]
+process = "controller"
+do = "kill"
+at = [3000, 9000]
+
+[[faults.process]]
+process = "plant"
+do = "restart"
+at = [6000]
+
+[[faults.process]]
+process = "controller"
+do = "restart"
+at = [12000]
+
+[[faults.process]]
+process = "controller"
+do = "stop"
+for_ms = 30
+at = [15000]
+
+[[faults.process]]
+process = "plant"
+do = "kill"
+at = [18000]
+"#;
+    let scenario = scenario(&place, "paper", &[], &format!("{QUICK}{faults}"));
+    let hash = undisturbed(&scenario, "30000");
+    let outcome = place.run(&[&scenario, "--ticks", "30000", "--json"]).wait().expect(0);
+    let summary = outcome.json();
+    assert_eq!(summary["weights_hash"], hash, "{outcome:#?}");
+    let back: Vec<_> = summary["restarts"].as_array().unwrap().iter().map(|r| r["process"].as_str().unwrap()).collect();
+    assert_eq!(back, ["controller", "plant", "controller", "controller", "plant"], "{outcome:#?}");
+    assert!(summary["faults"].as_array().unwrap().len() == 5, "{outcome:#?}");
+    assert_no_debris(&place.run_folder());
+}

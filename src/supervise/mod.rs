@@ -9,6 +9,7 @@ mod children;
 mod error;
 mod folder;
 mod keeper;
+mod mischief;
 mod progress;
 mod resume;
 mod story;

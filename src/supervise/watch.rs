@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use super::children::{Crew, Failure};
 use super::keeper::{Incident, Keeper};
+use super::mischief::Mischief;
 use super::{Ended, Launch, LaunchError, Progress};
 use crate::channel::{DomainName, Hub, bury};
 use crate::clock::{Signals, monotonic_ns, pause};
@@ -35,6 +36,7 @@ pub(super) struct Run {
     signals: Signals,
     progress: Progress,
     keeper: Keeper,
+    mischief: Mischief,
     look_ns: u64,
     /// Why the run ends before its last tick, if it does.
     ended: Option<Ended>,
@@ -70,6 +72,7 @@ impl Run {
             control: Control::default(),
             signals,
             progress,
+            mischief: Mischief::of(&launch.plan.scenario.faults),
             keeper: Keeper::new(&launch.plan.scenario.restart, monotonic_ns()),
             look_ns: if launch.mode == Mode::Realtime { LOOK_REALTIME_NS } else { LOOK_NS },
             ended: None,
@@ -128,10 +131,11 @@ impl Run {
                 self.control.checkpoints += 1;
                 self.hub.control.put(self.control);
             }
+            self.mischief.act(self.hub.status(Role::Plant).ticks, monotonic_ns(), &self.crew);
             self.listen();
             self.revive();
             self.progress.show(&self.hub);
-            self.crew.await_end(self.look_ns);
+            self.crew.await_end(self.mischief.patience(self.look_ns));
         }
     }
 
@@ -140,7 +144,8 @@ impl Run {
         for death in self.crew.reap(&self.hub) {
             self.deaths.push(death.failure.clone());
             let going = self.ended.is_none() && self.control.phase() == Phase::Run;
-            if going && self.keeper.take(&death, monotonic_ns(), false) {
+            let wanted = self.mischief.wanted(death.role);
+            if going && self.keeper.take(&death, monotonic_ns(), wanted) {
                 say(&format!("tectum: {}; it is started again", death.failure.message));
             } else {
                 self.fail(death.failure);
@@ -167,6 +172,7 @@ impl Run {
             let Some(life) = self.crew.child(role) else { continue };
             let board = self.hub.status(role);
             let hangs = match board.state() {
+                _ if self.mischief.stands(role) => false,
                 State::Running => self.keeper.silent(role, board.beat, now),
                 State::Finished | State::Failed => false,
                 _ => self.keeper.age(role, now) > SET_UP_LIMIT.as_nanos() as u64,
