@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 use support::{Outcome, Place, TECTUM, assert_no_debris, example, signal_process};
-use tectum::log::{Info, LogReader};
+use tectum::log::{Info, LogReader, Record};
 
 /// Every limit of the gate, and every fault that can be told from a clean run.
 const GATE: &str = "\
@@ -238,4 +238,56 @@ fn limits_of_position_need_a_plant_with_joints() {
     for words in ["`positions` under [gate] needs a plant that tells where its joints are", "take it out"] {
         assert!(outcome.stderr.contains(words), "{words}: {outcome:?}");
     }
+}
+
+/// What only the log hears: it lacks that, and says so; nobody else notices.
+#[test]
+fn what_the_logger_does_not_hear_is_stated() {
+    let place = Place::new();
+    let faults = r#"
+[[faults.channel]]
+channel = "learning"
+kind = "drop"
+probability = 0.05
+
+[[faults.channel]]
+channel = "learning"
+kind = "delay"
+ticks = 3
+from = 500
+until = 600
+
+[[faults.channel]]
+channel = "learning"
+kind = "duplicate"
+probability = 0.05
+
+[[faults.channel]]
+channel = "learning"
+kind = "freeze"
+ticks = 1500
+from = 1000
+until = 1001
+"#;
+    let clean = place.arm(&[("every", "1"), ("ticks", "4000")]);
+    let scenario = place.file("faulty.toml", std::fs::read_to_string(&clean).unwrap() + faults);
+    let hash = |arguments: &[&str]| {
+        place.start(TECTUM, &[&["run"], arguments].concat()).wait().expect(0).json()["weights_hash"].clone()
+    };
+    let clean = hash(&[&clean, "--out", "clean", "--json"]);
+    assert_eq!(hash(&[scenario.to_str().unwrap(), "--out", "run", "--json"]), clean);
+    let log = place.run_folder().join("log.mcap");
+    let (mut learning, mut gaps) = (Vec::new(), 0);
+    for record in LogReader::open(&log).unwrap() {
+        match record.unwrap() {
+            Record::Learning(s) => learning.push(s.header.sequence),
+            Record::Gap(gap) if gap.channel == 2 => gaps += gap.count,
+            Record::Gap(gap) => panic!("{gap:?}"),
+            _ => {}
+        }
+    }
+    assert!(learning.is_sorted() && learning.windows(2).all(|two| two[0] < two[1]));
+    assert_eq!(learning.len() as u64 + gaps, 4000);
+    assert!((1600..2000).contains(&gaps), "{gaps}");
+    assert!(!learning.iter().any(|n| (500..600).contains(n) || (1000..2500).contains(n)));
 }

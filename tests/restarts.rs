@@ -90,13 +90,19 @@ fn a_plant_that_is_killed_goes_on_where_it_was() {
 /// Whatever a rule remembers: models, memories of states, candidates, traces.
 #[test]
 fn every_rule_survives() {
-    for (name, rule) in [("arm", "learned-reward"), ("paper", "natural-actor-critic"), ("paper", "baseline")] {
+    // As many ticks as take the rule much longer than a return.
+    for (name, rule, ticks) in [
+        ("arm", "learned-reward", 700),
+        ("paper", "natural-actor-critic", 20_000),
+        ("paper", "actor-critic", 60_000),
+        ("paper", "baseline", 60_000),
+    ] {
         let place = Place::new();
         let scenario = scenario(&place, name, &[("rule", &format!("\"{rule}\"")), ("every", "1")], QUICK);
-        let hash = undisturbed(&scenario, "700");
-        let mut run = place.run(&[&scenario, "--ticks", "700", "--json"]);
+        let hash = undisturbed(&scenario, &ticks.to_string());
+        let mut run = place.run(&[&scenario, "--ticks", &ticks.to_string(), "--json"]);
         let log = place.run_folder().join("log.mcap");
-        strike(&mut run, &log, "tectum-controller", "KILL", random_steps(7, 2, 100_000));
+        strike(&mut run, &log, "tectum-controller", "KILL", random_steps(7, 2, ticks * 521 / 2));
         assert_eq!(check(&place, &run.wait().expect(0), "controller", &hash), 2, "{rule}");
     }
 }

@@ -89,9 +89,9 @@ fn configuration(name: &DomainName) -> Config {
 }
 
 /// Takes away what processes that were killed held of the domain's services, so that others can take their places. For the
-/// launcher, when no process is being set up. False if that is not done within `limit`: iceoryx2 waits without end for what
-/// a process began to make and never finished.
-pub fn bury(name: &DomainName, limit: Duration) -> bool {
+/// launcher, when no process is being set up. `None` if nothing comes of it within `limit`, because iceoryx2 waits without
+/// end for what a process began to make and never finished; `Some(false)` if something could not be taken away.
+pub fn bury(name: &DomainName, limit: Duration) -> Option<bool> {
     // A segment without size is one whose maker died between making it and giving it its size: opening it would hang.
     let prefix = name.prefix();
     for entry in std::fs::read_dir(SHM).into_iter().flatten().flatten() {
@@ -104,17 +104,27 @@ pub fn bury(name: &DomainName, limit: Duration) -> bool {
     let (done, wait) = mpsc::channel();
     // Not joined: if it hangs, it goes with the launcher.
     std::thread::spawn(move || {
-        let mut clean = true;
-        let listed = Node::<ipc::Service>::list(&config, |state| {
-            if let NodeState::Dead(dead) = state {
-                clean &= dead.try_remove_stale_resources().is_ok();
+        // What fails once may succeed the next time: a node that died while it was being made, or was being listed.
+        let clean = (0..ATTEMPTS).any(|attempt| {
+            if attempt > 0 {
+                std::thread::sleep(Duration::from_millis(5));
             }
-            CallbackProgression::Continue
+            let mut clean = true;
+            let listed = Node::<ipc::Service>::list(&config, |state| {
+                if let NodeState::Dead(dead) = state {
+                    clean &= dead.try_remove_stale_resources().is_ok();
+                }
+                CallbackProgression::Continue
+            });
+            clean && listed.is_ok()
         });
-        let _ = done.send(clean && listed.is_ok());
+        let _ = done.send(clean);
     });
-    wait.recv_timeout(limit).unwrap_or(false)
+    wait.recv_timeout(limit).ok()
 }
+
+/// How often [`bury`] tries.
+const ATTEMPTS: u32 = 10;
 
 /// Removes every file of the domain. For the launcher, when all processes of the run have ended.
 pub fn wipe(name: &DomainName) {

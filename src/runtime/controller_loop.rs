@@ -198,6 +198,9 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
 
     while let Some(observation) = await_observation(&mut ports, &mut plant, &session, real)? {
         let seen = &observation.header;
+        if session.interrupted() {
+            session.check()?;
+        }
         if seen.sequence < answers.expected() {
             // A plant that has come back says its last word again, and may not have heard the answer.
             answers.say(&ports)?;

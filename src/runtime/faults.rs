@@ -12,7 +12,7 @@ use xxhash_rust::xxh3::xxh3_64_with_seed;
 
 use crate::scenario::{ChannelFault, FaultChannel, FaultKind, FaultValue, Plan};
 use crate::state::{Ledger, Remember};
-use crate::wire::{Command, Header, Observation, Sample};
+use crate::wire::{Command, Header, Learning, Observation, Sample};
 
 /// Most samples under way in a line; with more, the one that has been under way for longest is lost. One fault keeps at
 /// most 16 samples, so that only three or more of long delay can come to it.
@@ -58,6 +58,18 @@ impl Carried for Command {
 
     fn values(&mut self, signals: Signals) -> &mut [f32] {
         &mut self.drawn[..signals.outputs]
+    }
+}
+
+impl Carried for Learning {
+    const CHANNEL: FaultChannel = FaultChannel::Learning;
+
+    fn header(&self) -> &Header {
+        &self.header
+    }
+
+    fn values(&mut self, signals: Signals) -> &mut [f32] {
+        &mut self.noise[..signals.outputs]
     }
 }
 

@@ -4,12 +4,14 @@
 //! what is missing between that and the first sample that it receives. When the disk is full, it goes on receiving, so that
 //! nobody waits for it in vain, and closes the log with what it could not hold.
 
+use super::faults::Line;
 use super::merge::{Closed, Merge};
 use super::{LoggerReport, Mode, Resumed, RuntimeError, Seat, Session, read_realtime};
-use crate::channel::LoggerPorts;
+use crate::channel::{ChannelError, LoggerPorts, Receiver};
 use crate::clock::{TimeSource, facts, monotonic_ns, pause, wall_ns};
 use crate::log::{Clock, LogHeader, LogWriter, Past, Record, Segment, segment_path};
-use crate::wire::{Role, State, Status};
+use crate::scenario::FaultChannel;
+use crate::wire::{Learning, Role, State, Status};
 
 /// How far the senders are, by their boards, whichever of their incarnations has them.
 struct Senders {
@@ -85,10 +87,11 @@ pub fn run_logger(seat: Seat) -> Result<LoggerReport, RuntimeError> {
         command_to_applied,
     };
     session.finish(&report)?;
-    // In lockstep the plant waits for the logger: a loss there is a fault of this program, unless somebody was away, or there
-    // was no room.
+    // In lockstep the plant waits for the logger: a loss there is a fault of this program, unless somebody was away, there
+    // was no room, or the scenario wants it.
     let returned = Role::ALL.iter().any(|&role| session.incarnation_of(role) > 0);
-    let excused = time.is_real() || returned || report.failure.is_some();
+    let faulty = session.seat.plan.scenario.faults.channel.iter().any(|fault| fault.channel == FaultChannel::Learning);
+    let excused = time.is_real() || returned || faulty || report.failure.is_some();
     if let (false, Some(i)) = (excused, report.lost.iter().position(|&lost| lost > 0)) {
         let channel = ["observation", "command", "learning"][i].to_owned();
         return Err(RuntimeError::Lost { channel, lost: report.lost[i] });
@@ -111,6 +114,7 @@ fn follow(
     // In real time a sample may never come; two periods later its tick is written without it.
     let patience = (2 * session.seat.plan.period_ns / nap).max(8);
     let mut naps = 0;
+    let mut line = Line::of(&session.seat.plan);
     loop {
         senders.look(ports, session)?;
         let ended = session.check();
@@ -118,7 +122,7 @@ fn follow(
         let force = last || (real && naps >= patience);
         // In lockstep a sample's sequence number is its tick.
         let known = if real { [0; 3] } else { senders.sent };
-        let any = drain(merge, ports, known, force)?;
+        let any = drain(merge, ports, &mut line, known, force)?;
         session.status.consumed = merge.consumed();
         session.status.ticks = session.status.consumed;
         session.status.lost = merge.lanes.iter().map(|lane| lane.lost).sum();
@@ -132,12 +136,18 @@ fn follow(
 }
 
 /// Writes all that has come, beyond the reach of a kill before anybody is told. False when nothing had.
-fn drain(merge: &mut Merge, ports: &LoggerPorts, known: [u64; 3], force: bool) -> Result<bool, RuntimeError> {
+fn drain(
+    merge: &mut Merge,
+    ports: &LoggerPorts,
+    line: &mut Line<Learning>,
+    known: [u64; 3],
+    force: bool,
+) -> Result<bool, RuntimeError> {
     let mut any = false;
     loop {
         merge.fill(0, known[0], || ports.observation.receive().map(|sample| sample.map(Record::Observation)))?;
         merge.fill(1, known[1], || ports.command.receive().map(|sample| sample.map(Record::Command)))?;
-        merge.fill(2, known[2], || ports.learning.receive().map(|sample| sample.map(Record::Learning)))?;
+        merge.fill(2, known[2], || read_learning(&ports.learning, line))?;
         if !merge.write_first(force) {
             break;
         }
@@ -145,6 +155,23 @@ fn drain(merge: &mut Merge, ports: &LoggerPorts, known: [u64; 3], force: bool) -
     }
     merge.flush();
     Ok(any)
+}
+
+/// The next learning record that the scenario's faults let through. One that comes out in another tick than its own is not
+/// waited for: the log is in the order of ticks.
+fn read_learning(channel: &Receiver<Learning>, line: &mut Line<Learning>) -> Result<Option<Record>, ChannelError> {
+    while let Some(sample) = channel.receive()? {
+        let (tick, mut read) = (sample.header.tick, None);
+        line.pass(tick, Some(&sample), |out| {
+            if out.header.tick == tick {
+                read = Some(*out);
+            }
+        });
+        if let Some(sample) = read {
+            return Ok(Some(Record::Learning(sample)));
+        }
+    }
+    Ok(None)
 }
 
 fn header(session: &Session, time: &TimeSource, past: &Past) -> LogHeader {

@@ -300,6 +300,12 @@ impl Session {
         self.desk.control.get().checkpoints
     }
 
+    /// Whether a signal asked the process to end: cheap enough for every tick.
+    #[inline]
+    pub fn interrupted(&self) -> bool {
+        self.seat.signals.received() != 0
+    }
+
     /// Whether the loop must end at once, its peers being beyond waiting for.
     pub fn must_end(&self) -> bool {
         matches!(self.end(), Some(End::Abort | End::Signal(_) | End::Orphaned))

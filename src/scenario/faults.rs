@@ -26,7 +26,8 @@ pub struct FaultsTable {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ChannelFault {
-    /// The channel, where it is read: the controller reads observations, the plant commands.
+    /// The channel, where it is read: the controller reads observations, the plant commands, the
+    /// logger learning records.
     pub channel: FaultChannel,
     /// What happens to a sample.
     pub kind: FaultKind,
@@ -55,6 +56,8 @@ pub enum FaultChannel {
     Observation,
     /// Controller to plant; the log has the commands as they were sent.
     Command,
+    /// Controller to logger: what does not come in its tick is missing from the log, which says so.
+    Learning,
 }
 
 /// What can happen to a sample.
@@ -232,6 +235,11 @@ fn channel(key: &str, fault: &ChannelFault) -> Result<(), Problem> {
     {
         let remedy = format!("give more than from, which is {from}: it is the first tick without the fault");
         return Err(Problem::value(format_args!("{key}.until"), until, remedy));
+    }
+    if (fault.channel, fault.kind) == (FaultChannel::Learning, FaultKind::Corrupt) {
+        let text =
+            "is corrupt, on the channel learning; only the log hears that, and must hold what was learned or nothing";
+        return Err(Problem::new(format_args!("{key}.kind"), text));
     }
     match (fault.ticks, fault.kind) {
         (Some(_), other) if !other.takes_ticks() => {

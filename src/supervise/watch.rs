@@ -193,7 +193,8 @@ impl Run {
         }
         let Some(role) = self.keeper.due(monotonic_ns()) else { return };
         let failed = |message: String| Failure { code: exit::PROCESS, message, said: (role, String::new()) };
-        if !bury(&self.domain, BURY_LIMIT) {
+        // What could not be taken away may not be in the way. If it is, the new start fails, and is tried again.
+        if bury(&self.domain, BURY_LIMIT).is_none() {
             let text = format!("the {} cannot be started again: what it held cannot be taken from it", role.name());
             return self.fail(failed(text));
         }
