@@ -12,6 +12,7 @@ pub mod checkpoint;
 pub mod clock;
 pub mod doctor;
 pub mod encoder;
+pub mod lanes;
 pub mod learner;
 pub mod log;
 pub mod plant;
