@@ -142,7 +142,7 @@ impl Controller {
         if !blind {
             self.encoder.encode(inputs, &mut self.next);
         }
-        self.learn(observation, blind);
+        let answer = self.learn(observation, blind);
         self.before = observation.applied;
 
         command.header.tick = tick;
@@ -154,7 +154,7 @@ impl Controller {
         } else {
             std::mem::swap(&mut self.features, &mut self.next);
             self.shown = observation.inputs;
-            self.mean = self.policy.mean(self.features.as_slice());
+            self.mean = answer.unwrap_or_else(|| self.policy.mean(self.features.as_slice()));
             self.noise = self.exploration.draw();
             self.answered = Some(tick);
             if !self.mean.iter().all(|u| u.is_finite()) {
@@ -187,11 +187,12 @@ impl Controller {
         })
     }
 
-    fn learn(&mut self, observation: &Observation, blind: bool) {
+    /// Learns, and answers the next features where that was done on the way.
+    fn learn(&mut self, observation: &Observation, blind: bool) -> Option<Outputs> {
         let flags = observation.header.flags;
         self.flags = 0;
         self.step = 0.0;
-        let Some(answered) = self.answered else { return };
+        let answered = self.answered?;
         let clamped = flags & flag::CLAMPED != 0;
         let ours = flags & NOT_OURS == 0
             && observation.header.tick == answered + 1
@@ -213,13 +214,16 @@ impl Controller {
                 next_features: self.next.as_slice(),
                 next_inputs: &observation.inputs[..self.inputs],
             };
-            self.step = self.rule.learn(&mut self.policy, &tick);
+            let (step, answer) = self.rule.learn_and_answer(&mut self.policy, &tick);
+            self.step = step;
             self.flags = flag::LEARNED;
             self.report.learned += 1;
+            Some(answer)
         } else {
             self.rule.cut_trace();
             self.flags = flag::TRACE_CUT;
             self.report.cuts += 1;
+            None
         }
     }
 
