@@ -5,7 +5,7 @@
 
 use std::arch::x86_64::{
     __m256, _mm256_add_ps, _mm256_castps_si256, _mm256_castps256_ps128, _mm256_castsi256_ps, _mm256_extractf128_ps,
-    _mm256_min_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_slli_epi32, _mm256_sub_epi32, _mm256_sub_ps,
+    _mm256_hadd_ps, _mm256_min_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_slli_epi32, _mm256_sub_epi32, _mm256_sub_ps,
 };
 use std::ops::{Add, Mul, Sub};
 
@@ -89,5 +89,17 @@ impl Lanes for Eight {
     fn halves(self) -> [Vec4; 2] {
         // SAFETY: see above.
         unsafe { [_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0)] }.map(Vec4::from)
+    }
+
+    #[inline(always)]
+    fn totals([a, b, c, d]: [Self; 4]) -> [f32; 4] {
+        // Pairs of neighbours, pairs of pairs, and then the halves.
+        // SAFETY: see above.
+        let [low, high] = Self(unsafe {
+            let (ab, cd) = (_mm256_hadd_ps(a.0, b.0), _mm256_hadd_ps(c.0, d.0));
+            _mm256_hadd_ps(ab, cd)
+        })
+        .halves();
+        (low + high).to_array()
     }
 }

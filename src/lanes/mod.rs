@@ -36,6 +36,8 @@ pub(crate) trait Lanes: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Out
     fn less_exponent<const BITS: i32>(self, shifted: Self) -> Self;
     /// The lower and the upper four.
     fn halves(self) -> [Vec4; 2];
+    /// The sums of the lanes of four, neighbours first: `((a + b) + (c + d)) + ((e + f) + (g + h))`.
+    fn totals(of: [Self; 4]) -> [f32; 4];
 }
 
 /// For every machine: glam's four lanes, twice.
@@ -102,6 +104,16 @@ impl Lanes for Two {
     #[inline(always)]
     fn halves(self) -> [Vec4; 2] {
         [self.0, self.1]
+    }
+
+    #[inline(always)]
+    fn totals(of: [Self; 4]) -> [f32; 4] {
+        let mut totals = [0.0; 4];
+        for (total, lanes) in totals.iter_mut().zip(of) {
+            let [a, b, c, d, e, f, g, h] = lanes.store();
+            *total = ((a + b) + (c + d)) + ((e + f) + (g + h));
+        }
+        totals
     }
 }
 

@@ -215,7 +215,8 @@ impl ActorCritic {
         tick: &Tick,
         [here, next]: [&[f32]; 2],
         metric: Option<&[f32]>,
-    ) -> (f32, Outputs) {
+        mean: &mut Outputs,
+    ) -> f32 {
         let squares = self.squares(tick.noise);
         let cost: f32 = self.noise_costs.iter().zip(squares).map(|(c, q)| c * q).sum();
         let (direction, features) = (metric.unwrap_or(tick.features), tick.features);
@@ -227,7 +228,8 @@ impl ActorCritic {
         let error = tick.reward - cost + self.critic.discount * next_value - here_value;
         if !sound(error * self.rate, tick.noise) || !sound(error * self.critic.step, tick.noise) {
             self.halted = true;
-            return (0.0, policy.mean(tick.next_features));
+            *mean = policy.mean(tick.next_features);
+            return 0.0;
         }
         let error = self.bounded(error);
         for (cost, square) in self.noise_costs.iter_mut().zip(squares) {
@@ -240,18 +242,20 @@ impl ActorCritic {
         let rate = self.actor_step(self.rate * warm * fade * error, sides, tick.noise);
         let step = Step { features: direction, gain: tick.noise, decay: self.beta, rate };
         self.learned += 1.0;
-        (rate, policy.step_and_answer(&mut self.trace, step, tick.next_features))
+        policy.step_and_answer(&mut self.trace, step, tick.next_features, mean);
+        rate
     }
 }
 
 impl LearningRule for ActorCritic {
     fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32 {
-        self.learn_and_answer(policy, tick).0
+        self.learn_and_answer(policy, tick, &mut [0.0; MAX_OUTPUTS])
     }
 
-    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick) -> (f32, Outputs) {
+    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
         if self.halted {
-            return (0.0, policy.mean(tick.next_features));
+            *mean = policy.mean(tick.next_features);
+            return 0.0;
         }
         // Taken out for as long as their features are lent to the rest.
         let (mut pairs, mut metric) = (self.pairs.take(), self.metric.take());
@@ -262,7 +266,7 @@ impl LearningRule for ActorCritic {
             Some(pairs) => pairs.see(tick.inputs, tick.next_inputs),
             None => [tick.features, tick.next_features],
         };
-        let learned = self.learn_from(policy, tick, seen, metric.as_ref().map(Metric::result));
+        let learned = self.learn_from(policy, tick, seen, metric.as_ref().map(Metric::result), mean);
         (self.pairs, self.metric) = (pairs, metric);
         learned
     }

@@ -44,9 +44,9 @@ impl LearningRule for Baseline {
         self.rule.step(policy, tick.features, tick.noise, advantage)
     }
 
-    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick) -> (f32, Outputs) {
+    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
         let advantage = self.advantage(tick.reward);
-        self.rule.step_and_answer(policy, tick.features, tick.noise, advantage, tick.next_features)
+        self.rule.step_and_answer(policy, [tick.features, tick.next_features], tick.noise, advantage, mean)
     }
 
     fn cut_trace(&mut self) {

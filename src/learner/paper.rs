@@ -41,21 +41,24 @@ impl Paper {
         rate
     }
 
-    /// [`step`](Self::step), and the mean output for the features `next` after it.
+    /// [`step`](Self::step), and then into `mean` the mean output for the features `next`.
+    #[inline]
     pub fn step_and_answer(
         &mut self,
         policy: &mut Linear,
-        features: &[f32],
+        [features, next]: [&[f32]; 2],
         noise: &Outputs,
         reward: f32,
-        next: &[f32],
-    ) -> (f32, Outputs) {
+        mean: &mut Outputs,
+    ) -> f32 {
         let (rate, gain) = self.prepare(noise, reward);
         if self.halted {
-            return (rate, policy.mean(next));
+            *mean = policy.mean(next);
+        } else {
+            let step = Step { features, gain: &gain, decay: self.beta, rate };
+            policy.step_and_answer(&mut self.trace, step, next, mean);
         }
-        let step = Step { features, gain: &gain, decay: self.beta, rate };
-        (rate, policy.step_and_answer(&mut self.trace, step, next))
+        rate
     }
 
     /// The factors with which the trace enters the weights, and the features the trace.
@@ -71,8 +74,8 @@ impl LearningRule for Paper {
         self.step(policy, tick.features, tick.noise, tick.reward)
     }
 
-    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick) -> (f32, Outputs) {
-        self.step_and_answer(policy, tick.features, tick.noise, tick.reward, tick.next_features)
+    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
+        self.step_and_answer(policy, [tick.features, tick.next_features], tick.noise, tick.reward, mean)
     }
 
     fn cut_trace(&mut self) {

@@ -51,29 +51,29 @@ impl Linear {
     pub fn mean(&self, features: &[f32]) -> Outputs {
         let mut mean = [0.0; MAX_OUTPUTS];
         for (weights, mean) in self.weights.groups.iter().zip(mean.as_chunks_mut::<ROWS>().0) {
-            *mean = self.path.run(Answer { weights, features });
+            self.path.run(Answer { weights, features, mean });
         }
         mean
     }
 
     /// Takes a step along `trace`, which is of the size of this policy.
     pub fn step(&mut self, trace: &mut Tiles, step: Step) {
-        self.advance::<false>(trace, step, &[]);
+        self.advance::<false>(trace, step, &[], &mut [0.0; MAX_OUTPUTS]);
     }
 
     /// The same, and the mean output for the features `next` afterwards: [`mean`](Self::mean), to the bit, in the same pass.
-    pub fn step_and_answer(&mut self, trace: &mut Tiles, step: Step, next: &[f32]) -> Outputs {
-        self.advance::<true>(trace, step, next)
+    #[inline]
+    pub fn step_and_answer(&mut self, trace: &mut Tiles, step: Step, next: &[f32], mean: &mut Outputs) {
+        self.advance::<true>(trace, step, next, mean);
     }
 
-    fn advance<const ANSWER: bool>(&mut self, trace: &mut Tiles, step: Step, next: &[f32]) -> Outputs {
-        let mut mean = [0.0; MAX_OUTPUTS];
+    #[inline(always)]
+    fn advance<const ANSWER: bool>(&mut self, trace: &mut Tiles, step: Step, next: &[f32], mean: &mut Outputs) {
         let groups = self.weights.groups.iter_mut().zip(&mut trace.groups).zip(step.gain.chunks(ROWS));
         for (((weights, trace), gain), mean) in groups.zip(mean.as_chunks_mut::<ROWS>().0) {
             let step = Step { gain, ..step };
-            *mean = self.path.run(Advance::<ANSWER> { weights, trace, step, next });
+            self.path.run(Advance::<ANSWER> { weights, trace, step, next, mean });
         }
-        mean
     }
 
     /// The weights, by output and by a feature's place in the encoder's layout.

@@ -114,13 +114,14 @@ pub(super) struct Advance<'a, const ANSWER: bool> {
     pub trace: &'a mut [Tile],
     pub step: Step<'a>,
     pub next: &'a [f32],
+    pub mean: &'a mut [f32; ROWS],
 }
 
 impl<const ANSWER: bool> Pass for Advance<'_, ANSWER> {
-    type Output = [f32; ROWS];
+    type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self) -> [f32; ROWS] {
+    fn run<L: Lanes>(self) {
         let mut known =
             Known { gains: [L::splat(0.0); ROWS], decay: L::splat(self.step.decay), rate: L::splat(self.step.rate) };
         for (to, gain) in known.gains.iter_mut().zip(self.step.gain) {
@@ -138,7 +139,7 @@ impl<const ANSWER: bool> Pass for Advance<'_, ANSWER> {
         if let (Some(w), Some(z)) = (self.weights.get_mut(last), self.trace.get_mut(last)) {
             known.advance::<ANSWER>((w, z), &filled(rest), &filled(rest_next), &mut sums);
         }
-        totals(sums)
+        *self.mean = L::totals(sums);
     }
 }
 
@@ -176,13 +177,14 @@ impl<L: Lanes> Known<L> {
 pub(super) struct Answer<'a> {
     pub weights: &'a [Tile],
     pub features: &'a [f32],
+    pub mean: &'a mut [f32; ROWS],
 }
 
 impl Pass for Answer<'_> {
-    type Output = [f32; ROWS];
+    type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self) -> [f32; ROWS] {
+    fn run<L: Lanes>(self) {
         let mut sums = [L::splat(0.0); ROWS];
         let (whole, rest) = self.features.as_chunks();
         for (w, g) in self.weights.iter().zip(whole) {
@@ -191,7 +193,7 @@ impl Pass for Answer<'_> {
         if let Some(w) = self.weights.get(whole.len()) {
             answer(w, &filled(rest), &mut sums);
         }
-        totals(sums)
+        *self.mean = L::totals(sums);
     }
 }
 
@@ -202,15 +204,4 @@ fn answer<L: Lanes>(w: &Tile, g: &[f32; LANES], sums: &mut [L; ROWS]) {
     for (sum, row) in sums.iter_mut().zip(&w.0) {
         *sum = *sum + L::load(row) * g;
     }
-}
-
-/// The sums of the lanes, in a fixed order.
-#[inline(always)]
-fn totals<L: Lanes>(sums: [L; ROWS]) -> [f32; ROWS] {
-    let mut totals = [0.0; ROWS];
-    for (total, sum) in totals.iter_mut().zip(sums) {
-        let [a, b, c, d, e, f, g, h] = sum.store();
-        *total = ((a + b) + (c + d)) + ((e + f) + (g + h));
-    }
-    totals
 }
