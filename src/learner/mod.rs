@@ -17,6 +17,7 @@ mod baseline;
 mod critic_pass;
 mod learned_reward;
 mod metric;
+pub mod naive;
 mod pairs;
 mod paper;
 
