@@ -212,6 +212,7 @@ impl Remember for Tally {
         let mut counts = [sums.ticks, sums.ends, self.from];
         ledger.numbers("current_counts", &mut counts);
         [sums.ticks, sums.ends, self.from] = counts;
+        self.until = (self.from / self.length).saturating_add(1).saturating_mul(self.length);
         let mut means = [sums.loss, sums.squares, sums.end_error, self.last_error];
         ledger.numbers("current", &mut means);
         [sums.loss, sums.squares, sums.end_error, self.last_error] = means;

@@ -216,5 +216,6 @@ impl Remember for Arm {
         ledger.numbers("theta", &mut self.theta);
         ledger.numbers("target", &mut self.target);
         ledger.number("shown", &mut self.shown);
+        self.due = self.shown.saturating_mul(self.table.target_every);
     }
 }
