@@ -1,5 +1,5 @@
-//! What encoding costs: the arm's 320 features by every implementation, and the kernel's growth with the number of
-//! units.
+//! What encoding costs: the arm's 320 features by every implementation and on every path, and how that grows with the
+//! number of units, along a line and on a plane.
 //!
 //! Every call takes the next of a ring of inputs, so that no branch is learnt by heart and nothing is a constant.
 
@@ -9,6 +9,7 @@ use std::hint::black_box;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use tectum::encoder::naive::{Naive, Separable};
 use tectum::encoder::{Axis, Encoder, Map};
+use tectum::lanes::Path;
 
 /// Inputs of the ring; a power of two.
 const RING: usize = 256;
@@ -67,23 +68,9 @@ fn arm320(criterion: &mut Criterion) {
             black_box(&mut features);
         });
     });
-    group.bench_function("kernel", |b| {
-        over_ring(b, |inputs| {
-            encoder.encode(inputs, &mut features);
-            black_box(&mut features);
-        });
-    });
-    group.finish();
-}
-
-fn scaling(criterion: &mut Criterion) {
-    let mut group = criterion.benchmark_group("encode/scaling");
-    for (slow, fast) in [(4, 8), (8, 16), (16, 32), (32, 64), (64, 128), (128, 256)] {
-        let axis = |input, units| Axis { input, units, min: -1.0, max: 1.0, radius: 0.5 };
-        let mut encoder = Encoder::new(&[Map::Plane(axis(0, slow), axis(1, fast))], true);
-        let mut features = encoder.features();
-        group.throughput(Throughput::Elements((slow * fast) as u64));
-        group.bench_function(BenchmarkId::from_parameter(slow * fast), |b| {
+    for path in Path::all() {
+        let mut encoder = encoder.clone().on(path);
+        group.bench_function(format!("kernel, {path}"), |b| {
             over_ring(b, |inputs| {
                 encoder.encode(inputs, &mut features);
                 black_box(&mut features);
@@ -93,5 +80,34 @@ fn scaling(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, arm320, scaling);
+/// From 32 units to 32,768: `shape` gives the maps of so many.
+fn scaling(criterion: &mut Criterion, name: &str, shape: impl Fn(u32) -> Map) {
+    let mut group = criterion.benchmark_group(name);
+    for power in (5..=15).step_by(2) {
+        for path in Path::all() {
+            let mut encoder = Encoder::new(&[shape(power)], true).on(path);
+            let mut features = encoder.features();
+            group.throughput(Throughput::Elements(1 << power));
+            group.bench_function(BenchmarkId::new(path.to_string(), 1 << power), |b| {
+                over_ring(b, |inputs| {
+                    encoder.encode(inputs, &mut features);
+                    black_box(&mut features);
+                });
+            });
+        }
+    }
+    group.finish();
+}
+
+/// A line of n units needs n exponentials, a plane some `2 sqrt n`: its cost per feature falls.
+fn lines_and_planes(criterion: &mut Criterion) {
+    let axis = |input, units| Axis { input, units, min: -1.0, max: 1.0, radius: 0.5 };
+    scaling(criterion, "encode/line", |power| Map::Line(axis(0, 1 << power)));
+    scaling(criterion, "encode/plane", |power| {
+        let slow = power / 2;
+        Map::Plane(axis(0, 1 << slow), axis(1, 1 << (power - slow)))
+    });
+}
+
+criterion_group!(benches, arm320, lines_and_planes);
 criterion_main!(benches);

@@ -18,7 +18,7 @@ pub(super) const VANISH: f32 = 127.0;
 pub(super) const MAGIC: f32 = 12_582_912.0;
 
 /// Places between the lowest bit of a float and its exponent.
-pub(super) const MANTISSA_BITS: u32 = 23;
+pub(super) const MANTISSA_BITS: i32 = 23;
 
 /// `2^g` on [-1/2, 1/2], from the constant term up: relative error at most 9.5e-8.
 ///

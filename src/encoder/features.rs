@@ -1,23 +1,22 @@
 //! Where features lie in memory: one flat run of `f32`, aligned so that no vector load or store is ever split.
 //!
-//! The learner downstream walks over all features once or twice a tick and reads each as a splat, so what it wants is
-//! a plain slice. The kernel wants blocks of four lanes. [`Features`] is both, over memory aligned to a cache line: a
-//! block of 4 (or, one day, of 8 or 16) lanes then never straddles two lines.
+//! The learner downstream walks over all features once a tick, so what it wants is a plain slice. The kernel wants groups
+//! of sixteen. [`Features`] is both, over memory aligned to a cache line: eight lanes then never straddle two lines.
 
 use bytemuck::{Pod, Zeroable};
 
-/// Lanes of a block: what the kernel computes at once, and what rows of units are padded to.
-pub(super) const LANES: usize = 4;
+use crate::lanes::LANES;
 
-/// Four neighbouring features, or what is computed for them; aligned, so that the kernel can use one as an operand.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
-#[repr(C, align(16))]
-pub(super) struct Block(pub [f32; LANES]);
+/// Features of a block: what rows of units are padded to.
+pub(super) const BLOCK: usize = 4;
 
-/// A cache line of features; only here for its alignment.
+/// A cache line of neighbouring features, or of what is computed for them: twice what is computed at once.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C, align(64))]
-struct CacheLine([f32; 16]);
+pub(super) struct CacheLine(pub [[f32; LANES]; 2]);
+
+/// Features of a group.
+pub(super) const GROUP: usize = 2 * LANES;
 
 /// The features of one tick, in the encoder's padded order.
 ///
@@ -31,13 +30,13 @@ pub struct Features {
 }
 
 impl Features {
-    /// `len` zeros; `len` is a multiple of [`LANES`].
-    pub(super) fn zeroed(len: usize) -> Self {
-        debug_assert!(len.is_multiple_of(LANES));
-        Self { lines: vec![CacheLine::zeroed(); len.div_ceil(16)], len }
+    /// `len` zeros; `len` is a multiple of [`BLOCK`].
+    pub(crate) fn zeroed(len: usize) -> Self {
+        debug_assert!(len.is_multiple_of(BLOCK));
+        Self { lines: vec![CacheLine::zeroed(); len.div_ceil(GROUP)], len }
     }
 
-    /// A copy of `values`, whose number is a multiple of [`LANES`].
+    /// A copy of `values`, whose number is a multiple of [`BLOCK`].
     pub(super) fn from_slice(values: &[f32]) -> Self {
         let mut features = Self::zeroed(values.len());
         features.as_mut_slice().copy_from_slice(values);
@@ -66,15 +65,15 @@ impl Features {
         &mut bytemuck::cast_slice_mut(&mut self.lines)[..self.len]
     }
 
-    /// All features in blocks of four lanes.
+    /// All features in cache lines; the last may be longer than there are features.
     #[inline]
-    pub(super) fn blocks(&self) -> &[Block] {
-        &bytemuck::cast_slice(&self.lines)[..self.len / LANES]
+    pub(super) fn cache_lines(&self) -> &[CacheLine] {
+        &self.lines
     }
 
-    /// All features in blocks of four lanes, to be written.
+    /// All features in cache lines, to be written.
     #[inline]
-    pub(super) fn blocks_mut(&mut self) -> &mut [Block] {
-        &mut bytemuck::cast_slice_mut(&mut self.lines)[..self.len / LANES]
+    pub(super) fn cache_lines_mut(&mut self) -> &mut [CacheLine] {
+        &mut self.lines
     }
 }

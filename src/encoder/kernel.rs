@@ -1,108 +1,108 @@
-//! The kernel: features four at a time on glam's `Vec4`.
+//! The kernel: features eight at a time, on whatever [`Lanes`] the machine has.
 //!
-//! Exponentials are computed for *lines* only (24 blocks for the arm's 320 features). Their sums of squares give the
+//! Exponentials are computed for *lines* only (96 units for the arm's 320 features). Their sums of squares give the
 //! norm of all features before any of them exists, so the scale is folded into the lines, and the features are written
 //! once and never read again.
 //!
 //! Lines are worked on in passes with short chains of operations, through scratch memory that stays in the
 //! first-level cache, rather than in one pass with a long chain. The processor looks about a hundred waiting
 //! operations ahead; with the whole chain in one loop that is not enough to find independent work, and the arm's
-//! features took a quarter longer. For the same reason a pass takes blocks in groups of four and advances them side
+//! features took a quarter longer. For the same reason a pass takes units in groups of sixteen and advances them side
 //! by side.
 //!
-//! There is no `unsafe` here, and no fused multiply-add: without the `fma` target feature `mul_add` is a library call
-//! per lane, and with it the bits would depend on the machine. A kernel with wider lanes has to keep to the order in
-//! which [`squares`] adds up; everything else is lane by lane.
-
-use std::array::from_fn;
+//! There is no fused multiply-add: without the `fma` target feature `mul_add` is a library call per lane, and with it the
+//! bits would depend on the machine. Whatever the width of the lanes, the order in which [`squares`] adds up is the same;
+//! everything else is lane by lane.
 
 use glam::Vec4;
 
 use super::exponential::{MAGIC, MANTISSA_BITS, POLYNOMIAL, SUM_SCALE, inverse_norm, scaled};
-use super::features::{Block, Features};
-use super::plan::{GROUP, Group, Plan};
-
-/// The blocks of a group.
-type Blocks = [Block; GROUP];
-
-#[inline(always)]
-fn load(block: &Block) -> Vec4 {
-    Vec4::from_array(block.0)
-}
-
-#[inline(always)]
-fn store(v: Vec4) -> Block {
-    Block(v.to_array())
-}
+use super::features::{BLOCK, CacheLine, Features, GROUP};
+use super::plan::{Group, Plan};
+use crate::lanes::{LANES, Lanes, Pass};
 
 /// Encodes `inputs` into `out`, by way of `lines`.
-pub(super) fn encode(plan: &Plan, inputs: &[f32], lines: &mut Features, out: &mut Features) {
-    let scale = {
-        let lines = lines.blocks_mut().as_chunks_mut::<GROUP>().0;
-        let centres = plan.centres.blocks().as_chunks::<GROUP>().0;
-        let floors = plan.floors.blocks().as_chunks::<GROUP>().0;
-        exponents(inputs, &plan.groups, centres, floors, lines);
-        activations(lines);
-        if plan.normalise { inverse_norm(sum_of_squares(plan, lines)) } else { 1.0 }
-    };
-    expand(plan, lines.blocks(), scale, out.blocks_mut());
+pub(super) struct Encode<'a> {
+    pub plan: &'a Plan,
+    pub inputs: &'a [f32],
+    pub lines: &'a mut Features,
+    pub out: &'a mut Features,
+}
+
+impl Pass for Encode<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { plan, inputs, lines, out } = self;
+        let groups = lines.cache_lines_mut();
+        exponents::<L>(inputs, &plan.groups, plan.centres.cache_lines(), plan.floors.cache_lines(), groups);
+        activations::<L>(groups);
+        let scale = if plan.normalise { inverse_norm(sum_of_squares::<L>(plan, groups)) } else { 1.0 };
+        expand::<L>(plan, lines.as_slice(), scale, out.as_mut_slice());
+    }
 }
 
 /// First pass: the (negative) binary exponents of all lines' units.
 #[inline(always)]
-fn exponents(inputs: &[f32], groups: &[Group], centres: &[Blocks], floors: &[Blocks], lines: &mut [Blocks]) {
+fn exponents<L: Lanes>(
+    inputs: &[f32],
+    groups: &[Group],
+    centres: &[CacheLine],
+    floors: &[CacheLine],
+    lines: &mut [CacheLine],
+) {
     for (((group, centres), floors), line) in groups.iter().zip(centres).zip(floors).zip(lines) {
-        let x = Vec4::splat(scaled(inputs[group.input], group.scale));
-        *line = from_fn(|i| {
-            let distance = load(&centres[i]) - x;
-            store((distance * distance).min(load(&floors[i])))
-        });
+        let x = L::splat(scaled(inputs[group.input], group.scale));
+        for i in 0..2 {
+            let distance = L::load(&centres.0[i]) - x;
+            line.0[i] = (distance * distance).min(L::load(&floors.0[i])).store();
+        }
     }
 }
 
 /// Second pass: exponents become activations, `2^-y` for `0 <= y <= 127`.
 #[inline(always)]
-fn activations(lines: &mut [Blocks]) {
-    let magic = Vec4::splat(MAGIC);
-    let [c0, c1, c2, c3, c4, c5] = POLYNOMIAL.map(Vec4::splat);
+fn activations<L: Lanes>(lines: &mut [CacheLine]) {
+    let magic = L::splat(MAGIC);
     for line in lines {
-        let y = line.each_ref().map(load);
-        let n = y.map(|y| y + magic);
-        let g: [Vec4; GROUP] = from_fn(|i| (n[i] - magic) - y[i]);
-        // Estrin's scheme: one multiplication more than Horner's, and half its chain.
-        let g2 = g.map(|g| g * g);
-        let p: [Vec4; GROUP] = from_fn(|i| (c5 * g[i] + c4) * g2[i] + (c3 * g[i] + c2));
-        let p: [Vec4; GROUP] = from_fn(|i| p[i] * g2[i] + (c1 * g[i] + c0));
-        *line = from_fn(|i| divide_by_power(p[i], n[i]));
+        // Two chains of operations side by side, or with narrow registers four.
+        let y = [L::load(&line.0[0]), L::load(&line.0[1])];
+        let n = [y[0] + magic, y[1] + magic];
+        let p = [power((n[0] - magic) - y[0]), power((n[1] - magic) - y[1])];
+        // `p / 2^n`, where `n` stands in the lowest bits of the sum with `MAGIC`.
+        line.0[0] = p[0].less_exponent::<MANTISSA_BITS>(n[0]).store();
+        line.0[1] = p[1].less_exponent::<MANTISSA_BITS>(n[1]).store();
     }
 }
 
-/// `p / 2^n`, where `n` stands in the lowest bits of `shifted`.
-///
-/// On arrays, because glam has no integer lanes: the compiler makes one shift and one subtraction of four lanes of it.
+/// `2^g`, by Estrin's scheme: one multiplication more than Horner's, and half its chain.
 #[inline(always)]
-fn divide_by_power(p: Vec4, shifted: Vec4) -> Block {
-    let (p, n) = (p.to_array(), shifted.to_array());
-    Block(from_fn(|i| f32::from_bits(p[i].to_bits().wrapping_sub(n[i].to_bits() << MANTISSA_BITS))))
+fn power<L: Lanes>(g: L) -> L {
+    let [c0, c1, c2, c3, c4, c5] = POLYNOMIAL;
+    let g2 = g * g;
+    let p = (L::splat(c5) * g + L::splat(c4)) * g2 + (L::splat(c3) * g + L::splat(c2));
+    p * g2 + (L::splat(c1) * g + L::splat(c0))
 }
 
 /// Third pass: the sum of squares of all features, in units of [`SUM_SCALE`]. A plane's is the product of its lines'.
 #[inline(always)]
-fn sum_of_squares(plan: &Plan, lines: &[Blocks]) -> f32 {
+fn sum_of_squares<L: Lanes>(plan: &Plan, lines: &[CacheLine]) -> f32 {
     let mut total = 0.0;
     for plane in &plan.planes {
-        let slow = squares(&lines[plane.slow..plane.fast]) * SUM_SCALE;
-        total += slow * squares(&lines[plane.fast..plane.end]);
+        let slow = squares::<L>(&lines[plane.slow..plane.fast]) * SUM_SCALE;
+        total += slow * squares::<L>(&lines[plane.fast..plane.end]);
     }
-    total + squares(&lines[plan.lines..]) * SUM_SCALE
+    total + squares::<L>(&lines[plan.lines..]) * SUM_SCALE
 }
 
-/// The sum of squares of some groups: four neighbouring blocks, then groups, and the lanes last.
+/// The sum of squares of some groups: four neighbouring blocks of four, then groups, and the lanes last.
 #[inline(always)]
-fn squares(groups: &[Blocks]) -> f32 {
+fn squares<L: Lanes>(groups: &[CacheLine]) -> f32 {
     let mut sum = Vec4::ZERO;
     for group in groups {
-        let [a, b, c, d] = group.each_ref().map(load).map(|g| g * g);
+        let (low, high) = (L::load(&group.0[0]), L::load(&group.0[1]));
+        let ([a, b], [c, d]) = ((low * low).halves(), (high * high).halves());
         sum += (a + b) + (c + d);
     }
     let [a, b, c, d] = sum.to_array();
@@ -111,47 +111,53 @@ fn squares(groups: &[Blocks]) -> f32 {
 
 /// Last pass: lines become features.
 #[inline(always)]
-fn expand(plan: &Plan, lines: &[Block], scale: f32, out: &mut [Block]) {
-    let scale = Vec4::splat(scale);
-    for run in &plan.runs {
-        multiply(&lines[run.from..][..run.blocks], scale, &mut out[run.to..][..run.blocks]);
-    }
+fn expand<L: Lanes>(plan: &Plan, lines: &[f32], scale: f32, out: &mut [f32]) {
     for plane in &plan.planes {
-        let slow = &lines[plane.slow * GROUP..plane.fast * GROUP];
+        let slow = &lines[plane.slow * GROUP..][..plane.rows];
         let fast = &lines[plane.fast * GROUP..][..plane.stride];
         let out = &mut out[plane.start..][..plane.rows * plane.stride];
-        match <&Blocks>::try_from(fast) {
-            Ok(fast) => expand_rows(slow, fast, scale, out.as_chunks_mut().0),
+        match <&[f32; GROUP]>::try_from(fast) {
+            Ok(fast) => expand_rows::<L>(slow, fast, scale, out.as_chunks_mut().0),
             Err(_) => {
-                let slow = slow.iter().flat_map(|slow| (load(slow) * scale).to_array());
-                for (slow, row) in slow.zip(out.chunks_exact_mut(plane.stride)) {
-                    multiply(fast, Vec4::splat(slow), row);
+                for (slow, row) in slow.iter().zip(out.chunks_exact_mut(plane.stride)) {
+                    multiply::<L>(fast, slow * scale, row);
                 }
             }
         }
     }
-}
-
-/// `out = line * factor`.
-#[inline(always)]
-fn multiply(line: &[Block], factor: Vec4, out: &mut [Block]) {
-    for (out, g) in out.iter_mut().zip(line) {
-        *out = store(load(g) * factor);
+    for run in &plan.runs {
+        multiply::<L>(&lines[run.from..][..run.len], scale, &mut out[run.to..][..run.len]);
     }
 }
 
-/// A plane whose rows are one group, as with the paper's 16 units: the fast line stays in registers, and the slow one
-/// comes in four rows at a time.
+/// `out = line * factor`, whole blocks.
 #[inline(always)]
-fn expand_rows(slow: &[Block], fast: &Blocks, scale: Vec4, out: &mut [Blocks]) {
-    let fast = fast.each_ref().map(load);
-    let row = |slow: f32| fast.map(|fast| store(fast * Vec4::splat(slow)));
-    let (quads, rest) = out.as_chunks_mut::<4>();
-    let mut slow = slow.iter().map(|slow| (load(slow) * scale).to_array());
-    for (quad, slow) in quads.iter_mut().zip(&mut slow) {
-        *quad = slow.map(row);
+fn multiply<L: Lanes>(line: &[f32], factor: f32, out: &mut [f32]) {
+    let ((line, line_rest), (out, out_rest)) = (line.as_chunks(), out.as_chunks_mut());
+    for (out, line) in out.iter_mut().zip(line) {
+        *out = (L::load(line) * L::splat(factor)).store();
     }
-    for (out, slow) in rest.iter_mut().zip(slow.next().unwrap_or_default()) {
-        *out = row(slow);
+    let (line, out) = (line_rest.as_chunks::<BLOCK>().0, out_rest.as_chunks_mut::<BLOCK>().0);
+    for (out, line) in out.iter_mut().zip(line) {
+        *out = (Vec4::from_array(*line) * Vec4::splat(factor)).to_array();
+    }
+}
+
+/// A plane whose rows are one group, as with the paper's 16 units: the fast line stays in registers.
+#[inline(always)]
+fn expand_rows<L: Lanes>(slow: &[f32], fast: &[f32; GROUP], scale: f32, out: &mut [[f32; GROUP]]) {
+    let [a, b]: [[f32; LANES]; 2] = bytemuck::cast(*fast);
+    let (a, b, scale) = (L::load(&a), L::load(&b), L::splat(scale));
+    // Four rows at a time: the next ones need not wait for the loop.
+    let (slow, out) = (slow.as_chunks::<4>(), out.as_chunks_mut::<4>());
+    for (slow, out) in slow.0.iter().zip(out.0) {
+        for i in 0..4 {
+            let slow = L::splat(slow[i]) * scale;
+            out[i] = bytemuck::cast([(a * slow).store(), (b * slow).store()]);
+        }
+    }
+    for (slow, out) in slow.1.iter().zip(out.1) {
+        let slow = L::splat(*slow) * scale;
+        *out = bytemuck::cast([(a * slow).store(), (b * slow).store()]);
     }
 }

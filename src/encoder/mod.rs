@@ -35,9 +35,8 @@
 //!
 //! # Two implementations
 //!
-//! [`Encoder::encode`] runs four lanes at a time; [`Encoder::encode_scalar`] is its twin in plain `f32`, equal bit
-//! for bit. [`naive`] holds plain baselines. A kernel for wider vectors would be chosen in `encode`, and held to the
-//! same twin.
+//! [`Encoder::encode`] runs as many lanes at a time as the machine has ([`Path`]); [`Encoder::encode_scalar`] is its twin in
+//! plain `f32`, equal bit for bit on every path. [`naive`] holds plain baselines.
 
 mod exponential;
 mod features;
@@ -46,9 +45,11 @@ pub mod naive;
 mod plan;
 mod scalar;
 
+use features::BLOCK;
 pub use features::Features;
-use features::LANES;
 use plan::Plan;
+
+use crate::lanes::Path;
 
 /// One axis of a map: `units` Gaussian kernels, uniformly spaced from `min` to `max`, reading input number `input`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -82,6 +83,7 @@ pub struct Encoder {
     lines: Features,
     /// Inputs that are features themselves, behind the maps'.
     scalars: Vec<usize>,
+    path: Path,
 }
 
 impl Encoder {
@@ -92,13 +94,18 @@ impl Encoder {
     pub fn new(maps: &[Map], normalise: bool) -> Self {
         let plan = Plan::new(maps, normalise);
         let lines = plan.centres.clone();
-        Self { plan, lines, scalars: Vec::new() }
+        Self { plan, lines, scalars: Vec::new(), path: Path::best() }
     }
 
     /// The same encoder with the inputs of these numbers as further features, as they are.
     pub fn with_scalars(mut self, inputs: &[usize]) -> Self {
         self.scalars = inputs.to_vec();
         self
+    }
+
+    /// The same encoder on another path than the machine's best: the same features, bit for bit.
+    pub fn on(self, path: Path) -> Self {
+        Self { path, ..self }
     }
 
     /// Number of true features, without pads.
@@ -108,7 +115,7 @@ impl Encoder {
 
     /// Length of the features in memory, pads included; a multiple of 4.
     pub fn len(&self) -> usize {
-        self.plan.len + self.scalars.len().next_multiple_of(LANES)
+        self.plan.len + self.scalars.len().next_multiple_of(BLOCK)
     }
 
     /// Whether there are no features at all, for want of maps and scalars.
@@ -151,7 +158,8 @@ impl Encoder {
     /// If an axis reads an input that is not there, or `out` was made for an encoder of another length.
     pub fn encode(&mut self, inputs: &[f32], out: &mut Features) {
         assert_eq!(out.len(), self.len(), "the features were made for another encoder");
-        kernel::encode(&self.plan, inputs, &mut self.lines, out);
+        let (plan, lines) = (&self.plan, &mut self.lines);
+        self.path.run(kernel::Encode { plan, inputs, lines, out });
         self.pass_through(inputs, out);
     }
 

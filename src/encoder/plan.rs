@@ -4,15 +4,8 @@
 //! All that can be done in double precision is done here and rounded once.
 
 use super::exponential::{FLOOR, VANISH};
-use super::features::{Features, LANES};
+use super::features::{BLOCK, Features, GROUP};
 use super::{Axis, Map};
-
-/// Blocks that the kernel computes side by side: lines are padded to a multiple of these in the tables (not in the
-/// features), so that there is one loop over groups and nothing left over.
-pub(super) const GROUP: usize = 4;
-
-/// Units of a group.
-pub(super) const GROUP_UNITS: usize = GROUP * LANES;
 
 /// What the kernel has to know about a group of units besides the tables.
 #[derive(Debug, Clone)]
@@ -34,21 +27,21 @@ pub(super) struct Plane {
     pub end: usize,
     /// Units of the slow line: rows in memory.
     pub rows: usize,
-    /// Blocks of the fast line that hold a unit: length of a row in memory.
+    /// Padded length of a row in memory.
     pub stride: usize,
-    /// First block in the features.
+    /// First feature in memory.
     pub start: usize,
 }
 
-/// Blocks of lines that are next to each other in the tables and in the features: they are only scaled and copied.
+/// Units of lines that are next to each other in the tables and in the features: they are only scaled and copied.
 #[derive(Debug, Clone)]
 pub(super) struct Run {
-    /// First block in the tables.
+    /// First unit in the tables.
     pub from: usize,
-    /// First block in the features.
+    /// First feature in memory.
     pub to: usize,
-    /// Number of blocks.
-    pub blocks: usize,
+    /// Number of units, pads included.
+    pub len: usize,
 }
 
 /// Where one map's features are.
@@ -65,7 +58,7 @@ pub(super) struct Place {
 impl Place {
     /// Padded length of a row.
     pub fn stride(&self) -> usize {
-        self.units.next_multiple_of(LANES)
+        self.units.next_multiple_of(BLOCK)
     }
 }
 
@@ -113,25 +106,17 @@ impl Plan {
             if let Map::Plane(slow, fast) = map {
                 let (slow, fast) = (tables.line(slow), tables.line(fast));
                 let (end, rows) = (tables.groups.len(), place.rows);
-                planes.push(Plane {
-                    slow,
-                    fast,
-                    end,
-                    rows,
-                    stride: place.stride() / LANES,
-                    start: place.start / LANES,
-                });
+                planes.push(Plane { slow, fast, end, rows, stride: place.stride(), start: place.start });
             }
         }
         let lines = tables.groups.len();
         let mut runs: Vec<Run> = Vec::new();
         for (map, place) in maps.iter().zip(&places) {
             if let Map::Line(axis) = map {
-                let run =
-                    Run { from: tables.line(axis) * GROUP, to: place.start / LANES, blocks: place.stride() / LANES };
+                let run = Run { from: tables.line(axis) * GROUP, to: place.start, len: place.stride() };
                 match runs.last_mut() {
-                    Some(last) if last.from + last.blocks == run.from && last.to + last.blocks == run.to => {
-                        last.blocks += run.blocks;
+                    Some(last) if last.from + last.len == run.from && last.to + last.len == run.to => {
+                        last.len += run.len;
                     }
                     _ => runs.push(run),
                 }
@@ -164,8 +149,8 @@ impl Tables {
         self.floors.resize(self.centres.len(), FLOOR);
 
         let start = self.groups.len();
-        self.groups.resize(start + axis.units.div_ceil(GROUP_UNITS), group);
-        self.centres.resize(self.groups.len() * GROUP_UNITS, f32::INFINITY);
+        self.groups.resize(start + axis.units.div_ceil(GROUP), group);
+        self.centres.resize(self.groups.len() * GROUP, f32::INFINITY);
         self.floors.resize(self.centres.len(), VANISH);
         start
     }

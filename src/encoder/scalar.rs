@@ -6,8 +6,8 @@
 //! reorders `f32` arithmetic.
 
 use super::exponential::{MAGIC, MANTISSA_BITS, POLYNOMIAL, SUM_SCALE, inverse_norm, scaled};
-use super::features::{Features, LANES};
-use super::plan::{GROUP, GROUP_UNITS, Plan};
+use super::features::{BLOCK, Features, GROUP};
+use super::plan::Plan;
 
 /// `2^-min(y, floor)` for `y >= 0`; NaN gives the floor.
 fn exp2_negative(y: f32, floor: f32) -> f32 {
@@ -23,11 +23,11 @@ fn exp2_negative(y: f32, floor: f32) -> f32 {
 /// The sum of squares of some groups, in the kernel's order: four neighbouring blocks, then groups, and the lanes
 /// last.
 fn sum_of_squares(lines: &[f32]) -> f32 {
-    let mut sums = [0.0f32; LANES];
-    for group in lines.chunks_exact(GROUP_UNITS) {
+    let mut sums = [0.0f32; BLOCK];
+    for group in lines.chunks_exact(GROUP) {
         for (lane, sum) in sums.iter_mut().enumerate() {
-            let [a, b, c, d]: [f32; GROUP] = std::array::from_fn(|block| {
-                let g = group[block * LANES + lane];
+            let [a, b, c, d]: [f32; GROUP / BLOCK] = std::array::from_fn(|block| {
+                let g = group[block * BLOCK + lane];
                 g * g
             });
             *sum += (a + b) + (c + d);
@@ -42,30 +42,29 @@ pub(super) fn encode(plan: &Plan, inputs: &[f32], lines: &mut Features, out: &mu
     let (lines, out) = (lines.as_mut_slice(), out.as_mut_slice());
     let (centres, floors) = (plan.centres.as_slice(), plan.floors.as_slice());
     for (at, line) in lines.iter_mut().enumerate() {
-        let group = &plan.groups[at / GROUP_UNITS];
+        let group = &plan.groups[at / GROUP];
         let distance = centres[at] - scaled(inputs[group.input], group.scale);
         *line = exp2_negative(distance * distance, floors[at]);
     }
 
     let mut total = 0.0;
     for plane in &plan.planes {
-        let slow = sum_of_squares(&lines[plane.slow * GROUP_UNITS..plane.fast * GROUP_UNITS]) * SUM_SCALE;
-        total += slow * sum_of_squares(&lines[plane.fast * GROUP_UNITS..plane.end * GROUP_UNITS]);
+        let slow = sum_of_squares(&lines[plane.slow * GROUP..plane.fast * GROUP]) * SUM_SCALE;
+        total += slow * sum_of_squares(&lines[plane.fast * GROUP..plane.end * GROUP]);
     }
-    total += sum_of_squares(&lines[plan.lines * GROUP_UNITS..]) * SUM_SCALE;
+    total += sum_of_squares(&lines[plan.lines * GROUP..]) * SUM_SCALE;
     let scale = if plan.normalise { inverse_norm(total) } else { 1.0 };
 
     for run in &plan.runs {
-        for i in 0..run.blocks * LANES {
-            out[run.to * LANES + i] = lines[run.from * LANES + i] * scale;
+        for i in 0..run.len {
+            out[run.to + i] = lines[run.from + i] * scale;
         }
     }
     for plane in &plan.planes {
-        let stride = plane.stride * LANES;
         for i in 0..plane.rows {
-            let slow = lines[plane.slow * GROUP_UNITS + i] * scale;
-            for j in 0..stride {
-                out[plane.start * LANES + i * stride + j] = lines[plane.fast * GROUP_UNITS + j] * slow;
+            let slow = lines[plane.slow * GROUP + i] * scale;
+            for j in 0..plane.stride {
+                out[plane.start + i * plane.stride + j] = lines[plane.fast * GROUP + j] * slow;
             }
         }
     }

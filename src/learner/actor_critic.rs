@@ -27,10 +27,11 @@
 //! slowly, so that it is not much more than what it bounds. An error, besides, counts for no more than some multiple of
 //! the running mean of its size: no single surprise (a joint that blocks, a reward far off) can throw the weights away.
 
-use glam::Vec4;
-
+use super::critic_pass::Judge;
 use super::{LearningRule, Metric, Pairs, Tick, dot, sound};
-use crate::policy::{Linear, Outputs, norm};
+use crate::encoder::Features;
+use crate::lanes::Path;
+use crate::policy::{Linear, Outputs, Step, Tiles};
 use crate::scenario::CriticTable;
 use crate::state::{Ledger, Remember};
 use crate::wire::MAX_OUTPUTS;
@@ -100,9 +101,9 @@ pub struct ActorCritic {
     noise_costs: Outputs,
     outputs: usize,
     /// In the layout of the policy's weights.
-    trace: Vec<Vec<Vec4>>,
-    values: Vec<Vec4>,
-    value_trace: Vec<Vec4>,
+    trace: Tiles,
+    values: Features,
+    value_trace: Features,
     /// What the value weights are still to be moved by along their trace: the step of the tick before is taken in the pass
     /// over the features that the next one needs anyway.
     due: f32,
@@ -130,9 +131,9 @@ impl ActorCritic {
             metric: None,
             noise_costs: [0.0; MAX_OUTPUTS],
             outputs,
-            trace: vec![vec![Vec4::ZERO; len]; outputs.div_ceil(4)],
-            values: vec![Vec4::ZERO; len / 4],
-            value_trace: vec![Vec4::ZERO; len / 4],
+            trace: Tiles::zeroed(len, outputs),
+            values: Features::zeroed(len),
+            value_trace: Features::zeroed(len),
             due: 0.0,
             reach: [0.0; MAX_OUTPUTS],
             value_reach: 0.0,
@@ -148,7 +149,7 @@ impl ActorCritic {
     #[must_use]
     pub fn with(mut self, pairs: Option<Pairs>, metric: Option<Metric>) -> Self {
         if let Some(pairs) = &pairs {
-            self.values = vec![Vec4::ZERO; pairs.units() / 4];
+            self.values = Features::zeroed(pairs.units());
             self.value_trace = self.values.clone();
         }
         Self { sees_pairs: pairs.is_some(), pairs, metric, ..self }
@@ -177,36 +178,17 @@ impl ActorCritic {
 
     /// Takes the critic's step of the tick before, adds `direction` to its trace, and says what `here` and, after `reward`,
     /// `next` are worth: all in one pass, for there are many features.
-    fn judge(&mut self, [here, next]: [&[f32]; 2], direction: &[f32], reward: f32) -> [f32; 2] {
+    fn judge(&mut self, path: Path, [here, next]: [&[f32]; 2], direction: &[f32], reward: f32) -> [f32; 2] {
         let (kept, due) = (self.critic.discount * self.critic.decay, std::mem::take(&mut self.due));
-        let features = here.as_chunks::<4>().0.iter().zip(next.as_chunks::<4>().0);
-        let rest = features.zip(direction.as_chunks::<4>().0);
-        let mut sums = [[Vec4::ZERO; 2]; 2];
-        for (k, ((v, e), ((here, next), h))) in self.values.iter_mut().zip(&mut self.value_trace).zip(rest).enumerate()
-        {
-            *v += *e * due;
-            *e = *e * kept + Vec4::from_array(*h);
-            sums[0][k % 2] += *v * Vec4::from_array(*here);
-            sums[1][k % 2] += *v * Vec4::from_array(*next);
-        }
+        let (values, trace) = (self.values.as_mut_slice(), self.value_trace.as_mut_slice());
+        let seen = path.run(Judge { values, trace, here, next, direction, kept, due });
         let factor = self.critic.reward_feature;
         let [weight, trace, last] = &mut self.last;
         *weight += due * *trace;
         *trace = *trace * kept + factor * *last;
         let rewards = [*last, reward];
         *last = reward;
-        [0, 1].map(|i| (sums[i][0] + sums[i][1]).element_sum() + *weight * factor * rewards[i])
-    }
-
-    /// Moves the policy by `rate` along its trace, to which `noise` times `direction` is added.
-    fn act(&mut self, policy: &mut Linear, direction: &[f32], noise: &Outputs, rate: f32) {
-        let lanes = noise.chunks_exact(4).map(Vec4::from_slice);
-        for ((weights, trace), noise) in policy.groups_mut().zip(&mut self.trace).zip(lanes) {
-            for ((w, z), &h) in weights.iter_mut().zip(trace).zip(direction) {
-                *z = *z * self.beta + noise * h;
-                *w += *z * rate;
-            }
-        }
+        [0, 1].map(|i| seen[i] + *weight * factor * rewards[i])
     }
 
     /// As much of `step` as moves the value of either end of the tick by no more than the error: lengths of what is added
@@ -233,17 +215,20 @@ impl ActorCritic {
         tick: &Tick,
         [here, next]: [&[f32]; 2],
         metric: Option<&[f32]>,
+        mean: &mut Outputs,
     ) -> f32 {
         let squares = self.squares(tick.noise);
         let cost: f32 = self.noise_costs.iter().zip(squares).map(|(c, q)| c * q).sum();
         let (direction, features) = (metric.unwrap_or(tick.features), tick.features);
-        let sides = [length(direction), length(features)];
+        let side = length(features);
+        let sides = [metric.map_or(side, length), side];
         let rewards = [self.last[2], tick.reward].map(|r| r * self.critic.reward_feature);
         let critics = if self.sees_pairs { here } else { direction };
-        let [here_value, next_value] = self.judge([here, next], critics, tick.reward);
+        let [here_value, next_value] = self.judge(policy.path(), [here, next], critics, tick.reward);
         let error = tick.reward - cost + self.critic.discount * next_value - here_value;
         if !sound(error * self.rate, tick.noise) || !sound(error * self.critic.step, tick.noise) {
             self.halted = true;
+            *mean = policy.mean(tick.next_features);
             return 0.0;
         }
         let error = self.bounded(error);
@@ -255,15 +240,21 @@ impl ActorCritic {
         self.due = self.critic_step(self.critic.step * fade, lengths, rewards) * error;
         let warm = ((self.learned + 1.0) / self.critic.warm_up.max(1.0)).min(1.0);
         let rate = self.actor_step(self.rate * warm * fade * error, sides, tick.noise);
-        self.act(policy, direction, tick.noise, rate);
+        let step = Step { features: direction, gain: tick.noise, decay: self.beta, rate };
         self.learned += 1.0;
+        policy.step_and_answer(&mut self.trace, step, tick.next_features, mean);
         rate
     }
 }
 
 impl LearningRule for ActorCritic {
     fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32 {
+        self.learn_and_answer(policy, tick, &mut [0.0; MAX_OUTPUTS])
+    }
+
+    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
         if self.halted {
+            *mean = policy.mean(tick.next_features);
             return 0.0;
         }
         // Taken out for as long as their features are lent to the rest.
@@ -275,19 +266,17 @@ impl LearningRule for ActorCritic {
             Some(pairs) => pairs.see(tick.inputs, tick.next_inputs),
             None => [tick.features, tick.next_features],
         };
-        let rate = self.learn_from(policy, tick, seen, metric.as_ref().map(Metric::result));
+        let learned = self.learn_from(policy, tick, seen, metric.as_ref().map(Metric::result), mean);
         (self.pairs, self.metric) = (pairs, metric);
-        rate
+        learned
     }
 
     fn cut_trace(&mut self) {
-        for group in &mut self.trace {
-            group.fill(Vec4::ZERO);
-        }
+        self.trace.clear();
         let due = std::mem::take(&mut self.due);
-        for (v, e) in self.values.iter_mut().zip(&mut self.value_trace) {
+        for (v, e) in self.values.as_mut_slice().iter_mut().zip(self.value_trace.as_mut_slice()) {
             *v += *e * due;
-            *e = Vec4::ZERO;
+            *e = 0.0;
         }
         self.last[0] += due * self.last[1];
         self.last[1] = 0.0;
@@ -296,7 +285,7 @@ impl LearningRule for ActorCritic {
     }
 
     fn trace_norm(&self) -> f32 {
-        norm(&self.trace)
+        self.trace.norm()
     }
 
     fn halted(&self) -> bool {
@@ -308,11 +297,9 @@ impl Remember for ActorCritic {
     /// What the pairs have seen last is not in it: they look again.
     fn remember(&mut self, ledger: &mut dyn Ledger) {
         ledger.numbers("noise_costs", &mut self.noise_costs);
-        for group in &mut self.trace {
-            ledger.numbers("trace", group);
-        }
-        ledger.numbers("values", &mut self.values);
-        ledger.numbers("value_trace", &mut self.value_trace);
+        ledger.part("trace", &mut self.trace);
+        ledger.numbers("values", self.values.as_mut_slice());
+        ledger.numbers("value_trace", self.value_trace.as_mut_slice());
         ledger.number("due", &mut self.due);
         ledger.numbers("reach", &mut self.reach);
         ledger.number("value_reach", &mut self.value_reach);
@@ -358,7 +345,7 @@ mod tests {
     fn values(rule: &mut ActorCritic) -> Vec<f32> {
         let mut taken = rule.clone();
         taken.cut_trace();
-        taken.values.iter().flat_map(|v| v.to_array()).collect()
+        taken.values.as_slice().to_vec()
     }
 
     #[test]
@@ -446,11 +433,11 @@ mod tests {
     fn a_number_that_is_not_finite_stops_learning() {
         let mut policy = Linear::new(4, (0..4).collect(), 4);
         let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC);
-        rule.values[0].x = f32::INFINITY;
+        rule.values.as_mut_slice()[0] = f32::INFINITY;
         let noise = [1.0; 8];
         rule.learn(&mut policy, &tick(&[1.0; 4], &noise, -1.0, &[1.0; 4]));
         assert!(rule.halted());
-        rule.values[0].x = 0.0;
+        rule.values.as_mut_slice()[0] = 0.0;
         rule.learn(&mut policy, &tick(&[1.0; 4], &noise, -1.0, &[1.0; 4]));
         assert_eq!(policy.norm(), 0.0);
     }

@@ -10,7 +10,7 @@
 //! been it is the plain mean, after that it forgets with the time constant N.
 
 use super::{LearningRule, Paper, Tick};
-use crate::policy::Linear;
+use crate::policy::{Linear, Outputs};
 use crate::state::{Ledger, Remember};
 
 /// The rule and its mean.
@@ -42,6 +42,11 @@ impl LearningRule for Baseline {
     fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32 {
         let advantage = self.advantage(tick.reward);
         self.rule.step(policy, tick.features, tick.noise, advantage)
+    }
+
+    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
+        let advantage = self.advantage(tick.reward);
+        self.rule.step_and_answer(policy, [tick.features, tick.next_features], tick.noise, advantage, mean)
     }
 
     fn cut_trace(&mut self) {

@@ -10,10 +10,8 @@
 //! The trace is kept in units of noise: the paper's `Sigma^-1` is inside `alpha / sigma^2`, which is also how the paper
 //! states its step. `beta = 0` is the open-loop rule.
 
-use glam::Vec4;
-
 use super::{LearningRule, Tick, sound};
-use crate::policy::{Linear, Outputs, norm};
+use crate::policy::{Linear, Outputs, Step, Tiles};
 use crate::state::{Ledger, Remember};
 
 /// The rule, its constants and its trace.
@@ -22,7 +20,7 @@ pub struct Paper {
     beta: f32,
     rate: f32,
     /// In the layout of the policy's weights.
-    trace: Vec<Vec<Vec4>>,
+    trace: Tiles,
     halted: bool,
 }
 
@@ -30,26 +28,44 @@ impl Paper {
     /// The rule for a policy of `len` (padded) features and `outputs` outputs, with trace decay `beta` in [0, 1) and
     /// `rate` = `alpha / sigma^2`.
     pub fn new(len: usize, outputs: usize, beta: f32, rate: f32) -> Self {
-        Self { beta, rate, trace: vec![vec![Vec4::ZERO; len]; outputs.div_ceil(4)], halted: false }
+        Self { beta, rate, trace: Tiles::zeroed(len, outputs), halted: false }
     }
 
     /// Learns from one tick: `features` and `noise` are those of the tick that earned `reward`. Returns the factor with
     /// which the trace was added to the weights, `rate * reward`; 0 from the first number on that is not sound.
     pub fn step(&mut self, policy: &mut Linear, features: &[f32], noise: &Outputs, reward: f32) -> f32 {
-        let step = self.rate * reward;
-        self.halted = self.halted || !sound(step, noise);
+        let (rate, gain) = self.prepare(noise, reward);
+        if !self.halted {
+            policy.step(&mut self.trace, Step { features, gain: &gain, decay: self.beta, rate });
+        }
+        rate
+    }
+
+    /// [`step`](Self::step), and then into `mean` the mean output for the features `next`.
+    #[inline]
+    pub fn step_and_answer(
+        &mut self,
+        policy: &mut Linear,
+        [features, next]: [&[f32]; 2],
+        noise: &Outputs,
+        reward: f32,
+        mean: &mut Outputs,
+    ) -> f32 {
+        let (rate, gain) = self.prepare(noise, reward);
         if self.halted {
-            return 0.0;
+            *mean = policy.mean(next);
+        } else {
+            let step = Step { features, gain: &gain, decay: self.beta, rate };
+            policy.step_and_answer(&mut self.trace, step, next, mean);
         }
-        let lanes = noise.chunks_exact(4).map(Vec4::from_slice);
-        for ((weights, trace), noise) in policy.groups_mut().zip(&mut self.trace).zip(lanes) {
-            let gain = noise * (1.0 - self.beta);
-            for ((w, z), &g) in weights.iter_mut().zip(trace).zip(features) {
-                *z = *z * self.beta + gain * g;
-                *w += *z * step;
-            }
-        }
-        step
+        rate
+    }
+
+    /// The factors with which the trace enters the weights, and the features the trace.
+    fn prepare(&mut self, noise: &Outputs, reward: f32) -> (f32, Outputs) {
+        let rate = self.rate * reward;
+        self.halted = self.halted || !sound(rate, noise);
+        (if self.halted { 0.0 } else { rate }, noise.map(|n| n * (1.0 - self.beta)))
     }
 }
 
@@ -58,14 +74,16 @@ impl LearningRule for Paper {
         self.step(policy, tick.features, tick.noise, tick.reward)
     }
 
+    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
+        self.step_and_answer(policy, [tick.features, tick.next_features], tick.noise, tick.reward, mean)
+    }
+
     fn cut_trace(&mut self) {
-        for group in &mut self.trace {
-            group.fill(Vec4::ZERO);
-        }
+        self.trace.clear();
     }
 
     fn trace_norm(&self) -> f32 {
-        norm(&self.trace)
+        self.trace.norm()
     }
 
     fn halted(&self) -> bool {
@@ -75,9 +93,7 @@ impl LearningRule for Paper {
 
 impl Remember for Paper {
     fn remember(&mut self, ledger: &mut dyn Ledger) {
-        for group in &mut self.trace {
-            ledger.numbers("trace", group);
-        }
+        ledger.part("trace", &mut self.trace);
         ledger.yes("halted", &mut self.halted);
     }
 }

@@ -39,19 +39,24 @@ impl Exploration {
     }
 
     /// Draws the noise of one tick.
+    #[inline]
     pub fn draw(&mut self) -> Outputs {
+        // Worked on in a copy, which stays in registers.
+        let mut rng = self.rng.clone();
         let mut noise = [0.0; MAX_OUTPUTS];
         for n in &mut noise[..self.outputs] {
-            let standard = match self.noise {
-                Noise::Gaussian => StandardNormal.sample(&mut self.rng),
-                Noise::Laplace => laplace(&mut self.rng),
+            let standard: f64 = match self.noise {
+                Noise::Gaussian => StandardNormal.sample(&mut rng),
+                Noise::Laplace => laplace(&mut rng),
             };
             *n = self.sigma * standard as f32;
         }
+        self.rng = rng;
         noise
     }
 
     /// `sigma^2` times the score of `noise`: what the learning rules multiply by the features. No noise has no score.
+    #[inline]
     pub fn score(&self, noise: &Outputs) -> Outputs {
         match self.noise {
             Noise::Gaussian => *noise,

@@ -1,40 +1,45 @@
 //! The linear-Gaussian policy `u = W g + noise`, `noise ~ N(0, sigma^2 I)` (paper section 3.2, equations 3 to 6); the noise
 //! may have another distribution of the same spread ([`Exploration`]).
 //!
-//! The outputs are the lanes: four outputs of one feature lie together in a [`Vec4`], so that one pass over the features
-//! serves them all. Up to four outputs take one group of lanes, up to eight take two; unused lanes stay zero.
+//! Weights lie in [`Tiles`] of four outputs by eight features, so that one pass over the features serves all outputs.
 
 mod exploration;
+mod tiles;
 
 pub use exploration::Exploration;
+pub use tiles::{Step, Tiles};
 
-use glam::Vec4;
 use xxhash_rust::xxh3::Xxh3;
 
+use crate::lanes::Path;
 use crate::state::{Ledger, Remember};
 use crate::wire::MAX_OUTPUTS;
+use tiles::{Advance, Answer, ROWS};
 
 /// One value for each output that a command can carry; those beyond the plant's stay 0.
 pub type Outputs = [f32; MAX_OUTPUTS];
 
-/// Features that are summed side by side, so that the additions do not wait for each other.
-const SUMS: usize = 8;
-
 /// The weights of a linear policy over encoded features.
 #[derive(Debug, Clone)]
 pub struct Linear {
-    /// By group of four outputs, then by feature in the encoder's (padded) layout.
-    groups: Vec<Vec<Vec4>>,
+    /// Features are in the encoder's (padded) layout.
+    weights: Tiles,
     /// Where the true features stand in the padded layout.
     order: Vec<usize>,
     outputs: usize,
+    path: Path,
 }
 
 impl Linear {
     /// All-zero weights from `len` (padded) features, of which the true ones stand at `order`, to `outputs` outputs.
     pub fn new(len: usize, order: Vec<usize>, outputs: usize) -> Self {
         debug_assert!((1..=MAX_OUTPUTS).contains(&outputs));
-        Self { groups: vec![vec![Vec4::ZERO; len]; outputs.div_ceil(4)], order, outputs }
+        Self { weights: Tiles::zeroed(len, outputs), order, outputs, path: Path::best() }
+    }
+
+    /// The same policy on another path than the machine's best: the same numbers, bit for bit.
+    pub fn on(self, path: Path) -> Self {
+        Self { path, ..self }
     }
 
     /// Number of outputs.
@@ -44,21 +49,51 @@ impl Linear {
 
     /// The mean output `W g` for features `g` in the encoder's layout.
     pub fn mean(&self, features: &[f32]) -> Outputs {
-        let mut out = [0.0; MAX_OUTPUTS];
-        for (group, lanes) in self.groups.iter().zip(out.chunks_exact_mut(4)) {
-            weighted_sum(group, features).write_to_slice(lanes);
+        let mut mean = [0.0; MAX_OUTPUTS];
+        for (weights, mean) in self.weights.groups.iter().zip(mean.as_chunks_mut::<ROWS>().0) {
+            self.path.run(Answer { weights, features, mean });
         }
-        out
+        mean
     }
 
-    /// The weights by group of four outputs, for a learner.
-    pub fn groups_mut(&mut self) -> impl Iterator<Item = &mut [Vec4]> {
-        self.groups.iter_mut().map(Vec::as_mut_slice)
+    /// Takes a step along `trace`, which is of the size of this policy.
+    pub fn step(&mut self, trace: &mut Tiles, step: Step) {
+        self.advance::<false>(trace, step, &[], &mut [0.0; MAX_OUTPUTS]);
+    }
+
+    /// The same, and the mean output for the features `next` afterwards: [`mean`](Self::mean), to the bit, in the same pass.
+    #[inline]
+    pub fn step_and_answer(&mut self, trace: &mut Tiles, step: Step, next: &[f32], mean: &mut Outputs) {
+        self.advance::<true>(trace, step, next, mean);
+    }
+
+    #[inline(always)]
+    fn advance<const ANSWER: bool>(&mut self, trace: &mut Tiles, step: Step, next: &[f32], mean: &mut Outputs) {
+        let groups = self.weights.groups.iter_mut().zip(&mut trace.groups).zip(step.gain.chunks(ROWS));
+        for (((weights, trace), gain), mean) in groups.zip(mean.as_chunks_mut::<ROWS>().0) {
+            let step = Step { gain, ..step };
+            self.path.run(Advance::<ANSWER> { weights, trace, step, next, mean });
+        }
+    }
+
+    /// The weights, by output and by a feature's place in the encoder's layout.
+    pub fn weights(&self) -> &Tiles {
+        &self.weights
+    }
+
+    /// The same, to be written.
+    pub fn weights_mut(&mut self) -> &mut Tiles {
+        &mut self.weights
+    }
+
+    /// The path that the policy is worked on with.
+    pub fn path(&self) -> Path {
+        self.path
     }
 
     /// The weight from true feature `feature` to output `output`.
     pub fn weight(&self, output: usize, feature: usize) -> f32 {
-        self.groups[output / 4][self.order[feature]][output % 4]
+        self.weights.get(output, self.order[feature])
     }
 
     /// Number of true features.
@@ -68,7 +103,7 @@ impl Linear {
 
     /// Euclidean norm of the weights.
     pub fn norm(&self) -> f32 {
-        norm(&self.groups)
+        self.weights.norm_on(self.path)
     }
 
     /// XXH3-64 of the weights as little-endian f32, row by row: all features of the first output, then of the second,
@@ -86,40 +121,8 @@ impl Linear {
 
 impl Remember for Linear {
     fn remember(&mut self, ledger: &mut dyn Ledger) {
-        for group in &mut self.groups {
-            ledger.numbers("groups", group);
-        }
+        ledger.part("weights", &mut self.weights);
     }
-}
-
-/// `sum over i of weights[i] * features[i]`, in a fixed order of summation.
-fn weighted_sum(weights: &[Vec4], features: &[f32]) -> Vec4 {
-    let mut sums = [Vec4::ZERO; SUMS];
-    let (w, g) = (weights.chunks_exact(SUMS), features.chunks_exact(SUMS));
-    let rest = w.remainder().iter().zip(g.remainder());
-    for (w, g) in w.zip(g) {
-        for i in 0..SUMS {
-            sums[i] += w[i] * g[i];
-        }
-    }
-    for (i, (w, &g)) in rest.enumerate() {
-        sums[i] += *w * g;
-    }
-    let [a, b, c, d, e, f, g, h] = sums;
-    ((a + b) + (c + d)) + ((e + f) + (g + h))
-}
-
-/// Euclidean norm over all groups and lanes.
-pub fn norm(groups: &[Vec<Vec4>]) -> f32 {
-    let mut sums = [Vec4::ZERO; SUMS];
-    for group in groups {
-        for chunk in group.chunks(SUMS) {
-            for (sum, v) in sums.iter_mut().zip(chunk) {
-                *sum += *v * *v;
-            }
-        }
-    }
-    sums.iter().map(|s| s.element_sum()).sum::<f32>().sqrt()
 }
 
 #[cfg(test)]
@@ -130,7 +133,7 @@ mod tests {
     fn policy(len: usize, outputs: usize, values: &[f32]) -> Linear {
         let mut policy = Linear::new(len, (0..len).collect(), outputs);
         for (k, &v) in values.iter().enumerate().take(len * outputs) {
-            policy.groups[k / len / 4][k % len][(k / len) % 4] = v;
+            *policy.weights.get_mut(k / len, k % len) = v;
         }
         policy
     }
@@ -163,12 +166,13 @@ mod tests {
         let a = policy(5, 4, &values);
         let mut b = a.clone();
         assert_eq!(a.hash(), b.hash());
-        b.groups[0][3].z = f32::from_bits(b.groups[0][3].z.to_bits() ^ 1);
+        let weight = b.weights.get_mut(2, 3);
+        *weight = f32::from_bits(weight.to_bits() ^ 1);
         assert_ne!(a.hash(), b.hash());
         // The same weights in a layout with three pads.
         let mut padded = Linear::new(8, (0..5).collect(), 4);
-        for i in 0..5 {
-            padded.groups[0][i] = a.groups[0][i];
+        for (output, i) in (0..4).flat_map(|output| (0..5).map(move |i| (output, i))) {
+            *padded.weights.get_mut(output, i) = a.weights.get(output, i);
         }
         assert_eq!(a.hash(), padded.hash());
     }

@@ -2,6 +2,7 @@
 
 use super::{ControllerReport, Line, Tally};
 use crate::encoder::{Encoder, Features};
+use crate::lanes::Path;
 use crate::learner::{Learner, LearningRule, Tick};
 use crate::policy::{Exploration, Linear, Outputs};
 use crate::scenario::{Plan, limits::RANGE};
@@ -60,6 +61,11 @@ pub struct Controller {
     pub(super) report: ControllerReport,
 }
 
+/// Whether all are numbers: without a branch for each, since they nearly always are.
+fn finite(values: &[f32]) -> bool {
+    values.iter().fold(true, |all, x| all & x.is_finite())
+}
+
 /// What makes an observation's reward another tick's than the one that the policy answered and the gate let through.
 const NOT_OURS: u32 = flag::FIRST | flag::MISSED | flag::SKIPPED;
 
@@ -100,6 +106,11 @@ impl Controller {
         Self { off_policy: true, ..self }
     }
 
+    /// The same controller with its inner loops on another path than the machine's best: the same numbers, bit for bit.
+    pub fn on(self, path: Path) -> Self {
+        Self { encoder: self.encoder.on(path), policy: self.policy.on(path), ..self }
+    }
+
     /// Learns from the observation's reward and answers its inputs. Fills mean, drawn output, tick and flags.
     ///
     /// Credit goes to what was applied: when the gate limited the command, the noise is what the applied command differs
@@ -137,12 +148,15 @@ impl Controller {
     fn answer(&mut self, observation: &Observation, command: &mut Command) {
         let tick = observation.header.tick;
         let inputs = &observation.inputs[..self.inputs];
-        // False for what is not a number, too.
-        let blind = !inputs.iter().all(|x| f64::from(x.abs()) <= RANGE);
+        // False for what is not a number, too; without a branch for each, since they nearly always are.
+        let blind = !inputs.iter().fold(true, |all, x| all & (f64::from(x.abs()) <= RANGE));
+        let mut drawn = [0.0; MAX_OUTPUTS];
         if !blind {
+            // First of all, because it is a long chain of dependent operations that others need not wait for.
+            drawn = self.exploration.draw();
             self.encoder.encode(inputs, &mut self.next);
         }
-        self.learn(observation, blind);
+        let answered = self.learn(observation, blind);
         self.before = observation.applied;
 
         command.header.tick = tick;
@@ -154,10 +168,12 @@ impl Controller {
         } else {
             std::mem::swap(&mut self.features, &mut self.next);
             self.shown = observation.inputs;
-            self.mean = self.policy.mean(self.features.as_slice());
-            self.noise = self.exploration.draw();
+            if !answered {
+                self.mean = self.policy.mean(self.features.as_slice());
+            }
+            self.noise = drawn;
             self.answered = Some(tick);
-            if !self.mean.iter().all(|u| u.is_finite()) {
+            if !finite(&self.mean) {
                 self.answer_zero();
                 self.flags |= flag::DIVERGED;
                 command.header.flags = flag::DIVERGED;
@@ -187,11 +203,12 @@ impl Controller {
         })
     }
 
-    fn learn(&mut self, observation: &Observation, blind: bool) {
+    /// Learns. True if the mean is that of the next features by now: the rule has worked it out on its way.
+    fn learn(&mut self, observation: &Observation, blind: bool) -> bool {
         let flags = observation.header.flags;
         self.flags = 0;
         self.step = 0.0;
-        let Some(answered) = self.answered else { return };
+        let Some(answered) = self.answered else { return false };
         let clamped = flags & flag::CLAMPED != 0;
         let ours = flags & NOT_OURS == 0
             && observation.header.tick == answered + 1
@@ -213,13 +230,15 @@ impl Controller {
                 next_features: self.next.as_slice(),
                 next_inputs: &observation.inputs[..self.inputs],
             };
-            self.step = self.rule.learn(&mut self.policy, &tick);
+            self.step = self.rule.learn_and_answer(&mut self.policy, &tick, &mut self.mean);
             self.flags = flag::LEARNED;
             self.report.learned += 1;
+            true
         } else {
             self.rule.cut_trace();
             self.flags = flag::TRACE_CUT;
             self.report.cuts += 1;
+            false
         }
     }
 

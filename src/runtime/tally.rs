@@ -69,6 +69,8 @@ pub struct Tally {
     windows: Vec<Window>,
     current: Sums,
     from: u64,
+    /// Where the window in progress ends.
+    until: u64,
     last_error: f64,
     /// What exploration costs, where that is known: the arm, and the noise's standard deviation.
     arm: Option<(ArmTable, f64)>,
@@ -91,6 +93,7 @@ impl Tally {
             windows: Vec::with_capacity(plan.scenario.ticks.div_ceil(length) as usize + 1),
             current: Sums::default(),
             from: 0,
+            until: length,
             last_error: 0.0,
             arm: plan.scenario.plant.arm.clone().map(|arm| (arm, plan.scenario.policy.sigma)),
             switch: Switch::default(),
@@ -104,9 +107,10 @@ impl Tally {
         let flags = observation.header.flags;
         if flags & flag::FIRST == 0 {
             let tick = observation.header.tick - 1;
-            if tick / self.length != self.from / self.length {
+            if tick >= self.until {
                 self.close();
                 self.from = tick;
+                self.until = (tick / self.length + 1) * self.length;
             }
             let sums = &mut self.current;
             sums.ticks += 1;
@@ -208,6 +212,7 @@ impl Remember for Tally {
         let mut counts = [sums.ticks, sums.ends, self.from];
         ledger.numbers("current_counts", &mut counts);
         [sums.ticks, sums.ends, self.from] = counts;
+        self.until = (self.from / self.length).saturating_add(1).saturating_mul(self.length);
         let mut means = [sums.loss, sums.squares, sums.end_error, self.last_error];
         ledger.numbers("current", &mut means);
         [sums.loss, sums.squares, sums.end_error, self.last_error] = means;

@@ -77,12 +77,11 @@ impl Candidate {
     }
 
     /// Takes over the weights of `policy`.
-    pub fn take(&mut self, policy: &mut Linear, sights: &[Sight; 2]) {
+    pub fn take(&mut self, policy: &Linear, sights: &[Sight; 2]) {
         for (sight, weights) in sights.iter().zip(&mut self.weights) {
             for (output, row) in weights.chunks_exact_mut(sight.len().max(1)).enumerate() {
-                let from = policy.groups_mut().nth(output / 4).unwrap_or_default();
                 for (to, &at) in row.iter_mut().zip(&sight.positions) {
-                    *to = from[at][output % 4];
+                    *to = policy.weights().get(output, at);
                 }
             }
         }
@@ -92,9 +91,8 @@ impl Candidate {
     pub fn give(&self, policy: &mut Linear, sights: &[Sight; 2]) {
         for (sight, weights) in sights.iter().zip(&self.weights) {
             for (output, row) in weights.chunks_exact(sight.len().max(1)).enumerate() {
-                let to = policy.groups_mut().nth(output / 4).unwrap_or_default();
                 for (from, &at) in row.iter().zip(&sight.positions) {
-                    to[at][output % 4] = *from;
+                    *policy.weights_mut().get_mut(output, at) = *from;
                 }
             }
         }

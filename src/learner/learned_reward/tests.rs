@@ -98,13 +98,11 @@ fn the_slope_is_the_numerical_one() {
     let encoder = encoder(&plan);
     let mut policy = Linear::new(encoder.len(), encoder.positions().collect(), 4);
     let mut rng = stream(5, "test");
-    for group in policy.groups_mut() {
-        for w in group.iter_mut() {
-            *w = glam::Vec4::from_array(std::array::from_fn(|_| 0.02 * (rng.random::<f32>() - 0.5)));
-        }
+    for (place, output) in (0..encoder.len()).flat_map(|place| (0..4).map(move |output| (place, output))) {
+        *policy.weights_mut().get_mut(output, place) = 0.02 * (rng.random::<f32>() - 0.5);
     }
     let state = [0.4, -0.3, 0.5, -1.0, 0.8, 2.0];
-    rule.champion.take(&mut policy, &rule.rehearsal.sights);
+    rule.champion.take(&policy, &rule.rehearsal.sights);
     rule.rehearsal.imagine(&mut rule.champion, &mut rule.reward, &rule.movement, &state);
     let positions = rule.rehearsal.sights.clone().map(|sight| sight.positions);
     let slopes = rule.champion.slope.clone();
@@ -113,9 +111,9 @@ fn the_slope_is_the_numerical_one() {
     for (sight, feature, output) in [(0, 100, 0), (0, 200, 3), (1, 5, 1), (1, 30, 2), (1, 40, 0), (1, 60, 3)] {
         let at = positions[sight][feature];
         let mut along = |step: f32| {
-            policy.groups_mut().next().unwrap()[at][output] += step;
+            *policy.weights_mut().get_mut(output, at) += step;
             let cost = imagined_cost(&mut rule, &plan, &policy, &state);
-            policy.groups_mut().next().unwrap()[at][output] -= step;
+            *policy.weights_mut().get_mut(output, at) -= step;
             cost
         };
         let numerical = (along(1e-3) - along(-1e-3)) / 2e-3;

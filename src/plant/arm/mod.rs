@@ -48,8 +48,9 @@ pub struct Arm {
     /// Angles, rad: without stops in [-pi, pi).
     theta: [f32; MAX_OUTPUTS],
     target: [f32; 2],
-    /// Targets shown so far.
+    /// Targets shown so far, and the tick at which the next one is due.
     shown: u64,
+    due: u64,
 }
 
 fn square(x: f32) -> f32 {
@@ -58,7 +59,9 @@ fn square(x: f32) -> f32 {
 
 /// To [-pi, pi), as far as single precision can tell.
 fn wrap(theta: f32) -> f32 {
-    theta - 2.0 * PI * libm::floorf((theta + PI) / (2.0 * PI))
+    let turned = theta + PI;
+    // As nearly always: nothing would be taken off, and neither the division nor the floor is needed to know it.
+    if (0.0..2.0 * PI).contains(&turned) { theta } else { theta - 2.0 * PI * libm::floorf(turned / (2.0 * PI)) }
 }
 
 impl Arm {
@@ -85,6 +88,7 @@ impl Arm {
             theta: [0.0; MAX_OUTPUTS],
             target: [0.0; 2],
             shown: 0,
+            due: 0,
             table: table.clone(),
         }
     }
@@ -96,7 +100,7 @@ impl Arm {
 
     /// The end-effector's position, m.
     pub fn end(&self) -> [f32; 2] {
-        self.chain().end()
+        segments::end(self.base, &self.lengths[..self.joints], self.angles(), self.table.angles)
     }
 
     /// Where the target is, m, whatever is reported of it.
@@ -147,13 +151,13 @@ pub fn noise_share(table: &ArmTable, sigma: f64, tick: u64) -> f64 {
 impl Plant for Arm {
     /// Inputs: target x and y (m), then, unless the loop is open, the angles (rad).
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
-        let due = tick / self.table.target_every + 1;
-        let fresh = due > self.shown;
-        while self.shown < due {
+        let fresh = tick >= self.due;
+        while tick >= self.due {
             // As the arm is when the target appears, also when that was passed over.
-            let lengths = lengths(&self.table, self.shown * self.table.target_every);
+            let lengths = lengths(&self.table, self.due);
             self.target = self.targets.take(self.shown, &lengths[..self.joints]);
             self.shown += 1;
+            self.due += self.table.target_every;
         }
         let mirrored = self.table.mirrored(tick);
         for (input, (x, mirrored)) in inputs.iter_mut().zip(self.target.into_iter().zip(mirrored)) {
@@ -184,14 +188,13 @@ impl Plant for Arm {
             self.theta[joint] = theta;
             angles += square(theta);
         }
-        let chain = self.chain();
-        let end = chain.end();
+        let end = self.end();
         let error = square(end[0] - self.target[0]) + square(end[1] - self.target[1]);
         let mut measures = [0.0; MAX_MEASURES];
         measures[..3].copy_from_slice(&[error.sqrt(), end[0], end[1]]);
         let mut cost = -self.worth(error) + self.speed * rates + self.angle * angles;
         if self.collision > 0.0 {
-            let crossings = chain.crossings() as f32;
+            let crossings = self.chain().crossings() as f32;
             cost += self.collision * crossings;
             measures[3] = crossings;
         }
@@ -213,5 +216,6 @@ impl Remember for Arm {
         ledger.numbers("theta", &mut self.theta);
         ledger.numbers("target", &mut self.target);
         ledger.number("shown", &mut self.shown);
+        self.due = self.shown.saturating_mul(self.table.target_every);
     }
 }

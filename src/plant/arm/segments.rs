@@ -32,21 +32,8 @@ impl Chain {
     /// The chain of `lengths` with angles `theta`.
     pub fn new(base: [f32; 2], lengths: &[f32], theta: &[f32], angles: Angles) -> Self {
         let mut points = [base; MAX_OUTPUTS + 1];
-        let mut direction = 0.0;
-        for (i, (length, &theta)) in lengths.iter().zip(theta).enumerate() {
-            direction = match angles {
-                Angles::Absolute => theta,
-                Angles::Relative => direction + theta,
-            };
-            let (sin, cos) = libm::sincosf(direction);
-            points[i + 1] = [points[i][0] + length * cos, points[i][1] + length * sin];
-        }
+        walk(base, lengths, theta, angles, |i, point| points[i + 1] = point);
         Self { points, segments: lengths.len() }
-    }
-
-    /// The end-effector's position.
-    pub fn end(&self) -> [f32; 2] {
-        self.points[self.segments]
     }
 
     /// Pairs of segments that cross or touch each other. Neighbours always touch, and may fold back on each other: they
@@ -55,6 +42,28 @@ impl Chain {
         let segment = |i: usize| [self.points[i], self.points[i + 1]];
         let pairs = (0..self.segments).flat_map(|i| (i + 2..self.segments).map(move |j| (i, j)));
         pairs.filter(|&(i, j)| meet(segment(i), segment(j))).count()
+    }
+}
+
+/// The end-effector's position, which is all that most ticks want of the chain.
+pub(super) fn end(base: [f32; 2], lengths: &[f32], theta: &[f32], angles: Angles) -> [f32; 2] {
+    let mut end = base;
+    walk(base, lengths, theta, angles, |_, point| end = point);
+    end
+}
+
+/// Calls `see` with the number and the end of each segment in turn.
+#[inline]
+fn walk(base: [f32; 2], lengths: &[f32], theta: &[f32], angles: Angles, mut see: impl FnMut(usize, [f32; 2])) {
+    let ([mut x, mut y], mut direction) = (base, 0.0);
+    for (i, (length, &theta)) in lengths.iter().zip(theta).enumerate() {
+        direction = match angles {
+            Angles::Absolute => theta,
+            Angles::Relative => direction + theta,
+        };
+        let (sin, cos) = libm::sincosf(direction);
+        (x, y) = (x + length * cos, y + length * sin);
+        see(i, [x, y]);
     }
 }
 
@@ -151,8 +160,9 @@ mod tests {
             let table = ArmTable { angles, ..ArmTable::default() };
             let theta = [0.3, -0.8, 1.2, 0.5];
             let chain = Chain::new([0.0, -1.0], &[0.5; 4], &theta, angles);
+            assert_eq!(chain.points[4], super::end([0.0, -1.0], &[0.5; 4], &theta, angles));
             let end = posture(&table, &theta)[4];
-            assert!((0..2).all(|i| (end[i] - f64::from(chain.end()[i])).abs() < 1e-6), "{angles:?}");
+            assert!((0..2).all(|i| (end[i] - f64::from(chain.points[4][i])).abs() < 1e-6), "{angles:?}");
         }
     }
 }

@@ -245,3 +245,18 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn angles_come_round_as_the_formula_says() {
+    let formula = |theta: f32| theta - 2.0 * PI * libm::floorf((theta + PI) / (2.0 * PI));
+    let mut edges = vec![0.0, -0.0, PI, -PI, 2.0 * PI, 1e-30, -1e-30];
+    for step in 1..2000 {
+        for edge in [PI, -PI, 3.0 * PI, -3.0 * PI] {
+            edges.extend([step, -step].map(|step| f32::from_bits((edge.to_bits() as i32 + step) as u32)));
+        }
+        edges.extend([1e-3, 7e-3, 0.5].map(|by| (step as f32 - 1000.0) * by));
+    }
+    for theta in edges {
+        assert_eq!(wrap(theta).to_bits(), formula(theta).to_bits(), "{theta:e}");
+    }
+}

@@ -1,0 +1,143 @@
+//! How many instructions a tick takes, as it was when it was last looked at: so that a later change shows, also one that
+//! nobody meant (a loop over lanes that is no longer inlined takes ten times as many).
+//!
+//! Counted one by one: this program starts itself again and steps through the part between two signals with ptrace, which
+//! needs no hardware counters, and gives the same number every time. Where that is not allowed the test says so and passes.
+//! The numbers below belong to rustc 1.95; a much different one may need new ones. `cargo test --test instructions` checks
+//! those of the tests' profile, and with `--release` those of what users run.
+
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Command, ExitCode, Stdio};
+
+use nix::sys::ptrace;
+use nix::sys::signal::Signal;
+use nix::sys::wait::{WaitStatus, waitpid};
+use nix::unistd::Pid;
+use tectum::lanes::Path;
+use tectum::plant::Body;
+use tectum::runtime::{Controller, PlantSide};
+use tectum::scenario::Scenario;
+use tectum::wire::{self, Observation};
+
+/// Names what the program is to do when it is started to be counted.
+const PART: &str = "TECTUM_COUNTED_PART";
+
+/// Ticks before those that are counted, and those.
+const BEFORE: u64 = 2000;
+const COUNTED: u64 = 4;
+
+/// What is counted, by path, as recorded: instructions a tick of the paper's arm in the release profile and in the tests'.
+const RECORDED: [(&str, &str, [u64; 2]); 6] = [
+    ("encode", "sse2", [1571, 2386]),
+    ("encode", "avx2", [922, 1467]),
+    ("respond", "sse2", [6621, 9508]),
+    ("respond", "avx2", [3221, 8724]),
+    ("tick", "sse2", [7660, 11045]),
+    ("tick", "avx2", [4260, 10261]),
+];
+
+/// Largest departure that is no change, in percent.
+const TOLERANCE: u64 = 5;
+
+fn main() -> ExitCode {
+    if let Ok(part) = std::env::var(PART) {
+        counted(&part);
+        return ExitCode::SUCCESS;
+    }
+    let profile = usize::from(cfg!(debug_assertions));
+    let mut changed = false;
+    for (what, path, recorded) in RECORDED {
+        if !Path::all().any(|here| here.to_string() == path) {
+            println!("{what}, {path}: skipped, this machine has no such path");
+            continue;
+        }
+        match count(&format!("{what} {path}")) {
+            Ok(seen) => {
+                let (seen, recorded) = (seen / COUNTED, recorded[profile]);
+                let same = seen.abs_diff(recorded) * 100 <= recorded * TOLERANCE;
+                println!("{what}, {path}: {seen} instructions a tick, recorded {recorded}");
+                changed |= !same;
+            }
+            Err(error) => println!("{what}, {path}: skipped, this process may not be stepped through ({error})"),
+        }
+    }
+    if changed {
+        println!("more than {TOLERANCE} % off: find out why, and record the new numbers in tests/instructions.rs");
+    }
+    ExitCode::from(u8::from(changed))
+}
+
+/// Counts the instructions of a part, less those of a part that does nothing.
+fn count(part: &str) -> nix::Result<u64> {
+    let program = std::env::current_exe().unwrap();
+    let mut child = Command::new(program).env(PART, part).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let pid = Pid::from_raw(child.id() as i32);
+    let mut ready = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut ready).unwrap();
+    let counted = ptrace::attach(pid).and_then(|()| {
+        waitpid(pid, None)?;
+        child.stdin.take().unwrap().write_all(b"go\n").unwrap();
+        ptrace::cont(pid, None)?;
+        assert_eq!(waitpid(pid, None)?, WaitStatus::Stopped(pid, Signal::SIGUSR1), "the first mark");
+        let nothing = step_to_mark(pid)?;
+        Ok(step_to_mark(pid)? - nothing)
+    });
+    let _ = child.kill();
+    let _ = child.wait();
+    counted
+}
+
+/// Steps to the next mark, and says how many instructions that took.
+fn step_to_mark(pid: Pid) -> nix::Result<u64> {
+    let mut steps = 0;
+    loop {
+        ptrace::step(pid, None)?;
+        steps += 1;
+        match waitpid(pid, None)? {
+            WaitStatus::Stopped(_, Signal::SIGTRAP) => {}
+            WaitStatus::Stopped(_, Signal::SIGUSR1) => return Ok(steps),
+            status => panic!("the counted program stopped otherwise: {status:?}"),
+        }
+    }
+}
+
+/// The counted program's side: gets ready, waits until it is watched, and marks where counting begins and ends.
+fn counted(part: &str) {
+    let (what, path) = part.split_once(' ').unwrap();
+    let path = Path::all().find(|here| here.to_string() == path).unwrap();
+    let plan = Scenario::find("paper").unwrap().plan().unwrap();
+    let mut plant = PlantSide::new(Body::of(&plan).unwrap(), &plan);
+    let mut controller = Controller::new(&plan).on(path);
+    let mut encoder = plan.encoder().on(path);
+    let mut features = encoder.features();
+    let (mut observation, mut command) = (Observation::default(), wire::Command::default());
+    let mut tick = |tick: u64| {
+        plant.observe(tick, 0, 0, &mut observation);
+        controller.respond(&observation, &mut command);
+        controller.settle(&observation);
+        plant.live(tick, Some(&command));
+        observation
+    };
+    let seen: Vec<_> = (0..BEFORE).map(&mut tick).skip((BEFORE - COUNTED) as usize).collect();
+    println!("ready");
+    std::io::stdin().read_line(&mut String::new()).unwrap();
+    mark();
+    mark();
+    match what {
+        "encode" => seen.iter().for_each(|seen| encoder.encode(&seen.inputs[..6], &mut features)),
+        "tick" => (BEFORE..BEFORE + COUNTED).for_each(|k| _ = tick(k)),
+        _ => {
+            let mut observation = seen[0];
+            for k in BEFORE..BEFORE + COUNTED {
+                observation.header.tick = k;
+                controller.respond(&observation, &mut command);
+            }
+        }
+    }
+    mark();
+}
+
+/// A mark that whoever watches this process sees.
+fn mark() {
+    rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::USR1).unwrap();
+}
