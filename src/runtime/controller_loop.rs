@@ -237,7 +237,7 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
         answers.show(&mut session);
     }
     let end = answers.seen.tick + u64::from(answers.count > 0);
-    writer.write(end, answers.checkpoint(end, &session.seat));
+    writer.write_last(end, answers.checkpoint(end, &session.seat), session.stopping());
     let report = &mut answers.controller.report;
     match writer.finish() {
         Ok(written) => report.checkpoints = written,

@@ -248,7 +248,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     session.show();
     session.check()?;
     voice.expected = inbox.expected;
-    writer.write(tick, voice.checkpoint(tick, &session.seat));
+    writer.write_last(tick, voice.checkpoint(tick, &session.seat), session.stopping());
     let mut report = voice.side.report;
     match writer.finish() {
         Ok(written) => report.checkpoints = written,
