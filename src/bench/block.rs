@@ -8,7 +8,7 @@ use std::time::Duration;
 use super::usage::{Observer, Usage};
 use super::{BenchError, Lap};
 use crate::channel::LOG_BUFFER;
-use crate::log::{LOG_FILE, LogReader, Record};
+use crate::log::{Record, RunLog, segments};
 use crate::runtime::{Mode, exit, laps};
 use crate::scenario::{Plan, Scenario};
 use crate::supervise::{Ended, Launch, Summary, run};
@@ -110,7 +110,7 @@ fn check(summary: &Summary) -> Result<(), BenchError> {
 /// The ticks of a real-time run from its log.
 fn logged(place: &Path) -> Result<Vec<Lap>, BenchError> {
     let (mut sensed, mut answers) = (Vec::new(), BTreeMap::new());
-    for record in LogReader::open(&place.join(LOG_FILE))? {
+    for record in RunLog::open(&segments(place))? {
         match record? {
             Record::Observation(o) => sensed.push([o.header.tick, o.header.scheduled_ns, o.header.sensed_ns]),
             Record::Command(c) => drop(answers.insert(c.header.tick, c.header.published_ns)),

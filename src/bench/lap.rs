@@ -8,7 +8,7 @@
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use crate::runtime::Percentiles;
+use crate::log::{Percentiles, histogram};
 
 /// The instants of one tick, CLOCK_MONOTONIC, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,11 +49,6 @@ pub struct Latencies {
 /// Names of the five, as in files.
 pub const SERIES: [&str; 5] =
     ["scheduled-to-sensed", "sensed-to-command", "command-to-applied", "sensed-to-applied", "scheduled-to-applied"];
-
-/// A minute in nanoseconds, to three significant digits; longer waits count as a minute.
-fn histogram() -> Histogram<u64> {
-    Histogram::new_with_max(60_000_000_000, 3).expect("fixed bounds")
-}
 
 impl Default for Latencies {
     fn default() -> Self {

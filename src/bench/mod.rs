@@ -6,11 +6,15 @@
 //! and with the machine it was measured on.
 
 mod block;
+mod calls;
+mod costs;
+mod encoder;
 mod error;
 mod evict;
 mod exchange;
 mod lap;
 mod latency;
+mod learner;
 mod line;
 mod lockstep;
 mod machine;
@@ -18,11 +22,15 @@ mod peer;
 mod progress;
 mod usage;
 
+pub use calls::Nanoseconds;
+pub use costs::{Calls, Cost, CostsOutcome, Growth};
+pub use encoder::encoder;
 pub use error::BenchError;
 pub use evict::Evictor;
 pub use exchange::Exchange;
 pub use lap::{Lap, Latencies, SERIES, SeriesPercentiles, hgrm};
 pub use latency::{Caches, CaseOutcome, Latency, LatencyOutcome, Pace, Ratio, latency};
+pub use learner::learner;
 pub use line::Way;
 pub use lockstep::{CaseRate, Lockstep, LockstepOutcome, lockstep};
 pub use machine::Machine;
