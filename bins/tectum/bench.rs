@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
-use tectum::bench::{self, BenchError, Latency, Lockstep, Pace, Way};
+use tectum::bench::{self, All, BenchError, Calls, CostsOutcome, Latency, Lockstep, Pace, Way};
 use tectum::process::say;
 
 use super::print;
@@ -28,6 +28,12 @@ enum Command {
     Latency(LatencyArguments),
     /// Ticks a second as fast as the processes go, against bare iceoryx2
     Lockstep(LockstepArguments),
+    /// What encoding costs: nanoseconds a call, by version, path and number of features
+    Encoder(CallsArguments),
+    /// What learning costs: nanoseconds a call, by version, path, rule and number of features
+    Learner(CallsArguments),
+    /// Everything, with a page, figures and all numbers in a folder
+    All(AllArguments),
     /// The other process of a bare way; started by the others
     #[command(hide = true)]
     Peer(PeerArguments),
@@ -91,6 +97,50 @@ struct LockstepArguments {
 }
 
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Every version on every path that this machine has, in short batches that take turns; the middle batch and
+the quickest.
+
+Examples:
+  tectum bench encoder                    200 batches of each case
+  tectum bench learner --batches 1000     takes longer, and shows rarer moments of peace")]
+struct CallsArguments {
+    /// Batches of each case, a tenth of a millisecond each
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    batches: u64,
+    /// Folder for the numbers [default: runs/bench-<what>-<n>]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object instead of the tables
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example: tectum bench all --report runs/performance    about four minutes; the page is performance.md in there")]
+struct AllArguments {
+    /// Folder for page, figures and numbers
+    #[arg(long, value_name = "DIR")]
+    report: PathBuf,
+    /// For how long each way is measured, seconds; may be a fraction
+    #[arg(long, value_name = "N", default_value_t = 10.0)]
+    seconds: f64,
+    /// Ticks of a block in lockstep
+    #[arg(long, value_name = "N", default_value_t = 100_000)]
+    ticks: u64,
+    /// Blocks of each in lockstep
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    rounds: u64,
+    /// Batches of each case of calls
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    batches: u64,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
 struct PeerArguments {
     /// Over which way
     #[arg(long, value_parser = way)]
@@ -108,6 +158,9 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     let told = match &arguments.command {
         Command::Latency(asked) => latency(asked),
         Command::Lockstep(asked) => lockstep(asked),
+        Command::Encoder(asked) => calls(asked, bench::encoder),
+        Command::Learner(asked) => calls(asked, bench::learner),
+        Command::All(asked) => all(asked),
         Command::Peer(asked) => bench::serve(asked.over, asked.domain).map(|()| String::new()),
     };
     match told {
@@ -134,5 +187,22 @@ fn latency(asked: &LatencyArguments) -> Result<String, BenchError> {
 fn lockstep(asked: &LockstepArguments) -> Result<String, BenchError> {
     let (ticks, rounds) = (asked.ticks, asked.rounds);
     let found = bench::lockstep(&Lockstep { ticks, rounds, out: asked.out.clone(), progress: true })?;
+    Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
+}
+
+fn calls(asked: &CallsArguments, bench: fn(&Calls) -> Result<CostsOutcome, BenchError>) -> Result<String, BenchError> {
+    let found = bench(&Calls { batches: asked.batches, out: asked.out.clone(), progress: true })?;
+    Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
+}
+
+fn all(asked: &AllArguments) -> Result<String, BenchError> {
+    let found = bench::all(&All {
+        report: asked.report.clone(),
+        seconds: asked.seconds,
+        ticks: asked.ticks,
+        rounds: asked.rounds,
+        batches: asked.batches,
+        progress: true,
+    })?;
     Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
 }

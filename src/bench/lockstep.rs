@@ -1,13 +1,14 @@
 //! `tectum bench lockstep`: ticks a second of three processes with a complete log and with a thinned one, and of one process,
 //! against bare iceoryx2 that polls and yields with the same payload; in blocks that take turns.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use serde::Serialize;
 
 use super::block::{self, Block};
-use super::{BenchError, Exchange, Machine, Progress, Usage, Way, latency::PERIOD_NS};
+use super::{BenchError, Exchange, Machine, Progress, Usage, Way, latency::PERIOD_NS, usage::core_of};
 use crate::clock::{Signals, monotonic_ns};
 use crate::plant::Body;
 use crate::report::thousands;
@@ -44,6 +45,8 @@ pub struct CaseRate {
     pub blocks: Vec<f64>,
     /// As a share of bare iceoryx2 in the same round; null for itself.
     pub share_of_bare: Option<Spread>,
+    /// The cores on which its processes were seen.
+    pub cores: BTreeSet<u32>,
     /// What its processes used; null for one process, and for bare iceoryx2.
     pub usage: Option<Usage>,
 }
@@ -80,6 +83,7 @@ pub fn lockstep(asked: &Lockstep) -> Result<LockstepOutcome, BenchError> {
     let progress = Progress::new(asked.progress);
     let mut rates: [Vec<f64>; 4] = Default::default();
     let mut usage = [Usage::default(), Usage::default()];
+    let mut seen: [BTreeSet<u32>; 4] = Default::default();
     for round in 0..asked.rounds {
         for (case, name) in CASES.into_iter().enumerate() {
             progress.show(&format!("lockstep: round {} of {}, {name}", round + 1, asked.rounds));
@@ -88,12 +92,19 @@ pub fn lockstep(asked: &Lockstep) -> Result<LockstepOutcome, BenchError> {
             let rate = match case {
                 0 | 1 => {
                     let lived = block::live(&block([1, THINNED][case]), folder.path())?;
+                    seen[case].extend(lived.usage.processes.iter().flat_map(|p| &p.cores));
                     usage[case].add(&lived.usage);
                     lived.ticks_per_second
                 }
-                2 => alone(&block(THINNED), &signals)?,
+                2 => {
+                    let rate = alone(&block(THINNED), &signals)?;
+                    seen[case].extend(core_of(std::process::id()));
+                    rate
+                }
                 _ => {
-                    let ns = Exchange::start(Way::Poll, &signals)?.rounds(asked.ticks)?;
+                    let mut exchange = Exchange::start(Way::Poll, &signals)?;
+                    let ns = exchange.rounds(asked.ticks)?;
+                    seen[case].extend([std::process::id(), exchange.peer()].into_iter().filter_map(core_of));
                     asked.ticks as f64 * 1e9 / ns.max(1) as f64
                 }
             };
@@ -106,7 +117,7 @@ pub fn lockstep(asked: &Lockstep) -> Result<LockstepOutcome, BenchError> {
     let outcome = LockstepOutcome {
         ticks: asked.ticks,
         rounds: asked.rounds,
-        cases: cases(rates, usage),
+        cases: cases(rates, usage, seen),
         machine,
         seconds: (monotonic_ns() - began) as f64 / 1e9,
         folder: folder.path().to_owned(),
@@ -131,16 +142,17 @@ fn alone(block: &Block, signals: &Signals) -> Result<f64, BenchError> {
 }
 
 /// From the rates by case and round to what is told. The last case is the one that the others are compared with.
-fn cases(rates: [Vec<f64>; 4], usage: [Option<Usage>; 4]) -> Vec<CaseRate> {
+fn cases(rates: [Vec<f64>; 4], usage: [Option<Usage>; 4], cores: [BTreeSet<u32>; 4]) -> Vec<CaseRate> {
     let bare = rates[3].clone();
-    let each = CASES.into_iter().zip(rates).zip(usage).enumerate();
-    each.filter_map(|(i, ((case, blocks), usage))| {
+    let each = CASES.into_iter().zip(rates).zip(usage.into_iter().zip(cores)).enumerate();
+    each.filter_map(|(i, ((case, blocks), (usage, cores)))| {
         let share = Spread::of(blocks.iter().zip(&bare).map(|(rate, bare)| rate / bare));
         Some(CaseRate {
             case,
             per_second: Spread::of(blocks.iter().copied())?,
             blocks,
             share_of_bare: share.filter(|_| i < 3),
+            cores,
             usage,
         })
     })
@@ -172,7 +184,8 @@ impl LockstepOutcome {
             if let Some(share) = case.share_of_bare {
                 let _ = write!(text, "  {:.3} ({:.3} to {:.3})", share.median, share.min, share.max);
             }
-            text.push('\n');
+            let cores: Vec<_> = case.cores.iter().map(u32::to_string).collect();
+            let _ = writeln!(text, "  on core {}", cores.join(", "));
         }
         for case in &self.cases {
             if let Some(usage) = &case.usage {
@@ -191,7 +204,7 @@ mod tests {
     #[test]
     fn shares_are_taken_round_by_round() {
         let rates = [vec![50.0, 90.0], vec![75.0, 150.0], vec![400.0, 400.0], vec![100.0, 200.0]];
-        let told = cases(rates, [const { None }; 4]);
+        let told = cases(rates, [const { None }; 4], Default::default());
         let shares: Vec<_> = told.iter().map(|case| case.share_of_bare.map(|s| (s.min, s.max))).collect();
         assert_eq!(shares, [Some((0.45, 0.5)), Some((0.75, 0.75)), Some((2.0, 4.0)), None]);
         assert_eq!(told[0].per_second.max, 90.0);

@@ -5,6 +5,7 @@
 //! payload, so that what Tectum adds is a ratio and not a number of this machine alone. Every number comes with its spread
 //! and with the machine it was measured on.
 
+mod all;
 mod block;
 mod calls;
 mod costs;
@@ -20,8 +21,10 @@ mod lockstep;
 mod machine;
 mod peer;
 mod progress;
+mod targets;
 mod usage;
 
+pub use all::{All, AllOutcome, all};
 pub use calls::Nanoseconds;
 pub use costs::{Calls, Cost, CostsOutcome, Growth};
 pub use encoder::encoder;
@@ -36,4 +39,5 @@ pub use lockstep::{CaseRate, Lockstep, LockstepOutcome, lockstep};
 pub use machine::Machine;
 pub use peer::serve;
 use progress::Progress;
+pub use targets::Target;
 pub use usage::{ProcessUse, Usage};

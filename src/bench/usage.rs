@@ -138,6 +138,11 @@ fn core(stat: &str) -> Option<u32> {
     stat.rsplit_once(") ")?.1.split(' ').nth(36)?.parse().ok()
 }
 
+/// The core on which process `pid` was seen last.
+pub(super) fn core_of(pid: u32) -> Option<u32> {
+    core(&stat(pid)?)
+}
+
 /// The run's processes among the children of this one, and this one, their launcher.
 fn processes() -> Vec<(&'static str, u32)> {
     let ours = std::process::id();
