@@ -240,7 +240,7 @@ fn a_signal_ends_it_and_nothing_is_left() {
 #[test]
 fn the_other_process_does_not_outlive_a_bench_that_is_killed() {
     let place = Place::new();
-    let mut process = place.start(TECTUM, &["bench", "lockstep", "--ticks", "100000000", "--rounds", "1"]);
+    let mut process = place.start(TECTUM, &["bench", "lockstep", "--ticks", "400000", "--rounds", "1"]);
     // Any member of its first run will do: all of them follow their launcher's pidfd.
     let member = process.member("tectum-controller");
     process.signal("KILL");

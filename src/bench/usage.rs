@@ -179,14 +179,15 @@ impl Observer {
 
     /// The run is over: what its processes used.
     pub fn finish(self) -> Usage {
-        self.over.store(true, Ordering::Relaxed);
+        self.over.store(true, Ordering::Release);
+        self.thread.thread().unpark();
         self.thread.join().unwrap_or_default()
     }
 }
 
 fn watch(log: &PathBuf, every: Duration, over: &AtomicBool, launcher: i32) -> Usage {
     const PACE_NS: u64 = 5_000_000;
-    let over = || over.load(Ordering::Relaxed);
+    let over = || over.load(Ordering::Acquire);
     let size = || fs::metadata(log).map_or(0, |m| m.len());
     // Ticks run when the log grows a second time after it came to be.
     let (mut last, mut growths) = (0, 0);
@@ -224,11 +225,12 @@ fn watch(log: &PathBuf, every: Duration, over: &AtomicBool, launcher: i32) -> Us
     let mut ended = began;
     'looking: while !over() {
         let next = monotonic_ns() + every.as_nanos() as u64;
+        // Asleep all the while: what wakes up in between would be in the way of what is measured.
         while monotonic_ns() < next {
+            std::thread::park_timeout(Duration::from_nanos(next - monotonic_ns().min(next)));
             if over() {
                 break 'looking;
             }
-            pause(PACE_NS.max(every.as_nanos() as u64 / 20));
         }
         let now: Vec<_> = looks.iter().map_while(|&(_, pid, _)| Look::at(pid)).collect();
         if now.len() < looks.len() {
