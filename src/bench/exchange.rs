@@ -204,10 +204,10 @@ impl Drop for Exchange {
     fn drop(&mut self) {
         // In good order, so that it takes away what it holds in shared memory. Killed after that in any case.
         self.observation.header.tick = DONE;
-        if self.line.send(&self.observation).is_ok() {
-            if let Some(life) = &self.peer.life {
-                Life::await_any(std::iter::once(life), 200_000_000);
-            }
+        if self.line.send(&self.observation).is_ok()
+            && let Some(life) = &self.peer.life
+        {
+            Life::await_any(std::iter::once(life), 200_000_000);
         }
     }
 }
