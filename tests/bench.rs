@@ -8,6 +8,7 @@ use std::path::Path;
 
 use serde_json::Value;
 use support::{Outcome, Place, TECTUM, children, signal_process};
+use tectum::log::{RunLog, segments};
 
 const WAYS: [&str; 5] = ["iceoryx2-event", "iceoryx2-poll", "unix-socket", "pipe", "futex"];
 const SERIES: [&str; 5] =
@@ -206,6 +207,18 @@ fn all_of_it_is_a_page_with_figures_and_numbers() {
         );
     }
     assert!(list(&found, "targets").len() >= 10, "{}", found["targets"]);
+}
+
+/// A bench that empties caches between ticks must know when they begin.
+#[test]
+fn ticks_of_a_real_time_run_begin_at_whole_multiples_of_the_period() {
+    let place = Place::new();
+    let scenario = place.arm(&[("every", "1"), ("period_ms", "7")]);
+    place.run(&[&scenario, "--mode", "realtime", "--ticks", "3"]).wait().expect(0);
+    let log = RunLog::open(&segments(&place.run_folder())).unwrap();
+    let scheduled: Vec<u64> =
+        log.filter_map(|record| Some(record.unwrap().header()?.scheduled_ns % 7_000_000)).collect();
+    assert!(!scheduled.is_empty() && scheduled.iter().all(|&rest| rest == 0), "{scheduled:?}");
 }
 
 /// Waits until the bench has started the other process of a bare way; gives its id.

@@ -102,8 +102,8 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
     }
 
     let began = monotonic_ns();
-    // At a whole multiple of the period, so that anybody can tell when ticks begin without asking.
-    let start = (began + LEAD_NS).next_multiple_of(plan.period_ns);
+    // At a whole multiple of the period, so that anybody can tell when ticks begin without asking; where that is long, soon.
+    let start = (began + LEAD_NS).next_multiple_of(plan.period_ns.clamp(1, LEAD_NS));
     run.go(if launch.mode == Mode::Realtime { start } else { 0 });
     let seconds = run.close(began);
     // The domain goes with the run, before anything is drawn or printed.
