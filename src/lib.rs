@@ -7,6 +7,7 @@
 
 #![warn(missing_docs)]
 
+pub mod bench;
 pub mod channel;
 pub mod checkpoint;
 pub mod clock;

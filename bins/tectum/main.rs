@@ -1,6 +1,7 @@
 //! The user's command. Every mode and every exit code passes through here.
 
 mod analyse;
+mod bench;
 mod compare;
 mod doctor;
 mod log;
@@ -43,6 +44,8 @@ enum Command {
     Analyse(analyse::Arguments),
     /// Learners side by side: how much experience each needs, and what a tick of it costs
     Compare(compare::Arguments),
+    /// How fast it is: latency, lockstep, encoder, learner, beside what the machine can do
+    Bench(bench::Arguments),
     /// Do a run again from its log, and check every bit that it says
     Replay(replay::Arguments),
     /// Look into a log, make a torn one whole, or export it
@@ -57,6 +60,7 @@ fn main() -> ExitCode {
         Command::Reproduce(arguments) => reproduce::main(&arguments),
         Command::Analyse(arguments) => analyse::main(&arguments),
         Command::Compare(arguments) => compare::main(&arguments),
+        Command::Bench(arguments) => bench::main(&arguments),
         Command::Replay(arguments) => replay::main(&arguments),
         Command::Log(arguments) => log::main(&arguments),
         Command::Doctor(arguments) => doctor::main(&arguments),

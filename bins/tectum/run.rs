@@ -121,6 +121,7 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
     Ok(Launch {
         plan,
         checkpoint_every: arguments.checkpoint_every,
+        stopwatch: false,
         resumed,
         mode: match arguments.mode {
             ModeArgument::Lockstep => Mode::Lockstep,

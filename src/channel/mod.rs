@@ -8,14 +8,18 @@
 //! reader. Where nothing may be lost (lockstep), the plant does not run further ahead of the logger than the reader's
 //! buffer (see [`LOG_BUFFER`]), so that overflow cannot happen, rather than block on it.
 
+mod bare;
 mod debris;
 mod domain;
+mod page;
 mod ports;
 mod services;
 mod vault;
 
+pub use bare::Bare;
 pub use debris::{Owner, Remains, survey, sweep};
 pub use domain::{Domain, DomainName, bury, wipe};
+pub use page::{Page, WORDS};
 pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Payload, Receiver, Sender};
 pub use services::{ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts};
 pub use vault::Vault;

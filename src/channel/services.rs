@@ -277,7 +277,7 @@ impl LoggerPorts {
     }
 }
 
-fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
+pub(super) fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
     name.try_into().map_err(|e| ChannelError::set_up(format!("the name {name}"), e))
 }
 

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use super::budget::{Instants, Meter};
 use super::peer::Peer;
+use super::stopwatch::Stopwatch;
 use super::{Controller, ControllerReport, RuntimeError, Seat, Session};
 use crate::channel::{ControllerPorts, Vault};
 use crate::checkpoint;
@@ -194,6 +195,7 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
         answers.say(&ports)?;
         answers.show(&mut session);
     }
+    let mut watch = Stopwatch::of(&session.seat);
     let mut meter = real.then(|| Meter::new(session.seat.plan.period_ns));
 
     while let Some(observation) = await_observation(&mut ports, &mut plant, &session, real)? {
@@ -210,9 +212,11 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
         let cut = ports.plant.get().checkpoint == seen.tick + 2;
         time.step_to(seen.tick);
         let arrived = time.now();
+        watch.begin();
         vault.note(answers.count, bytemuck::bytes_of(&observation));
         answers.respond(&observation);
         stamp(&mut answers.command.header, seen, &time);
+        watch.end();
         ports.command.send(&answers.command)?;
 
         // From here on nobody waits.
@@ -245,6 +249,7 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
     }
     answers.controller.report.tick_budget = meter.and_then(|meter| meter.finish());
     let report = answers.controller.finish();
+    watch.leave()?;
     session.finish(&report)?;
     Ok(report)
 }

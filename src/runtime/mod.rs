@@ -22,6 +22,7 @@ mod plant;
 mod plant_loop;
 mod reports;
 mod seat;
+mod stopwatch;
 mod tally;
 
 pub use budget::{Slack, TickBudget};
@@ -39,4 +40,5 @@ pub use reports::{
     sweep_drafts,
 };
 pub use seat::{Card, End, Mode, Resumed, Seat, Session, identity};
+pub use stopwatch::laps;
 pub use tally::{Snapshot, Switch, Tally};

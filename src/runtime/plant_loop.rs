@@ -8,6 +8,7 @@ use hdrhistogram::Histogram;
 
 use super::peer::Peer;
 use super::reports::{Percentiles, histogram};
+use super::stopwatch::Stopwatch;
 use super::{PlantReport, PlantSide, RuntimeError, Seat, Session};
 use crate::channel::{BoardReader, ChannelError, LOG_BUFFER, PlantPorts, Receiver};
 use crate::checkpoint;
@@ -138,6 +139,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     // The time that a plant was away is no overrun of the one that has come back.
     let (mut overruns, mut given_up, mut back) = (0, None, came_back);
     let card = session.seat.card.clone();
+    let mut watch = Stopwatch::of(&session.seat);
     let mut asked = session.checkpoints_asked();
     let mut tick = card.resumed.as_ref().map_or(0, |resumed| resumed.tick);
     // Whether all ticks before this one are lived through.
@@ -180,6 +182,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
             if let Some(error) = inbox.failure.take() {
                 return Err(error.into());
             }
+            watch.end();
             voice.side.live(tick - 1, inbox.found.take().as_ref());
             voice.side.report.late += std::mem::take(&mut inbox.late);
         }
@@ -230,6 +233,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         header.sequence = voice.said;
         header.scheduled_ns = time.scheduled(tick);
         header.sensed_ns = time.now();
+        watch.begin();
         voice.said += 1;
         voice.expected = inbox.expected;
         voice.observation.header.published_ns = time.now();
@@ -259,6 +263,7 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         report.observation_to_command = Percentiles::of(&answered);
         report.work = Percentiles::of(&work);
     }
+    watch.leave()?;
     session.finish(&report)?;
     // Whoever listens for another observation finds that there is none.
     ports.bell.ring();

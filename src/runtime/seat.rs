@@ -55,6 +55,9 @@ pub struct Card {
     /// A checkpoint every so many ticks; 0: only at the end, and when one is asked for.
     #[serde(default)]
     pub checkpoint_every: u64,
+    /// In lockstep: leave the real instants of each tick in the run's folder ([`laps`](super::laps)).
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub stopwatch: bool,
     /// The run that this one goes on with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resumed: Option<Resumed>,

@@ -53,6 +53,8 @@ pub struct Launch {
     pub by_hand: Vec<Role>,
     /// A checkpoint every so many ticks; 0: only at the end.
     pub checkpoint_every: u64,
+    /// In lockstep: leave the real instants of each tick in the run's folder, for `tectum bench`.
+    pub stopwatch: bool,
     /// Where the run begins, if it goes on with another one ([`resume`]).
     pub resumed: Option<Resumed>,
     /// Show a progress line on standard error.
@@ -84,6 +86,7 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
         domain,
         launcher: std::process::id(),
         checkpoint_every: launch.checkpoint_every,
+        stopwatch: launch.stopwatch,
         resumed: launch.resumed.clone(),
     };
     folder.write_card(&card, plan)?;
@@ -99,7 +102,9 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
     }
 
     let began = monotonic_ns();
-    run.go(if launch.mode == Mode::Realtime { began + LEAD_NS } else { 0 });
+    // At a whole multiple of the period, so that anybody can tell when ticks begin without asking; where that is long, soon.
+    let start = (began + LEAD_NS).next_multiple_of(plan.period_ns.clamp(1, LEAD_NS));
+    run.go(if launch.mode == Mode::Realtime { start } else { 0 });
     let seconds = run.close(began);
     // The domain goes with the run, before anything is drawn or printed.
     let end = run.end();

@@ -11,11 +11,13 @@ mod loss;
 mod miss;
 mod movements;
 mod postures;
+mod scales;
 mod ways;
 
 pub use loss::{LossFigure, draw_loss};
 pub use miss::{MissFigure, MissPanel, draw_miss};
 pub use movements::{Bell, Dots, Movements, draw as draw_movements};
+pub use scales::{Scales, draw_scales};
 pub use ways::{Way, WaysFigure, WaysRow, draw_ways};
 
 use super::{ReportError, Story};

@@ -1,0 +1,208 @@
+//! `tectum bench`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Subcommand, ValueEnum};
+use tectum::bench::{self, All, BenchError, Calls, CostsOutcome, Latency, Lockstep, Pace, Way};
+use tectum::process::say;
+
+use super::print;
+
+#[derive(Debug, Args)]
+#[command(
+    arg_required_else_help = true,
+    after_help = "\
+Example: tectum bench latency --seconds 60    ticks of 50 ms, beside the bare ways from process to process
+
+Build with --release, and let nothing else compute meanwhile. Every command says what it ran on."
+)]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// From a tick's scheduled instant to the applied command, between real processes, beside the bare ways
+    Latency(LatencyArguments),
+    /// Ticks a second as fast as the processes go, against bare iceoryx2
+    Lockstep(LockstepArguments),
+    /// What encoding costs: nanoseconds a call, by version, path and number of features
+    Encoder(CallsArguments),
+    /// What learning costs: nanoseconds a call, by version, path, rule and number of features
+    Learner(CallsArguments),
+    /// Everything, with a page, figures and all numbers in a folder
+    All(AllArguments),
+    /// The other process of a bare way; started by the others
+    #[command(hide = true)]
+    Peer(PeerArguments),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+A real run of the paper's scenario (plant, controller, logger) takes turns with the same payload over bare
+iceoryx2 (event, and polling with a yield), a Unix-domain socket, a pipe, and shared memory with a futex,
+each between two processes. All series count from the scheduled instant; what a stall swallowed is added.
+
+Examples:
+  tectum bench latency                              ticks of 50 ms, ten seconds of each way
+  tectum bench latency --seconds 60 --out today     a minute of each, files in `today`
+  tectum bench latency --mode saturated --json      back to back, in lockstep")]
+struct LatencyArguments {
+    /// How exchanges follow each other
+    #[arg(long, value_enum, default_value_t = Mode::Cadence)]
+    mode: Mode,
+    /// For how long each way is measured, seconds; may be a fraction
+    #[arg(long, value_name = "N", default_value_t = 10.0)]
+    seconds: f64,
+    /// Folder for the distributions and the numbers [default: runs/bench-latency-<n>]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object instead of the tables
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Mode {
+    /// Every 50 ms on the real clock
+    Cadence,
+    /// Back to back
+    Saturated,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The paper's scenario with a complete log, with every 100th tick in the log, and in one process, and bare
+iceoryx2 that polls and yields with the same payload: blocks of all four take turns.
+
+Examples:
+  tectum bench lockstep                     5 blocks of 100,000 ticks of each
+  tectum bench lockstep --ticks 12000000 --rounds 1
+                                            a week of the arm's time; a complete log takes some GB meanwhile")]
+struct LockstepArguments {
+    /// Ticks of a block
+    #[arg(long, value_name = "N", default_value_t = 100_000)]
+    ticks: u64,
+    /// Blocks of each
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    rounds: u64,
+    /// Folder for the numbers [default: runs/bench-lockstep-<n>]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object instead of the tables
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Every version on every path that this machine has, in short batches that take turns; the middle batch and
+the quickest.
+
+Examples:
+  tectum bench encoder                    200 batches of each case
+  tectum bench learner --batches 1000     takes longer, and shows rarer moments of peace")]
+struct CallsArguments {
+    /// Batches of each case, a tenth of a millisecond each
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    batches: u64,
+    /// Folder for the numbers [default: runs/bench-<what>-<n>]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object instead of the tables
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example: tectum bench all --report runs/performance    about four minutes; the page is performance.md in there")]
+struct AllArguments {
+    /// Folder for page, figures and numbers
+    #[arg(long, value_name = "DIR")]
+    report: PathBuf,
+    /// For how long each way is measured, seconds; may be a fraction
+    #[arg(long, value_name = "N", default_value_t = 10.0)]
+    seconds: f64,
+    /// Ticks of a block in lockstep
+    #[arg(long, value_name = "N", default_value_t = 100_000)]
+    ticks: u64,
+    /// Blocks of each in lockstep
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    rounds: u64,
+    /// Batches of each case of calls
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    batches: u64,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct PeerArguments {
+    /// Over which way
+    #[arg(long, value_parser = way)]
+    over: Way,
+    /// Number of the iceoryx2 domain
+    #[arg(long)]
+    domain: Option<u64>,
+}
+
+fn way(name: &str) -> Result<Way, String> {
+    Way::of(name).ok_or_else(|| format!("one of {}", Way::ALL.map(Way::name).join(", ")))
+}
+
+pub fn main(arguments: &Arguments) -> ExitCode {
+    let told = match &arguments.command {
+        Command::Latency(asked) => latency(asked),
+        Command::Lockstep(asked) => lockstep(asked),
+        Command::Encoder(asked) => calls(asked, bench::encoder),
+        Command::Learner(asked) => calls(asked, bench::learner),
+        Command::All(asked) => all(asked),
+        Command::Peer(asked) => bench::serve(asked.over, asked.domain).map(|()| String::new()),
+    };
+    match told {
+        Ok(text) => {
+            print(&text);
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            say(&format!("tectum: {error}"));
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+fn latency(asked: &LatencyArguments) -> Result<String, BenchError> {
+    let pace = match asked.mode {
+        Mode::Cadence => Pace::Cadence,
+        Mode::Saturated => Pace::Saturated,
+    };
+    let found = bench::latency(&Latency { pace, seconds: asked.seconds, out: asked.out.clone(), progress: true })?;
+    Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
+}
+
+fn lockstep(asked: &LockstepArguments) -> Result<String, BenchError> {
+    let (ticks, rounds) = (asked.ticks, asked.rounds);
+    let found = bench::lockstep(&Lockstep { ticks, rounds, out: asked.out.clone(), progress: true })?;
+    Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
+}
+
+fn calls(asked: &CallsArguments, bench: fn(&Calls) -> Result<CostsOutcome, BenchError>) -> Result<String, BenchError> {
+    let found = bench(&Calls { batches: asked.batches, out: asked.out.clone(), progress: true })?;
+    Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
+}
+
+fn all(asked: &AllArguments) -> Result<String, BenchError> {
+    let found = bench::all(&All {
+        report: asked.report.clone(),
+        seconds: asked.seconds,
+        ticks: asked.ticks,
+        rounds: asked.rounds,
+        batches: asked.batches,
+        progress: true,
+    })?;
+    Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
+}

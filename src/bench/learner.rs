@@ -1,0 +1,193 @@
+//! `tectum bench learner`: the paper's rule by version and path, the controller's whole tick (encode, act, learn) with every
+//! rule, and how learning and answering grow with features and outputs.
+
+use std::hint::black_box;
+
+use super::calls::{Case, in_turns};
+use super::costs::{Calls, Cost, CostsOutcome, Growth};
+use super::encoder::POWERS;
+use super::{BenchError, Machine, Progress};
+use crate::clock::{Signals, monotonic_ns};
+use crate::lanes::Path;
+use crate::learner::Paper;
+use crate::learner::naive::Textbook;
+use crate::plant::Body;
+use crate::policy::{Linear, Outputs};
+use crate::runtime::{Controller, PlantSide};
+use crate::scenario::{LearnerTable, Plan, Rule, Scenario};
+use crate::study::compare::{LEARNERS, name_of};
+use crate::supervise::{LaunchError, RunFolder};
+use crate::wire::{Command, Learning, Observation};
+
+const NOISE: Outputs = [0.003, -0.002, 0.001, -0.004, 0.002, -0.001, 0.004, -0.003];
+/// Observations of the ring that controllers are given, from a run of their own; a power of two.
+const RING: u64 = 512;
+/// Decay and rate of the paper's rule, as in the paper's scenario.
+const PAPER: (f32, f32) = (0.9, 0.01);
+
+/// Features as an encoder makes them: positive, of unit norm.
+fn features(len: usize) -> [Vec<f32>; 2] {
+    let norm = (len as f32 / 3.0).sqrt();
+    [0.37, 0.73].map(|k| (0..len).map(|i| (i as f32 * k).fract() / norm).collect())
+}
+
+/// Learns from one tick and answers the next in one pass, on `path`.
+fn one_pass<K>(key: K, outputs: usize, len: usize, path: Path) -> Case<'static, K> {
+    let [now, next] = features(len);
+    let mut policy = Linear::new(len, (0..len).collect(), outputs).on(path);
+    let mut rule = Paper::new(len, outputs, PAPER.0, PAPER.1);
+    let mut mean = Outputs::default();
+    Case::new(key, move || {
+        rule.step_and_answer(&mut policy, black_box([&now, &next]), &NOISE, -0.1, &mut mean);
+        black_box(&mean);
+    })
+}
+
+/// The paper's rule for 4 outputs and 320 features: the textbook's loops, learning and answering apart, and both in one pass.
+fn versions() -> Vec<Case<'static, (String, String)>> {
+    let key = |version: String| ("learn and answer, 4 x 320".to_owned(), version);
+    let [now, next] = features(320);
+    let mut textbook = Textbook::new(320, 4, PAPER.0, PAPER.1);
+    let mut cases = vec![Case::new(key("textbook".to_owned()), {
+        let (now, next) = (now.clone(), next.clone());
+        move || {
+            textbook.step(black_box(&now), &NOISE, -0.1);
+            black_box(textbook.mean(black_box(&next)));
+        }
+    })];
+    for path in Path::all() {
+        let (now, next) = (now.clone(), next.clone());
+        let mut policy = Linear::new(320, (0..320).collect(), 4).on(path);
+        let mut rule = Paper::new(320, 4, PAPER.0, PAPER.1);
+        cases.push(Case::new(key(format!("two passes, {path}")), move || {
+            rule.step(&mut policy, black_box(&now), &NOISE, -0.1);
+            black_box(policy.mean(black_box(&next)));
+        }));
+    }
+    cases.extend(Path::all().map(|path| one_pass(key(format!("final, {path}")), 4, 320, path)));
+    cases
+}
+
+/// A controller in the middle of things, and the observations that brought it there.
+struct Running {
+    controller: Controller,
+    ring: Vec<Observation>,
+    tick: u64,
+    command: Command,
+    learning: Learning,
+}
+
+impl Running {
+    fn new(plan: &Plan, path: Path) -> Result<Self, BenchError> {
+        let body = Body::of(plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+        let mut plant = PlantSide::new(body, plan);
+        let mut controller = Controller::new(plan).on(path);
+        let (mut observation, mut command) = (Observation::default(), Command::default());
+        let mut ring = Vec::with_capacity(RING as usize);
+        for tick in 0..RING {
+            plant.observe(tick, 0, 0, &mut observation);
+            controller.respond(&observation, &mut command);
+            controller.settle(&observation);
+            plant.live(tick, Some(&command));
+            ring.push(observation);
+        }
+        Ok(Self { controller, ring, tick: RING, command, learning: Learning::default() })
+    }
+
+    /// The next observation, as if it came from the plant.
+    #[inline]
+    fn next(&mut self) -> Observation {
+        let mut observation = self.ring[(self.tick % RING) as usize];
+        observation.header.tick = self.tick;
+        observation.header.flags = 0;
+        self.tick += 1;
+        observation
+    }
+
+    /// What a command waits for.
+    fn respond(&mut self) {
+        let observation = self.next();
+        self.controller.respond(black_box(&observation), &mut self.command);
+        black_box(&self.command);
+    }
+
+    /// The whole tick.
+    fn whole(&mut self) {
+        let observation = self.next();
+        self.controller.respond(black_box(&observation), &mut self.command);
+        self.controller.settle(&observation);
+        self.controller.record(&observation, &mut self.learning);
+        black_box((&self.command, &self.learning));
+    }
+}
+
+/// The controller of the arm with every rule, and the paper's on every path.
+fn ticks() -> Result<Vec<Case<'static, (String, String)>>, BenchError> {
+    let mut cases = Vec::new();
+    for rule in LEARNERS {
+        let plan = plan(rule)?;
+        let paths: Vec<Path> = if rule == Rule::Paper { Path::all().collect() } else { vec![Path::best()] };
+        for path in paths {
+            let key = |what: &str| (format!("{}: {what}", name_of(rule)), path.to_string());
+            let mut running = Running::new(&plan, path)?;
+            cases.push(Case::new(key("learn, encode, act"), move || running.respond()));
+            let mut running = Running::new(&plan, path)?;
+            cases.push(Case::new(key("whole tick"), move || running.whole()));
+        }
+    }
+    Ok(cases)
+}
+
+/// The paper's own scenario for its rule, and the arm's with the preset of the others.
+fn plan(rule: Rule) -> Result<Plan, BenchError> {
+    if rule == Rule::Paper {
+        return Ok(Scenario::built_in("paper")?.plan()?);
+    }
+    let mut scenario = Scenario::built_in("arm")?;
+    scenario.learner = LearnerTable::preset(rule);
+    Ok(scenario.plan()?)
+}
+
+/// Measures.
+///
+/// # Errors
+/// When the folder cannot be used, or a signal ends it.
+pub fn learner(asked: &Calls) -> Result<CostsOutcome, BenchError> {
+    asked.check()?;
+    let signals = Signals::install().map_err(LaunchError::Signals)?;
+    let folder = RunFolder::create(asked.out.as_deref(), None, "bench-learner")?;
+    let began = monotonic_ns();
+    let machine = Machine::now(folder.path());
+    let progress = Progress::new(asked.progress);
+    progress.show("learner: versions and rules");
+    let mut costs = in_turns(versions(), asked.batches, &signals)?;
+    costs.extend(in_turns(ticks()?, asked.batches, &signals)?);
+    let costs = costs.into_iter().map(|((what, version), ns)| Cost { what, version, ns }).collect();
+    progress.show("learner: growth");
+    let sizes = [4, 8].into_iter().flat_map(|outputs| POWERS.map(move |power| (outputs, power)));
+    let sizes = sizes.flat_map(|(outputs, power)| Path::all().map(move |path| (outputs, power, path)));
+    let cases = sizes.map(|(outputs, power, path)| one_pass((outputs, power, path), outputs, 1 << power, path));
+    let mut growth: Vec<Growth> = in_turns(cases.collect(), asked.batches, &signals)?
+        .into_iter()
+        .map(|((outputs, power, path), ns)| Growth {
+            what: format!("learn and answer, {outputs} outputs"),
+            path: path.to_string(),
+            features: 1 << power,
+            outputs: outputs as u64,
+            ns,
+            ns_each: ns.median / (outputs as f64 * f64::from(1_u32 << power)),
+        })
+        .collect();
+    growth.sort_by(|a, b| (&a.what, &a.path, a.features).cmp(&(&b.what, &b.path, b.features)));
+    let outcome = CostsOutcome {
+        what: "learner",
+        costs,
+        growth,
+        machine,
+        seconds: (monotonic_ns() - began) as f64 / 1e9,
+        folder: folder.path().to_owned(),
+    };
+    folder.keep();
+    outcome.write()?;
+    Ok(outcome)
+}

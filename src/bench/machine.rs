@@ -1,0 +1,128 @@
+//! What the numbers were measured on.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use rustix::thread::{CpuSet, sched_getaffinity};
+use serde::Serialize;
+
+use super::evict::last_level_cache;
+use crate::clock::{facts, wall_ns};
+use crate::doctor::{Check, Verdict, examine};
+
+/// The machine, as far as a number may hang on it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Machine {
+    /// Processor, kernel, memory.
+    pub facts: BTreeMap<String, String>,
+    /// What `tectum doctor` looks at.
+    pub checks: Vec<Check>,
+    /// Cores that this process may use.
+    pub cores: Vec<u32>,
+    /// Size of the last-level cache, KiB.
+    pub last_level_cache_kib: usize,
+    /// What the kernel does about flaws of the processor, where it has any.
+    pub mitigations: BTreeMap<String, String>,
+    /// The date, UTC.
+    pub date: String,
+    /// Version and commit of this program.
+    pub build: &'static str,
+}
+
+impl Machine {
+    /// This one, now.
+    pub fn now(folder: &Path) -> Self {
+        let flaws = fs::read_dir("/sys/devices/system/cpu/vulnerabilities").into_iter().flatten().flatten();
+        let mitigations = flaws
+            .filter_map(|flaw| {
+                let text = fs::read_to_string(flaw.path()).ok()?.trim().to_owned();
+                (text != "Not affected").then(|| (flaw.file_name().to_string_lossy().into_owned(), text))
+            })
+            .collect();
+        Self {
+            facts: facts(),
+            checks: examine(false, 0, folder).checks,
+            cores: cores(),
+            last_level_cache_kib: last_level_cache() >> 10,
+            mitigations,
+            date: date(wall_ns() / 1_000_000_000),
+            build: crate::BUILD,
+        }
+    }
+
+    /// Two or three lines.
+    pub fn to_text(&self) -> String {
+        let fact = |key: &str| self.facts.get(key).map_or("?", String::as_str);
+        let found = |name: &str| self.checks.iter().find(|c| c.name == name).map_or("?", |c| c.found.as_str());
+        let mut text = format!(
+            "{}, {} ({} cores, last-level cache {} KiB), Linux {}, {}\ngovernor: {}; clock source: {}; load: {}\n",
+            self.date,
+            fact("processor"),
+            self.cores.len(),
+            self.last_level_cache_kib,
+            fact("kernel"),
+            self.build,
+            found("frequency governor"),
+            found("clock source"),
+            found("load"),
+        );
+        if !self.mitigations.is_empty() {
+            let all: Vec<_> = self.mitigations.iter().map(|(flaw, what)| format!("{flaw} ({what})")).collect();
+            let _ = writeln!(text, "mitigations: {}", all.join("; "));
+        }
+        let worse = self.checks.iter().filter(|c| c.verdict != Verdict::Fine);
+        let worse: Vec<_> = worse.map(|c| format!("{}: {}", c.name, c.found)).collect();
+        if !worse.is_empty() {
+            let _ = writeln!(text, "not as it should be: {}", worse.join("; "));
+        }
+        text
+    }
+}
+
+/// The cores on which this process may run.
+pub(super) fn cores() -> Vec<u32> {
+    let Ok(set) = sched_getaffinity(None) else { return Vec::new() };
+    (0..CpuSet::MAX_CPU).filter(|&core| set.is_set(core)).map(|core| core as u32).collect()
+}
+
+/// The day and minute of so many seconds since 1970 (Howard Hinnant's `civil_from_days`).
+fn date(seconds: u64) -> String {
+    let (days, rest) = (seconds / 86_400, seconds % 86_400);
+    let shifted = days + 719_468;
+    let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let shifted_month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
+    let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
+    let year = year_of_era + era * 400 + u64::from(month <= 2);
+    format!("{year:04}-{month:02}-{day:02} {:02}:{:02} UTC", rest / 3600, rest / 60 % 60)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        for (seconds, text) in [
+            (0, "1970-01-01 00:00 UTC"),
+            (951_782_399, "2000-02-28 23:59 UTC"),
+            (951_782_400, "2000-02-29 00:00 UTC"),
+            (1_767_225_599, "2025-12-31 23:59 UTC"),
+            (4_107_542_400, "2100-03-01 00:00 UTC"),
+        ] {
+            assert_eq!(date(seconds), text);
+        }
+    }
+
+    #[test]
+    fn the_machine_says_what_it_is() {
+        let machine = Machine::now(Path::new("."));
+        assert!(!machine.cores.is_empty() && machine.last_level_cache_kib > 0);
+        let text = machine.to_text();
+        assert!(text.contains("governor: ") && text.contains(crate::BUILD), "{text}");
+    }
+}
