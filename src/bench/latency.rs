@@ -448,6 +448,9 @@ impl LatencyOutcome {
         }
         text.push('\n');
         text += &self.usage.to_text();
+        if self.mode == Pace::Saturated {
+            text += "  (plant and controller keep the instants of every tick in memory here, 16 bytes each)\n";
+        }
         if let Some(ms) = self.slowest_eviction_ms {
             let _ = writeln!(text, "the slowest eviction of caches was done {ms:.1} ms after the middle of its period");
         }
