@@ -11,7 +11,6 @@
 //! *Caches.* At 50 ms, caches are as other programs leave them. `cold`: in the middle of each period all cores read through
 //! twice the last-level cache ([`Evictor`](super::Evictor)). `warm`: the same exchanges every millisecond.
 
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -459,7 +458,7 @@ impl LatencyOutcome {
     }
 
     /// The whole distributions of the compared series, by way, caches as usual.
-    pub(super) fn distributions(&self) -> BTreeMap<&'static str, &Latencies> {
+    pub(super) fn distributions(&self) -> Vec<(&'static str, &Latencies)> {
         let usual = self.ways.iter().filter(|case| case.caches == Caches::Usual);
         usual.map(|case| (case.way, &case.latencies)).collect()
     }
