@@ -176,7 +176,7 @@ fn encoder_and_learner_have_every_version_on_every_path() {
     assert_costs(&found, 2);
     let what: Vec<_> = list(&found, "costs").iter().map(|c| c["what"].as_str().unwrap()).collect();
     for rule in ["paper", "baseline", "actor-critic", "natural-actor-critic", "learned-reward"] {
-        for part in ["learn, encode, act", "whole tick"] {
+        for part in ["learn, encode, act", "whole tick, with plant"] {
             assert!(what.contains(&format!("{rule}: {part}").as_str()), "{rule} {part}: {what:?}");
         }
     }

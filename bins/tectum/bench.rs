@@ -78,12 +78,12 @@ The paper's scenario with a complete log, with every 100th tick in the log, and 
 iceoryx2 that polls and yields with the same payload: blocks of all four take turns.
 
 Examples:
-  tectum bench lockstep                     5 blocks of 100,000 ticks of each
+  tectum bench lockstep                     5 blocks of 300,000 ticks of each
   tectum bench lockstep --ticks 12000000 --rounds 1
                                             a week of the arm's time; a complete log takes some GB meanwhile")]
 struct LockstepArguments {
     /// Ticks of a block
-    #[arg(long, value_name = "N", default_value_t = 100_000)]
+    #[arg(long, value_name = "N", default_value_t = 300_000)]
     ticks: u64,
     /// Blocks of each
     #[arg(long, value_name = "N", default_value_t = 5)]
@@ -127,7 +127,7 @@ struct AllArguments {
     #[arg(long, value_name = "N", default_value_t = 10.0)]
     seconds: f64,
     /// Ticks of a block in lockstep
-    #[arg(long, value_name = "N", default_value_t = 100_000)]
+    #[arg(long, value_name = "N", default_value_t = 300_000)]
     ticks: u64,
     /// Blocks of each in lockstep
     #[arg(long, value_name = "N", default_value_t = 5)]

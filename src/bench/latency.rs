@@ -11,7 +11,6 @@
 //! *Caches.* At 50 ms, caches are as other programs leave them. `cold`: in the middle of each period all cores read through
 //! twice the last-level cache ([`Evictor`](super::Evictor)). `warm`: the same exchanges every millisecond.
 
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -448,6 +447,9 @@ impl LatencyOutcome {
         }
         text.push('\n');
         text += &self.usage.to_text();
+        if self.mode == Pace::Saturated {
+            text += "  (plant and controller keep the instants of every tick in memory here, 16 bytes each)\n";
+        }
         if let Some(ms) = self.slowest_eviction_ms {
             let _ = writeln!(text, "the slowest eviction of caches was done {ms:.1} ms after the middle of its period");
         }
@@ -456,7 +458,7 @@ impl LatencyOutcome {
     }
 
     /// The whole distributions of the compared series, by way, caches as usual.
-    pub(super) fn distributions(&self) -> BTreeMap<&'static str, &Latencies> {
+    pub(super) fn distributions(&self) -> Vec<(&'static str, &Latencies)> {
         let usual = self.ways.iter().filter(|case| case.caches == Caches::Usual);
         usual.map(|case| (case.way, &case.latencies)).collect()
     }

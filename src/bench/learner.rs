@@ -68,11 +68,13 @@ fn versions() -> Vec<Case<'static, (String, String)>> {
     cases
 }
 
-/// A controller in the middle of things, and the observations that brought it there.
+/// A plant and its controller in the middle of things, and the observations that brought them there.
 struct Running {
+    plant: PlantSide<Body>,
     controller: Controller,
     ring: Vec<Observation>,
     tick: u64,
+    observation: Observation,
     command: Command,
     learning: Learning,
 }
@@ -80,46 +82,55 @@ struct Running {
 impl Running {
     fn new(plan: &Plan, path: Path) -> Result<Self, BenchError> {
         let body = Body::of(plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
-        let mut plant = PlantSide::new(body, plan);
-        let mut controller = Controller::new(plan).on(path);
-        let (mut observation, mut command) = (Observation::default(), Command::default());
-        let mut ring = Vec::with_capacity(RING as usize);
-        for tick in 0..RING {
-            plant.observe(tick, 0, 0, &mut observation);
-            controller.respond(&observation, &mut command);
-            controller.settle(&observation);
-            plant.live(tick, Some(&command));
-            ring.push(observation);
+        let mut running = Self {
+            plant: PlantSide::new(body, plan),
+            controller: Controller::new(plan).on(path),
+            ring: Vec::with_capacity(RING as usize),
+            tick: 0,
+            observation: Observation::default(),
+            command: Command::default(),
+            learning: Learning::default(),
+        };
+        for _ in 0..RING {
+            running.live();
+            running.ring.push(running.observation);
         }
-        Ok(Self { controller, ring, tick: RING, command, learning: Learning::default() })
+        Ok(running)
     }
 
-    /// The next observation, as if it came from the plant.
-    #[inline]
-    fn next(&mut self) -> Observation {
+    /// What a command waits for, on an observation of the ring.
+    fn respond(&mut self) {
         let mut observation = self.ring[(self.tick % RING) as usize];
         observation.header.tick = self.tick;
         observation.header.flags = 0;
         self.tick += 1;
-        observation
-    }
-
-    /// What a command waits for.
-    fn respond(&mut self) {
-        let observation = self.next();
         self.controller.respond(black_box(&observation), &mut self.command);
         black_box(&self.command);
     }
 
-    /// The whole tick.
-    fn whole(&mut self) {
-        let observation = self.next();
-        self.controller.respond(black_box(&observation), &mut self.command);
-        self.controller.settle(&observation);
-        self.controller.record(&observation, &mut self.learning);
+    /// A whole tick. The plant is in it: a rule that learns what its body does finds out when observations do not come of
+    /// its commands, and then does nothing.
+    fn live(&mut self) {
+        self.plant.observe(self.tick, 0, 0, &mut self.observation);
+        self.controller.respond(&self.observation, &mut self.command);
+        self.controller.settle(&self.observation);
+        self.controller.record(&self.observation, &mut self.learning);
+        self.plant.live(self.tick, Some(&self.command));
+        self.tick += 1;
         black_box((&self.command, &self.learning));
     }
+
+    /// The plant alone, with the last command again and again.
+    fn plant(&mut self) {
+        self.plant.observe(self.tick, 0, 0, &mut self.observation);
+        self.plant.live(self.tick, Some(black_box(&self.command)));
+        self.tick += 1;
+        black_box(&self.observation);
+    }
 }
+
+/// What the whole ticks of [`ticks`] are called, behind the rule's name.
+pub(super) const WHOLE: &str = "whole tick, with plant";
 
 /// The controller of the arm with every rule, and the paper's on every path.
 fn ticks() -> Result<Vec<Case<'static, (String, String)>>, BenchError> {
@@ -132,9 +143,11 @@ fn ticks() -> Result<Vec<Case<'static, (String, String)>>, BenchError> {
             let mut running = Running::new(&plan, path)?;
             cases.push(Case::new(key("learn, encode, act"), move || running.respond()));
             let mut running = Running::new(&plan, path)?;
-            cases.push(Case::new(key("whole tick"), move || running.whole()));
+            cases.push(Case::new(key(WHOLE), move || running.live()));
         }
     }
+    let mut running = Running::new(&plan(Rule::Paper)?, Path::best())?;
+    cases.push(Case::new(("the arm alone".to_owned(), String::new()), move || running.plant()));
     Ok(cases)
 }
 

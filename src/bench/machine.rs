@@ -57,7 +57,7 @@ impl Machine {
         let fact = |key: &str| self.facts.get(key).map_or("?", String::as_str);
         let found = |name: &str| self.checks.iter().find(|c| c.name == name).map_or("?", |c| c.found.as_str());
         let mut text = format!(
-            "{}, {} ({} cores, last-level cache {} KiB), Linux {}, {}\ngovernor: {}; clock source: {}; load: {}\n",
+            "{}, {} ({} cores, last-level cache {} KiB), {}, {}\ngovernor: {}; clock source: {}; load: {}\n",
             self.date,
             fact("processor"),
             self.cores.len(),

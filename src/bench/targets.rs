@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use super::learner::WHOLE;
 use super::{CaseRate, CostsOutcome, LatencyOutcome, LockstepOutcome};
 
 /// One line of the table.
@@ -70,7 +71,7 @@ pub(super) fn targets(
     }
     let share = latency.usage.share_of_a_core.map(|share| 100.0 * share);
     put(share.map(|s| Target::at_most("real time, all processes at 50 ms", 0.5, "% of one core", s)));
-    let learned = learner.costs.iter().find(|cost| cost.what == "learned-reward: whole tick");
+    let learned = learner.costs.iter().find(|cost| cost.what == format!("learned-reward: {WHOLE}"));
     put(learned.map(|cost| Target::at_most("learned-reward's whole tick", 1.5, "ms", cost.ns.median / 1e6)));
     let used = lockstep.cases.iter().filter_map(|case| case.usage.as_ref()).flat_map(|usage| &usage.processes);
     let resident = used.filter(|p| p.process != "launcher").map(|p| p.last_kib).max();
