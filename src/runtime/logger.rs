@@ -110,7 +110,7 @@ fn follow(
     // Nobody waits for the logger, so it looks in now and then instead of being woken: often enough to keep far from its
     // buffer's end, seldom enough to cost nothing.
     let real = time.is_real();
-    let nap = if real { (session.seat.plan.period_ns / 4).clamp(200_000, 10_000_000) } else { 200_000 };
+    let nap = if real { session.seat.plan.period_ns.clamp(200_000, 50_000_000) } else { 200_000 };
     // In real time a sample may never come; two periods later its tick is written without it.
     let patience = (2 * session.seat.plan.period_ns / nap).max(8);
     let mut naps = 0;

@@ -22,10 +22,10 @@ const ABORT_LIMIT: Duration = Duration::from_millis(200);
 const CLOSE_LIMIT: Duration = Duration::from_secs(60);
 /// How long it may take to take away what a dead process held.
 const BURY_LIMIT: Duration = Duration::from_secs(5);
-/// How often the launcher looks at boards and signals, ns: often enough to end a lockstep run promptly, and in real
-/// time, where its processor time is somebody else's latency, four times less often. A death wakes it at once.
+/// How often the launcher looks at boards, ns: often enough to end a lockstep run promptly, and in real time, where its
+/// processor time is somebody else's latency, seldom. Deaths and signals wake it at once.
 const LOOK_NS: u64 = 5_000_000;
-const LOOK_REALTIME_NS: u64 = 20_000_000;
+const LOOK_REALTIME_NS: u64 = 200_000_000;
 
 /// A run in progress.
 pub(super) struct Run {
