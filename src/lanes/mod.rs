@@ -2,7 +2,7 @@
 //! rules are written in.
 //!
 //! A program built for plain x86-64 may use SSE2 only, four lanes at a time, although nearly every machine has AVX2 and
-//! eight. So a loop is written once, as a [`Pass`] over any [`Lanes`], and compiled twice: with two of glam's `Vec4` for
+//! eight. So a loop is written once, as a `Pass` over any `Lanes`, and compiled twice: with two of glam's `Vec4` for
 //! every machine (SSE2, NEON, plain code), and with AVX2's registers. Which one runs is a [`Path`], chosen when an encoder
 //! or a policy is built.
 //!
