@@ -75,5 +75,5 @@ fn python_reads_a_checkpoint() {
     assert_eq!(read["shape"], serde_json::json!([4, 320]), "{read}");
     assert_eq!(read["facts"]["tick"], 3000, "{read}");
     let names = read["tensors"].as_array().unwrap();
-    assert!(names.iter().any(|name| name == "controller.learner.trace"), "{read}");
+    assert!(names.iter().any(|name| name == "controller.learner.trace.tiles"), "{read}");
 }
