@@ -92,8 +92,8 @@ fn checkpoints_come_every_so_many_ticks_and_when_asked_for() {
     let place = Place::new();
     for mode in ["lockstep", "realtime"] {
         let out = place.path().join(mode);
-        let scenario = place.arm(&[("period_ms", "5"), ("every", "1")]);
-        let all = ["run", &scenario, "--mode", mode, "--ticks", "10000000", "--out", mode];
+        let scenario = place.endless(mode);
+        let all = ["run", &scenario, "--mode", mode, "--out", mode];
         let mut run = place.start(TECTUM, &all);
         let log = out.join("log.mcap");
         run.until("ticks", || fs::metadata(&log).is_ok_and(|m| m.len() > 20_000));

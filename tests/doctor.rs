@@ -34,8 +34,8 @@ fn left(domain: &str) -> bool {
 
 /// A run that ticks and does not end by itself.
 fn endless(place: &Place, mode: &str) -> Process {
-    let scenario = place.arm(&[("every", "1"), ("period_ms", "5")]);
-    let mut run = place.run(&[&scenario, "--mode", mode, "--ticks", "10000000", "--json"]);
+    let scenario = place.endless(mode);
+    let mut run = place.run(&[&scenario, "--mode", mode, "--json"]);
     run.until_ticking();
     run
 }
@@ -100,8 +100,8 @@ fn what_a_killed_launcher_left_is_named_and_removed_and_the_living_are_left_alon
     let mut living = endless(&alive, "lockstep");
     for by_run in [false, true] {
         let place = Place::new();
-        let scenario = place.arm(&[("every", "1"), ("period_ms", "5")]);
-        let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", "10000000", "--by-hand", "controller"]);
+        let scenario = place.endless("realtime");
+        let mut run = place.run(&[&scenario, "--mode", "realtime", "--by-hand", "controller"]);
         let card = place.run_folder().join("run.json");
         run.until("the run's card", || fs::read_to_string(&card).is_ok_and(|text| text.trim().ends_with('}')));
         // By hand, because a stopped child of a launcher that dies is hung up by the kernel, and ends.
@@ -183,10 +183,10 @@ prefault_stack_kib = 256
 #[test]
 fn the_real_time_set_up_is_what_the_summary_says() {
     let place = Place::new();
-    let scenario = place.arm(&[("every", "1"), ("period_ms", "5")]);
+    let scenario = place.endless("realtime");
     let text = fs::read_to_string(&scenario).unwrap() + ASKED;
     fs::write(&scenario, text).unwrap();
-    let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", "10000000", "--json"]);
+    let mut run = place.run(&[&scenario, "--mode", "realtime", "--json"]);
     let (plant, logger) = (run.member("tectum-simulator"), run.member("tectum-logger"));
     run.until_ticking();
 

@@ -19,17 +19,17 @@ enum Moment {
 const MOMENTS: [Moment; 3] = [Moment::SetUp, Moment::First, Moment::Middle];
 
 fn start(place: &Place, mode: &str, moment: Moment) -> Process {
-    let scenario = place.arm(&[("every", "1"), ("period_ms", "5")]);
+    let scenario = place.endless(mode);
     // Here a death is the end: `tests/restarts.rs` has the others.
     let never = "\n[restart]\nplant = \"never\"\ncontroller = \"never\"\nlogger = \"never\"\n";
     std::fs::write(&scenario, std::fs::read_to_string(&scenario).unwrap() + never).unwrap();
-    let mut run = place.run(&[&scenario, "--mode", mode, "--ticks", "10000000", "--json"]);
+    let mut run = place.run(&[&scenario, "--mode", mode, "--json"]);
     let (card, log) = (place.run_folder().join("run.json"), place.run_folder().join("log.mcap"));
     match moment {
         Moment::SetUp => run.until("the run's card", || card.exists()),
         Moment::First => run.until("the log", || log.exists()),
         Moment::Middle => run.until("a grown log", || {
-            let enough = if mode == "lockstep" { 2_000_000 } else { 60_000 };
+            let enough = if mode == "lockstep" { 200_000 } else { 60_000 };
             std::fs::metadata(&log).is_ok_and(|m| m.len() > enough)
         }),
     }

@@ -65,6 +65,13 @@ impl Place {
         self.file("scenario.toml", lines.join("\n")).to_str().unwrap().to_owned()
     }
 
+    /// A scenario as [`arm`](Self::arm), of a period of 5 ms, that comes to no end within a test. A run looks for room for its whole log
+    /// before it starts, so that this one is thinned where ticks are quick: a machine that is short of disk can test, too.
+    pub fn endless(&self, mode: &str) -> String {
+        let (ticks, every) = if mode == "lockstep" { ("10_000_000", "20") } else { ("500_000", "1") };
+        self.arm(&[("ticks", ticks), ("every", every), ("period_ms", "5")])
+    }
+
     /// A `tectum run` in this folder, whose own folder will be `run`.
     pub fn run(&self, arguments: &[&str]) -> Process {
         let mut all = vec!["run", "--out", "run"];
