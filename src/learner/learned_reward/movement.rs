@@ -15,6 +15,8 @@ const KEPT: f64 = 0.98;
 const PRIOR: f64 = 1e4;
 /// Square of the error, relative to the usual movement, at which the body counts as changed.
 const CHANGED: f64 = 1e-3;
+/// The same in mean squared errors of late: a body that is never quite where it is expected has not changed for that.
+const UNUSUAL: f64 = 25.0;
 /// An input whose answer is below this share of the largest one does not move.
 const STUCK: f32 = 0.02;
 
@@ -29,6 +31,8 @@ pub(super) struct Movement {
     prior: f64,
     /// Running mean of the squared change.
     usual: f64,
+    /// Running mean of the largest squared error.
+    errors: f64,
     seen: usize,
     /// Ticks since uncertainty was put back.
     since: usize,
@@ -45,6 +49,7 @@ impl Movement {
             covariance: [[0.0; MAX_OUTPUTS]; MAX_OUTPUTS],
             prior,
             usual: 0.0,
+            errors: 0.0,
             seen: 0,
             since: 0,
         };
@@ -103,9 +108,15 @@ impl Movement {
         }
         self.since += 1;
         // Once it has doubted, as many ticks as there are outputs must be heard out.
-        let changed = self.since > self.outputs && worst > CHANGED * self.usual;
+        let heard = self.since > self.outputs;
+        let least = CHANGED * self.usual;
+        let changed = heard && worst > least + UNUSUAL * self.errors;
         if changed {
             self.doubt();
+            // Alarms that come again and again are the body's way.
+            self.errors = 2.0 * self.errors + least / UNUSUAL;
+        } else if heard {
+            self.errors += (worst - self.errors) / 100.0;
         }
         self.seen += 1;
         self.usual += (square - self.usual) / self.seen.min(100) as f64;
@@ -118,6 +129,7 @@ impl Remember for Movement {
         ledger.numbers("gains", &mut self.gains);
         ledger.numbers("covariance", &mut self.covariance);
         ledger.number("usual", &mut self.usual);
+        ledger.number("errors", &mut self.errors);
         let mut counts = [self.seen as u64, self.since as u64];
         ledger.numbers("counts", &mut counts);
         [self.seen, self.since] = counts.map(|n| n as usize);
