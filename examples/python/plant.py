@@ -40,8 +40,8 @@ class Cart:
         self.position += self.period * self.speed
         if abs(self.position) > REACH:
             self.position, self.speed = max(-REACH, min(REACH, self.position)), 0.0
-        error = abs(self.position - self.target)
-        return -error, [error]
+        error = self.position - self.target
+        return -error * error, [abs(error)]
 
     def joints(self):
         """Where the gate's limits of position find the joint, and how far a command of 1 moves it in a tick."""
