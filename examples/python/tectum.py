@@ -295,6 +295,43 @@ def reach(centre, by):
     return (nudge(low, True) if centre - low > by else low), (nudge(high, False) if high - centre > by else high)
 
 
+# --- random streams ----------------------------------------------------------------------------------------------------------
+
+
+class Stream:
+    """Xoshiro256++, as the Rust processes have it."""
+
+    def __init__(self, seed):
+        self.words = []
+        for _ in range(4):  # SplitMix64
+            seed = (seed + 0x9E3779B97F4A7C15) & MASK
+            z = ((seed ^ seed >> 30) * 0xBF58476D1CE4E5B9) & MASK
+            z = ((z ^ z >> 27) * 0x94D049BB133111EB) & MASK
+            self.words.append(z ^ z >> 31)
+
+    def next(self):
+        a, b, c, d = self.words
+        total = (a + d) & MASK
+        drawn = ((total << 23 | total >> 41) + a) & MASK
+        c, d = c ^ a, d ^ b
+        self.words = [a ^ d, b ^ c, c ^ (b << 17 & MASK), (d << 45 | d >> 19) & MASK]
+        return drawn
+
+    def single(self):
+        """Uniform in [0, 1), a number of single precision."""
+        return (self.next() >> 40) / (1 << 24)
+
+
+MASK = (1 << 64) - 1
+
+
+def stream(seed, name):
+    """The stream `name` of the run with `seed`: what a Rust plant draws from it, this one draws, too."""
+    import xxhash
+
+    return Stream(xxhash.xxh3_64_intdigest(name.encode(), seed))
+
+
 # --- the plant's loop --------------------------------------------------------------------------------------------------------
 
 
@@ -586,14 +623,17 @@ class Plant:
             raise Refused(given_up, 4)
 
 
-def main(build, about):
+def main(build, about, options=lambda parser: None):
     """Takes the plant's place in the run that the command line names, with the body that `build(run)` gives, and ends the
-    process. Every failure is one sentence on standard error; exit codes are those of all processes of a run."""
+    process. `options(parser)` adds arguments, which the body finds in `run.arguments`. Every failure is one sentence on
+    standard error; exit codes are those of all processes of a run."""
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--run", required=True, help="the run to join: its folder, or its name under runs/")
-    seat = None
+    options(parser)
+    arguments, seat = parser.parse_args(), None
     try:
-        run = Run(parser.parse_args().run)
+        run = Run(arguments.run)
+        run.arguments = arguments
         body = build(run)
         seat = Seat(run, body)
         Plant(seat, body).loop()
