@@ -242,7 +242,7 @@ fn what_python_cannot_do_it_refuses_in_a_sentence() {
     let plant = run.member(Path::new(&python()).file_name().unwrap().to_str().unwrap());
     run.until_ticking();
     signal_process(plant, "KILL");
-    let end = run.wait().expect(4);
+    let end = run.wait().expect(2);
     assert!(end.stderr.contains("in lockstep it cannot come back"), "{end:#?}");
     assert_no_debris(&place.run_folder());
 }

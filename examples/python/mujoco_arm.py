@@ -27,7 +27,7 @@ def options(parser):
     add("--damping", type=float, default=0.05, help="of each joint, N m s")
     add("--armature", type=float, default=0.01, help="inertia of each motor behind its gear, kg m^2")
     add("--fastest", type=float, default=12.0, help="most that a motor is asked for, rad/s")
-    add("--range", type=float, default=2.9, help="of each joint to both sides of straight, rad; 0: none")
+    add("--range", type=float, default=3.5, help="of each joint to both sides of straight, rad; 0: none")
     add("--velocities", action="store_true", help="tell the joints' velocities as further inputs")
 
 

@@ -375,7 +375,7 @@ class Seat:
             raise Refused(f"{name} writes no checkpoints and cannot go on with another run")
         self.incarnation = run.control.get().incarnations[PLANT]
         if self.incarnation and not run.real:
-            raise Refused(f"{name} died and remembers nothing: in lockstep it cannot come back", 4)
+            raise Refused(f"{name} died and remembers nothing: in lockstep it cannot come back")
         iox, publisher = run.iox, run.channel("observation", Observation)
         try:
             self.readers = publisher.dynamic_config
