@@ -268,5 +268,7 @@ fn the_mujoco_arm_is_deterministic_and_keeps_time() {
     let loss = |span: &str| first[span]["loss"].as_f64().unwrap();
     assert!(loss("last") < 0.5 * loss("first"), "the arm with mass learns: {first}");
     let real = run(&["--ticks", "40", "--mode", "realtime"]);
-    assert_eq!((&real["ticks"], &real["lost"]), (&json!(40), &json!(0)), "{real}");
+    // On a loaded machine ticks may be passed over; they are counted.
+    let count = |key: &str| real[key].as_u64().unwrap();
+    assert_eq!((count("ticks") + count("skipped"), count("lost")), (40, 0), "{real}");
 }
