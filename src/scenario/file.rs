@@ -10,7 +10,9 @@ use serde::{
     de::{Error, IgnoredAny, SeqAccess, Visitor},
 };
 
-use super::{ArmTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable, Source};
+use super::{
+    ArmTable, EmulatorTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable, Source,
+};
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -87,6 +89,9 @@ pub struct PlantTable {
     /// The simulator's eye.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eye: Option<EyeTable>,
+    /// An emulated chain of servos.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub emulator: Option<EmulatorTable>,
 }
 
 /// One input or output: its name, unit and range.

@@ -3,4 +3,5 @@
 //! [`model`] says where the registers are and in which units they count; [`emulator`] is the servos' end of the wire, bytes in at
 //! an instant and bytes out at an instant, with no clock and no files.
 
+pub mod emulator;
 pub mod model;
