@@ -7,6 +7,7 @@
 //! again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions panic.
 
 mod arm;
+mod emulator;
 mod error;
 mod faults;
 mod file;
@@ -28,6 +29,7 @@ mod validate_plant;
 mod tests;
 
 pub use arm::*;
+pub use emulator::{EmulatorTable, ServoFault, ServoFaultKind};
 pub use error::{Place, ScenarioError};
 pub use faults::{
     ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsTable, ProcessAct, ProcessFault,
