@@ -5,3 +5,4 @@
 
 pub mod emulator;
 pub mod model;
+pub mod pty;
