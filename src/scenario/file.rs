@@ -11,7 +11,11 @@ use serde::{
 };
 
 use super::{
+<<<<<<< HEAD
+    ArmTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable, ServosTable, Source,
+=======
     ArmTable, EmulatorTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable, Source,
+>>>>>>> emu
 };
 
 /// A whole scenario file.
@@ -89,9 +93,15 @@ pub struct PlantTable {
     /// The simulator's eye.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eye: Option<EyeTable>,
+<<<<<<< HEAD
+    /// The servos of `tectum-bridge`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub servos: Option<ServosTable>,
+=======
     /// An emulated chain of servos.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub emulator: Option<EmulatorTable>,
+>>>>>>> emu
 }
 
 /// One input or output: its name, unit and range.

@@ -17,6 +17,7 @@ pub mod limits;
 mod presets;
 mod realtime;
 mod restart;
+mod servos;
 mod signals;
 mod source;
 mod steps;
@@ -39,6 +40,7 @@ pub use learner::*;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeProcess, RealtimeTable};
 pub use restart::{Restart, RestartTable};
+pub use servos::{Goal, JointTable, ServosTable, check_joints};
 pub use source::Source;
 
 use std::{fs::File, io::Read, path::Path};
