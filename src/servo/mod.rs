@@ -7,3 +7,4 @@ pub mod bridge;
 pub mod bus;
 pub mod emulator;
 pub mod model;
+pub mod pty;
