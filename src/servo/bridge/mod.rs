@@ -25,6 +25,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use hdrhistogram::Histogram;
+
 use super::bus::{Budget, Bus};
 use super::model::{STEP, error_bit};
 use crate::plant::{Arm, Joints, Outcome, Plant};
