@@ -23,6 +23,7 @@ pub mod report;
 pub mod runtime;
 pub mod scenario;
 pub mod seed;
+pub mod servo;
 pub mod state;
 pub mod study;
 pub mod supervise;

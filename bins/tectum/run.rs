@@ -24,9 +24,9 @@ pub struct Arguments {
     /// A scenario file, or the name of a built-in scenario
     #[arg(default_value = "scenarios/arm.toml")]
     scenario: PathBuf,
-    /// How ticks follow each other
-    #[arg(long, value_enum, default_value_t = ModeArgument::Lockstep)]
-    mode: ModeArgument,
+    /// How ticks follow each other [default: lockstep; realtime where the plant is one of servos]
+    #[arg(long, value_enum)]
+    mode: Option<ModeArgument>,
     /// Number of ticks, in place of the scenario's
     #[arg(long, value_name = "N")]
     ticks: Option<u64>,
@@ -118,16 +118,22 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
             (None, scenario.plan()?)
         }
     };
+    let servos = plan.scenario.plant.servos.is_some();
+    let mode = match arguments.mode {
+        None if servos => Mode::Realtime,
+        None | Some(ModeArgument::Lockstep) => Mode::Lockstep,
+        Some(ModeArgument::Realtime) => Mode::Realtime,
+        Some(ModeArgument::InProcess) => Mode::InProcess,
+    };
+    if servos && mode != Mode::Realtime {
+        return Err(LaunchError::OnlyRealtime(mode.name()));
+    }
     Ok(Launch {
         plan,
         checkpoint_every: arguments.checkpoint_every,
         stopwatch: false,
         resumed,
-        mode: match arguments.mode {
-            ModeArgument::Lockstep => Mode::Lockstep,
-            ModeArgument::Realtime => Mode::Realtime,
-            ModeArgument::InProcess => Mode::InProcess,
-        },
+        mode,
         out: arguments.out.clone(),
         name: arguments.name.clone(),
         by_hand: arguments

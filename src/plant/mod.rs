@@ -44,6 +44,23 @@ pub trait Plant: Remember {
     /// Lives through `tick` with the command that the gate let through, and says what came of it.
     fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome;
 
+    /// For a body of hardware, where the command of a tick acts during that tick: until when, ns after the tick's beginning, a
+    /// command is waited for. `None`, as for all that is simulated: the tick is lived through when it is over.
+    fn acts_within(&self) -> Option<u64> {
+        None
+    }
+
+    /// For a body that acts at once: passes the command of `tick` on, as the gate let it through. What the body itself limits is
+    /// changed in `applied`, and said with bits of [`flag`](crate::wire::flag). [`Plant::advance`] follows when the tick is over.
+    fn act(&mut self, _tick: u64, _applied: &mut [f32], _flags: u32) -> u32 {
+        0
+    }
+
+    /// Flags of what was sensed last, beside those of the gate.
+    fn remarks(&self) -> u32 {
+        0
+    }
+
     /// The joints as they are, if the outputs move joints; asked before a tick is lived through. Without them there can be no
     /// limits of position (`positions` under `[gate]`).
     fn joints(&self) -> Option<Joints> {

@@ -67,7 +67,7 @@ fn finite(values: &[f32]) -> bool {
 }
 
 /// What makes an observation's reward another tick's than the one that the policy answered and the gate let through.
-const NOT_OURS: u32 = flag::FIRST | flag::MISSED | flag::SKIPPED;
+const NOT_OURS: u32 = flag::FIRST | flag::MISSED | flag::SKIPPED | flag::UNARMED | flag::TRIPPED | flag::BLIND;
 
 impl Controller {
     /// The controller of `plan`, with weights 0.

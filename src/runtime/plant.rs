@@ -81,9 +81,20 @@ impl<P: Plant> PlantSide<P> {
         &mut self.body
     }
 
+    /// The body, when all is over.
+    pub fn into_body(self) -> P {
+        self.body
+    }
+
     /// Lives through `tick` with the command that arrived for it; `None` if it was missed. One that stands for silence is
     /// none. What the scenario's faults make of it is between here and the gate.
     pub fn live(&mut self, tick: u64, command: Option<&Command>) {
+        self.decide(tick, command, true);
+        self.conclude(tick);
+    }
+
+    /// The first half of [`live`](Self::live): what is applied in `tick`; with `act` the body is told, if it acts at once.
+    pub fn decide(&mut self, tick: u64, command: Option<&Command>, act: bool) {
         let command = command.filter(|c| c.header.flags & flag::UNHEARD == 0);
         let (mut found, mut late) = (None, 0);
         if self.line.is_clean() {
@@ -95,7 +106,14 @@ impl<P: Plant> PlantSide<P> {
             });
         }
         let spans = self.gate.spans(|| self.body.joints());
-        let applied = self.gate.pass(found.as_ref(), self.told.as_ref().or(spans.as_ref()));
+        let mut applied = self.gate.pass(found.as_ref(), self.told.as_ref().or(spans.as_ref()));
+        if act && self.body.acts_within().is_some() {
+            let before = applied.command;
+            applied.flags |= self.body.act(tick, &mut applied.command[..self.outputs], applied.flags);
+            if applied.command != before {
+                self.gate.take_over(applied.command);
+            }
+        }
         self.report.late += late;
         for (count, flag) in [
             (&mut self.report.missed, flag::MISSED),
@@ -109,13 +127,32 @@ impl<P: Plant> PlantSide<P> {
         }
         self.applied = applied.command;
         self.flags = applied.flags | if late > 0 { flag::LATE } else { 0 };
-        self.outcome = self.body.advance(tick, &applied.command[..self.outputs]);
+    }
+
+    /// The second half: the tick is over, and something came of it.
+    pub fn conclude(&mut self, tick: u64) {
+        self.outcome = self.body.advance(tick, &self.applied[..self.outputs]);
+    }
+
+    /// How long the body waits for a tick's command within that tick, ns ([`Plant::acts_within`]).
+    pub fn acts_within(&self) -> Option<u64> {
+        self.body.acts_within()
     }
 
     /// Lives through the ticks from `tick` up to but without `until` that nobody had time for.
     pub fn skip(&mut self, tick: u64, until: u64) {
-        for tick in tick..until {
-            self.live(tick, None);
+        if self.body.acts_within().is_some() {
+            // What is real has lived through all of them at once.
+            for tick in tick..until {
+                self.decide(tick, None, tick + 1 == until);
+            }
+            if tick < until {
+                self.conclude(until - 1);
+            }
+        } else {
+            for tick in tick..until {
+                self.live(tick, None);
+            }
         }
         self.report.skipped += until - tick;
     }
@@ -126,7 +163,7 @@ impl<P: Plant> PlantSide<P> {
         let skip = if skipped > 0 { flag::SKIPPED } else { 0 };
         let target = if fresh { flag::NEW_TARGET } else { 0 };
         observation.header.tick = tick;
-        observation.header.flags = self.flags | more | skip | target;
+        observation.header.flags = self.flags | self.body.remarks() | more | skip | target;
         observation.applied = self.applied;
         observation.reward = self.outcome.reward;
         observation.measures = self.outcome.measures;

@@ -12,7 +12,7 @@ use super::stopwatch::Stopwatch;
 use super::{PlantReport, PlantSide, RuntimeError, Seat, Session};
 use crate::channel::{BoardReader, ChannelError, LOG_BUFFER, PlantPorts, Receiver};
 use crate::checkpoint;
-use crate::clock::{Backoff, Wake, precise_timers};
+use crate::clock::{Backoff, Wake, pause, precise_timers};
 use crate::plant::Plant;
 use crate::state::{self, Ledger, Remember};
 use crate::wire::{Command, Observation, Role, Status, flag};
@@ -64,6 +64,9 @@ impl Inbox<'_> {
 /// Ticks between two looks at how far the logger is. In lockstep the plant never runs further ahead of it than its
 /// buffer, so that nothing overflows: the logger is inside the barrier, at the price of one look in so many ticks.
 const CREDIT: u64 = LOG_BUFFER as u64 / 4;
+
+/// How often a body that acts at once looks for its command, ns: far less than what the bus takes.
+const NAP_NS: u64 = 100_000;
 
 /// The plant and what it said last.
 struct Voice<P> {
@@ -144,6 +147,8 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     let mut tick = card.resumed.as_ref().map_or(0, |resumed| resumed.tick);
     // Whether all ticks before this one are lived through.
     let mut lived = true;
+    // Whether the command of the tick in progress has been passed on to a body that acts at once.
+    let mut decided = false;
     session.status.sent = voice.said;
     if came_back {
         (tick, lived) = (voice.observation.header.tick + 1, false);
@@ -183,7 +188,13 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
                 return Err(error.into());
             }
             watch.end();
-            voice.side.live(tick - 1, inbox.found.take().as_ref());
+            if decided {
+                // Whatever came since has come after it was decided on.
+                inbox.late += u64::from(inbox.found.take().is_some());
+                voice.side.conclude(tick - 1);
+            } else {
+                voice.side.live(tick - 1, inbox.found.take().as_ref());
+            }
             voice.side.report.late += std::mem::take(&mut inbox.late);
         }
         // Whoever wakes up a period late or more passes ticks over; never makes them up in a burst.
@@ -246,6 +257,18 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
             work.saturating_record(time.now().saturating_sub(woken));
         }
         session.status.sent = voice.said;
+        decided = false;
+        if let Some(within) = voice.side.acts_within() {
+            let until = time.scheduled(tick) + within;
+            while !inbox.look_for(tick) && time.now() < until && !session.stopping() {
+                pause(NAP_NS);
+            }
+            if let Some(error) = inbox.failure.take() {
+                return Err(error.into());
+            }
+            voice.side.decide(tick, inbox.found.take().as_ref(), true);
+            decided = true;
+        }
         tick += 1;
         lived = false;
     }

@@ -10,7 +10,10 @@ use serde::{
     de::{Error, IgnoredAny, SeqAccess, Visitor},
 };
 
-use super::{ArmTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable, Source};
+use super::{
+    ArmTable, EmulatorTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable,
+    ServosTable, Source,
+};
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -87,6 +90,12 @@ pub struct PlantTable {
     /// The simulator's eye.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eye: Option<EyeTable>,
+    /// The servos of `tectum-bridge`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub servos: Option<ServosTable>,
+    /// An emulated chain of servos.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub emulator: Option<EmulatorTable>,
 }
 
 /// One input or output: its name, unit and range.

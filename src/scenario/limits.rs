@@ -113,3 +113,13 @@ pub const PRIORITY: RangeInclusive<u32> = 1..=99;
 pub const MAX_CORE: u32 = 1023;
 /// Most stack that is touched beforehand, KiB: half of the usual 8 MiB.
 pub const MAX_STACK_KIB: u32 = 4096;
+/// Limits of an emulated servo: rad/s and rad/s^2.
+pub const SERVO_RATE: RangeInclusive<f64> = 0.001..=1e6;
+/// Latency and jitter of an emulated servo's answers, us.
+pub const SERVO_LATENCY_US: RangeInclusive<f64> = 0.0..=1e6;
+/// Noise of an emulated servo's position, steps.
+pub const SERVO_NOISE: RangeInclusive<f64> = 0.0..=1000.0;
+/// Instants of an emulated servo's faults, s.
+pub const SERVO_SECONDS: RangeInclusive<f64> = 0.0..=1e9;
+/// Delay of an emulated servo's slow answers, ms.
+pub const SERVO_DELAY_MS: RangeInclusive<f64> = 0.001..=60_000.0;

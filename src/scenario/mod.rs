@@ -7,6 +7,7 @@
 //! again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions panic.
 
 mod arm;
+mod emulator;
 mod error;
 mod faults;
 mod file;
@@ -16,6 +17,7 @@ pub mod limits;
 mod presets;
 mod realtime;
 mod restart;
+mod servos;
 mod signals;
 mod source;
 mod steps;
@@ -27,6 +29,7 @@ mod validate_plant;
 mod tests;
 
 pub use arm::*;
+pub use emulator::{EmulatorTable, ServoFault, ServoFaultKind};
 pub use error::{Place, ScenarioError};
 pub use faults::{
     ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsTable, ProcessAct, ProcessFault,
@@ -37,6 +40,7 @@ pub use learner::*;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeProcess, RealtimeTable};
 pub use restart::{Restart, RestartTable};
+pub use servos::{Goal, JointTable, ServosTable, check_joints};
 pub use source::Source;
 
 use std::{fs::File, io::Read, path::Path};

@@ -28,6 +28,10 @@ pub(super) fn signals(scenario: &Scenario) -> Signals {
         (None, Some(eye)) => of_eye(eye, &scenario.gate.max_command),
         (None, None) => Signals { inputs: Vec::new(), outputs: Vec::new(), measures: Vec::new() },
     };
+    let mut known = known;
+    if plant.servos.is_some() {
+        known.measures.extend(["bus_read_us", "bus_write_us"].map(String::from));
+    }
     Signals {
         inputs: if plant.inputs.is_empty() { known.inputs } else { plant.inputs.clone() },
         outputs: if plant.outputs.is_empty() { known.outputs } else { plant.outputs.clone() },

@@ -7,7 +7,7 @@ use std::{collections::HashSet, fmt::Display, ops::RangeInclusive};
 
 use super::{
     EncoderTable, LogTable, MapTable, Rule, Scenario, SignalTable, error::Problem, error::either, error::quoted,
-    faults, find, gate, limits, realtime, restart, signals::signals, validate_learner, validate_plant,
+    faults, find, gate, limits, realtime, restart, servos, signals::signals, validate_learner, validate_plant,
 };
 use crate::wire::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
 
@@ -16,6 +16,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
     top(scenario)?;
     gate::check(&scenario.gate, &scenario.overrun)?;
     validate_plant::check(&scenario.plant)?;
+    servos::check(&scenario.plant, scenario.period_ms)?;
 
     let signals = signals(scenario);
     gate::check_outputs(&scenario.gate, &scenario.plant, &signals.outputs)?;

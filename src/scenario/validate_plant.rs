@@ -12,7 +12,8 @@ pub(super) fn check(plant: &PlantTable) -> Result<(), Problem> {
     program(plant)?;
     kind(plant)?;
     plant.arm.as_ref().map_or(Ok(()), arm)?;
-    plant.eye.as_ref().map_or(Ok(()), eye)
+    plant.eye.as_ref().map_or(Ok(()), eye)?;
+    plant.emulator.as_ref().map_or(Ok(()), super::emulator::check)
 }
 
 fn program(plant: &PlantTable) -> Result<(), Problem> {

@@ -67,6 +67,11 @@ pub enum LaunchError {
     /// The simulator cannot simulate it.
     #[error("the plant is `{0}`, which cannot run in one process with the controller; use --mode lockstep or realtime")]
     NotSimulated(String),
+    /// Servos know no virtual time.
+    #[error(
+        "the plant is one of servos, which live in real time alone, and --mode is {0}; leave --mode out, or give realtime"
+    )]
+    OnlyRealtime(&'static str),
     /// Signal handlers could not be installed.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
@@ -80,6 +85,7 @@ impl LaunchError {
             | Self::Checkpoint(_)
             | Self::Folder { .. }
             | Self::NoRoom { .. }
+            | Self::OnlyRealtime(_)
             | Self::NotSimulated(_) => exit::INPUT,
             Self::Start { .. } => exit::INPUT,
             Self::Refused { code, .. } => *code,

@@ -124,6 +124,12 @@ pub mod flag {
     pub const RAMPED: u32 = 1 << 14;
     /// Command: the controller heard nothing of this tick; the sample stands for silence, and counts as missed.
     pub const UNHEARD: u32 = 1 << 15;
+    /// Observation: the body is real and torque is off, because nobody has armed it; nothing was applied.
+    pub const UNARMED: u32 = 1 << 19;
+    /// Observation: the body is real and its own safety has turned torque off; nothing was applied.
+    pub const TRIPPED: u32 = 1 << 20;
+    /// Observation: the body could not be read in tick k-1 or for this observation; inputs and reward are those of before.
+    pub const BLIND: u32 = 1 << 21;
     /// Learning: the weights were changed with the reward of tick k-1.
     pub const LEARNED: u32 = 1 << 16;
     /// Learning: the trace was cleared, because what happened in tick k-1 is not what the policy asked for.

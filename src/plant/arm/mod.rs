@@ -121,6 +121,39 @@ impl Arm {
         (stop, if stop == there { rate } else { (stop - from) / self.period })
     }
 
+    /// A body that is somebody else's: `theta` was measured of it (rad, as this arm's angles), and `rates` were applied (rad/s).
+    /// What comes of it is reckoned as for the arm itself, by its model: lengths, base and the way that angles are counted.
+    pub fn measured(&mut self, tick: u64, theta: &[f32], rates: &[f32]) -> Outcome {
+        if !self.table.shorten.is_empty() {
+            self.lengths = lengths(&self.table, tick);
+        }
+        self.stands(theta);
+        let sum = |values: &[f32]| values[..self.joints].iter().map(|&x| square(x)).sum();
+        let (rates, angles) = (sum(rates), sum(theta));
+        self.judged(rates, angles)
+    }
+
+    /// The same before anything was applied: the arm stands at `theta`.
+    pub fn stands(&mut self, theta: &[f32]) {
+        let joints = self.joints;
+        self.theta[..joints].copy_from_slice(&theta[..joints]);
+    }
+
+    /// What a posture is worth, with the sums of the squared rates and angles.
+    fn judged(&self, rates: f32, angles: f32) -> Outcome {
+        let end = self.end();
+        let error = square(end[0] - self.target[0]) + square(end[1] - self.target[1]);
+        let mut measures = [0.0; MAX_MEASURES];
+        measures[..3].copy_from_slice(&[error.sqrt(), end[0], end[1]]);
+        let mut cost = -self.worth(error) + self.speed * rates + self.angle * angles;
+        if self.collision > 0.0 {
+            let crossings = self.chain().crossings() as f32;
+            cost += self.collision * crossings;
+            measures[3] = crossings;
+        }
+        Outcome { reward: -self.scale * cost, measures }
+    }
+
     /// What the squared error is worth.
     fn worth(&self, error: f32) -> f32 {
         self.near.map_or(-error, |near| (near - error).max(0.0))
@@ -188,17 +221,7 @@ impl Plant for Arm {
             self.theta[joint] = theta;
             angles += square(theta);
         }
-        let end = self.end();
-        let error = square(end[0] - self.target[0]) + square(end[1] - self.target[1]);
-        let mut measures = [0.0; MAX_MEASURES];
-        measures[..3].copy_from_slice(&[error.sqrt(), end[0], end[1]]);
-        let mut cost = -self.worth(error) + self.speed * rates + self.angle * angles;
-        if self.collision > 0.0 {
-            let crossings = self.chain().crossings() as f32;
-            cost += self.collision * crossings;
-            measures[3] = crossings;
-        }
-        Outcome { reward: -self.scale * cost, measures }
+        self.judged(rates, angles)
     }
 
     /// A joint that comes round is measured in [-pi, pi), so that a limit between is a wall that it crosses from neither side,

@@ -1,0 +1,133 @@
+//! A chain of emulated servos on a pseudo-terminal, in real time.
+
+use std::io::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Parser;
+use tectum::clock::{Life, Signals};
+use tectum::scenario::{EmulatorTable, Scenario, ServoFault, ServoFaultKind};
+use tectum::servo::emulator::Chain;
+use tectum::servo::model::Protocol;
+use tectum::servo::pty::{Duties, Terminal};
+
+const EXAMPLE: &str = "Four servos that a bridge, or any program for such servos, finds under /tmp/arm:\n  \
+    tectum-servo-emulator --protocol feetech --ids 1,2,3,4 --link /tmp/arm\n  \
+    tectum-bridge scan --port /tmp/arm --protocol feetech\n\
+    With --control it takes lines on standard input: \"hand 1 3000\" turns servo 1 by hand, \"state\" says how all are.";
+
+/// Emulates a chain of serial-bus servos behind a pseudo-terminal
+#[derive(Debug, Parser)]
+#[command(version = tectum::BUILD, after_help = EXAMPLE)]
+struct Arguments {
+    /// What the servos speak
+    #[arg(long, default_value = "dynamixel", value_parser = ["dynamixel", "feetech"])]
+    protocol: String,
+    /// Their ids, in the order of the wire; one that stands twice makes two servos that talk at once
+    #[arg(long, value_delimiter = ',', default_value = "1,2,3,4")]
+    ids: Vec<u8>,
+    /// The baud rate at which they listen
+    #[arg(long, default_value_t = 1_000_000)]
+    baud: u32,
+    /// Takes [plant.emulator] and the seed from this scenario
+    #[arg(long, value_name = "FILE")]
+    scenario: Option<PathBuf>,
+    /// The seed of noise, jitter and faults; left out, the scenario's, or 1
+    #[arg(long)]
+    seed: Option<u64>,
+    /// A fault, as KIND[:SERVO[:FROM_S[:UNTIL_S]]]; may be given several times
+    #[arg(long = "fault", value_name = "FAULT")]
+    faults: Vec<String>,
+    /// A symbolic link to the terminal
+    #[arg(long, value_name = "PATH")]
+    link: Option<PathBuf>,
+    /// Ends with the process of this id
+    #[arg(long, value_name = "PID")]
+    parent: Option<u32>,
+    /// Takes commands on standard input
+    #[arg(long)]
+    control: bool,
+    /// Says when a servo's torque goes on or off
+    #[arg(long)]
+    trace: bool,
+    /// One JSON object a line on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            let _ = writeln!(std::io::stderr(), "tectum-servo-emulator: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<(), String> {
+    let protocol = if arguments.protocol == "feetech" { Protocol::Feetech } else { Protocol::Dynamixel };
+    let series = protocol.series();
+    if !series.bauds.iter().any(|&(baud, _)| baud == arguments.baud) {
+        let known: Vec<_> = series.bauds.iter().map(|(baud, _)| baud.to_string()).collect();
+        return Err(format!("--baud {}: {} has {}", arguments.baud, series.name, known.join(", ")));
+    }
+    if let Some(id) = arguments.ids.iter().find(|&&id| id > series.max_id) {
+        return Err(format!("--ids {id}: the highest id of {} is {}", series.name, series.max_id));
+    }
+    let (mut settings, mut seed) = (EmulatorTable::default(), 1);
+    if let Some(path) = &arguments.scenario {
+        let plan = Scenario::load(path).and_then(Scenario::plan).map_err(|error| error.to_string())?;
+        settings = plan.scenario.plant.emulator.unwrap_or_default();
+        seed = plan.scenario.seed;
+    }
+    for text in &arguments.faults {
+        settings.faults.push(fault(text)?);
+    }
+    let signals = Signals::install().map_err(|error| format!("signals cannot be taken: {error}"))?;
+    let parent = match arguments.parent {
+        // A parent that is gone already has nobody left to serve.
+        Some(pid) => match Life::of(pid) {
+            Some(life) => Some(life),
+            None => return Ok(()),
+        },
+        None => None,
+    };
+    let terminal = Terminal::open(arguments.link.as_deref()).map_err(|error| match &arguments.link {
+        Some(link) => format!("{}: no terminal can be put there: {error}", link.display()),
+        None => format!("there is no terminal to be had: {error}"),
+    })?;
+    let chain = Chain::new(protocol, &arguments.ids, arguments.baud, &settings, arguments.seed.unwrap_or(seed));
+    let path = arguments.link.as_deref().unwrap_or(terminal.path()).display().to_string();
+    let mut out = std::io::stdout();
+    let line = if arguments.json {
+        serde_json::json!({ "port": path, "protocol": protocol, "ids": arguments.ids, "baud": arguments.baud })
+            .to_string()
+    } else {
+        format!("{} servos at {path}", arguments.ids.len())
+    };
+    let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+    let duties = Duties { control: arguments.control, trace: arguments.trace, json: arguments.json, parent };
+    terminal.serve(chain, &signals, &duties).map_err(|error| format!("the terminal failed: {error}"))
+}
+
+/// `KIND[:SERVO[:FROM_S[:UNTIL_S]]]`.
+fn fault(text: &str) -> Result<ServoFault, String> {
+    let wrong =
+        |what: &str| format!("--fault {text}: {what}; give KIND[:SERVO[:FROM_S[:UNTIL_S]]], as in no-reply:2:5:6");
+    let mut parts = text.split(':');
+    let word = parts.next().unwrap_or_default();
+    let kind: ServoFaultKind = serde_json::from_value(word.into()).map_err(|_| {
+        wrong("there are no-reply, bad-checksum, wrong-id, slow, cable-out, overload, brown-out and hot")
+    })?;
+    let mut number = |name: &str| match parts.next().filter(|part| !part.is_empty()) {
+        None => Ok(None),
+        Some(part) => match part.parse::<f64>() {
+            Ok(value) if (0.0..1e9).contains(&value) => Ok(Some(value)),
+            _ => Err(wrong(&format!("\"{part}\" is no {name}"))),
+        },
+    };
+    let servo = number("id")?.filter(|&id| id <= 253.0).map(|id| id as u8);
+    let (from, until_s) = (number("instant")?, number("instant")?);
+    Ok(ServoFault { kind, servo, from_s: Some(from.unwrap_or(0.0)), until_s, probability: None, delay_ms: None })
+}

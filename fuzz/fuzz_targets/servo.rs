@@ -1,0 +1,25 @@
+//! Any bytes at any instants are borne by an emulated chain of servos, and what it answers comes in the order of time.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use tectum::scenario::EmulatorTable;
+use tectum::servo::emulator::Chain;
+use tectum::servo::model::Protocol;
+
+fuzz_target!(|bytes: &[u8]| {
+    let Some((&first, rest)) = bytes.split_first() else { return };
+    let protocol = if first & 1 == 0 { Protocol::Dynamixel } else { Protocol::Feetech };
+    let mut chain = Chain::new(protocol, &[1, 2, 2, 7], 1_000_000, &EmulatorTable::default(), 1);
+    let (mut now, mut last) = (0, 0);
+    for piece in rest.chunks(usize::from(first >> 1) + 1) {
+        now += u64::from(piece[0]) * 1_000_000;
+        chain.receive(now, 0, piece);
+        while let Some(due) = chain.next_answer() {
+            assert!(due >= last);
+            last = due;
+            assert!(chain.take(due).is_some());
+        }
+    }
+    assert!(chain.state(now + 1_000_000_000).iter().all(|servo| servo.position.is_finite()));
+});

@@ -1,0 +1,202 @@
+//! `[plant.servos]`: a chain of serial-bus servos in the simulated arm's place; and the checks of the table.
+
+use serde::{Deserialize, Serialize};
+
+use super::error::{Problem, quoted};
+use super::validate::{number, show};
+use super::{PlantTable, limits};
+use crate::servo::model::Protocol;
+
+/// `[plant.servos]`: the bus, the joints on it, and when torque goes off.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ServosTable {
+    /// The serial port, such as `/dev/ttyUSB0`; `emulator` is a chain that the bridge starts itself, as `[plant.emulator]` says.
+    pub port: String,
+    /// What the servos speak.
+    pub protocol: Protocol,
+    /// Bits a second.
+    #[serde(default = "megabaud")]
+    pub baud: u32,
+    /// What a rate command becomes.
+    #[serde(default)]
+    pub goal: Goal,
+    /// Whether torque may go on without anybody's asking for it.
+    #[serde(default)]
+    pub armed: bool,
+    /// The file with the joints, as `tectum-bridge calibrate` writes it; in place of `joints`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<String>,
+    /// From a tick's beginning to the last instant at which its command is waited for, ms; default half a period.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub command_within_ms: Option<f64>,
+    /// Ticks in a row without an answer from the bus after which it counts as lost.
+    #[serde(default = "three")]
+    pub lost_after: u32,
+    /// Highest temperature, degrees Celsius.
+    #[serde(default = "sixty_five")]
+    pub max_temperature: f64,
+    /// Lowest voltage, V; 0 asks for none.
+    #[serde(default)]
+    pub min_voltage: f64,
+    /// The joints, from the base on; with one motor for each segment of `[plant.arm]`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joints: Vec<JointTable>,
+}
+
+/// `[[plant.servos.joints]]`: one motor, which turns a segment against the one before it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointTable {
+    /// Its id on the bus.
+    pub id: u8,
+    /// 1 where positions grow with the angle, -1 where they shrink.
+    #[serde(default = "forward")]
+    pub direction: i32,
+    /// Position at angle 0, steps.
+    #[serde(default = "middle")]
+    pub zero: i32,
+    /// Least and greatest angle, rad.
+    #[serde(default = "half_turns")]
+    pub range: [f64; 2],
+    /// Highest speed, rad/s.
+    #[serde(default = "six")]
+    pub max_speed: f64,
+}
+
+/// What a rate command becomes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Goal {
+    /// A goal speed: the servo goes on at it until it hears another, or its watchdog stops it.
+    #[default]
+    Speed,
+    /// A goal position, one tick's travel ahead: the servo stops there by itself.
+    Position,
+}
+
+fn megabaud() -> u32 {
+    1_000_000
+}
+
+fn three() -> u32 {
+    3
+}
+
+fn sixty_five() -> f64 {
+    65.0
+}
+
+fn forward() -> i32 {
+    1
+}
+
+fn middle() -> i32 {
+    2048
+}
+
+fn half_turns() -> [f64; 2] {
+    [-std::f64::consts::PI, std::f64::consts::PI]
+}
+
+fn six() -> f64 {
+    6.0
+}
+
+impl JointTable {
+    /// Whether the joint turns freely: its range is a full turn or more.
+    pub fn is_free(&self) -> bool {
+        self.range[1] - self.range[0] >= std::f64::consts::TAU - 1e-9
+    }
+}
+
+/// Checks the table of a plant that has one.
+pub(super) fn check(plant: &PlantTable, period_ms: f64) -> Result<(), Problem> {
+    let Some(servos) = &plant.servos else { return Ok(()) };
+    if super::signals::is_simulator(&plant.program) {
+        let text = "belongs to tectum-bridge and plant.program is the simulator; take it out, or give tectum-bridge";
+        return Err(Problem::new("plant.servos", text));
+    }
+    let Some(arm) = &plant.arm else {
+        let text = "needs [plant.arm], the model of the arm that its servos move; add it";
+        return Err(Problem::new("plant.servos", text));
+    };
+    if arm.open_loop || !arm.block.is_empty() {
+        let key = if arm.open_loop { "plant.arm.open_loop" } else { "plant.arm.block" };
+        return Err(Problem::new(key, "is the simulator's, and servos cannot do it; take it out"));
+    }
+    if servos.port.trim().is_empty() || servos.port.contains('\0') {
+        return Err(Problem::value("plant.servos.port", quoted(&servos.port), "give a device, or \"emulator\""));
+    }
+    if !servos.protocol.series().bauds.iter().any(|(baud, _)| *baud == servos.baud) {
+        let known: Vec<_> = servos.protocol.series().bauds.iter().map(|(baud, _)| baud.to_string()).collect();
+        let remedy = format!("this series knows {}", known.join(", "));
+        return Err(Problem::value("plant.servos.baud", servos.baud, remedy));
+    }
+    if let Some(within) = servos.command_within_ms {
+        let remedy = "give more than 0 ms and at most 0.8 of the period, so that there is time for the bus";
+        number("plant.servos.command_within_ms", within, 0.1..=0.8 * period_ms, remedy)?;
+    }
+    if !(1..=1000).contains(&servos.lost_after) {
+        return Err(Problem::value("plant.servos.lost_after", servos.lost_after, "give 1 to 1000 ticks"));
+    }
+    number("plant.servos.max_temperature", servos.max_temperature, 20.0..=100.0, "give 20 to 100 degrees")?;
+    number("plant.servos.min_voltage", servos.min_voltage, 0.0..=50.0, "give 0 to 50 V")?;
+    match (&servos.calibration, servos.joints.is_empty()) {
+        (None, true) => {
+            let text = "has neither joints nor a calibration; add [[plant.servos.joints]], or the file that `tectum-bridge calibrate` writes";
+            Err(Problem::new("plant.servos", text))
+        }
+        (Some(_), false) => {
+            Err(Problem::new("plant.servos.calibration", "stands beside plant.servos.joints; keep one of the two"))
+        }
+        (Some(_), true) => Ok(()),
+        (None, false) => joints(&servos.joints, arm.lengths.len(), servos.protocol, servos.goal),
+    }
+}
+
+/// Checks a table of joints, from a scenario or from a calibration.
+fn joints(joints: &[JointTable], segments: usize, protocol: Protocol, goal: Goal) -> Result<(), Problem> {
+    if joints.len() != segments {
+        let text = format!("has {} entries and plant.arm has {segments} segments; give one for each", joints.len());
+        return Err(Problem::new("plant.servos.joints", text));
+    }
+    for (i, joint) in joints.iter().enumerate() {
+        let key = |name: &str| format!("plant.servos.joints[{i}].{name}");
+        let most = protocol.series().max_id;
+        if joint.id > most {
+            return Err(Problem::value(key("id"), joint.id, format!("give 0 to {most}")));
+        }
+        if joints[..i].iter().any(|other| other.id == joint.id) {
+            return Err(Problem::value(key("id"), joint.id, "another joint has it already; each servo has its own"));
+        }
+        if joint.direction.abs() != 1 {
+            return Err(Problem::value(key("direction"), joint.direction, "give 1 or -1"));
+        }
+        if !(0..4096).contains(&joint.zero) {
+            return Err(Problem::value(key("zero"), joint.zero, "give 0 to 4095 steps"));
+        }
+        let [low, high] = joint.range;
+        let turn = -limits::LIMITED_TURN..=limits::LIMITED_TURN;
+        if !(turn.contains(&low) && turn.contains(&high) && low < high && (low..=high).contains(&0.0)) {
+            let value = format!("[{}, {}]", show(low), show(high));
+            let remedy = "give the least and then the greatest angle, rad, with 0 between them";
+            return Err(Problem::value(key("range"), value, remedy));
+        }
+        if goal == Goal::Position && joint.is_free() {
+            let value = format!("[{}, {}]", show(low), show(high));
+            let remedy = "with goal = \"position\" a joint has less than a full turn; give its range";
+            return Err(Problem::value(key("range"), value, remedy));
+        }
+        number(key("max_speed"), joint.max_speed, 0.01..=100.0, "give 0.01 to 100 rad/s")?;
+    }
+    Ok(())
+}
+
+/// Checks the joints of a calibration against the arm; the problem as a sentence.
+///
+/// # Errors
+/// As for the scenario's own table.
+pub fn check_joints(table: &[JointTable], segments: usize, protocol: Protocol, goal: Goal) -> Result<(), String> {
+    joints(table, segments, protocol, goal).map_err(|problem| format!("{} {}", problem.key, problem.text))
+}
