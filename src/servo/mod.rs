@@ -3,10 +3,8 @@
 //! [`model`] says where the registers are and in which units they count; [`emulator`] is the servos' end of the wire, bytes in at
 //! an instant and bytes out at an instant, with no clock and no files.
 
-<<<<<<< HEAD
 pub mod bus;
-=======
 pub mod emulator;
->>>>>>> emu
 pub mod model;
 pub mod pty;
+pub mod tools;
