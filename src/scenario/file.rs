@@ -11,11 +11,8 @@ use serde::{
 };
 
 use super::{
-<<<<<<< HEAD
-    ArmTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable, ServosTable, Source,
-=======
-    ArmTable, EmulatorTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable, Source,
->>>>>>> emu
+    ArmTable, EmulatorTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable,
+    ServosTable, Source,
 };
 
 /// A whole scenario file.
@@ -93,15 +90,12 @@ pub struct PlantTable {
     /// The simulator's eye.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eye: Option<EyeTable>,
-<<<<<<< HEAD
     /// The servos of `tectum-bridge`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub servos: Option<ServosTable>,
-=======
     /// An emulated chain of servos.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub emulator: Option<EmulatorTable>,
->>>>>>> emu
 }
 
 /// One input or output: its name, unit and range.
