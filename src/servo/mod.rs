@@ -9,3 +9,4 @@ pub mod emulator;
 pub mod model;
 pub mod pty;
 pub mod tools;
+pub mod tools;
