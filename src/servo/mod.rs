@@ -9,4 +9,3 @@ pub mod emulator;
 pub mod model;
 pub mod pty;
 pub mod tools;
-pub mod tools;
