@@ -1,31 +1,171 @@
-//! Servos on a serial bus: the tools that find, calibrate, move and watch them.
+//! The plant on serial-bus servos; the tools that find, calibrate, move and watch them; and the guard that turns torque off when it was killed.
 
+mod guard;
 mod tools;
 
-use std::io::Write as _;
-use std::process::ExitCode;
+use std::io::{BufRead as _, IsTerminal as _, Write as _};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::sync::atomic::Ordering;
 
-use clap::Parser;
+use clap::{Parser, Subcommand};
+use tectum::clock::{monotonic_ns, pause};
+use tectum::process::say;
+use tectum::runtime::{RuntimeError, Seat, exit, run_plant};
+use tectum::servo::bridge::{Bridge, joints_of};
+use tectum::servo::bus::Bus;
+use tectum::servo::model::Protocol;
+use tectum::wire::Role;
 
-const EXAMPLE: &str = "With no hardware:\n  \
-    tectum-servo-emulator --protocol feetech --ids 1,2,3,4 --link /tmp/arm &\n  \
-    tectum-bridge scan --port /tmp/arm --protocol feetech --baud 1000000\n  \
-    tectum-bridge jog --port /tmp/arm --protocol feetech --id 1 --by 0.3";
+const EXAMPLE: &str = "A run's launcher starts this program by itself, for a scenario with [plant.servos]. In a terminal of its own:\n  \
+    tectum run scenarios/servo-emulated.toml --name demo --by-hand plant\n  tectum-bridge --run demo\n\
+    There, a and Enter arm it. Without hardware and without a run:\n  \
+    tectum-servo-emulator --protocol feetech --link /tmp/arm &\n  tectum-bridge scan --port /tmp/arm --protocol feetech --baud 1000000\n\
+     Angles are measured; the end-effector, and with it the reward, is worked out from them by the model \
+    in [plant.arm]: nobody has seen it.";
 
-/// Servos on a serial bus
+/// The plant on serial-bus servos: read-only until it is armed
 #[derive(Debug, Parser)]
 #[command(version = tectum::BUILD, after_help = EXAMPLE)]
 struct Arguments {
     #[command(subcommand)]
-    tool: tools::Tool,
+    tool: Option<Tool>,
+    /// The run to join: its folder, or its name under runs/
+    #[arg(long, value_name = "RUN")]
+    run: Option<PathBuf>,
+    /// Read this scenario instead of the run's own copy; it must be the same
+    #[arg(long, value_name = "FILE")]
+    scenario: Option<PathBuf>,
+    /// Let torque go on, with the first command and after all checks
+    #[arg(long)]
+    arm: bool,
+    /// Print the process's account as one JSON object when its loop is over
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Tool {
+    #[command(flatten)]
+    Tool(tools::Tool),
+    /// Turns torque off when another process has ended; bridges start it for themselves
+    #[command(hide = true)]
+    Guard(guard::Arguments),
 }
 
 fn main() -> ExitCode {
-    match tools::run(&Arguments::parse().tool) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            let _ = writeln!(std::io::stderr(), "tectum-bridge: {error}");
-            ExitCode::FAILURE
+    let arguments = Arguments::parse();
+    let (text, code) = match &arguments.tool {
+        Some(Tool::Guard(of)) => return guard::run(of),
+        Some(Tool::Tool(tool)) => match tools::run(tool) {
+            Ok(()) => return ExitCode::SUCCESS,
+            Err(error) => (error.to_string(), exit::INPUT),
+        },
+        None => match live(&arguments) {
+            Ok(()) => return ExitCode::SUCCESS,
+            Err(problem) => problem,
+        },
+    };
+    say(&format!("tectum-bridge: {text}"));
+    ExitCode::from(code)
+}
+
+/// A sentence and an exit code.
+type Problem = (String, u8);
+
+fn live(arguments: &Arguments) -> Result<(), Problem> {
+    let bad = |text: String| (text, exit::INPUT);
+    let own = |error: RuntimeError| (error.to_string(), error.exit_code());
+    let Some(run) = &arguments.run else {
+        return Err(bad("no run is named; give --run, or let `tectum run` start this program".to_owned()));
+    };
+    let seat = Seat::take(run, Role::Plant, arguments.scenario.as_deref()).map_err(own)?;
+    let joints = joints_of(&seat.plan).map_err(|error| bad(error.to_string()))?;
+    let Some(table) = seat.plan.scenario.plant.servos.clone() else {
+        return Err(bad("the scenario has no [plant.servos]".to_owned()));
+    };
+    let ids: Vec<u8> = joints.iter().map(|joint| joint.id).collect();
+    // Ended, like the guard, when this function is over: after the bridge, which is dropped within.
+    let (_emulator, port) = match table.port.as_str() {
+        "emulator" => {
+            let (child, port) = emulate(&seat.folder, table.protocol, table.baud, &ids).map_err(bad)?;
+            (Some(child), port)
         }
+        port => (None, port.to_owned()),
+    };
+    let bus = Bus::open(&port, table.protocol, table.baud, Bridge::budget(&seat.plan));
+    let bus = bus.map_err(|error| bad(error.to_string()))?;
+    let _guard = Helper::start(&mut guard::command(&port, table.protocol, table.baud, &ids)).map_err(bad)?;
+    let tell = Box::new(|text: &str| say(&format!("tectum-bridge: {text}")));
+    let mut bridge = Bridge::new(&seat.plan, bus, joints, tell).map_err(|error| bad(error.to_string()))?;
+    bridge.leave_account(seat.folder.join("bridge.json"));
+    if arguments.arm || table.armed {
+        bridge.arm().map_err(|error| bad(format!("not armed: {error}")))?;
+    } else {
+        say(
+            "tectum-bridge: read-only; --arm, armed = true under [plant.servos], or a and Enter at its own terminal arm it",
+        );
     }
+    listen(&bridge);
+    let report = run_plant(seat, bridge).map_err(own)?;
+    if arguments.json {
+        let _ = writeln!(std::io::stdout(), "{}", serde_json::to_string(&report).unwrap_or_default());
+    }
+    Ok(())
+}
+
+/// At a terminal: a and Enter arm.
+fn listen(bridge: &Bridge) {
+    if !std::io::stdin().is_terminal() {
+        return;
+    }
+    let key = bridge.key();
+    std::thread::spawn(move || {
+        for line in std::io::stdin().lock().lines().map_while(Result::ok) {
+            if line.trim() == "a" {
+                key.store(true, Ordering::Relaxed);
+            }
+        }
+    });
+}
+
+/// A process that ends with this one.
+struct Helper(Child);
+
+impl Helper {
+    fn start(command: &mut Command) -> Result<Self, String> {
+        let name = command.get_program().to_string_lossy().into_owned();
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        command.spawn().map(Self).map_err(|error| format!("{name} cannot be started: {error}"))
+    }
+}
+
+impl Drop for Helper {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Starts the emulated chain of the run's scenario; with the port that leads to it.
+fn emulate(folder: &Path, protocol: Protocol, baud: u32, ids: &[u8]) -> Result<(Helper, String), String> {
+    let beside = std::env::current_exe().map_err(|error| format!("this program has no place: {error}"))?;
+    let link = folder.join(format!("servos.{}", std::process::id()));
+    let ids: Vec<_> = ids.iter().map(u8::to_string).collect();
+    let mut command = Command::new(beside.with_file_name("tectum-servo-emulator"));
+    command.args(["--protocol", guard::name(protocol), "--baud", &baud.to_string(), "--ids", &ids.join(",")]);
+    command.arg("--link").arg(&link).arg("--scenario").arg(folder.join("scenario.toml"));
+    command.args(["--parent", &std::process::id().to_string()]);
+    let mut child = Helper::start(&mut command)?;
+    let until = monotonic_ns() + 5_000_000_000;
+    while !link.exists() {
+        if let Ok(Some(status)) = child.0.try_wait() {
+            return Err(format!("tectum-servo-emulator has ended at once ({status}); start it by hand to see why"));
+        }
+        if monotonic_ns() > until {
+            return Err("tectum-servo-emulator opens no terminal".to_owned());
+        }
+        pause(2_000_000);
+    }
+    Ok((child, link.display().to_string()))
 }

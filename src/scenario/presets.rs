@@ -28,6 +28,7 @@ const PRESETS: &[Preset] = &[
     Preset { name: "open-loop-3", text: include_str!("../../scenarios/open-loop-3.toml") },
     Preset { name: "open-loop-4", text: include_str!("../../scenarios/open-loop-4.toml") },
     Preset { name: "office", text: include_str!("../../scenarios/office.toml") },
+    Preset { name: "servo-simulated", text: include_str!("../../scenarios/servo-simulated.toml") },
 ];
 
 /// The built-in scenarios, the one to start with first.

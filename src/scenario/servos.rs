@@ -151,12 +151,12 @@ pub(super) fn check(plant: &PlantTable, period_ms: f64) -> Result<(), Problem> {
             Err(Problem::new("plant.servos.calibration", "stands beside plant.servos.joints; keep one of the two"))
         }
         (Some(_), true) => Ok(()),
-        (None, false) => joints(&servos.joints, arm.lengths.len(), servos.protocol),
+        (None, false) => joints(&servos.joints, arm.lengths.len(), servos.protocol, servos.goal),
     }
 }
 
 /// Checks a table of joints, from a scenario or from a calibration.
-fn joints(joints: &[JointTable], segments: usize, protocol: Protocol) -> Result<(), Problem> {
+fn joints(joints: &[JointTable], segments: usize, protocol: Protocol, goal: Goal) -> Result<(), Problem> {
     if joints.len() != segments {
         let text = format!("has {} entries and plant.arm has {segments} segments; give one for each", joints.len());
         return Err(Problem::new("plant.servos.joints", text));
@@ -183,6 +183,11 @@ fn joints(joints: &[JointTable], segments: usize, protocol: Protocol) -> Result<
             let remedy = "give the least and then the greatest angle, rad, with 0 between them";
             return Err(Problem::value(key("range"), value, remedy));
         }
+        if goal == Goal::Position && joint.is_free() {
+            let value = format!("[{}, {}]", show(low), show(high));
+            let remedy = "with goal = \"position\" a joint has less than a full turn; give its range";
+            return Err(Problem::value(key("range"), value, remedy));
+        }
         number(key("max_speed"), joint.max_speed, 0.01..=100.0, "give 0.01 to 100 rad/s")?;
     }
     Ok(())
@@ -192,6 +197,6 @@ fn joints(joints: &[JointTable], segments: usize, protocol: Protocol) -> Result<
 ///
 /// # Errors
 /// As for the scenario's own table.
-pub fn check_joints(table: &[JointTable], segments: usize, protocol: Protocol) -> Result<(), String> {
-    joints(table, segments, protocol).map_err(|problem| format!("{} {}", problem.key, problem.text))
+pub fn check_joints(table: &[JointTable], segments: usize, protocol: Protocol, goal: Goal) -> Result<(), String> {
+    joints(table, segments, protocol, goal).map_err(|problem| format!("{} {}", problem.key, problem.text))
 }

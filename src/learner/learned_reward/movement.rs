@@ -16,7 +16,9 @@ const PRIOR: f64 = 1e4;
 /// Square of the error, relative to the usual movement, at which the body counts as changed.
 const CHANGED: f64 = 1e-3;
 /// The same in mean squared errors of late: a body that is never quite where it is expected has not changed for that.
-const UNUSUAL: f64 = 25.0;
+const UNUSUAL: f64 = 100.0;
+/// Ticks over which that mean is taken.
+const LATE: f64 = 400.0;
 /// An input whose answer is below this share of the largest one does not move.
 const STUCK: f32 = 0.02;
 
@@ -114,9 +116,9 @@ impl Movement {
         if changed {
             self.doubt();
             // Alarms that come again and again are the body's way.
-            self.errors = 2.0 * self.errors + least / UNUSUAL;
+            self.errors = 4.0 * self.errors + least / UNUSUAL;
         } else if heard {
-            self.errors += (worst - self.errors) / 100.0;
+            self.errors += (worst - self.errors) / LATE;
         }
         self.seen += 1;
         self.usual += (square - self.usual) / self.seen.min(100) as f64;
@@ -164,5 +166,25 @@ mod tests {
         }
         live(&mut model, 100_000, [31.4; 4]);
         assert!((model.gains[2][2] - 31.4).abs() < 0.1);
+    }
+
+    #[test]
+    fn a_body_that_is_never_quite_where_it_is_expected_has_not_changed() {
+        let mut model = Movement::new(4, 4, 0.003);
+        let mut exploration = Exploration::new(3, 0.003, 4);
+        let mut live = |model: &mut Movement, ticks: usize, gains: [f32; 4]| {
+            let mut alarms = 0;
+            for _ in 0..ticks {
+                let (u, noise) = (exploration.draw(), exploration.draw());
+                // A fifth of each movement is not as it was asked for.
+                let changes: [f32; 4] = std::array::from_fn(|j| gains[j] * u[j] + 6.0 * noise[j]);
+                alarms += usize::from(model.learn(&u, &changes));
+            }
+            alarms
+        };
+        assert!(live(&mut model, 3000, [31.4; 4]) < 10);
+        assert_eq!(live(&mut model, 3000, [31.4; 4]), 0, "it knows that by now");
+        // A joint that turns the other way ten times as fast is another body all the same.
+        assert!(live(&mut model, 100, [31.4, -314.0, 31.4, 31.4]) > 0);
     }
 }

@@ -1,0 +1,62 @@
+//! What is left of a bridge that was killed: a process that waits for its end and then turns torque off.
+//!
+//! A SIGKILL leaves a program no last word. Dynamixel's bus watchdog then stops the motors after 200 ms, with torque still on; Feetech
+//! has none. So the bridge starts this, which takes the port when the bridge is dead. A successor that has the port by then
+//! keeps it: it turns torque off by itself before it does anything else.
+
+use std::process::{Command, ExitCode};
+
+use tectum::clock::{Life, Signals};
+use tectum::servo::bus::{Budget, Bus};
+use tectum::servo::model::Protocol;
+
+/// What the guard is told.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// The bridge's process id
+    #[arg(long)]
+    parent: u32,
+    #[arg(long)]
+    port: String,
+    #[arg(long, value_parser = ["dynamixel", "feetech"])]
+    protocol: String,
+    #[arg(long)]
+    baud: u32,
+    #[arg(long, value_delimiter = ',')]
+    ids: Vec<u8>,
+}
+
+/// The protocol as the command line has it.
+pub fn name(protocol: Protocol) -> &'static str {
+    match protocol {
+        Protocol::Dynamixel => "dynamixel",
+        Protocol::Feetech => "feetech",
+    }
+}
+
+/// This program as the guard of this process.
+pub fn command(port: &str, protocol: Protocol, baud: u32, ids: &[u8]) -> Command {
+    let ids: Vec<_> = ids.iter().map(u8::to_string).collect();
+    let mut command = Command::new(std::env::current_exe().unwrap_or_else(|_| "tectum-bridge".into()));
+    command.args(["guard", "--parent", &std::process::id().to_string(), "--port", port, "--protocol", name(protocol)]);
+    command.args(["--baud", &baud.to_string(), "--ids", &ids.join(",")]);
+    command
+}
+
+/// Waits for the bridge's end, then turns torque off.
+pub fn run(arguments: &Arguments) -> ExitCode {
+    // Taken and never looked at: what ends the bridge must not end its guard.
+    let _signals = Signals::install();
+    while let Some(life) = Life::of(arguments.parent).filter(|life| !life.ended()) {
+        Life::await_any(std::iter::once(&life), 60_000_000_000);
+    }
+    let protocol = if arguments.protocol == "feetech" { Protocol::Feetech } else { Protocol::Dynamixel };
+    let budget = Budget { read_ns: 20_000_000, write_ns: 20_000_000 };
+    match Bus::open(&arguments.port, protocol, arguments.baud, budget) {
+        Ok(mut bus) => {
+            bus.torque_off(&arguments.ids);
+            ExitCode::SUCCESS
+        }
+        Err(_) => ExitCode::FAILURE,
+    }
+}

@@ -1,0 +1,159 @@
+//! What is checked before anything is trusted: that the servos are those of the scenario, and that torque can do no harm.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::scenario::{Goal, JointTable, Plan, check_joints};
+use crate::servo::bus::{Bus, BusError};
+use crate::servo::model::{Protocol, Register, STEP, model};
+
+/// Why the bridge does not start, or is not armed.
+#[derive(Debug, thiserror::Error)]
+pub enum BridgeError {
+    /// The scenario's plant is another one.
+    #[error("the scenario has no [plant.servos] with a [plant.arm]; add them, or start another plant")]
+    NoServos,
+    /// The port.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// Nobody there.
+    #[error("{0}; look at power, cable, baud rate and ids (`tectum-bridge scan`)")]
+    Silent(String),
+    /// Somebody else there.
+    #[error(
+        "servo {id} says that it is model {number}, which is none of the {series} that this program knows; give another protocol, or id"
+    )]
+    Model {
+        /// The id.
+        id: u8,
+        /// What it says.
+        number: i32,
+        /// The series.
+        series: &'static str,
+    },
+    /// The arm stands where it may not be.
+    #[error(
+        "servo {id} stands at {angle:.3} rad and its range is {low} to {high} rad; move the arm by hand, or correct zero, direction or range"
+    )]
+    Outside {
+        /// The id.
+        id: u8,
+        /// rad.
+        angle: f64,
+        /// rad.
+        low: f64,
+        /// rad.
+        high: f64,
+    },
+    /// A servo is in trouble already.
+    #[error(
+        "servo {id} reports an error (bits {bits:#04x}); find its cause, then take its power away and give it again"
+    )]
+    Trouble {
+        /// The id.
+        id: u8,
+        /// Its errors.
+        bits: i32,
+    },
+    /// A setting that was not taken.
+    #[error("servo {id} does not keep {value} at address {address}; it is set to {found}")]
+    Setting {
+        /// The id.
+        id: u8,
+        /// What it should be.
+        value: i32,
+        /// Of the register.
+        address: u8,
+        /// What it is.
+        found: i32,
+    },
+    /// The file of the joints.
+    #[error("calibration {path}: {cause}; make one with `tectum-bridge calibrate`")]
+    Calibration {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        cause: String,
+    },
+}
+
+/// A calibration: the joints, as `tectum-bridge calibrate` writes them.
+#[derive(Debug, Deserialize)]
+struct Calibration {
+    joints: Vec<JointTable>,
+}
+
+/// The joints of a plan, from the scenario or from the file that it names.
+///
+/// # Errors
+/// When there are none, or the file's do not fit the arm.
+pub fn joints_of(plan: &Plan) -> Result<Vec<JointTable>, BridgeError> {
+    let plant = &plan.scenario.plant;
+    let (Some(servos), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
+    let Some(path) = &servos.calibration else { return Ok(servos.joints.clone()) };
+    let bad = |cause: String| BridgeError::Calibration { path: path.clone(), cause };
+    let text = std::fs::read_to_string(Path::new(path)).map_err(|error| bad(error.to_string()))?;
+    let calibration: Calibration = toml::from_str(&text).map_err(|error| bad(error.message().to_owned()))?;
+    check_joints(&calibration.joints, arm.lengths.len(), servos.protocol, servos.goal).map_err(bad)?;
+    Ok(calibration.joints)
+}
+
+/// Whether all servos are there and what they should be. Changes nothing.
+pub(super) fn identify(bus: &mut Bus, joints: &[JointTable]) -> Result<(), BridgeError> {
+    let series = bus.series();
+    for joint in joints {
+        let number = bus.read(joint.id, series.model).map_err(|error| BridgeError::Silent(error.to_string()))?;
+        if u16::try_from(number).ok().and_then(|number| model(series.protocol, number)).is_none() {
+            return Err(BridgeError::Model { id: joint.id, number, series: series.name });
+        }
+    }
+    Ok(())
+}
+
+/// All that must be right before torque: models, errors, posture; then modes and limits, with torque off.
+pub(super) fn prepare(bus: &mut Bus, joints: &[JointTable], goal: Goal, motors: &[f64]) -> Result<(), BridgeError> {
+    identify(bus, joints)?;
+    let series = bus.series();
+    for (joint, &angle) in joints.iter().zip(motors) {
+        let [low, high] = joint.range;
+        // A step to either side is the reading's.
+        if !joint.is_free() && !(low - STEP..=high + STEP).contains(&angle) {
+            return Err(BridgeError::Outside { id: joint.id, angle, low, high });
+        }
+        let bits = bus.read(joint.id, series.hardware_error)?;
+        if bits != 0 {
+            return Err(BridgeError::Trouble { id: joint.id, bits });
+        }
+    }
+    for joint in joints {
+        bus.write(joint.id, series.torque_enable, 0)?;
+        let mode = if goal == Goal::Speed { series.velocity_mode } else { series.position_mode };
+        set(bus, joint.id, series.operating_mode, i32::from(mode))?;
+        let speed = libm::ceil(joint.max_speed / series.speed_unit) as i32;
+        if let Some(register) = series.velocity_limit {
+            set(bus, joint.id, register, speed.min(1023))?;
+        }
+        if goal == Goal::Position {
+            let ends = joint.range.map(|end| joint.zero + (f64::from(joint.direction) * end / STEP) as i32);
+            set(bus, joint.id, series.min_position, ends[0].min(ends[1]).clamp(0, 4095))?;
+            set(bus, joint.id, series.max_position, ends[0].max(ends[1]).clamp(0, 4095))?;
+            set(bus, joint.id, series.profile_velocity, speed)?;
+        }
+        if series.protocol == Protocol::Feetech {
+            // As fast as it goes: what limits acceleration is the gate.
+            set(bus, joint.id, series.profile_acceleration, 0)?;
+        }
+    }
+    Ok(())
+}
+
+/// Sets a register that has another value, and looks whether it was taken: EEPROM wears out.
+fn set(bus: &mut Bus, id: u8, register: Register, value: i32) -> Result<(), BridgeError> {
+    if bus.read(id, register)? == value {
+        return Ok(());
+    }
+    bus.write(id, register, value)?;
+    let found = bus.read(id, register)?;
+    if found == value { Ok(()) } else { Err(BridgeError::Setting { id, value, address: register.address, found }) }
+}

@@ -1,0 +1,412 @@
+//! The plant on servos: one synchronous read at a tick's beginning, one synchronous write when its command is there.
+//!
+//! *What is real and what is a model.* Angles are measured. The end-effector is where a model of the arm, `[plant.arm]`, has it with
+//! the measured angles; error and reward are reckoned from that, and nobody has seen the end-effector. The model is used for the
+//! reward and the measures alone; targets are drawn as in the simulator. The reward's speed is the applied rate, as in the
+//! simulator, so that an ideal chain of servos earns what the simulator earns, to within its resolution.
+//!
+//! *Motors and outputs.* A motor turns a segment against the one before it. With `angles = "absolute"` the inputs are the segments'
+//! directions, running sums of the motors' angles, and a motor's rate is the difference of two outputs. Limits are the motors': when
+//! one of them is asked for more than its `max_speed`, all rates shrink by one factor; one that would leave its `range` goes to its end.
+//! What is left of the command after that is what was applied, and is said so in the observation.
+//!
+//! *What a tick costs* is bounded by the bus's [`Budget`], whatever the bus does, and both times are measures: `bus_read_us`, `bus_write_us`.
+
+mod chain;
+mod checks;
+mod report;
+mod safety;
+
+pub use checks::{BridgeError, joints_of};
+pub use report::{BridgeReport, Event};
+pub use safety::{Cause, Drive, RECOVERY, Safety, State};
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use hdrhistogram::Histogram;
+
+use super::bus::{Budget, Bus};
+use super::model::{STEP, error_bit};
+use crate::plant::{Arm, Joints, Outcome, Plant};
+use crate::policy::Outputs;
+use crate::runtime::Percentiles;
+use crate::scenario::{Angles, Goal, JointTable, Plan, ServosTable};
+use crate::state::{Ledger, Remember};
+use crate::wire::{MAX_OUTPUTS, flag};
+
+/// Dynamixel's bus watchdog counts in 20 ms; the servo stops when it hears nothing for so long.
+const WATCHDOG: i32 = 10;
+
+/// Every so many ticks all servos are asked whether they still have torque.
+const TORQUE_EVERY: u64 = 20;
+
+/// The body.
+pub struct Bridge {
+    bus: Bus,
+    table: ServosTable,
+    joints: Vec<JointTable>,
+    ids: Vec<u8>,
+    arm: Arm,
+    angles: Angles,
+    collides: bool,
+    /// rad/s for a command of 1.
+    gain: f32,
+    /// s.
+    period: f32,
+    within: u64,
+    safety: Safety,
+    /// What the motors' angles are, rad, and the outputs' angles.
+    motors: [f64; MAX_OUTPUTS],
+    theta: Outputs,
+    raw: [i32; MAX_OUTPUTS],
+    blind: bool,
+    write_ns: u64,
+    /// Set by whoever arms it at the terminal.
+    key: Arc<AtomicBool>,
+    say: Box<dyn FnMut(&str)>,
+    /// The account so far.
+    pub report: BridgeReport,
+    times: [Histogram<u64>; 2],
+    /// Where the account goes at the end.
+    account: Option<PathBuf>,
+}
+
+impl Bridge {
+    /// The body of `plan` on `bus`. Reads, and writes one thing: torque off, which a bridge that was killed may have left on. Sentences for people go to `say`.
+    ///
+    /// # Errors
+    /// When the plan has no servos or not those of the bus.
+    pub fn new(
+        plan: &Plan,
+        mut bus: Bus,
+        joints: Vec<JointTable>,
+        say: Box<dyn FnMut(&str)>,
+    ) -> Result<Self, BridgeError> {
+        let plant = &plan.scenario.plant;
+        let (Some(table), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
+        checks::identify(&mut bus, &joints)?;
+        bus.torque_off(&joints.iter().map(|joint| joint.id).collect::<Vec<_>>());
+        let period_s = plan.scenario.period_ms / 1000.0;
+        let within = table.command_within_ms.unwrap_or(plan.scenario.period_ms / 2.0);
+        let mut bridge = Self {
+            ids: joints.iter().map(|joint| joint.id).collect(),
+            arm: Arm::new(arm, period_s, plan.scenario.seed),
+            angles: arm.angles,
+            collides: arm.reward.collision > 0.0,
+            gain: arm.gain as f32,
+            period: period_s as f32,
+            within: (within * 1e6) as u64,
+            safety: Safety::new(table.lost_after),
+            motors: [0.0; MAX_OUTPUTS],
+            theta: [0.0; MAX_OUTPUTS],
+            raw: [0; MAX_OUTPUTS],
+            blind: false,
+            write_ns: 0,
+            key: Arc::default(),
+            say,
+            report: BridgeReport::default(),
+            times: [report::histogram(), report::histogram()],
+            account: None,
+            table: table.clone(),
+            joints,
+            bus,
+        };
+        if bridge.measure().0.is_err() {
+            return Err(BridgeError::Silent("the servos do not answer".to_owned()));
+        }
+        bridge.arm.stands(&bridge.theta);
+        Ok(bridge)
+    }
+
+    /// The budget of a tick of `plan`.
+    pub fn budget(plan: &Plan) -> Budget {
+        Budget::of(plan.period_ns)
+    }
+
+    /// What arms the bridge when it is set: it looks at it once a tick.
+    pub fn key(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.key)
+    }
+
+    /// Leaves its account at `path` when it ends.
+    pub fn leave_account(&mut self, path: PathBuf) {
+        self.account = Some(path);
+    }
+
+    /// Where its safety stands.
+    pub fn state(&self) -> State {
+        self.safety.state()
+    }
+
+    /// Checks all that torque needs, sets modes and limits in the servos, and arms. Torque goes on with the first command.
+    ///
+    /// # Errors
+    /// When something speaks against it; then nothing is armed.
+    pub fn arm(&mut self) -> Result<(), BridgeError> {
+        if self.measure().0.is_err() {
+            return Err(BridgeError::Silent("the servos do not answer".to_owned()));
+        }
+        checks::prepare(&mut self.bus, &self.joints, self.table.goal, &self.motors)?;
+        self.safety.arm();
+        Ok(())
+    }
+
+    /// Reads all servos; what they say of themselves, and the time that it took, ns.
+    fn measure(&mut self) -> (Result<Result<(), Cause>, ()>, u64) {
+        let (state, series) = (self.bus.series().state, self.bus.series());
+        let (answers, took) = self.bus.sync_read(&self.ids, state);
+        let Ok(answers) = answers else { return (Err(()), took) };
+        let mut health = Ok(());
+        for (i, answer) in answers.iter().enumerate() {
+            let get = |register| state.decode(register, &answer.bytes).unwrap_or(0);
+            self.raw[i] = get(series.position);
+            let joint = &self.joints[i];
+            self.motors[i] = chain::angle(joint, self.raw[i]);
+            let volts = f64::from(get(series.voltage)) * 0.1;
+            if f64::from(get(series.temperature)) > self.table.max_temperature {
+                health = Err(Cause::Heat);
+            } else if volts < self.table.min_voltage {
+                health = Err(Cause::Voltage);
+            } else if answer.error != 0 {
+                health = Err(self.trouble(self.ids[i], answer.error));
+            }
+        }
+        chain::outputs(self.angles, &self.motors[..self.ids.len()], &mut self.theta);
+        (Ok(health), took)
+    }
+
+    /// What a servo's error means. Dynamixel only says that there is one.
+    fn trouble(&mut self, id: u8, error: u8) -> Cause {
+        let register = self.bus.series().hardware_error;
+        let bits = self.bus.read(id, register).map_or(error, |bits| bits as u8);
+        match bits {
+            bits if bits & error_bit::HEAT != 0 => Cause::Heat,
+            bits if bits & error_bit::OVERLOAD != 0 => Cause::Overload,
+            bits if bits & error_bit::VOLTAGE != 0 => Cause::Voltage,
+            _ => Cause::TorqueLost,
+        }
+    }
+
+    fn tell(&mut self, tick: u64, before: State) {
+        let state = self.safety.state();
+        if state == before {
+            return;
+        }
+        let text = match state {
+            State::ReadOnly => "read-only".to_owned(),
+            State::Ready => "armed; torque goes on with the next command".to_owned(),
+            State::Driving => "torque is on".to_owned(),
+            State::Tripped(cause) if cause.passes() => {
+                format!("torque is off: {cause}; it goes on by itself when that is over")
+            }
+            State::Tripped(cause) => format!("torque is off: {cause}; arm it again to go on"),
+        };
+        (self.say)(&format!("tick {tick}: {text}"));
+        match state {
+            State::Driving => self.report.armed += 1,
+            // A fault that comes and goes for hours is told at the terminal; the account has its beginning.
+            State::Tripped(cause) if self.report.events.len() < 1000 => self.report.events.push(Event { tick, cause }),
+            _ => {}
+        }
+    }
+
+    /// Limits `applied` to what the motors can do; their rates, rad/s, and the flags of what was limited.
+    fn limit(&self, applied: &mut [f32]) -> ([f64; MAX_OUTPUTS], u32) {
+        let n = self.ids.len();
+        let (mut asked, mut rates) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
+        for (rate, u) in asked.iter_mut().zip(applied.iter()) {
+            *rate = f64::from(self.gain * u);
+        }
+        chain::motors(self.angles, &asked[..n], &mut rates);
+        let (fast, far) = chain::limit(&self.joints, &self.motors[..n], f64::from(self.period), &mut rates);
+        if fast || far {
+            let mut sum = 0.0;
+            for (u, rate) in applied.iter_mut().zip(rates) {
+                sum = if self.angles == Angles::Absolute { sum + rate } else { rate };
+                *u = sum as f32 / self.gain;
+            }
+        }
+        let flags = if fast { flag::CLAMPED } else { 0 } | if far { flag::CLAMPED | flag::POSITION_LIMITED } else { 0 };
+        (rates, flags)
+    }
+
+    /// Writes the motors' goals.
+    fn drive(&mut self, rates: &[f64; MAX_OUTPUTS]) -> bool {
+        let (series, period) = (self.bus.series(), f64::from(self.period));
+        let goal = match self.table.goal {
+            Goal::Speed => series.goal_velocity,
+            Goal::Position => series.goal_position,
+        };
+        let value = |i: usize| {
+            let (joint, rate) = (&self.joints[i], rates[i]);
+            match self.table.goal {
+                Goal::Speed => f64::from(joint.direction) * rate / series.speed_unit,
+                Goal::Position => f64::from(self.raw[i]) + f64::from(joint.direction) * rate * period / STEP,
+            }
+        };
+        let width = usize::from(goal.width);
+        let data: Vec<_> =
+            (0..self.ids.len()).map(|i| goal.encode(libm::rint(value(i)) as i32)[..width].to_vec()).collect();
+        let (result, took) = self.bus.sync_write(&self.ids, goal.address, &data);
+        self.write_ns += took;
+        result.is_ok()
+    }
+
+    /// Torque on, at a standstill: the goals first, since a servo goes to an old one when its torque comes on.
+    fn rise(&mut self) -> bool {
+        if self.table.goal == Goal::Speed && self.bus.series().bus_watchdog.is_some() {
+            let register = self.bus.series().bus_watchdog.expect("there is one");
+            // One that has bitten takes nothing else before it is cleared.
+            if self.bus.sync_set(&self.ids, register, |_| 0).is_err()
+                || self.bus.sync_set(&self.ids, register, |_| WATCHDOG).is_err()
+            {
+                return false;
+            }
+        }
+        let still = self.drive(&[0.0; MAX_OUTPUTS]);
+        let torque = self.bus.series().torque_enable;
+        // Some servos keep a goal only while they have torque: said once more.
+        still && self.bus.sync_set(&self.ids, torque, |_| 1).is_ok() && self.drive(&[0.0; MAX_OUTPUTS])
+    }
+
+    fn off(&mut self) {
+        let began = self.bus.now();
+        let torque = self.bus.series().torque_enable;
+        let _ = self.bus.sync_set(&self.ids, torque, |_| 0);
+        self.write_ns += self.bus.now() - began;
+    }
+
+    /// Whether all have torque, where that can be read.
+    fn has_torque(&mut self) -> bool {
+        let torque = self.bus.series().torque_enable;
+        let block = super::model::Block { address: torque.address, length: torque.width };
+        match self.bus.sync_read(&self.ids, block).0 {
+            Ok(answers) => answers.iter().all(|answer| torque.decode(&answer.bytes) == 1),
+            Err(_) => true,
+        }
+    }
+}
+
+impl Plant for Bridge {
+    fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
+        self.arm.sense(tick, inputs)
+    }
+
+    fn acts_within(&self) -> Option<u64> {
+        Some(self.within)
+    }
+
+    fn act(&mut self, tick: u64, applied: &mut [f32], flags: u32) -> u32 {
+        self.write_ns = 0;
+        let before = self.safety.state();
+        if self.key.swap(false, Ordering::Relaxed)
+            && before != State::Driving
+            && let Err(error) = self.arm()
+        {
+            (self.say)(&format!("tick {tick}: not armed: {error}"));
+        }
+        let mut drive = self.safety.command(flags);
+        // After a loss of the bus or of power, nothing that was set before is taken for granted.
+        if drive == Drive::Rise {
+            let checked = checks::prepare(&mut self.bus, &self.joints, self.table.goal, &self.motors);
+            if let Err(error) = &checked {
+                (self.say)(&format!("tick {tick}: {error}"));
+            }
+            if checked.is_err() || !self.rise() {
+                self.safety.trip(Cause::Refused);
+                drive = Drive::Off;
+            }
+        }
+        let mut more = 0;
+        match drive {
+            Drive::Off => {
+                applied.fill(0.0);
+                if self.safety.state() != State::ReadOnly {
+                    self.off();
+                }
+                more |= if matches!(self.safety.state(), State::Tripped(_)) { flag::TRIPPED } else { flag::UNARMED };
+            }
+            Drive::Still => {
+                applied.fill(0.0);
+                self.drive(&[0.0; MAX_OUTPUTS]);
+                more |= flag::BLIND;
+            }
+            Drive::Rise | Drive::Go => {
+                let (rates, limited) = self.limit(applied);
+                more |= limited;
+                if !self.drive(&rates) {
+                    self.report.unwritten += 1;
+                    self.safety.trip(Cause::BusLost);
+                    applied.fill(0.0);
+                    more |= flag::TRIPPED;
+                }
+            }
+        }
+        self.tell(tick, before);
+        more
+    }
+
+    fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome {
+        let before = self.safety.state();
+        let (heard, mut took) = self.measure();
+        self.blind = heard.is_err();
+        self.safety.hear(heard.ok());
+        if before == State::Driving && !self.blind && tick.is_multiple_of(TORQUE_EVERY) {
+            let began = self.bus.now();
+            if !self.has_torque() {
+                self.safety.hear(Some(Err(Cause::TorqueLost)));
+            }
+            took += self.bus.now() - began;
+        }
+        if before == State::Driving && self.safety.state() != State::Driving {
+            self.off();
+        }
+        self.tell(tick, before);
+        let mut rates = [0.0; MAX_OUTPUTS];
+        for (rate, u) in rates.iter_mut().zip(applied) {
+            *rate = self.gain * u;
+        }
+        let mut outcome = self.arm.measured(tick, &self.theta, &rates);
+        let first = if self.collides { 4 } else { 3 };
+        outcome.measures[first] = report::microseconds(took);
+        outcome.measures[first + 1] = report::microseconds(self.write_ns);
+        self.report.ticks += 1;
+        self.report.blind += u64::from(self.blind);
+        self.times[0].saturating_record(took);
+        self.times[1].saturating_record(self.write_ns);
+        outcome
+    }
+
+    fn remarks(&self) -> u32 {
+        if self.blind { flag::BLIND } else { 0 }
+    }
+
+    fn joints(&self) -> Option<Joints> {
+        self.arm.joints()
+    }
+}
+
+impl Drop for Bridge {
+    /// However it ends, in order, by an error or in a panic: torque is off.
+    fn drop(&mut self) {
+        if self.safety.state() != State::ReadOnly {
+            self.bus.torque_off(&self.ids);
+        }
+        if let Some(path) = &self.account {
+            [self.report.bus_read, self.report.bus_write] =
+                [Percentiles::of(&self.times[0]), Percentiles::of(&self.times[1])];
+            let text = serde_json::to_string_pretty(&self.report).unwrap_or_default();
+            // The run's own account is not in danger without it.
+            let _ = std::fs::write(path, text);
+        }
+    }
+}
+
+/// The servos themselves remember where they are.
+impl Remember for Bridge {
+    fn remember(&mut self, ledger: &mut dyn Ledger) {
+        ledger.part("task", &mut self.arm);
+    }
+}

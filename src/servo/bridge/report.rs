@@ -1,0 +1,45 @@
+//! The bridge's account: what the bus cost, and every time that torque went off.
+
+use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
+
+use super::safety::Cause;
+use crate::runtime::Percentiles;
+
+/// Torque went off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Event {
+    /// When.
+    pub tick: u64,
+    /// Why.
+    pub cause: Cause,
+}
+
+/// What the bridge leaves in the run's folder as `bridge.json`.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct BridgeReport {
+    /// Ticks lived through.
+    pub ticks: u64,
+    /// Reads that not all servos answered.
+    pub blind: u64,
+    /// Goals that the port did not take.
+    pub unwritten: u64,
+    /// Times that torque went on.
+    pub armed: u64,
+    /// Times that it went off before the end, and why.
+    pub events: Vec<Event>,
+    /// What a tick's synchronous read takes.
+    pub bus_read: Option<Percentiles>,
+    /// What a tick's synchronous write takes.
+    pub bus_write: Option<Percentiles>,
+}
+
+/// For durations up to a minute, ns.
+pub(super) fn histogram() -> Histogram<u64> {
+    Histogram::new_with_bounds(1, 60_000_000_000, 3).expect("bounds that the histogram can have")
+}
+
+/// ns as us.
+pub(super) fn microseconds(ns: u64) -> f32 {
+    ns as f32 / 1000.0
+}
