@@ -21,8 +21,11 @@ pub use debris::{Owner, Remains, survey, sweep};
 pub use domain::{Domain, DomainName, bury, wipe};
 pub use page::{Page, WORDS};
 pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Payload, Receiver, Sender};
-pub use services::{ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts};
+pub use services::{CONTROL, ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts, WAKE, board_name};
 pub use vault::Vault;
+
+/// The version of iceoryx2 that all processes of a run must have, whatever their language.
+pub const ICEORYX2: &str = "0.10.0";
 
 /// Samples that a logger can be behind before the oldest is lost.
 pub const LOG_BUFFER: usize = 1024;

@@ -2,6 +2,7 @@
 
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{blackboard, event};
+use xxhash_rust::xxh3::xxh3_64;
 
 use super::debris::Claim;
 use super::domain::{Domain, DomainName, wipe};
@@ -20,9 +21,9 @@ const MAX_SUBSCRIBERS: usize = 4;
 /// Launcher, the three processes, and room for viewers.
 const MAX_NODES: usize = 8;
 /// The service that exists before all others and says whose run this is.
-const WAKE: &str = "wake";
+pub const WAKE: &str = "wake";
 /// The launcher's board.
-const CONTROL: &str = "control";
+pub const CONTROL: &str = "control";
 /// The launcher's board has one page.
 const PAGE: u32 = 0;
 
@@ -38,6 +39,11 @@ pub struct Identity {
 }
 
 impl Identity {
+    /// The build as it stands on a board.
+    pub fn build_hash(&self) -> u64 {
+        xxh3_64(self.build.as_bytes())
+    }
+
     fn attributes(&self) -> [(&'static str, String); 3] {
         [
             ("schema", format!("{:016x}", self.schema)),
@@ -277,6 +283,11 @@ impl LoggerPorts {
     }
 }
 
+/// The service of the board called `name`.
+pub fn board_name(name: &str) -> String {
+    format!("board/{name}")
+}
+
 pub(super) fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
     name.try_into().map_err(|e| ChannelError::set_up(format!("the name {name}"), e))
 }
@@ -327,7 +338,7 @@ fn open_desk(domain: &Domain, role: Role) -> Result<Desk, ChannelError> {
 fn create_board<T: Payload + Default>(domain: &Domain, name: &str, pages: u32) -> Result<Board, ChannelError> {
     let creator = domain
         .node
-        .service_builder(&service_name(&format!("board/{name}"))?)
+        .service_builder(&service_name(&board_name(name))?)
         .blackboard_creator::<u64>()
         .max_readers(MAX_NODES)
         .max_nodes(MAX_NODES);
@@ -340,7 +351,7 @@ fn create_board<T: Payload + Default>(domain: &Domain, name: &str, pages: u32) -
 fn open_board(domain: &Domain, name: &str) -> Result<Board, ChannelError> {
     domain
         .node
-        .service_builder(&service_name(&format!("board/{name}"))?)
+        .service_builder(&service_name(&board_name(name))?)
         .blackboard_opener::<u64>()
         .open()
         .map_err(|e| ChannelError::set_up(format!("board {name}"), e))

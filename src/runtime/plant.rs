@@ -81,6 +81,11 @@ impl<P: Plant> PlantSide<P> {
         &mut self.body
     }
 
+    /// The body, when all is over.
+    pub fn into_body(self) -> P {
+        self.body
+    }
+
     /// Lives through `tick` with the command that arrived for it; `None` if it was missed. One that stands for silence is
     /// none. What the scenario's faults make of it is between here and the gate.
     pub fn live(&mut self, tick: u64, command: Option<&Command>) {

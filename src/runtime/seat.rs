@@ -8,9 +8,8 @@ use std::cell::Cell;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use xxhash_rust::xxh3::xxh3_64;
 
-use super::RuntimeError;
+use super::{Foreign, RuntimeError};
 use crate::channel::{ChannelError, Desk, DomainName, Identity, Vault};
 use crate::checkpoint::{self, Checkpoint, Facts, Writer};
 use crate::clock::{Life, RealtimeReport, Signals, TimeSource, pause};
@@ -61,6 +60,9 @@ pub struct Card {
     /// The run that this one goes on with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resumed: Option<Resumed>,
+    /// For programs that are not this library's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wire: Option<Foreign>,
 }
 
 /// Where a run that goes on with another one begins.
@@ -199,12 +201,14 @@ impl Seat {
             let report = RealtimeReport::request(self.plan.scenario.realtime.of(self.role), &table);
             super::reports::write_realtime(&self.folder, self.role, &report)?;
         }
-        let Identity { schema, scenario, build } = self.identity();
+        let identity = self.identity();
+        let build = identity.build_hash();
+        let Identity { schema, scenario, .. } = identity;
         let status = Status {
             pid: std::process::id(),
             schema,
             scenario,
-            build: xxh3_64(build.as_bytes()),
+            build,
             loss: f32::NAN,
             end_error: f32::NAN,
             ..Status::default()

@@ -29,6 +29,7 @@ const PRESETS: &[Preset] = &[
     Preset { name: "open-loop-4", text: include_str!("../../scenarios/open-loop-4.toml") },
     Preset { name: "office", text: include_str!("../../scenarios/office.toml") },
     Preset { name: "servo-simulated", text: include_str!("../../scenarios/servo-simulated.toml") },
+    Preset { name: "servo-emulated", text: include_str!("../../scenarios/servo-emulated.toml") },
 ];
 
 /// The built-in scenarios, the one to start with first.

@@ -34,7 +34,7 @@ use watch::Run;
 use crate::channel::{DomainName, Hub, sweep};
 use crate::clock::{Refusal, Signals, monotonic_ns, wall_ns};
 use crate::process::say;
-use crate::runtime::{Card, Mode, Resumed, identity, read_realtime};
+use crate::runtime::{Card, Foreign, Mode, Resumed, identity, read_realtime};
 use crate::scenario::Plan;
 use crate::wire::{Control, Role};
 
@@ -82,6 +82,7 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
     let hub = Hub::create(&domain, &identity(plan), &plan.scenario.channels)?;
     let card = Card {
         run: format!("{run:016x}"),
+        wire: Some(Foreign::of(plan, &domain)),
         mode: launch.mode,
         domain,
         launcher: std::process::id(),

@@ -14,6 +14,8 @@ pub struct Field {
     pub count: usize,
     /// Offset from the start of the sample, in bytes.
     pub offset: usize,
+    /// What it means: its documentation, one line, with a space before it.
+    pub doc: &'static str,
 }
 
 /// A fixed-size record with a described layout.
@@ -24,6 +26,8 @@ pub trait Sample: bytemuck::Pod {
     const ROS_NAME: &'static str;
     /// All fields in order.
     const FIELDS: &'static [Field];
+    /// What it is: its documentation, one line, with a space before it.
+    const DOC: &'static str;
 
     /// The `ros2msg` definition, nested types included, as a log reader needs it.
     fn ros2msg() -> String {
@@ -72,20 +76,22 @@ impl<T: Element, const N: usize> Element for [T; N] {
 
 /// Declares a sample: the `repr(C)` type, its name and version, and everything that describes it.
 macro_rules! sample {
-    ($(#[$doc:meta])* $name:ident, $version:literal { $($(#[$fdoc:meta])* $field:ident: $ty:ty,)+ }) => {
-        $(#[$doc])*
+    ($(#[doc = $doc:literal])* $name:ident, $version:literal { $($(#[doc = $fdoc:literal])* $field:ident: $ty:ty,)+ }) => {
+        $(#[doc = $doc])*
         #[repr(C)]
         #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
-        pub struct $name { $($(#[$fdoc])* pub $field: $ty,)+ }
+        pub struct $name { $($(#[doc = $fdoc])* pub $field: $ty,)+ }
 
         impl $crate::wire::schema::Sample for $name {
             const NAME: &'static str = concat!("tectum.", stringify!($name), ".v", $version);
             const ROS_NAME: &'static str = concat!("tectum/msg/", stringify!($name));
+            const DOC: &'static str = concat!($($doc),*);
             const FIELDS: &'static [$crate::wire::schema::Field] = &[$($crate::wire::schema::Field {
                 name: stringify!($field),
                 element: <$ty as $crate::wire::schema::Element>::ELEMENT,
                 count: <$ty as $crate::wire::schema::Element>::COUNT,
                 offset: core::mem::offset_of!($name, $field),
+                doc: concat!($($fdoc),*),
             },)+];
         }
 

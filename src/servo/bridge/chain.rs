@@ -21,6 +21,7 @@ pub fn angle(joint: &JointTable, raw: i32) -> f64 {
 }
 
 /// The raw position of a motor at an angle, rad.
+#[cfg(test)]
 pub fn raw(joint: &JointTable, angle: f64) -> i32 {
     joint.zero + libm::round(f64::from(joint.direction) * angle / STEP) as i32
 }

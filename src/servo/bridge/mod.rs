@@ -86,8 +86,9 @@ impl Bridge {
     ) -> Result<Self, BridgeError> {
         let plant = &plan.scenario.plant;
         let (Some(table), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
-        checks::identify(&mut bus, &joints)?;
+        // First of all: whoever has this port keeps the guard of a bridge that was killed from it, and may find no whole chain.
         bus.torque_off(&joints.iter().map(|joint| joint.id).collect::<Vec<_>>());
+        checks::identify(&mut bus, &joints)?;
         let period_s = plan.scenario.period_ms / 1000.0;
         let within = table.command_within_ms.unwrap_or(plan.scenario.period_ms / 2.0);
         let mut bridge = Self {

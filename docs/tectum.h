@@ -1,0 +1,278 @@
+/* Samples and boards of a Tectum run, for C and C++. docs/wire.md says how they are used.
+ *
+ * Made from the field tables of the Rust processes by tests/wire.rs; do not edit. Little endian, IEEE 754, no padding. The string
+ * that begins with TECTUM_TYPE_ is the payload's type name, which iceoryx2 compares. */
+#ifndef TECTUM_H
+#define TECTUM_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+#define TECTUM_ASSERT(what) static_assert(what, #what)
+#else
+#define TECTUM_ASSERT(what) _Static_assert(what, #what)
+#endif
+
+#define TECTUM_MAX_INPUTS 16
+#define TECTUM_MAX_OUTPUTS 8
+#define TECTUM_MAX_MEASURES 6
+
+/* Opens every sample: who wrote it, for which tick, and when. */
+typedef struct tectum_header {
+    /* Id of the run, the same in all its processes. */
+    uint64_t run;
+    /* The tick that the sample belongs to. */
+    uint64_t tick;
+    /* Counts the writer's samples on this channel from 0: a gap is a loss, a repeat a duplicate. */
+    uint64_t sequence;
+    /* The instant for which the tick was scheduled, `t0 + tick * period`, ns. */
+    uint64_t scheduled_ns;
+    /* When the plant had sensed the observation that this sample belongs to, ns. */
+    uint64_t sensed_ns;
+    /* When the writer handed the sample to the channel, ns. */
+    uint64_t published_ns;
+    /* The writer's start number within the run, from 0. */
+    uint32_t incarnation;
+    /* Bits of `flag`. */
+    uint32_t flags;
+} tectum_header;
+#define TECTUM_TYPE_HEADER "tectum.Header.v1"
+TECTUM_ASSERT(sizeof(tectum_header) == 56);
+TECTUM_ASSERT(offsetof(tectum_header, run) == 0);
+TECTUM_ASSERT(offsetof(tectum_header, tick) == 8);
+TECTUM_ASSERT(offsetof(tectum_header, sequence) == 16);
+TECTUM_ASSERT(offsetof(tectum_header, scheduled_ns) == 24);
+TECTUM_ASSERT(offsetof(tectum_header, sensed_ns) == 32);
+TECTUM_ASSERT(offsetof(tectum_header, published_ns) == 40);
+TECTUM_ASSERT(offsetof(tectum_header, incarnation) == 48);
+TECTUM_ASSERT(offsetof(tectum_header, flags) == 52);
+
+/* What the plant tells at tick k: the inputs now, and what came of tick k-1. */
+typedef struct tectum_observation {
+    /* Who, which tick, when. */
+    tectum_header header;
+    /* The controller's inputs, in the scenario's order and units; unused entries are 0. */
+    float inputs[16];
+    /* The command that was applied during tick k-1, after hold policy and gate; unused entries are 0. */
+    float applied[8];
+    /* The reward of tick k-1. */
+    float reward;
+    /* Ticks passed over right before this one because the plant itself was late. */
+    uint32_t skipped;
+    /* What an outside observer measured of tick k-1, named by the scenario. For logs and reports: the learner never
+     * sees it. The arm gives its error (m) and its end-effector's x and y (m). */
+    float measures[6];
+} tectum_observation;
+#define TECTUM_TYPE_OBSERVATION "tectum.Observation.v1"
+TECTUM_ASSERT(sizeof(tectum_observation) == 184);
+TECTUM_ASSERT(offsetof(tectum_observation, header) == 0);
+TECTUM_ASSERT(offsetof(tectum_observation, inputs) == 56);
+TECTUM_ASSERT(offsetof(tectum_observation, applied) == 120);
+TECTUM_ASSERT(offsetof(tectum_observation, reward) == 152);
+TECTUM_ASSERT(offsetof(tectum_observation, skipped) == 156);
+TECTUM_ASSERT(offsetof(tectum_observation, measures) == 160);
+
+/* The controller's answer to the observation of the same tick. */
+typedef struct tectum_command {
+    /* Who, which tick, when. */
+    tectum_header header;
+    /* The policy's mean output. */
+    float mean[8];
+    /* The drawn output, mean plus exploration noise: what the plant is asked to apply. */
+    float drawn[8];
+} tectum_command;
+#define TECTUM_TYPE_COMMAND "tectum.Command.v1"
+TECTUM_ASSERT(sizeof(tectum_command) == 120);
+TECTUM_ASSERT(offsetof(tectum_command, header) == 0);
+TECTUM_ASSERT(offsetof(tectum_command, mean) == 56);
+TECTUM_ASSERT(offsetof(tectum_command, drawn) == 88);
+
+/* What the learner did at tick k, with the reward of tick k-1, and the noise that it drew for tick k. */
+typedef struct tectum_learning {
+    /* Who, which tick, when. */
+    tectum_header header;
+    /* The exploration noise in the command of this tick. */
+    float noise[8];
+    /* The reward that was used; meaningless unless `flag::LEARNED` is set. */
+    float reward;
+    /* The factor with which the trace was added to the weights. */
+    float step;
+    /* Euclidean norm of the weights after the step. */
+    float weights_norm;
+    /* Euclidean norm of the eligibility trace after the step. */
+    float trace_norm;
+    /* 64-bit hash of the weights after the step; 0 unless `flag::HASHED` is set. */
+    uint64_t weights_hash;
+} tectum_learning;
+#define TECTUM_TYPE_LEARNING "tectum.Learning.v1"
+TECTUM_ASSERT(sizeof(tectum_learning) == 112);
+TECTUM_ASSERT(offsetof(tectum_learning, header) == 0);
+TECTUM_ASSERT(offsetof(tectum_learning, noise) == 56);
+TECTUM_ASSERT(offsetof(tectum_learning, reward) == 88);
+TECTUM_ASSERT(offsetof(tectum_learning, step) == 92);
+TECTUM_ASSERT(offsetof(tectum_learning, weights_norm) == 96);
+TECTUM_ASSERT(offsetof(tectum_learning, trace_norm) == 100);
+TECTUM_ASSERT(offsetof(tectum_learning, weights_hash) == 104);
+
+/* The launcher's board: which phase the run is in. */
+typedef struct tectum_control {
+    /* A `Phase` as a number. */
+    uint32_t phase;
+    /* Checkpoints that were asked for by a signal so far. */
+    uint32_t checkpoints;
+    /* Start of tick 0 on the run's clock, ns; valid from `Run` on. */
+    uint64_t t0_ns;
+    /* Start number of each process within the run, by `Role`; the last entry is unused. */
+    uint32_t incarnations[4];
+} tectum_control;
+#define TECTUM_TYPE_CONTROL "tectum.Control.v2"
+TECTUM_ASSERT(sizeof(tectum_control) == 32);
+TECTUM_ASSERT(offsetof(tectum_control, phase) == 0);
+TECTUM_ASSERT(offsetof(tectum_control, checkpoints) == 4);
+TECTUM_ASSERT(offsetof(tectum_control, t0_ns) == 8);
+TECTUM_ASSERT(offsetof(tectum_control, incarnations) == 16);
+
+/* A process's board: how far it is. */
+typedef struct tectum_status {
+    /* A `State` as a number. */
+    uint32_t state;
+    /* Operating-system id of the process. */
+    uint32_t pid;
+    /* Counts the process's signs of life; one that stands still for long is a hang. */
+    uint64_t beat;
+    /* Plant: one more than the tick at whose beginning the next checkpoint is, or the last one was, cut; 0 before the
+     * first. */
+    uint64_t checkpoint;
+    /* Ticks done. */
+    uint64_t ticks;
+    /* Samples sent on each of its channels. */
+    uint64_t sent;
+    /* Plant: ticks whose command was not there in time. Logger: 0. */
+    uint64_t missed;
+    /* Plant: commands that came after their tick. */
+    uint64_t late;
+    /* Plant: ticks passed over. Controller: observations that it never saw. Logger: samples lost. */
+    uint64_t lost;
+    /* Logger: observation ticks consumed, the credit of a lossless run. */
+    uint64_t consumed;
+    /* Controller, in real time: what its learner has taken after the commands had gone out, ns in all. */
+    uint64_t learner_ns;
+    /* Controller: mean loss over the window in progress. */
+    float loss;
+    /* Controller: mean error at the end of a target over the window in progress, NaN where there is none. */
+    float end_error;
+    /* Schema hash of the process's build. */
+    uint64_t schema;
+    /* Scenario hash as the process read it. */
+    uint64_t scenario;
+    /* Hash of the process's build identity. */
+    uint64_t build;
+} tectum_status;
+#define TECTUM_TYPE_STATUS "tectum.Status.v3"
+TECTUM_ASSERT(sizeof(tectum_status) == 112);
+TECTUM_ASSERT(offsetof(tectum_status, state) == 0);
+TECTUM_ASSERT(offsetof(tectum_status, pid) == 4);
+TECTUM_ASSERT(offsetof(tectum_status, beat) == 8);
+TECTUM_ASSERT(offsetof(tectum_status, checkpoint) == 16);
+TECTUM_ASSERT(offsetof(tectum_status, ticks) == 24);
+TECTUM_ASSERT(offsetof(tectum_status, sent) == 32);
+TECTUM_ASSERT(offsetof(tectum_status, missed) == 40);
+TECTUM_ASSERT(offsetof(tectum_status, late) == 48);
+TECTUM_ASSERT(offsetof(tectum_status, lost) == 56);
+TECTUM_ASSERT(offsetof(tectum_status, consumed) == 64);
+TECTUM_ASSERT(offsetof(tectum_status, learner_ns) == 72);
+TECTUM_ASSERT(offsetof(tectum_status, loss) == 80);
+TECTUM_ASSERT(offsetof(tectum_status, end_error) == 84);
+TECTUM_ASSERT(offsetof(tectum_status, schema) == 88);
+TECTUM_ASSERT(offsetof(tectum_status, scenario) == 96);
+TECTUM_ASSERT(offsetof(tectum_status, build) == 104);
+
+/* The log's own statement that samples of a channel are missing from it. */
+typedef struct tectum_gap {
+    /* The channel: 0 observation, 1 command, 2 learning. */
+    uint64_t channel;
+    /* Sequence number of the first missing sample. */
+    uint64_t first;
+    /* How many are missing in a row. */
+    uint64_t count;
+    /* How many are missing on this channel up to and including these. */
+    uint64_t total;
+} tectum_gap;
+#define TECTUM_TYPE_GAP "tectum.Gap.v1"
+TECTUM_ASSERT(sizeof(tectum_gap) == 32);
+TECTUM_ASSERT(offsetof(tectum_gap, channel) == 0);
+TECTUM_ASSERT(offsetof(tectum_gap, first) == 8);
+TECTUM_ASSERT(offsetof(tectum_gap, count) == 16);
+TECTUM_ASSERT(offsetof(tectum_gap, total) == 24);
+
+/* Bits of a header's flags. */
+enum tectum_flag {
+    /* Observation: the first of its writer; reward and applied command belong to no tick. */
+    TECTUM_FIRST = 1 << 0,
+    /* Observation: the command of tick k-1 was not there in time; the hold policy applied. */
+    TECTUM_MISSED = 1 << 1,
+    /* Observation: the hold policy held the last command. */
+    TECTUM_HELD = 1 << 2,
+    /* Observation: the hold policy let the last command decay. */
+    TECTUM_DECAYED = 1 << 3,
+    /* Observation: the hold policy stopped the plant (command zero). */
+    TECTUM_STOPPED = 1 << 4,
+    /* Observation: the gate limited the command; why it did stands beside it where it was not the command's size alone. */
+    TECTUM_CLAMPED = 1 << 5,
+    /* Observation: the command held a value that is not a number; it counts as missed. */
+    TECTUM_NON_FINITE = 1 << 6,
+    /* Observation: the plant passed over `skipped` ticks because it was late itself. */
+    TECTUM_SKIPPED = 1 << 7,
+    /* Observation: a new target (or trial) starts with these inputs; the reward belongs to the one before. */
+    TECTUM_NEW_TARGET = 1 << 8,
+    /* Observation: a command arrived after its tick and was dropped. */
+    TECTUM_LATE = 1 << 9,
+    /* Command: an input was not a number, so the answer is zero. */
+    TECTUM_INVALID = 1 << 10,
+    /* Command and learning: a number that is not finite was met in learning. The learner has stopped, and where the
+     * weights themselves are no longer numbers the answer is zero. */
+    TECTUM_DIVERGED = 1 << 11,
+    /* Observation: the gate limited the change of the applied command from tick to tick. */
+    TECTUM_STEP_LIMITED = 1 << 12,
+    /* Observation: the gate kept a joint from going over its limits. */
+    TECTUM_POSITION_LIMITED = 1 << 13,
+    /* Observation: commands had just begun to come, or come back, and the gate let them grow. */
+    TECTUM_RAMPED = 1 << 14,
+    /* Command: the controller heard nothing of this tick; the sample stands for silence, and counts as missed. */
+    TECTUM_UNHEARD = 1 << 15,
+    /* Learning: the weights were changed with the reward of tick k-1. */
+    TECTUM_LEARNED = 1 << 16,
+    /* Learning: the trace was cleared, because what happened in tick k-1 is not what the policy asked for. */
+    TECTUM_TRACE_CUT = 1 << 17,
+    /* Learning: `weights_hash` is valid. */
+    TECTUM_HASHED = 1 << 18,
+};
+
+/* Phases of a run, in order; a number beyond them reads as ABORT. */
+enum tectum_phase {
+    TECTUM_PHASE_SET_UP = 0,
+    TECTUM_PHASE_CONNECT = 1,
+    TECTUM_PHASE_RUN = 2,
+    TECTUM_PHASE_STOP = 3,
+    TECTUM_PHASE_ABORT = 4,
+};
+
+/* States of a process, in order; a number beyond them reads as FAILED. */
+enum tectum_state {
+    TECTUM_STATE_ABSENT = 0,
+    TECTUM_STATE_READY = 1,
+    TECTUM_STATE_CONNECTED = 2,
+    TECTUM_STATE_RUNNING = 3,
+    TECTUM_STATE_FINISHED = 4,
+    TECTUM_STATE_FAILED = 5,
+};
+
+/* Places in `incarnations`. */
+enum tectum_role {
+    TECTUM_ROLE_PLANT = 0,
+    TECTUM_ROLE_CONTROLLER = 1,
+    TECTUM_ROLE_LOGGER = 2,
+};
+
+#endif

@@ -1,0 +1,52 @@
+"""A plant in Python: a point with mass on a line that is to follow a target.
+
+    target/release/tectum run examples/python/plant.toml
+    target/release/tectum run examples/python/plant.toml --mode realtime --ticks 400
+
+The body is all there is to write. Handshake, time, lockstep, hold policy and limits come with tectum.py; controller and
+logger are the same programs as ever, and do not notice the difference.
+"""
+
+import random
+
+import tectum
+
+TARGET_EVERY = 40  # ticks
+REACH = 1.0  # m: the line ends there, on both sides
+
+
+class Cart:
+    """A position, a speed, and the target; pushed towards the speed that is commanded."""
+
+    def __init__(self, run):
+        self.period = run.period_ns / 1e9
+        # A stream of its own, from the run's seed alone: the same targets in every run of that seed.
+        self.targets = random.Random(f"{run.seed}/targets")
+        self.position, self.speed, self.target, self.shown = 0.0, 0.0, 0.0, 0
+
+    def sense(self, tick, inputs):
+        # Ticks may jump when the machine stalls; the targets stay the same ones.
+        due = tick // TARGET_EVERY + 1
+        fresh = due > self.shown
+        while self.shown < due:
+            self.target = self.targets.uniform(-REACH, REACH)
+            self.shown += 1
+        inputs[:] = self.position, self.target
+        return fresh
+
+    def advance(self, tick, applied):
+        # Half of what is left to the commanded speed comes within a tick.
+        self.speed += 0.5 * (2.0 * applied[0] - self.speed)
+        self.position += self.period * self.speed
+        if abs(self.position) > REACH:
+            self.position, self.speed = max(-REACH, min(REACH, self.position)), 0.0
+        error = self.position - self.target
+        return -error * error, [abs(error)]
+
+    def joints(self):
+        """Where the gate's limits of position find the joint, and how far a command of 1 moves it in a tick."""
+        return [self.position], [2.0 * self.period]
+
+
+if __name__ == "__main__":
+    tectum.main(Cart, "A point with mass on a line that is to follow a target")

@@ -1,0 +1,281 @@
+//! What is written for other languages is what the Rust processes have: `docs/tectum.h` and the tables of `docs/wire.md` are made
+//! from the field tables of the samples, and compared with the files. `TECTUM_BLESS=1 cargo test --test wire` writes them anew.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::Command as Process;
+
+use tectum::wire::{
+    Command, Control, Gap, Header, Learning, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Phase, Role, Sample,
+    State, Status, flag,
+};
+
+/// What a table needs of a sample.
+struct Layout {
+    name: &'static str,
+    doc: String,
+    size: usize,
+    /// C type of one element, name, count, offset, meaning.
+    fields: Vec<(&'static str, &'static str, usize, usize, String)>,
+}
+
+impl Layout {
+    fn of<S: Sample>() -> Self {
+        let c = |element| match element {
+            "uint32" => "uint32_t",
+            "uint64" => "uint64_t",
+            "float32" => "float",
+            "tectum/Header" => "tectum_header",
+            other => panic!("{other} has no C type"),
+        };
+        let fields = S::FIELDS.iter().map(|f| (c(f.element), f.name, f.count, f.offset, plain(f.doc))).collect();
+        Self { name: S::NAME, doc: plain(S::DOC), size: size_of::<S>(), fields }
+    }
+
+    /// `tectum_observation` of `tectum.Observation.v1`.
+    fn c_name(&self) -> String {
+        let name = self.name.split('.').nth(1).unwrap();
+        format!("tectum_{}", name.to_lowercase())
+    }
+}
+
+/// Documentation without rustdoc's links.
+fn plain(doc: &str) -> String {
+    doc.trim().replace("[`", "`").replace("`]", "`").replace("Phase::", "")
+}
+
+fn layouts() -> Vec<Layout> {
+    vec![
+        Layout::of::<Header>(),
+        Layout::of::<Observation>(),
+        Layout::of::<Command>(),
+        Layout::of::<Learning>(),
+        Layout::of::<Control>(),
+        Layout::of::<Status>(),
+        Layout::of::<Gap>(),
+    ]
+}
+
+/// Name, bit and meaning of every flag, from the source; their values are those of the constants.
+fn flags() -> Vec<(String, u32, String)> {
+    let source = std::fs::read_to_string("src/wire/samples.rs").unwrap();
+    let (mut found, mut doc) = (Vec::new(), String::new());
+    for line in source.lines().map(str::trim) {
+        if let Some(text) = line.strip_prefix("/// ") {
+            let _ = write!(doc, " {text}");
+        } else {
+            if let Some((name, bit)) = line.strip_prefix("pub const ").and_then(|l| l.split_once(": u32 = 1 << ")) {
+                found.push((name.to_owned(), bit.trim_end_matches(';').parse().unwrap(), plain(&doc)));
+            }
+            doc.clear();
+        }
+    }
+    let constants = [
+        flag::FIRST,
+        flag::MISSED,
+        flag::HELD,
+        flag::DECAYED,
+        flag::STOPPED,
+        flag::CLAMPED,
+        flag::NON_FINITE,
+        flag::SKIPPED,
+        flag::NEW_TARGET,
+        flag::LATE,
+        flag::INVALID,
+        flag::DIVERGED,
+        flag::STEP_LIMITED,
+        flag::POSITION_LIMITED,
+        flag::RAMPED,
+        flag::UNHEARD,
+        flag::LEARNED,
+        flag::TRACE_CUT,
+        flag::HASHED,
+    ];
+    assert_eq!(found.iter().map(|(_, bit, _)| 1u32 << *bit).collect::<Vec<u32>>(), constants);
+    found
+}
+
+fn phases() -> [(&'static str, u32); 5] {
+    [Phase::SetUp, Phase::Connect, Phase::Run, Phase::Stop, Phase::Abort].map(|phase| {
+        let name = match phase {
+            Phase::SetUp => "SET_UP",
+            Phase::Connect => "CONNECT",
+            Phase::Run => "RUN",
+            Phase::Stop => "STOP",
+            Phase::Abort => "ABORT",
+        };
+        (name, phase as u32)
+    })
+}
+
+fn states() -> [(&'static str, u32); 6] {
+    [State::Absent, State::Ready, State::Connected, State::Running, State::Finished, State::Failed].map(|state| {
+        let name = match state {
+            State::Absent => "ABSENT",
+            State::Ready => "READY",
+            State::Connected => "CONNECTED",
+            State::Running => "RUNNING",
+            State::Finished => "FINISHED",
+            State::Failed => "FAILED",
+        };
+        (name, state as u32)
+    })
+}
+
+const HEAD: &str = "\
+/* Samples and boards of a Tectum run, for C and C++. docs/wire.md says how they are used.
+ *
+ * Made from the field tables of the Rust processes by tests/wire.rs; do not edit. Little endian, IEEE 754, no padding. The string
+ * that begins with TECTUM_TYPE_ is the payload's type name, which iceoryx2 compares. */
+#ifndef TECTUM_H
+#define TECTUM_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+#define TECTUM_ASSERT(what) static_assert(what, #what)
+#else
+#define TECTUM_ASSERT(what) _Static_assert(what, #what)
+#endif
+
+";
+
+fn comment(text: &mut String, indent: &str, doc: &str) {
+    let mut line = format!("{indent}/*");
+    for word in doc.split_whitespace() {
+        if line.len() + 1 + word.len() > 120 {
+            let _ = writeln!(text, "{line}");
+            line = format!("{indent} *");
+        }
+        let _ = write!(line, " {word}");
+    }
+    let _ = writeln!(text, "{line} */");
+}
+
+fn header() -> String {
+    let mut text = HEAD.to_owned();
+    for (name, value) in [("INPUTS", MAX_INPUTS), ("OUTPUTS", MAX_OUTPUTS), ("MEASURES", MAX_MEASURES)] {
+        let _ = writeln!(text, "#define TECTUM_MAX_{name} {value}");
+    }
+    for layout in layouts() {
+        let c = layout.c_name();
+        text.push('\n');
+        comment(&mut text, "", &layout.doc);
+        let _ = writeln!(text, "typedef struct {c} {{");
+        for (kind, name, count, _, doc) in &layout.fields {
+            comment(&mut text, "    ", doc);
+            let many = if *count == 1 { String::new() } else { format!("[{count}]") };
+            let _ = writeln!(text, "    {kind} {name}{many};");
+        }
+        let _ = writeln!(text, "}} {c};\n#define TECTUM_TYPE_{} \"{}\"", c[7..].to_uppercase(), layout.name);
+        let _ = writeln!(text, "TECTUM_ASSERT(sizeof({c}) == {});", layout.size);
+        for (_, name, _, offset, _) in &layout.fields {
+            let _ = writeln!(text, "TECTUM_ASSERT(offsetof({c}, {name}) == {offset});");
+        }
+    }
+    text.push_str("\n/* Bits of a header's flags. */\nenum tectum_flag {\n");
+    for (name, bit, doc) in flags() {
+        comment(&mut text, "    ", &doc);
+        let _ = writeln!(text, "    TECTUM_{name} = 1 << {bit},");
+    }
+    text.push_str("};\n\n/* Phases of a run, in order; a number beyond them reads as ABORT. */\nenum tectum_phase {\n");
+    for (name, value) in phases() {
+        let _ = writeln!(text, "    TECTUM_PHASE_{name} = {value},");
+    }
+    text.push_str(
+        "};\n\n/* States of a process, in order; a number beyond them reads as FAILED. */\nenum tectum_state {\n",
+    );
+    for (name, value) in states() {
+        let _ = writeln!(text, "    TECTUM_STATE_{name} = {value},");
+    }
+    text.push_str("};\n\n/* Places in `incarnations`. */\nenum tectum_role {\n");
+    for role in Role::ALL {
+        let _ = writeln!(text, "    TECTUM_ROLE_{} = {},", role.name().to_uppercase(), role as u32);
+    }
+    text.push_str("};\n\n#endif\n");
+    text
+}
+
+/// The tables of `docs/wire.md`, each under its own mark.
+fn tables() -> Vec<(&'static str, String)> {
+    let mut samples = String::new();
+    for layout in layouts() {
+        let _ = writeln!(samples, "\n**`{}`**, {} bytes. {}\n", layout.name, layout.size, layout.doc);
+        samples.push_str("| offset | field | type | meaning |\n|---|---|---|---|\n");
+        for (kind, name, count, offset, doc) in &layout.fields {
+            let kind = match *kind {
+                "uint32_t" => "u32",
+                "uint64_t" => "u64",
+                "float" => "f32",
+                _ => "Header",
+            };
+            let many = if *count == 1 { String::new() } else { format!(" x {count}") };
+            let _ = writeln!(samples, "| {offset} | `{name}` | {kind}{many} | {doc} |");
+        }
+    }
+    samples.push('\n');
+    let mut bits = "\n| bit | flag | meaning |\n|---|---|---|\n".to_owned();
+    for (name, bit, doc) in flags() {
+        let _ = writeln!(bits, "| {bit} | `{name}` | {doc} |");
+    }
+    bits.push('\n');
+    let list = |pairs: &[(&str, u32)]| {
+        let text: Vec<_> = pairs.iter().map(|(name, value)| format!("{value} `{name}`")).collect();
+        format!("\n{}\n\n", text.join(", "))
+    };
+    vec![("samples", samples), ("flags", bits), ("phases", list(&phases())), ("states", list(&states()))]
+}
+
+#[track_caller]
+fn compare(path: &str, text: &str) {
+    if std::env::var_os("TECTUM_BLESS").is_some() {
+        std::fs::write(path, text).unwrap();
+    }
+    let kept = std::fs::read_to_string(path).unwrap_or_default();
+    let changed: Vec<_> = text.lines().zip(kept.lines().chain(std::iter::repeat(""))).filter(|(a, b)| a != b).collect();
+    assert!(kept == text, "{path} is not what the Rust processes have; TECTUM_BLESS=1 writes it anew: {changed:#?}");
+}
+
+#[test]
+fn the_c_header_is_the_rust_layout() {
+    compare("docs/tectum.h", &header());
+}
+
+#[test]
+fn the_tables_of_the_wire_are_the_rust_layout() {
+    let path = "docs/wire.md";
+    let mut text = std::fs::read_to_string(path).unwrap();
+    for (name, table) in tables() {
+        let (open, close) = (format!("<!-- {name} -->\n"), format!("<!-- end of {name} -->\n"));
+        let (head, rest) = text.split_once(&open).unwrap_or_else(|| panic!("{path} has no mark {open}"));
+        let (_, tail) = rest.split_once(&close).unwrap_or_else(|| panic!("{path} has no mark {close}"));
+        text = format!("{head}{open}{table}{close}{tail}");
+    }
+    compare(path, &text);
+}
+
+/// The compiler's own word for sizes and offsets, in C and C++, as far as there are compilers.
+#[test]
+fn compilers_agree() {
+    let place = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/tectum.h");
+    for (compiler, name, language) in [("cc", "check.c", "-std=c11"), ("c++", "check.cpp", "-std=c++17")] {
+        if Process::new(compiler).arg("--version").output().is_err() {
+            println!("skipped: there is no {compiler} here to compile docs/tectum.h with");
+            continue;
+        }
+        let check = |text: &str| {
+            let source = place.path().join(name);
+            std::fs::write(&source, text).unwrap();
+            let strict = [language, "-Wall", "-Wextra", "-Werror", "-fsyntax-only"];
+            Process::new(compiler).args(strict).arg(&source).output().unwrap()
+        };
+        let good = format!("#include \"{}\"\nint main(void) {{ return 0; }}\n", path.display());
+        let told = check(&good);
+        assert!(told.status.success(), "{compiler}: {}", String::from_utf8_lossy(&told.stderr));
+        // What is asserted can fail.
+        let wrong = check(&format!("{good}TECTUM_ASSERT(sizeof(tectum_observation) == 180);\n"));
+        assert!(!wrong.status.success(), "{compiler} let a wrong size pass");
+    }
+}
