@@ -127,7 +127,17 @@ fn fault(text: &str) -> Result<ServoFault, String> {
             _ => Err(wrong(&format!("\"{part}\" is no {name}"))),
         },
     };
-    let servo = number("id")?.filter(|&id| id <= 253.0).map(|id| id as u8);
-    let (from, until_s) = (number("instant")?, number("instant")?);
-    Ok(ServoFault { kind, servo, from_s: Some(from.unwrap_or(0.0)), until_s, probability: None, delay_ms: None })
+    let (servo, from, until_s) = (number("id")?, number("instant")?, number("instant")?);
+    if parts.next().is_some() {
+        return Err(wrong("there is more than four parts"));
+    }
+    let servo = match servo {
+        Some(id) if id > 253.0 || id.fract() != 0.0 => return Err(wrong(&format!("\"{id}\" is no id"))),
+        id => id.map(|id| id as u8),
+    };
+    let from = from.unwrap_or(0.0);
+    if let Some(until) = until_s.filter(|&until| until <= from) {
+        return Err(wrong(&format!("it ends at {until} s and begins at {from} s")));
+    }
+    Ok(ServoFault { kind, servo, from_s: Some(from), until_s, probability: None, delay_ms: None })
 }

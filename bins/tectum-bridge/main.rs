@@ -1,6 +1,7 @@
-//! The plant on serial-bus servos; and the guard that turns torque off when it was killed.
+//! The plant on serial-bus servos; the tools that find, calibrate, move and watch them; and the guard that turns torque off when it was killed.
 
 mod guard;
+mod tools;
 
 use std::io::{BufRead as _, IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
@@ -18,7 +19,9 @@ use tectum::wire::Role;
 
 const EXAMPLE: &str = "A run's launcher starts this program by itself, for a scenario with [plant.servos]. In a terminal of its own:\n  \
     tectum run scenarios/servo-emulated.toml --name demo --by-hand plant\n  tectum-bridge --run demo\n\
-    There, a and Enter arm it. Angles are measured; the end-effector, and with it the reward, is worked out from them by the model \
+    There, a and Enter arm it. Without hardware and without a run:\n  \
+    tectum-servo-emulator --protocol feetech --link /tmp/arm &\n  tectum-bridge scan --port /tmp/arm --protocol feetech --baud 1000000\n\
+     Angles are measured; the end-effector, and with it the reward, is worked out from them by the model \
     in [plant.arm]: nobody has seen it.";
 
 /// The plant on serial-bus servos: read-only until it is armed
@@ -43,6 +46,8 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Tool {
+    #[command(flatten)]
+    Tool(tools::Tool),
     /// Turns torque off when another process has ended; bridges start it for themselves
     #[command(hide = true)]
     Guard(guard::Arguments),
@@ -52,6 +57,10 @@ fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let (text, code) = match &arguments.tool {
         Some(Tool::Guard(of)) => return guard::run(of),
+        Some(Tool::Tool(tool)) => match tools::run(tool) {
+            Ok(()) => return ExitCode::SUCCESS,
+            Err(error) => (error.to_string(), exit::INPUT),
+        },
         None => match live(&arguments) {
             Ok(()) => return ExitCode::SUCCESS,
             Err(problem) => problem,

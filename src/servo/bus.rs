@@ -65,8 +65,6 @@ pub struct Bus {
     handler: DynamixelProtocolHandler,
     series: &'static Series,
     budget: Budget,
-    /// Keeps other bridges and tools off the port.
-    _lock: Option<File>,
 }
 
 /// A servo's answer in a synchronous read.
@@ -84,14 +82,16 @@ impl Bus {
     /// # Errors
     /// When there is no such port, it is another's, or the operating system refuses it.
     pub fn open(path: &str, protocol: Protocol, baud: u32, budget: Budget) -> Result<Self, BusError> {
-        let lock = take(path)?;
+        probe(path)?;
         let opened = serialport::new(path, baud).timeout(Duration::from_nanos(budget.read_ns)).open();
+        // serialport locks the port itself (flock and TIOCEXCL), and frees it with its descriptor.
         let port = opened.map_err(|error| match error.kind() {
+            serialport::ErrorKind::NoDevice if error.description.contains("lock") => BusError::Busy(path.to_owned()),
             serialport::ErrorKind::NoDevice if error.description.contains("busy") => BusError::Busy(path.to_owned()),
             serialport::ErrorKind::Io(ErrorKind::ResourceBusy) => BusError::Busy(path.to_owned()),
             _ => BusError::Port(path.to_owned(), error.to_string()),
         })?;
-        Ok(Self { _lock: Some(lock), ..Self::over(port, protocol, budget, Box::new(crate::clock::monotonic_ns)) })
+        Ok(Self::over(port, protocol, budget, Box::new(crate::clock::monotonic_ns)))
     }
 
     /// A bus over a port that is open.
@@ -101,7 +101,7 @@ impl Bus {
             Protocol::Feetech => DynamixelProtocolHandler::v1(),
         };
         let port = Paced { port, clock, until: u64::MAX };
-        Self { port, handler, series: protocol.series(), budget, _lock: None }
+        Self { port, handler, series: protocol.series(), budget }
     }
 
     /// The series on it.
@@ -222,19 +222,19 @@ impl Bus {
     }
 }
 
-/// Takes the port's lock: so long as the file is open, no other bridge or tool of ours has the port.
-fn take(path: &str) -> Result<File, BusError> {
+/// Whether the port is there, may be opened, and is nobody else's: what serialport would not tell apart. The lock is let go again at once,
+/// since serialport takes one for itself.
+fn probe(path: &str) -> Result<(), BusError> {
     use std::os::unix::fs::OpenOptionsExt as _;
     let flags = OFlags::NOCTTY | OFlags::NONBLOCK;
-    let file = File::options().read(true).custom_flags(flags.bits() as i32).open(Path::new(path));
+    let file = File::options().read(true).write(true).custom_flags(flags.bits() as i32).open(Path::new(path));
     let file = file.map_err(|error| match error.kind() {
         ErrorKind::NotFound => BusError::NoPort(path.to_owned()),
         ErrorKind::PermissionDenied => BusError::Denied(path.to_owned()),
         ErrorKind::ResourceBusy => BusError::Busy(path.to_owned()),
         _ => BusError::Port(path.to_owned(), error.to_string()),
     })?;
-    flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(|_| BusError::Busy(path.to_owned()))?;
-    Ok(file)
+    flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(|_| BusError::Busy(path.to_owned()))
 }
 
 /// A port whose reads end at an instant.

@@ -1,0 +1,222 @@
+//! `tectum-bridge scan | calibrate | jog | watch`: the command lines of the tools.
+
+use std::io::Write as _;
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use tectum::clock::{Signals, pause};
+use tectum::servo::bus::{Budget, Bus};
+use tectum::servo::model::Protocol;
+use tectum::servo::tools::{self, Calibration, Jog, ToolError};
+
+/// What to do with an arm that is no plant yet.
+#[derive(Debug, Subcommand)]
+pub enum Tool {
+    /// Find servos: ids, models, baud rates
+    Scan(Scan),
+    /// Record zero, direction and range of each joint, moved by hand without torque
+    Calibrate(Calibrate),
+    /// Move one joint slowly, then turn its torque off
+    Jog(Move),
+    /// Show how the servos are
+    Watch(Watch),
+}
+
+/// Which bus.
+#[derive(Debug, Args)]
+struct Which {
+    /// The serial port
+    #[arg(long)]
+    port: String,
+    /// What the servos speak
+    #[arg(long, value_parser = ["dynamixel", "feetech"])]
+    protocol: String,
+    /// Bits a second
+    #[arg(long, default_value_t = 1_000_000)]
+    baud: u32,
+}
+
+/// `scan`.
+#[derive(Debug, Args)]
+pub struct Scan {
+    /// The serial port
+    #[arg(long)]
+    port: String,
+    /// What the servos speak; left out, both are tried
+    #[arg(long, value_parser = ["dynamixel", "feetech"])]
+    protocol: Option<String>,
+    /// Bits a second; left out, all that the series knows
+    #[arg(long)]
+    baud: Option<u32>,
+    /// The highest id to ask
+    #[arg(long, default_value_t = 252)]
+    max_id: u8,
+    /// One JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// `calibrate`.
+#[derive(Debug, Args)]
+pub struct Calibrate {
+    #[command(flatten)]
+    which: Which,
+    /// The ids, from the base on
+    #[arg(long, value_delimiter = ',', required = true)]
+    ids: Vec<u8>,
+    /// The file to write
+    #[arg(long, default_value = "arm-calibration.toml")]
+    out: PathBuf,
+    /// Highest speed of each joint, rad/s
+    #[arg(long, default_value_t = 6.0)]
+    max_speed: f64,
+    /// Replace a file that is there
+    #[arg(long)]
+    force: bool,
+}
+
+/// `jog`.
+#[derive(Debug, Args)]
+pub struct Move {
+    #[command(flatten)]
+    which: Which,
+    /// The servo
+    #[arg(long)]
+    id: u8,
+    /// By how much, rad
+    #[arg(long, allow_hyphen_values = true)]
+    by: f64,
+    /// How fast, rad/s
+    #[arg(long, default_value_t = 0.5)]
+    speed: f64,
+    /// Keeps to the range and direction of this file
+    #[arg(long)]
+    calibration: Option<PathBuf>,
+}
+
+/// `watch`.
+#[derive(Debug, Args)]
+pub struct Watch {
+    #[command(flatten)]
+    which: Which,
+    /// The ids
+    #[arg(long, value_delimiter = ',', required = true)]
+    ids: Vec<u8>,
+    /// Once, not until Ctrl-C
+    #[arg(long)]
+    once: bool,
+    /// One JSON object a line
+    #[arg(long)]
+    json: bool,
+}
+
+fn protocol(name: &str) -> Protocol {
+    if name == "feetech" { Protocol::Feetech } else { Protocol::Dynamixel }
+}
+
+fn say(text: &str) -> Result<(), ToolError> {
+    let mut out = std::io::stdout();
+    writeln!(out, "{text}").and_then(|()| out.flush()).map_err(|error| ToolError::Io("standard output".into(), error))
+}
+
+impl Which {
+    fn open(&self) -> Result<Bus, ToolError> {
+        let series = protocol(&self.protocol).series();
+        if !series.bauds.iter().any(|&(baud, _)| baud == self.baud) {
+            let known: Vec<_> = series.bauds.iter().map(|(baud, _)| baud.to_string()).collect();
+            return Err(ToolError::Refused(format!("--baud {}: {} has {}", self.baud, series.name, known.join(", "))));
+        }
+        Ok(Bus::open(&self.port, series.protocol, self.baud, tools::BUDGET)?)
+    }
+}
+
+/// Does it.
+///
+/// # Errors
+/// One sentence for people.
+pub fn run(tool: &Tool) -> Result<(), ToolError> {
+    let signals = Signals::install().map_err(|error| ToolError::Io("signals".into(), error))?;
+    let stop = || signals.received() != 0;
+    match tool {
+        Tool::Scan(scan) => find(scan, &stop),
+        Tool::Calibrate(what) => calibrate(what),
+        Tool::Jog(what) => {
+            let calibration = what.calibration.as_deref().map(Calibration::load).transpose()?;
+            let mut bus = what.which.open()?;
+            let asked = Jog { id: what.id, by: what.by, speed: what.speed, calibration: calibration.as_ref() };
+            let after = tools::jog(&mut bus, asked, pause, stop)?;
+            say(&after.line())
+        }
+        Tool::Watch(what) => watch(what, &stop),
+    }
+}
+
+fn find(scan: &Scan, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
+    let protocols = match &scan.protocol {
+        Some(name) => vec![protocol(name)],
+        None => vec![Protocol::Dynamixel, Protocol::Feetech],
+    };
+    let mut all = Vec::new();
+    let mut twins = None;
+    for series in protocols.iter().map(|protocol| protocol.series()) {
+        for &(baud, _) in series.bauds.iter().filter(|(baud, _)| scan.baud.is_none_or(|only| only == *baud)) {
+            // A slow line needs its time besides: some thirty bytes there and back.
+            let wire = 30 * 10 * 1_000_000_000 / u64::from(baud);
+            let budget = Budget { read_ns: tools::SEARCH.read_ns + 2 * wire, ..tools::SEARCH };
+            let mut bus = Bus::open(&scan.port, series.protocol, baud, budget)?;
+            for found in tools::scan(&mut bus, 0..=scan.max_id.min(series.max_id), stop) {
+                let model = match (found.garbled, found.model) {
+                    (true, _) => "cannot be read: two servos with this id?".to_owned(),
+                    (false, Some(name)) => name.to_owned(),
+                    (false, None) => format!("unknown model {}", found.number.unwrap_or(0)),
+                };
+                if found.garbled {
+                    twins = Some(found.id);
+                }
+                if !scan.json {
+                    say(&format!("{} at {baud} baud: servo {}, {model}", series.name, found.id))?;
+                }
+                all.push(serde_json::json!({ "protocol": series.protocol, "baud": baud, "servo": found }));
+            }
+        }
+    }
+    if scan.json {
+        say(&serde_json::json!({ "servos": all }).to_string())?;
+    }
+    match (twins, all.is_empty()) {
+        (Some(id), _) => Err(ToolError::Twins(id)),
+        (None, true) => Err(ToolError::Nobody(format!(" at {}", scan.port))),
+        (None, false) => Ok(()),
+    }
+}
+
+fn calibrate(what: &Calibrate) -> Result<(), ToolError> {
+    if !(0.01..=100.0).contains(&what.max_speed) {
+        return Err(ToolError::Refused(format!("--max-speed {}: give 0.01 to 100 rad/s", what.max_speed)));
+    }
+    if what.out.exists() && !what.force {
+        let text = format!("{}: the file is there already; give another --out, or --force", what.out.display());
+        return Err(ToolError::Refused(text));
+    }
+    let mut bus = what.which.open()?;
+    let mut input = std::io::stdin().lock();
+    let calibration = tools::calibrate(&mut bus, &what.ids, what.max_speed, &mut input, &mut std::io::stdout())?;
+    calibration.save(&what.out)?;
+    say(&format!("written to {}", what.out.display()))
+}
+
+fn watch(what: &Watch, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
+    let mut bus = what.which.open()?;
+    tools::identify(&mut bus, &what.ids)?;
+    while !stop() {
+        for &id in &what.ids {
+            let look = tools::look(&mut bus, id)?;
+            say(&if what.json { serde_json::json!(look).to_string() } else { look.line() })?;
+        }
+        if what.once {
+            break;
+        }
+        pause(200_000_000);
+    }
+    Ok(())
+}

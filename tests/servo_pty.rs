@@ -1,0 +1,182 @@
+//! The real `tectum-servo-emulator` behind its pseudo-terminal, spoken to over the operating system's serial port.
+
+mod support;
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::path::Path;
+use std::process::{Child, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
+
+use serde_json::Value;
+use support::{Place, signal_process};
+use tectum::servo::bus::{Budget, Bus, BusError};
+use tectum::servo::model::Protocol;
+
+const EMULATOR: &str = env!("CARGO_BIN_EXE_tectum-servo-emulator");
+
+/// Far more than any stall of a busy machine takes away.
+const BUDGET: Budget = Budget { read_ns: 4_000_000_000, write_ns: 4_000_000_000 };
+
+/// A running emulator; dropped, it is killed.
+struct Emulator {
+    child: Child,
+    commands: Option<ChildStdin>,
+    lines: BufReader<ChildStdout>,
+}
+
+impl Emulator {
+    fn start(place: &Place, arguments: &[&str]) -> Self {
+        let mut child = Command::new(EMULATOR)
+            .args(["--json", "--control"])
+            .args(arguments)
+            .current_dir(place.path())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let commands = child.stdin.take();
+        let lines = BufReader::new(child.stdout.take().unwrap());
+        Self { child, commands, lines }
+    }
+
+    fn line(&mut self) -> Value {
+        let mut text = String::new();
+        self.lines.read_line(&mut text).unwrap();
+        serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: {text:?}"))
+    }
+
+    /// The next line that is about torque of one servo: whose, and whether it is on.
+    fn torque(&mut self) -> (u64, bool) {
+        let line = self.line();
+        let servo = &line["servos"][0];
+        (servo["id"].as_u64().unwrap(), servo["torque"].as_bool().unwrap())
+    }
+
+    fn say(&mut self, command: &str) {
+        writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
+    }
+
+    fn end(mut self, signal: &str) -> ExitStatus {
+        signal_process(self.child.id(), signal);
+        self.child.wait().unwrap()
+    }
+}
+
+impl Drop for Emulator {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn open(path: &Path, protocol: Protocol) -> Result<Bus, BusError> {
+    Bus::open(path.to_str().unwrap(), protocol, 1_000_000, BUDGET)
+}
+
+#[test]
+fn hosts_come_and_go_and_the_hand_moves_what_has_no_torque() {
+    for (protocol, word) in [(Protocol::Dynamixel, "dynamixel"), (Protocol::Feetech, "feetech")] {
+        let place = Place::new();
+        let link = place.path().join("arm");
+        let mut emulator = Emulator::start(&place, &["--protocol", word, "--ids", "1,2", "--link", "arm", "--trace"]);
+        let first = emulator.line();
+        assert_eq!((&first["port"], &first["ids"][1]), (&Value::from("arm"), &Value::from(2)), "{first}");
+        assert_eq!([emulator.torque(), emulator.torque()], [(1, false), (2, false)]);
+        for _ in 0..2 {
+            let mut bus = open(&link, protocol).unwrap();
+            let series = bus.series();
+            let there = [1, 2].map(|id| bus.ping(id));
+            assert_eq!(there, [true, true]);
+            bus.write(2, series.torque_enable, 1).unwrap();
+            assert_eq!(emulator.torque(), (2, true));
+            bus.torque_off(&[1, 2]);
+            assert_eq!(emulator.torque(), (2, false));
+        }
+        let mut bus = open(&link, protocol).unwrap();
+        let series = bus.series();
+        emulator.say("hand 1 3000");
+        assert_eq!(emulator.line()["servos"][0]["position"], 3000.0);
+        assert_eq!(bus.read(1, series.position).unwrap(), 3000);
+        let answers = bus.sync_read(&[2, 1], series.state).0.unwrap();
+        let positions: Vec<_> =
+            answers.iter().map(|answer| series.state.decode(series.position, &answer.bytes)).collect();
+        assert_eq!(positions, [Some(2048), Some(3000)]);
+        assert!(emulator.end("TERM").success());
+        assert!(link.symlink_metadata().is_err(), "the link goes with the emulator");
+    }
+}
+
+#[test]
+fn one_host_at_a_time_and_a_clear_word_for_the_second() {
+    let place = Place::new();
+    let mut emulator = Emulator::start(&place, &["--link", "arm"]);
+    emulator.line();
+    let link = place.path().join("arm");
+    let mut first = open(&link, Protocol::Dynamixel).unwrap();
+    assert!(first.ping(1));
+    let second = open(&link, Protocol::Dynamixel);
+    assert!(matches!(second, Err(BusError::Busy(_))));
+    drop(first);
+    assert!(open(&link, Protocol::Dynamixel).unwrap().ping(1));
+    assert!(matches!(open(&place.path().join("leg"), Protocol::Dynamixel), Err(BusError::NoPort(_))));
+    assert!(emulator.end("INT").success());
+}
+
+#[test]
+fn faults_come_from_the_scenario_and_from_the_command_line() {
+    let place = Place::new();
+    let table = "[plant.emulator]\nmodel = \"XM430-W350\"\n[[plant.emulator.faults]]\nkind = \"no-reply\"\nservo = 2\nfrom_s = 0.0\n";
+    let text = std::fs::read_to_string("scenarios/paper.toml").unwrap();
+    let scenario = place.file("arm.toml", format!("{text}\n{table}"));
+    let arguments =
+        ["--scenario", scenario.to_str().unwrap(), "--link", "arm", "--ids", "1,2,3", "--fault", "cable-out:3"];
+    let mut emulator = Emulator::start(&place, &arguments);
+    emulator.line();
+    let budget = Budget { read_ns: 300_000_000, ..BUDGET };
+    let mut bus =
+        Bus::open(place.path().join("arm").to_str().unwrap(), Protocol::Dynamixel, 1_000_000, budget).unwrap();
+    // The first two are there, though one never answers; the third has no cable.
+    let model = bus.series().model;
+    assert_eq!(bus.read(1, model).unwrap(), 1020);
+    assert_eq!([2, 3].map(|id| bus.ping(id)), [false, false]);
+    let torque = bus.series().torque_enable;
+    bus.sync_set(&[2, 3], torque, |_| 1).unwrap();
+    // What comes after it is obeyed after it.
+    assert_eq!(bus.read(1, model).unwrap(), 1020);
+    emulator.say("state");
+    let state = emulator.line();
+    assert_eq!([0, 1, 2].map(|i| state["servos"][i]["torque"].as_bool().unwrap()), [false, true, false]);
+}
+
+#[test]
+fn it_ends_with_the_process_that_it_is_told() {
+    let place = Place::new();
+    let mut parent = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+    let mut emulator = Emulator::start(&place, &["--link", "arm", "--parent", &parent.id().to_string()]);
+    emulator.line();
+    drop(parent.stdin.take());
+    parent.wait().unwrap();
+    assert!(emulator.child.wait().unwrap().success());
+    assert!(place.path().join("arm").symlink_metadata().is_err());
+}
+
+#[test]
+fn what_it_cannot_do_it_says_in_one_line() {
+    let place = Place::new();
+    let file = place.file("precious", "words");
+    for (arguments, said) in [
+        (&["--ids", "253"][..], "--ids 253: the highest id of Dynamixel X is 252"),
+        (&["--baud", "1234"], "--baud 1234: Dynamixel X has 9600, "),
+        (&["--fault", "gremlins:1"], "--fault gremlins:1: there are no-reply, bad-checksum, "),
+        (&["--fault", "slow:x"], "--fault slow:x: \"x\" is no id"),
+        (&["--fault", "slow:1:5:2"], "--fault slow:1:5:2: "),
+        (&["--fault", "slow:1.5"], "--fault slow:1.5: \"1.5\" is no id"),
+        (&["--fault", "slow:1:2:3:4"], "--fault slow:1:2:3:4: "),
+        (&["--scenario", "none.toml"], "none.toml"),
+        (&["--link", "precious"], "precious: no terminal can be put there: "),
+    ] {
+        let outcome = place.start(EMULATOR, arguments).wait().expect(1);
+        assert!(outcome.stderr.contains(said), "{arguments:?}: {}", outcome.stderr);
+        assert_eq!(outcome.stderr.lines().count(), 1, "{}", outcome.stderr);
+    }
+    assert_eq!(std::fs::read(file).unwrap(), b"words");
+}
