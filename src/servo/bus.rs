@@ -65,8 +65,6 @@ pub struct Bus {
     handler: DynamixelProtocolHandler,
     series: &'static Series,
     budget: Budget,
-    /// Keeps other bridges and tools off the port.
-    _lock: Option<File>,
 }
 
 /// A servo's answer in a synchronous read.
@@ -84,14 +82,16 @@ impl Bus {
     /// # Errors
     /// When there is no such port, it is another's, or the operating system refuses it.
     pub fn open(path: &str, protocol: Protocol, baud: u32, budget: Budget) -> Result<Self, BusError> {
-        let lock = take(path)?;
+        // serialport takes the same lock itself, and says less of why it cannot: ours is given back first.
+        drop(take(path)?);
         let opened = serialport::new(path, baud).timeout(Duration::from_nanos(budget.read_ns)).open();
         let port = opened.map_err(|error| match error.kind() {
+            _ if error.description.contains("exclusive lock") => BusError::Busy(path.to_owned()),
             serialport::ErrorKind::NoDevice if error.description.contains("busy") => BusError::Busy(path.to_owned()),
             serialport::ErrorKind::Io(ErrorKind::ResourceBusy) => BusError::Busy(path.to_owned()),
             _ => BusError::Port(path.to_owned(), error.to_string()),
         })?;
-        Ok(Self { _lock: Some(lock), ..Self::over(port, protocol, budget, Box::new(crate::clock::monotonic_ns)) })
+        Ok(Self::over(port, protocol, budget, Box::new(crate::clock::monotonic_ns)))
     }
 
     /// A bus over a port that is open.
@@ -101,7 +101,7 @@ impl Bus {
             Protocol::Feetech => DynamixelProtocolHandler::v1(),
         };
         let port = Paced { port, clock, until: u64::MAX };
-        Self { port, handler, series: protocol.series(), budget, _lock: None }
+        Self { port, handler, series: protocol.series(), budget }
     }
 
     /// The series on it.
