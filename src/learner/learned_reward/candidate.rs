@@ -101,17 +101,20 @@ impl Candidate {
     /// Takes the cost since the last call, of `movements` movements, into the running mean.
     pub fn settle(&mut self, movements: usize) {
         let cost = self.cost / movements as f32;
-        self.mean_cost += if self.mean_cost == 0.0 { cost } else { NEWEST * (cost - self.mean_cost) };
+        if cost.is_finite() {
+            self.mean_cost += if self.mean_cost == 0.0 { cost } else { NEWEST * (cost - self.mean_cost) };
+        }
         self.cost = 0.0;
         self.age += 1;
     }
 
     /// One step of size `step` down the slope that was summed up over `ticks` imagined ticks. Returns the norm of the
-    /// mean slope; one that is not finite changes nothing.
+    /// mean slope; one that is not finite is dropped and changes nothing.
     pub fn descend(&mut self, sights: &mut [Sight; 2], ticks: usize, step: f32) -> f32 {
         let squares: f32 = self.slope.iter().flatten().map(|s| s * s).sum();
         let norm = squares.sqrt() / ticks as f32;
         if !norm.is_finite() {
+            self.slope.iter_mut().flatten().for_each(|s| *s = 0.0);
             return norm;
         }
         let share = 1.0 / (ticks as f32 * norm.max(1.0));

@@ -186,14 +186,19 @@ impl LearnedReward {
                 state[..still].copy_from_slice(&place[..still]);
                 let inputs = &state[..count];
                 let end = self.rehearsal.imagine(candidate, &mut self.reward, &self.movement, inputs);
-                candidate.ends[movement] = end;
+                // Where a movement went beyond all numbers nobody goes on.
+                candidate.ends[movement] = if end.iter().all(|x| x.is_finite()) { end } else { recalled };
             }
         }
         let ticks = self.table.movements * self.table.horizon;
         let steps = [&self.champion, &self.challenger].map(|c| self.step(c.age));
         let sights = &mut self.rehearsal.sights;
-        self.slope_norm = self.champion.descend(sights, ticks, steps[0]);
-        self.halted = !self.slope_norm.is_finite();
+        // A model that is wrong for some ticks, of a body that has just surprised, can imagine movements without bound. Such a step is
+        // dropped: the model will be better soon.
+        let norm = self.champion.descend(sights, ticks, steps[0]);
+        if norm.is_finite() {
+            self.slope_norm = norm;
+        }
         if rivals && !self.challenger.descend(sights, ticks, steps[1]).is_finite() {
             self.renew();
         }
