@@ -121,7 +121,7 @@ impl Arm {
         (stop, if stop == there { rate } else { (stop - from) / self.period })
     }
 
-    /// A body that is somebody else's: `theta` was measured of it (rad, as this arm's angles), and `rates` were applied (rad/s).
+    /// A body that is somebody else's: `theta` was measured of it (rad, as this arm's angles), and its `rates` (rad/s).
     /// What comes of it is reckoned as for the arm itself, by its model: lengths, base and the way that angles are counted.
     pub fn measured(&mut self, tick: u64, theta: &[f32], rates: &[f32]) -> Outcome {
         if !self.table.shorten.is_empty() {

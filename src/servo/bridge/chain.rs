@@ -7,7 +7,7 @@ use crate::servo::model::{STEP, STEPS_PER_TURN};
 use crate::wire::MAX_OUTPUTS;
 
 /// To [-pi, pi).
-fn wrap(angle: f64) -> f64 {
+pub(super) fn wrap(angle: f64) -> f64 {
     angle - TAU * libm::floor((angle + PI) / TAU)
 }
 

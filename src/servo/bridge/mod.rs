@@ -2,8 +2,8 @@
 //!
 //! *What is real and what is a model.* Angles are measured. The end-effector is where a model of the arm, `[plant.arm]`, has it with
 //! the measured angles; error and reward are reckoned from that, and nobody has seen the end-effector. The model is used for the
-//! reward and the measures alone; targets are drawn as in the simulator. The reward's speed is the applied rate, as in the
-//! simulator, so that an ideal chain of servos earns what the simulator earns, to within its resolution.
+//! reward and the measures alone; targets are drawn as in the simulator. The reward's speed is the
+//! measured one, since a motor lags behind its goal: an ideal chain of servos earns what the simulator earns, to within its resolution.
 //!
 //! *Motors and outputs.* A motor turns a segment against the one before it. With `angles = "absolute"` the inputs are the segments'
 //! directions, running sums of the motors' angles, and a motor's rate is the difference of two outputs. Limits are the motors': when
@@ -349,8 +349,8 @@ impl Plant for Bridge {
         more
     }
 
-    fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome {
-        let before = self.safety.state();
+    fn advance(&mut self, tick: u64, _applied: &[f32]) -> Outcome {
+        let (before, stood) = (self.safety.state(), self.theta);
         let (heard, mut took) = self.measure();
         self.blind = heard.is_err();
         self.safety.hear(heard.ok());
@@ -366,8 +366,8 @@ impl Plant for Bridge {
         }
         self.tell(tick, before);
         let mut rates = [0.0; MAX_OUTPUTS];
-        for (rate, u) in rates.iter_mut().zip(applied) {
-            *rate = self.gain * u;
+        for (rate, (now, then)) in rates.iter_mut().zip(self.theta.iter().zip(stood)) {
+            *rate = chain::wrap(f64::from(now - then)) as f32 / self.period;
         }
         let mut outcome = self.arm.measured(tick, &self.theta, &rates);
         let first = if self.collides { 4 } else { 3 };
