@@ -241,6 +241,13 @@ enum tectum_flag {
     TECTUM_RAMPED = 1 << 14,
     /* Command: the controller heard nothing of this tick; the sample stands for silence, and counts as missed. */
     TECTUM_UNHEARD = 1 << 15,
+    /* Observation: the body is real and torque is off, because nobody has armed it; nothing was applied. */
+    TECTUM_UNARMED = 1 << 19,
+    /* Observation: the body is real and its own safety has turned torque off; nothing was applied. */
+    TECTUM_TRIPPED = 1 << 20,
+    /* Observation: the body could not be read in tick k-1 or for this observation; inputs and reward are those of
+     * before. */
+    TECTUM_BLIND = 1 << 21,
     /* Learning: the weights were changed with the reward of tick k-1. */
     TECTUM_LEARNED = 1 << 16,
     /* Learning: the trace was cleared, because what happened in tick k-1 is not what the policy asked for. */

@@ -89,7 +89,6 @@ fn the_swap_is_the_plant_alone() {
 }
 
 #[test]
-#[ignore = "not run yet in this form"]
 fn an_ideal_chain_learns_as_the_simulator_does() {
     let ticks = 1600;
     let simulated: Vec<f64> = (1..=4)
@@ -124,6 +123,58 @@ fn unarmed_it_reads_and_torque_stays_off() {
         assert_eq!(observation.applied, [0.0; 8]);
         assert_ne!(observation.header.flags & flag::UNARMED, 0);
     }
+}
+
+#[test]
+fn whoever_arms_late_begins_gently() {
+    let plan =
+        plan("", 140, |text| text.replace("\"learned-reward\"", "\"paper\"").replace("sigma = 0.001", "sigma = 0.01"));
+    let setup = set_up(&plan);
+    let key = setup.bridge.key();
+    // The gate's ramp is long over when torque comes on.
+    let (all, torque, _) = run(&plan, setup, |tick| {
+        key.store(tick == 100, std::sync::atomic::Ordering::Relaxed);
+        true
+    });
+    let first = torque.iter().position(|&on| on).unwrap();
+    assert_eq!(first, 100);
+    for (tick, observation) in (0..).zip(&all).skip(first + 1) {
+        let most = 0.01 * ((tick - first) as f32 / 21.0).min(1.0);
+        assert!(observation.applied.iter().all(|u| u.abs() <= most + 1e-6), "tick {tick}: {:?}", observation.applied);
+    }
+    assert!(all[first + 1].header.flags & flag::RAMPED != 0);
+}
+
+/// An hour of everything at once: whatever happens, what is applied is within limits, no tick is longer than a tick, and torque is on
+/// in no tick that says it is off.
+#[test]
+fn an_hour_of_mixed_faults() {
+    let mixed: String = ["no-reply", "bad-checksum", "wrong-id", "slow", "cable-out"]
+        .map(|kind| format!("[[plant.emulator.faults]]\nkind = \"{kind}\"\nprobability = 0.001\n"))
+        .concat();
+    let plan = plan(&mixed, 72_000, |text| text.replace("\"learned-reward\"", "\"paper\""));
+    let mut setup = set_up(&plan);
+    setup.bridge.arm().unwrap();
+    let key = setup.bridge.key();
+    let (all, torque, bridge) = run(&plan, setup, |tick| {
+        // Somebody looks at it every ten seconds.
+        key.store(tick % 200 == 0, std::sync::atomic::Ordering::Relaxed);
+        tick % 1009 > 8
+    });
+    let most = 0.01 * 1.0001;
+    for (observation, on) in all[1..].iter().zip(&torque) {
+        let off = observation.header.flags & (flag::UNARMED | flag::TRIPPED) != 0;
+        assert!(observation.applied.iter().all(|u| u.abs() <= most), "{:?}", observation.applied);
+        assert!(!off || observation.applied == [0.0; 8], "tick {}", observation.header.tick);
+        assert!(!(off && *on) || observation.header.flags & flag::BLIND != 0, "tick {}", observation.header.tick);
+    }
+    let driven = torque.iter().filter(|on| **on).count();
+    assert!(
+        bridge.report.blind > 10 && driven > 36_000,
+        "{} blind, {driven} driven, {:?}",
+        bridge.report.blind,
+        bridge.report.events
+    );
 }
 
 /// A fault for the table: the emulator's table, or commands that stay away, from tick 100 to tick 200.
@@ -163,7 +214,6 @@ fn row(name: &str, emulator: &str, protocol: &str, away: bool) -> String {
 }
 
 #[test]
-#[ignore = "its table is not made yet: TECTUM_BLESS=1"]
 fn what_each_fault_does() {
     let mut table = String::from("A fault from tick 100 to tick 200 of 400, of 50 ms each: what it does.\n\n");
     for protocol in ["dynamixel", "feetech"] {

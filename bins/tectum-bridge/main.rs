@@ -13,7 +13,7 @@ use tectum::clock::{monotonic_ns, pause};
 use tectum::process::say;
 use tectum::runtime::{RuntimeError, Seat, exit, run_plant};
 use tectum::servo::bridge::{Bridge, joints_of};
-use tectum::servo::bus::Bus;
+use tectum::servo::bus::{Budget, Bus, BusError};
 use tectum::servo::model::Protocol;
 use tectum::wire::Role;
 
@@ -93,8 +93,7 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
         }
         port => (None, port.to_owned()),
     };
-    let bus = Bus::open(&port, table.protocol, table.baud, Bridge::budget(&seat.plan));
-    let bus = bus.map_err(|error| bad(error.to_string()))?;
+    let bus = open(&port, table.protocol, table.baud, Bridge::budget(&seat.plan)).map_err(|e| bad(e.to_string()))?;
     let _guard = Helper::start(&mut guard::command(&port, table.protocol, table.baud, &ids)).map_err(bad)?;
     let tell = Box::new(|text: &str| say(&format!("tectum-bridge: {text}")));
     let mut bridge = Bridge::new(&seat.plan, bus, joints, tell).map_err(|error| bad(error.to_string()))?;
@@ -112,6 +111,17 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
         let _ = writeln!(std::io::stdout(), "{}", serde_json::to_string(&report).unwrap_or_default());
     }
     Ok(())
+}
+
+/// Opens the port. The guard of a bridge that was killed may have it for a moment, while it turns torque off.
+fn open(port: &str, protocol: Protocol, baud: u32, budget: Budget) -> Result<Bus, BusError> {
+    let until = monotonic_ns() + 500_000_000;
+    loop {
+        match Bus::open(port, protocol, baud, budget) {
+            Err(BusError::Busy(_)) if monotonic_ns() < until => pause(20_000_000),
+            opened => return opened,
+        }
+    }
 }
 
 /// At a terminal: a and Enter arm.

@@ -21,7 +21,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 /// A run that takes longer hangs.
-const WATCHDOG: Duration = Duration::from_secs(120);
+pub const WATCHDOG: Duration = Duration::from_secs(120);
 
 /// The `tectum` under test.
 pub const TECTUM: &str = env!("CARGO_BIN_EXE_tectum");

@@ -39,6 +39,9 @@ use crate::wire::{MAX_OUTPUTS, flag};
 /// Dynamixel's bus watchdog counts in 20 ms; the servo stops when it hears nothing for so long.
 const WATCHDOG: i32 = 10;
 
+/// Ticks over which commands grow after torque came on, where the gate has no ramp of its own.
+const RAMP: u32 = 20;
+
 /// Every so many ticks all servos are asked whether they still have torque.
 const TORQUE_EVERY: u64 = 20;
 
@@ -57,6 +60,10 @@ pub struct Bridge {
     period: f32,
     within: u64,
     safety: Safety,
+    /// The largest command of each output, and the ticks over which it is reached after torque came on; ticks since then.
+    most: Outputs,
+    ramp: u32,
+    driven: u32,
     /// What the motors' angles are, rad, and the outputs' angles.
     motors: [f64; MAX_OUTPUTS],
     theta: Outputs,
@@ -100,6 +107,12 @@ impl Bridge {
             period: period_s as f32,
             within: (within * 1e6) as u64,
             safety: Safety::new(table.lost_after),
+            most: std::array::from_fn(|i| plan.scenario.gate.max_command.of(i) as f32),
+            ramp: match plan.scenario.gate.ramp_ticks {
+                0 => RAMP,
+                ticks => ticks,
+            },
+            driven: 0,
             motors: [0.0; MAX_OUTPUTS],
             theta: [0.0; MAX_OUTPUTS],
             raw: [0; MAX_OUTPUTS],
@@ -213,6 +226,23 @@ impl Bridge {
         }
     }
 
+    /// Brings the first commands after torque came on within a part of the largest one that grows to the whole. The gate's own ramp
+    /// counts from the first command, which may have come long before anybody armed the arm.
+    fn ease(&self, applied: &mut [f32]) -> u32 {
+        if self.driven >= self.ramp {
+            return 0;
+        }
+        let share = (self.driven + 1) as f32 / (self.ramp + 1) as f32;
+        let mut flags = 0;
+        for (u, most) in applied.iter_mut().zip(self.most) {
+            let eased = u.clamp(-most * share, most * share);
+            if eased != *u {
+                (*u, flags) = (eased, flag::CLAMPED | flag::RAMPED);
+            }
+        }
+        flags
+    }
+
     /// Limits `applied` to what the motors can do; their rates, rad/s, and the flags of what was limited.
     fn limit(&self, applied: &mut [f32]) -> ([f64; MAX_OUTPUTS], u32) {
         let n = self.ids.len();
@@ -315,8 +345,14 @@ impl Plant for Bridge {
             if let Err(error) = &checked {
                 (self.say)(&format!("tick {tick}: {error}"));
             }
-            if checked.is_err() || !self.rise() {
-                self.safety.trip(Cause::Refused);
+            let trouble = match checked {
+                Ok(()) => (!self.rise()).then_some(Cause::BusLost),
+                // Who says nothing refuses nothing.
+                Err(BridgeError::Silent(_)) => Some(Cause::BusLost),
+                Err(_) => Some(Cause::Refused),
+            };
+            if let Some(cause) = trouble {
+                self.safety.trip(cause);
                 drive = Drive::Off;
             }
         }
@@ -335,6 +371,8 @@ impl Plant for Bridge {
                 more |= flag::BLIND;
             }
             Drive::Rise | Drive::Go => {
+                self.driven = if drive == Drive::Rise { 0 } else { self.driven.saturating_add(1) };
+                more |= self.ease(applied);
                 let (rates, limited) = self.limit(applied);
                 more |= limited;
                 if !self.drive(&rates) {

@@ -72,7 +72,10 @@ impl Shaft {
     /// One short step towards a position, slow enough to be able to stop there.
     fn step(&mut self, goal: f64, most: f64, acceleration: f64, h: f64) {
         let way = goal - self.at;
-        let wanted = (2.0 * acceleration * way.abs()).sqrt().min(most).min(way.abs() / h).copysign(way);
+        // Half a step's change: exactly what can still be braked in whole steps.
+        let half = 0.5 * acceleration * h;
+        let stoppable = (half * half + 2.0 * acceleration * way.abs()).sqrt() - half;
+        let wanted = stoppable.min(most).min(way.abs() / h).copysign(way);
         let change = (wanted - self.speed).clamp(-acceleration * h, acceleration * h);
         self.speed += change;
         self.at += self.speed * h;
