@@ -10,7 +10,9 @@
 //! one of them is asked for more than its `max_speed`, all rates shrink by one factor; one that would leave its `range` goes to its end.
 //! What is left of the command after that is what was applied, and is said so in the observation.
 //!
-//! *What a tick costs* is bounded by the bus's [`Budget`], whatever the bus does, and both times are measures: `bus_read_us`, `bus_write_us`.
+//! *What a tick costs.* Each instruction is bounded by the bus's [`Budget`], whatever the bus does. A tick has one read and one write; more only
+//! where a servo reports an error, where torque goes on, and every 20 ticks, when all are asked whether they have it. Both times are
+//! measures: `bus_read_us`, `bus_write_us`.
 
 mod chain;
 mod checks;
