@@ -21,7 +21,7 @@ const EXAMPLE: &str = "Four servos that a bridge, or any program for such servos
 #[command(version = tectum::BUILD, after_help = EXAMPLE)]
 struct Arguments {
     /// What the servos speak
-    #[arg(long, default_value = "dynamixel", value_parser = ["dynamixel", "feetech"])]
+    #[arg(long, default_value = "dynamixel", value_parser = Protocol::NAMES)]
     protocol: String,
     /// Their ids, in the order of the wire; one that stands twice makes two servos that talk at once
     #[arg(long, value_delimiter = ',', default_value = "1,2,3,4")]
@@ -66,11 +66,10 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<(), String> {
-    let protocol = if arguments.protocol == "feetech" { Protocol::Feetech } else { Protocol::Dynamixel };
+    let protocol = Protocol::named(&arguments.protocol);
     let series = protocol.series();
-    if !series.bauds.iter().any(|&(baud, _)| baud == arguments.baud) {
-        let known: Vec<_> = series.bauds.iter().map(|(baud, _)| baud.to_string()).collect();
-        return Err(format!("--baud {}: {} has {}", arguments.baud, series.name, known.join(", ")));
+    if let Err(known) = series.check_baud(arguments.baud) {
+        return Err(format!("--baud {}: {} has {known}", arguments.baud, series.name));
     }
     if let Some(id) = arguments.ids.iter().find(|&&id| id > series.max_id) {
         return Err(format!("--ids {id}: the highest id of {} is {}", series.name, series.max_id));

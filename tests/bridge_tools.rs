@@ -1,59 +1,31 @@
 //! The tools of `tectum-bridge`, the real program, on an emulated chain behind a real terminal: what they find and write, and that bad
 //! input ends in one clear sentence with torque never on.
 
+#[path = "support/emulator.rs"]
+mod emulator;
 mod support;
 
 use std::io::{BufRead as _, BufReader, Write as _};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 
+use emulator::Emulator;
 use serde_json::Value;
 use support::Place;
 use tectum::servo::tools::Calibration;
 
-const EMULATOR: &str = env!("CARGO_BIN_EXE_tectum-servo-emulator");
 const BRIDGE: &str = env!("CARGO_BIN_EXE_tectum-bridge");
 
-/// An emulator at `arm` in a place, which tells of every torque that goes on or off. Dropped, it is killed.
-struct Emulator {
-    child: Child,
-    commands: ChildStdin,
-    lines: BufReader<ChildStdout>,
+/// An emulator at `arm` in a place.
+fn start(place: &Place, arguments: &[&str]) -> Emulator {
+    let mut emulator = Emulator::start(place, &[&["--link", "arm"], arguments].concat());
+    assert!(emulator.line()["port"].is_string());
+    emulator
 }
 
-impl Emulator {
-    fn start(place: &Place, arguments: &[&str]) -> Self {
-        let mut child = Command::new(EMULATOR)
-            .args(["--json", "--control", "--link", "arm"])
-            .args(arguments)
-            .current_dir(place.path())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let commands = child.stdin.take().unwrap();
-        let mut emulator = Self { commands, lines: BufReader::new(child.stdout.take().unwrap()), child };
-        assert!(emulator.line()["port"].is_string());
-        emulator
-    }
-
-    fn line(&mut self) -> Value {
-        let mut text = String::new();
-        self.lines.read_line(&mut text).unwrap();
-        serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: {text:?}"))
-    }
-
-    /// How all servos are.
-    fn ask(&mut self, command: &str) -> Vec<Value> {
-        writeln!(self.commands, "{command}").unwrap();
-        self.line()["servos"].as_array().unwrap().clone()
-    }
-}
-
-impl Drop for Emulator {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+/// What it answers: how all servos are.
+fn ask(emulator: &mut Emulator, command: &str) -> Vec<Value> {
+    emulator.say(command);
+    emulator.line()["servos"].as_array().unwrap().clone()
 }
 
 fn tool(place: &Place, arguments: &[&str]) -> Output {
@@ -75,7 +47,7 @@ const ON: [&str; 4] = ["--port", "arm", "--protocol", "feetech"];
 fn scan_finds_ids_and_models_and_says_when_there_are_none_or_twins() {
     let place = Place::new();
     for (protocol, model) in [("feetech", "STS3215"), ("dynamixel", "XL330-M288")] {
-        let _emulator = Emulator::start(&place, &["--protocol", protocol, "--ids", "1,3"]);
+        let _emulator = start(&place, &["--protocol", protocol, "--ids", "1,3"]);
         let scan = ["scan", "--port", "arm", "--protocol", protocol, "--baud", "1000000", "--max-id", "5", "--json"];
         let output = tool(&place, &scan);
         let found: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {output:?}"));
@@ -83,7 +55,7 @@ fn scan_finds_ids_and_models_and_says_when_there_are_none_or_twins() {
         assert_eq!(servos.iter().map(|s| s["id"].as_u64().unwrap()).collect::<Vec<_>>(), [1, 3]);
         assert!(servos.iter().all(|servo| servo["model"] == model), "{found}");
     }
-    let _emulator = Emulator::start(&place, &["--protocol", "feetech", "--ids", "1,2,2"]);
+    let _emulator = start(&place, &["--protocol", "feetech", "--ids", "1,2,2"]);
     let scan = ["scan", "--port", "arm", "--baud", "1000000", "--max-id", "3", "--protocol"];
     assert!(refused(&tool(&place, &[&scan[..], &["feetech"]].concat())).contains("two servos"));
     assert!(refused(&tool(&place, &[&scan[..], &["dynamixel"]].concat())).contains("no servo answers"));
@@ -92,7 +64,7 @@ fn scan_finds_ids_and_models_and_says_when_there_are_none_or_twins() {
 #[test]
 fn calibration_by_hand_is_written_as_a_scenario_reads_it() {
     let place = Place::new();
-    let mut emulator = Emulator::start(&place, &["--protocol", "feetech", "--ids", "1,2"]);
+    let mut emulator = start(&place, &["--protocol", "feetech", "--ids", "1,2"]);
     let mut child = Command::new(BRIDGE)
         .args(["calibrate", "--ids", "1,2", "--out", "arm.toml", "--max-speed", "4.5"])
         .args(ON)
@@ -117,7 +89,7 @@ fn calibration_by_hand_is_written_as_a_scenario_reads_it() {
     for (id, at, answer) in steps {
         // Each step is asked for before the hand does it.
         said.by_ref().map(Result::unwrap).find(|line| line.contains(&format!("(servo {id})"))).unwrap();
-        let state = emulator.ask(&format!("hand {id} {at}"));
+        let state = ask(&mut emulator, &format!("hand {id} {at}"));
         assert!(state.iter().all(|servo| servo["torque"] == false));
         writeln!(answers, "{answer}").unwrap();
     }
@@ -139,11 +111,11 @@ fn calibration_by_hand_is_written_as_a_scenario_reads_it() {
 fn a_joint_is_moved_by_as_much_and_has_no_torque_afterwards() {
     for protocol in ["feetech", "dynamixel"] {
         let place = Place::new();
-        let mut emulator = Emulator::start(&place, &["--protocol", protocol, "--ids", "1,2"]);
+        let mut emulator = start(&place, &["--protocol", protocol, "--ids", "1,2"]);
         let jog = ["jog", "--port", "arm", "--protocol", protocol, "--id", "2", "--by", "-0.5", "--speed", "2"];
         let output = tool(&place, &jog);
         assert!(output.status.success(), "{output:?}");
-        let servos = emulator.ask("state");
+        let servos = ask(&mut emulator, "state");
         let at = servos[1]["position"].as_f64().unwrap();
         assert!((at - (2048.0 - 0.5 / tectum::servo::model::STEP)).abs() < 20.0, "{at}");
         assert_eq!(servos[0]["position"], 2048.0);
@@ -160,7 +132,7 @@ fn a_joint_is_moved_by_as_much_and_has_no_torque_afterwards() {
 #[test]
 fn what_cannot_be_is_refused_in_a_sentence_and_torque_is_never_on() {
     let place = Place::new();
-    let mut emulator = Emulator::start(&place, &["--protocol", "feetech", "--ids", "1,2,2", "--trace"]);
+    let mut emulator = start(&place, &["--protocol", "feetech", "--ids", "1,2,2", "--trace"]);
     // With --trace every servo is told of once, and then again only when its torque changes.
     for _ in 0..3 {
         assert_eq!(emulator.line()["servos"][0]["torque"], false);
@@ -198,7 +170,7 @@ fn what_cannot_be_is_refused_in_a_sentence_and_torque_is_never_on() {
     );
     assert!(jog(&["--id", "1"]).contains("another program has the port"));
     drop(held);
-    let state = emulator.ask("state");
+    let state = ask(&mut emulator, "state");
     assert_eq!(state.len(), 3, "torque went on in between: {state:?}");
     assert!(state.iter().all(|servo| servo["torque"] == false));
     // The trace would have told: with torque it does.

@@ -1,71 +1,31 @@
 //! The real `tectum-servo-emulator` behind its pseudo-terminal, spoken to over the operating system's serial port.
 
+#[path = "support/emulator.rs"]
+mod emulator;
 mod support;
 
-use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
-use std::process::{Child, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 
+use emulator::{EMULATOR, Emulator};
 use serde_json::Value;
 use support::{Place, signal_process};
 use tectum::servo::bus::{Budget, Bus, BusError};
 use tectum::servo::model::Protocol;
 
-const EMULATOR: &str = env!("CARGO_BIN_EXE_tectum-servo-emulator");
-
 /// Far more than any stall of a busy machine takes away.
 const BUDGET: Budget = Budget { read_ns: 4_000_000_000, write_ns: 4_000_000_000 };
 
-/// A running emulator; dropped, it is killed.
-struct Emulator {
-    child: Child,
-    commands: Option<ChildStdin>,
-    lines: BufReader<ChildStdout>,
+/// The next line that is about torque of one servo: whose, and whether it is on.
+fn torque(emulator: &mut Emulator) -> (u64, bool) {
+    let line = emulator.line();
+    let servo = &line["servos"][0];
+    (servo["id"].as_u64().unwrap(), servo["torque"].as_bool().unwrap())
 }
 
-impl Emulator {
-    fn start(place: &Place, arguments: &[&str]) -> Self {
-        let mut child = Command::new(EMULATOR)
-            .args(["--json", "--control"])
-            .args(arguments)
-            .current_dir(place.path())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let commands = child.stdin.take();
-        let lines = BufReader::new(child.stdout.take().unwrap());
-        Self { child, commands, lines }
-    }
-
-    fn line(&mut self) -> Value {
-        let mut text = String::new();
-        self.lines.read_line(&mut text).unwrap();
-        serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: {text:?}"))
-    }
-
-    /// The next line that is about torque of one servo: whose, and whether it is on.
-    fn torque(&mut self) -> (u64, bool) {
-        let line = self.line();
-        let servo = &line["servos"][0];
-        (servo["id"].as_u64().unwrap(), servo["torque"].as_bool().unwrap())
-    }
-
-    fn say(&mut self, command: &str) {
-        writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
-    }
-
-    fn end(mut self, signal: &str) -> ExitStatus {
-        signal_process(self.child.id(), signal);
-        self.child.wait().unwrap()
-    }
-}
-
-impl Drop for Emulator {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+fn end(mut emulator: Emulator, signal: &str) -> ExitStatus {
+    signal_process(emulator.child.id(), signal);
+    emulator.child.wait().unwrap()
 }
 
 fn open(path: &Path, protocol: Protocol) -> Result<Bus, BusError> {
@@ -80,16 +40,16 @@ fn hosts_come_and_go_and_the_hand_moves_what_has_no_torque() {
         let mut emulator = Emulator::start(&place, &["--protocol", word, "--ids", "1,2", "--link", "arm", "--trace"]);
         let first = emulator.line();
         assert_eq!((&first["port"], &first["ids"][1]), (&Value::from("arm"), &Value::from(2)), "{first}");
-        assert_eq!([emulator.torque(), emulator.torque()], [(1, false), (2, false)]);
+        assert_eq!([torque(&mut emulator), torque(&mut emulator)], [(1, false), (2, false)]);
         for _ in 0..2 {
             let mut bus = open(&link, protocol).unwrap();
             let series = bus.series();
             let there = [1, 2].map(|id| bus.ping(id));
             assert_eq!(there, [true, true]);
             bus.write(2, series.torque_enable, 1).unwrap();
-            assert_eq!(emulator.torque(), (2, true));
+            assert_eq!(torque(&mut emulator), (2, true));
             bus.torque_off(&[1, 2]);
-            assert_eq!(emulator.torque(), (2, false));
+            assert_eq!(torque(&mut emulator), (2, false));
         }
         let mut bus = open(&link, protocol).unwrap();
         let series = bus.series();
@@ -100,7 +60,7 @@ fn hosts_come_and_go_and_the_hand_moves_what_has_no_torque() {
         let positions: Vec<_> =
             answers.iter().map(|answer| series.state.decode(series.position, &answer.bytes)).collect();
         assert_eq!(positions, [Some(2048), Some(3000)]);
-        assert!(emulator.end("TERM").success());
+        assert!(end(emulator, "TERM").success());
         assert!(link.symlink_metadata().is_err(), "the link goes with the emulator");
     }
 }
@@ -118,7 +78,7 @@ fn one_host_at_a_time_and_a_clear_word_for_the_second() {
     drop(first);
     assert!(open(&link, Protocol::Dynamixel).unwrap().ping(1));
     assert!(matches!(open(&place.path().join("leg"), Protocol::Dynamixel), Err(BusError::NoPort(_))));
-    assert!(emulator.end("INT").success());
+    assert!(end(emulator, "INT").success());
 }
 
 #[test]

@@ -18,7 +18,7 @@ pub struct Arguments {
     parent: u32,
     #[arg(long)]
     port: String,
-    #[arg(long, value_parser = ["dynamixel", "feetech"])]
+    #[arg(long, value_parser = Protocol::NAMES)]
     protocol: String,
     #[arg(long)]
     baud: u32,
@@ -26,19 +26,11 @@ pub struct Arguments {
     ids: Vec<u8>,
 }
 
-/// The protocol as the command line has it.
-pub fn name(protocol: Protocol) -> &'static str {
-    match protocol {
-        Protocol::Dynamixel => "dynamixel",
-        Protocol::Feetech => "feetech",
-    }
-}
-
 /// This program as the guard of this process.
 pub fn command(port: &str, protocol: Protocol, baud: u32, ids: &[u8]) -> Command {
     let ids: Vec<_> = ids.iter().map(u8::to_string).collect();
     let mut command = Command::new(std::env::current_exe().unwrap_or_else(|_| "tectum-bridge".into()));
-    command.args(["guard", "--parent", &std::process::id().to_string(), "--port", port, "--protocol", name(protocol)]);
+    command.args(["guard", "--parent", &std::process::id().to_string(), "--port", port, "--protocol", protocol.name()]);
     command.args(["--baud", &baud.to_string(), "--ids", &ids.join(",")]);
     command
 }
@@ -50,7 +42,7 @@ pub fn run(arguments: &Arguments) -> ExitCode {
     while let Some(life) = Life::of(arguments.parent).filter(|life| !life.ended()) {
         Life::await_any(std::iter::once(&life), 60_000_000_000);
     }
-    let protocol = if arguments.protocol == "feetech" { Protocol::Feetech } else { Protocol::Dynamixel };
+    let protocol = Protocol::named(&arguments.protocol);
     let budget = Budget { read_ns: 20_000_000, write_ns: 20_000_000 };
     match Bus::open(&arguments.port, protocol, arguments.baud, budget) {
         Ok(mut bus) => {

@@ -163,7 +163,7 @@ fn emulate(folder: &Path, protocol: Protocol, baud: u32, ids: &[u8]) -> Result<(
     let link = folder.join(format!("servos.{}", std::process::id()));
     let ids: Vec<_> = ids.iter().map(u8::to_string).collect();
     let mut command = Command::new(beside.with_file_name("tectum-servo-emulator"));
-    command.args(["--protocol", guard::name(protocol), "--baud", &baud.to_string(), "--ids", &ids.join(",")]);
+    command.args(["--protocol", protocol.name(), "--baud", &baud.to_string(), "--ids", &ids.join(",")]);
     command.arg("--link").arg(&link).arg("--scenario").arg(folder.join("scenario.toml"));
     command.args(["--parent", &std::process::id().to_string()]);
     let mut child = Helper::start(&mut command)?;

@@ -29,7 +29,7 @@ struct Which {
     #[arg(long)]
     port: String,
     /// What the servos speak
-    #[arg(long, value_parser = ["dynamixel", "feetech"])]
+    #[arg(long, value_parser = Protocol::NAMES)]
     protocol: String,
     /// Bits a second
     #[arg(long, default_value_t = 1_000_000)]
@@ -43,7 +43,7 @@ pub struct Scan {
     #[arg(long)]
     port: String,
     /// What the servos speak; left out, both are tried
-    #[arg(long, value_parser = ["dynamixel", "feetech"])]
+    #[arg(long, value_parser = Protocol::NAMES)]
     protocol: Option<String>,
     /// Bits a second; left out, all that the series knows
     #[arg(long)]
@@ -110,10 +110,6 @@ pub struct Watch {
     json: bool,
 }
 
-fn protocol(name: &str) -> Protocol {
-    if name == "feetech" { Protocol::Feetech } else { Protocol::Dynamixel }
-}
-
 fn say(text: &str) -> Result<(), ToolError> {
     let mut out = std::io::stdout();
     writeln!(out, "{text}").and_then(|()| out.flush()).map_err(|error| ToolError::Io("standard output".into(), error))
@@ -121,10 +117,9 @@ fn say(text: &str) -> Result<(), ToolError> {
 
 impl Which {
     fn open(&self) -> Result<Bus, ToolError> {
-        let series = protocol(&self.protocol).series();
-        if !series.bauds.iter().any(|&(baud, _)| baud == self.baud) {
-            let known: Vec<_> = series.bauds.iter().map(|(baud, _)| baud.to_string()).collect();
-            return Err(ToolError::Refused(format!("--baud {}: {} has {}", self.baud, series.name, known.join(", "))));
+        let series = Protocol::named(&self.protocol).series();
+        if let Err(known) = series.check_baud(self.baud) {
+            return Err(ToolError::Refused(format!("--baud {}: {} has {known}", self.baud, series.name)));
         }
         Ok(Bus::open(&self.port, series.protocol, self.baud, tools::BUDGET)?)
     }
@@ -153,7 +148,7 @@ pub fn run(tool: &Tool) -> Result<(), ToolError> {
 
 fn find(scan: &Scan, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
     let protocols = match &scan.protocol {
-        Some(name) => vec![protocol(name)],
+        Some(name) => vec![Protocol::named(name)],
         None => vec![Protocol::Dynamixel, Protocol::Feetech],
     };
     let mut all = Vec::new();

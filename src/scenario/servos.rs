@@ -128,10 +128,8 @@ pub(super) fn check(plant: &PlantTable, period_ms: f64) -> Result<(), Problem> {
     if servos.port.trim().is_empty() || servos.port.contains('\0') {
         return Err(Problem::value("plant.servos.port", quoted(&servos.port), "give a device, or \"emulator\""));
     }
-    if !servos.protocol.series().bauds.iter().any(|(baud, _)| *baud == servos.baud) {
-        let known: Vec<_> = servos.protocol.series().bauds.iter().map(|(baud, _)| baud.to_string()).collect();
-        let remedy = format!("this series knows {}", known.join(", "));
-        return Err(Problem::value("plant.servos.baud", servos.baud, remedy));
+    if let Err(known) = servos.protocol.series().check_baud(servos.baud) {
+        return Err(Problem::value("plant.servos.baud", servos.baud, format!("this series knows {known}")));
     }
     if let Some(within) = servos.command_within_ms {
         let remedy = "give more than 0 ms and at most 0.8 of the period, so that there is time for the bus";

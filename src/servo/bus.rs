@@ -18,7 +18,7 @@ use rustix::fs::{FlockOperation, OFlags, flock};
 use rustypot::DynamixelProtocolHandler;
 use serialport::SerialPort;
 
-use super::model::{Block, Protocol, Register, Series};
+use super::model::{Block, Model, Protocol, Register, Series, model};
 
 /// Where the bus takes the time from, ns.
 pub type Clock = Box<dyn Fn() -> u64 + Send>;
@@ -147,6 +147,16 @@ impl Bus {
             }
         }
         Err(BusError::Silent(format!("servo {id} does not answer ({})", last.map_or(String::new(), |e| e.to_string()))))
+    }
+
+    /// The model number of one servo, and the model if its series has it.
+    ///
+    /// # Errors
+    /// As for [`Bus::read`].
+    pub fn model(&mut self, id: u8) -> Result<(i32, Option<&'static Model>), BusError> {
+        let number = self.read(id, self.series.model)?;
+        let known = u16::try_from(number).ok().and_then(|number| model(self.series.protocol, number));
+        Ok((number, known))
     }
 
     /// Sets a register of one servo, and waits for its word that it has done so.

@@ -306,6 +306,19 @@ pub const FEETECH_STS: Series = Series {
 };
 
 impl Protocol {
+    /// The names by which files and command lines call them.
+    pub const NAMES: [&'static str; 2] = ["dynamixel", "feetech"];
+
+    /// The name of this one.
+    pub fn name(self) -> &'static str {
+        Self::NAMES[self as usize]
+    }
+
+    /// The one of this name; a name that there is not reads as the first, since command lines take [`NAMES`](Self::NAMES) alone.
+    pub fn named(name: &str) -> Self {
+        if name == Self::Feetech.name() { Self::Feetech } else { Self::Dynamixel }
+    }
+
     /// The series that speaks it.
     pub fn series(self) -> &'static Series {
         match self {
@@ -313,6 +326,34 @@ impl Protocol {
             Protocol::Feetech => &FEETECH_STS,
         }
     }
+}
+
+impl Series {
+    /// Whether it knows a baud rate; if not, those that it knows, as a list for people.
+    ///
+    /// # Errors
+    /// The list.
+    pub fn check_baud(&self, baud: u32) -> Result<(), String> {
+        if self.bauds.iter().any(|&(known, _)| known == baud) {
+            return Ok(());
+        }
+        let known: Vec<_> = self.bauds.iter().map(|(baud, _)| baud.to_string()).collect();
+        Err(known.join(", "))
+    }
+}
+
+/// A servo of a model that its series has not.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "servo {id} says that it is model {number}, which is none of the {series} that this program knows; give another protocol, or id"
+)]
+pub struct UnknownModel {
+    /// The id.
+    pub id: u8,
+    /// What it says.
+    pub number: i32,
+    /// The series.
+    pub series: &'static str,
 }
 
 /// A model of a series.

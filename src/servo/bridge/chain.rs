@@ -26,13 +26,18 @@ pub fn raw(joint: &JointTable, angle: f64) -> i32 {
     joint.zero + libm::round(f64::from(joint.direction) * angle / STEP) as i32
 }
 
-/// The outputs' angles of motors' angles: sums along the chain where they are directions.
+/// What motors' angles or rates are as outputs: sums along the chain where those are directions.
+pub fn along(angles: Angles, motors: &[f64]) -> impl Iterator<Item = f64> {
+    motors.iter().scan(0.0, move |sum, motor| {
+        *sum = if angles == Angles::Absolute { *sum + motor } else { *motor };
+        Some(*sum)
+    })
+}
+
+/// The outputs' angles of motors' angles; directions come round.
 pub fn outputs(angles: Angles, motors: &[f64], outputs: &mut [f32]) {
-    let mut sum = 0.0;
-    for (to, motor) in outputs.iter_mut().zip(motors) {
-        sum = if angles == Angles::Absolute { sum + motor } else { *motor };
-        let wrapped = if angles == Angles::Absolute { wrap(sum) } else { sum };
-        *to = wrapped as f32;
+    for (to, angle) in outputs.iter_mut().zip(along(angles, motors)) {
+        *to = if angles == Angles::Absolute { wrap(angle) } else { angle } as f32;
     }
 }
 
@@ -95,9 +100,7 @@ mod tests {
             let kind = if relative { Angles::Relative } else { Angles::Absolute };
             let mut motor = [0.0; MAX_OUTPUTS];
             motors(kind, &rates, &mut motor);
-            let mut back = 0.0;
-            for (rate, motor) in rates.iter().zip(motor) {
-                back = if relative { motor } else { back + motor };
+            for (rate, back) in rates.iter().zip(along(kind, &motor)) {
                 prop_assert!((back - rate).abs() < 1e-9);
             }
         }

@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use crate::scenario::{Goal, JointTable, Plan, check_joints};
 use crate::servo::bus::{Bus, BusError};
-use crate::servo::model::{Protocol, Register, STEP, model};
+use crate::servo::model::{Protocol, Register, STEP, UnknownModel};
 
 /// Why the bridge does not start, or is not armed.
 #[derive(Debug, thiserror::Error)]
@@ -21,17 +21,8 @@ pub enum BridgeError {
     #[error("{0}; look at power, cable, baud rate and ids (`tectum-bridge scan`)")]
     Silent(String),
     /// Somebody else there.
-    #[error(
-        "servo {id} says that it is model {number}, which is none of the {series} that this program knows; give another protocol, or id"
-    )]
-    Model {
-        /// The id.
-        id: u8,
-        /// What it says.
-        number: i32,
-        /// The series.
-        series: &'static str,
-    },
+    #[error(transparent)]
+    Model(#[from] UnknownModel),
     /// The arm stands where it may not be.
     #[error(
         "servo {id} stands at {angle:.3} rad and its range is {low} to {high} rad; move the arm by hand, or correct zero, direction or range"
@@ -103,9 +94,9 @@ pub fn joints_of(plan: &Plan) -> Result<Vec<JointTable>, BridgeError> {
 pub(super) fn identify(bus: &mut Bus, joints: &[JointTable]) -> Result<(), BridgeError> {
     let series = bus.series();
     for joint in joints {
-        let number = bus.read(joint.id, series.model).map_err(|error| BridgeError::Silent(error.to_string()))?;
-        if u16::try_from(number).ok().and_then(|number| model(series.protocol, number)).is_none() {
-            return Err(BridgeError::Model { id: joint.id, number, series: series.name });
+        let (number, known) = bus.model(joint.id).map_err(|error| BridgeError::Silent(error.to_string()))?;
+        if known.is_none() {
+            return Err(UnknownModel { id: joint.id, number, series: series.name }.into());
         }
     }
     Ok(())

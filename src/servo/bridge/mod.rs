@@ -31,6 +31,7 @@ use hdrhistogram::Histogram;
 
 use super::bus::{Budget, Bus};
 use super::model::{STEP, error_bit};
+use crate::log::histogram;
 use crate::plant::{Arm, Joints, Outcome, Plant};
 use crate::policy::Outputs;
 use crate::runtime::Percentiles;
@@ -123,7 +124,7 @@ impl Bridge {
             key: Arc::default(),
             say,
             report: BridgeReport::default(),
-            times: [report::histogram(), report::histogram()],
+            times: [histogram(), histogram()],
             account: None,
             table: table.clone(),
             joints,
@@ -255,10 +256,8 @@ impl Bridge {
         chain::motors(self.angles, &asked[..n], &mut rates);
         let (fast, far) = chain::limit(&self.joints, &self.motors[..n], f64::from(self.period), &mut rates);
         if fast || far {
-            let mut sum = 0.0;
-            for (u, rate) in applied.iter_mut().zip(rates) {
-                sum = if self.angles == Angles::Absolute { sum + rate } else { rate };
-                *u = sum as f32 / self.gain;
+            for (u, rate) in applied.iter_mut().zip(chain::along(self.angles, &rates)) {
+                *u = rate as f32 / self.gain;
             }
         }
         let flags = if fast { flag::CLAMPED } else { 0 } | if far { flag::CLAMPED | flag::POSITION_LIMITED } else { 0 };

@@ -1,6 +1,5 @@
 //! The bridge's account: what the bus cost, and every time that torque went off.
 
-use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 
 use super::safety::Cause;
@@ -32,11 +31,6 @@ pub struct BridgeReport {
     pub bus_read: Option<Percentiles>,
     /// What a tick's synchronous write takes.
     pub bus_write: Option<Percentiles>,
-}
-
-/// For durations up to a minute, ns.
-pub(super) fn histogram() -> Histogram<u64> {
-    Histogram::new_with_bounds(1, 60_000_000_000, 3).expect("bounds that the histogram can have")
 }
 
 /// ns as us.

@@ -14,7 +14,7 @@ pub use calibrate::{Calibration, calibrate};
 pub use jog::{Jog, jog};
 
 use super::bus::{Budget, Bus, BusError};
-use super::model::{STEP, model};
+use super::model::{STEP, UnknownModel};
 
 /// What an instruction of a tool may cost, ns: slow adapters hold an answer for 16 ms.
 pub const BUDGET: Budget = Budget { read_ns: 50_000_000, write_ns: 20_000_000 };
@@ -39,17 +39,8 @@ pub enum ToolError {
     )]
     Twins(u8),
     /// Somebody else there.
-    #[error(
-        "servo {id} says that it is model {number}, which is none of the {series} that this program knows; give another protocol, or id"
-    )]
-    Model {
-        /// The id.
-        id: u8,
-        /// What it says.
-        number: i32,
-        /// The series.
-        series: &'static str,
-    },
+    #[error(transparent)]
+    Model(#[from] UnknownModel),
     /// What was asked for cannot be done.
     #[error("{0}")]
     Refused(String),
@@ -99,9 +90,8 @@ pub fn scan(bus: &mut Bus, ids: impl Iterator<Item = u8>, mut stop: impl FnMut()
         if stop() {
             break;
         }
-        match bus.read(id, bus.series().model) {
-            Ok(number) => {
-                let known = u16::try_from(number).ok().and_then(|number| model(bus.series().protocol, number));
+        match bus.model(id) {
+            Ok((number, known)) => {
                 let name = known.map(|model| model.name);
                 found.push(Found { id, number: Some(number), model: name, garbled: false });
             }
@@ -128,13 +118,13 @@ pub fn identify(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
         if ids[..i].contains(&id) {
             return Err(ToolError::Refused(format!("id {id} is given twice; every servo has an id of its own")));
         }
-        let number = match bus.read(id, series.model) {
-            Ok(number) => number,
+        let (number, known) = match bus.model(id) {
+            Ok(answer) => answer,
             Err(error) if is_garbled(&error) => return Err(ToolError::Twins(id)),
             Err(_) => return Err(ToolError::Nobody(format!(" at id {id}"))),
         };
-        if u16::try_from(number).ok().and_then(|number| model(series.protocol, number)).is_none() {
-            return Err(ToolError::Model { id, number, series: series.name });
+        if known.is_none() {
+            return Err(UnknownModel { id, number, series: series.name }.into());
         }
     }
     Ok(())
