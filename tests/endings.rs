@@ -103,6 +103,35 @@ fn a_terminated_process_ends_the_run() {
     check(&place, &outcome);
 }
 
+/// The others are in the middle of setting up when one gives up at once.
+#[test]
+fn a_plant_that_never_starts_leaves_nothing() {
+    let text = std::fs::read_to_string("examples/point.toml").unwrap();
+    let text = text.replace("target/release/examples/point", "/bin/false");
+    for _ in 0..20 {
+        let place = Place::new();
+        let scenario = place.file("scenario.toml", &text);
+        // The folder of a run that never began goes with it: its domain is told by what is new, and not another test's.
+        let before = shared();
+        place.run(&[scenario.to_str().unwrap()]).wait().expect(4);
+        let held = |name: &String| std::fs::exists(format!("/dev/shm/{}/launcher.lock", stem(name))).unwrap();
+        let left: Vec<_> = shared().into_iter().filter(|name| !before.contains(name) && !held(name)).collect();
+        let left: Vec<_> = left.iter().filter(|name| shared().contains(name)).collect();
+        assert!(left.is_empty(), "{left:?}");
+    }
+}
+
+/// What is in shared memory of all runs.
+fn shared() -> Vec<String> {
+    let names = std::fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.file_name().to_string_lossy().into_owned());
+    names.filter(|name| name.starts_with("tectum_")).collect()
+}
+
+/// `tectum_` and eight digits: the domain that a file belongs to.
+fn stem(name: &str) -> &str {
+    &name[..name.len().min("tectum_00000000".len())]
+}
+
 /// Without a launcher nobody could end them: processes notice that it is gone.
 #[test]
 fn processes_end_when_their_launcher_is_killed() {

@@ -29,9 +29,10 @@ const LOOK_REALTIME_NS: u64 = 200_000_000;
 
 /// A run in progress.
 pub(super) struct Run {
+    // Processes go before the domain: one that is still setting up would make files in what has been wiped.
+    crew: Crew,
     hub: Hub,
     domain: DomainName,
-    crew: Crew,
     control: Control,
     signals: Signals,
     progress: Progress,
