@@ -115,6 +115,23 @@ TECTUM_ASSERT(offsetof(tectum_learning, weights_norm) == 96);
 TECTUM_ASSERT(offsetof(tectum_learning, trace_norm) == 100);
 TECTUM_ASSERT(offsetof(tectum_learning, weights_hash) == 104);
 
+/* What a tracker sees: the target and the arm's end-effector. Of its header, `tick`, `scheduled_ns`, `incarnation` and
+ * `flags` are 0. */
+typedef struct tectum_vision {
+    /* Who, and when: `sensed_ns` is the instant at which the picture was taken, `sequence` counts from 0 in each
+     * tracker. */
+    tectum_header header;
+    /* Where the target is, x and y in the arm's coordinates, m. */
+    float target[2];
+    /* Where the end-effector is, x and y in the arm's coordinates, m. */
+    float end[2];
+} tectum_vision;
+#define TECTUM_TYPE_VISION "tectum.Vision.v1"
+TECTUM_ASSERT(sizeof(tectum_vision) == 72);
+TECTUM_ASSERT(offsetof(tectum_vision, header) == 0);
+TECTUM_ASSERT(offsetof(tectum_vision, target) == 56);
+TECTUM_ASSERT(offsetof(tectum_vision, end) == 64);
+
 /* The launcher's board: which phase the run is in. */
 typedef struct tectum_control {
     /* A `Phase` as a number. */
@@ -245,8 +262,8 @@ enum tectum_flag {
     TECTUM_UNARMED = 1 << 19,
     /* Observation: the body is real and its own safety has turned torque off; nothing was applied. */
     TECTUM_TRIPPED = 1 << 20,
-    /* Observation: the body could not be read in tick k-1 or for this observation; inputs and reward are those of
-     * before. */
+    /* Observation: the body could not be read, or its tracker had nothing new enough to say, in tick k-1 or for this
+     * observation; what is not known anew, and the reward, are those of before. */
     TECTUM_BLIND = 1 << 21,
     /* Learning: the weights were changed with the reward of tick k-1. */
     TECTUM_LEARNED = 1 << 16,

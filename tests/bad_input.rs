@@ -36,7 +36,7 @@ fn scenarios_that_are_not() {
     assert_eq!(
         refused(&place, &["nowhere.toml"]),
         "tectum: there is no file \"nowhere.toml\" and no built-in scenario of that name; \
-         the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, open-loop-3, open-loop-4, office, servo-simulated and servo-emulated"
+         the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, open-loop-3, open-loop-4, office, servo-simulated, servo-emulated and servo-vision"
     );
     let broken = place.file("broken.toml", "name = \"x\"\nticks = = 5\n");
     assert!(refused(&place, &[broken.to_str().unwrap()]).contains("broken.toml:2: "));

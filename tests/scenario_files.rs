@@ -251,7 +251,7 @@ fn a_preset_is_found_by_any_of_its_names_and_a_file_comes_first() {
     assert_eq!(
         Scenario::find(&path).unwrap_err().to_string(),
         format!(
-            "there is no file {path:?} and no built-in scenario of that name; the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, open-loop-3, open-loop-4, office, servo-simulated and servo-emulated"
+            "there is no file {path:?} and no built-in scenario of that name; the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, open-loop-3, open-loop-4, office, servo-simulated, servo-emulated and servo-vision"
         )
     );
     std::fs::write(&path, edited(ARM, "name = \"arm\"", "name = \"mine\"")).unwrap();
@@ -259,7 +259,7 @@ fn a_preset_is_found_by_any_of_its_names_and_a_file_comes_first() {
     assert!(matches!(Scenario::find(folder.path()), Err(ScenarioError::Folder { .. })));
     assert_eq!(
         Scenario::find("arms").unwrap_err().to_string(),
-        "there is no file \"arms\" and no built-in scenario of that name; the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, open-loop-3, open-loop-4, office, servo-simulated and servo-emulated"
+        "there is no file \"arms\" and no built-in scenario of that name; the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, open-loop-3, open-loop-4, office, servo-simulated, servo-emulated and servo-vision"
     );
 }
 

@@ -7,7 +7,7 @@ use std::process::Command as Process;
 
 use tectum::wire::{
     Command, Control, Gap, Header, Learning, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Phase, Role, Sample,
-    State, Status, flag,
+    State, Status, Vision, flag,
 };
 
 /// What a table needs of a sample.
@@ -50,6 +50,7 @@ fn layouts() -> Vec<Layout> {
         Layout::of::<Observation>(),
         Layout::of::<Command>(),
         Layout::of::<Learning>(),
+        Layout::of::<Vision>(),
         Layout::of::<Control>(),
         Layout::of::<Status>(),
         Layout::of::<Gap>(),

@@ -9,6 +9,7 @@ use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::atomic::Ordering;
 
 use clap::{Parser, Subcommand};
+use tectum::channel::EyePort;
 use tectum::clock::{monotonic_ns, pause};
 use tectum::process::say;
 use tectum::runtime::{RuntimeError, Seat, exit, run_plant};
@@ -104,6 +105,12 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
         say(
             "tectum-bridge: read-only; --arm, armed = true under [plant.servos], or a and Enter at its own terminal arm it",
         );
+    }
+    if seat.plan.scenario.vision().is_some() {
+        let mut eye = EyePort::open(&seat.card.domain, &seat.identity(), &seat.plan.scenario.channels)
+            .map_err(|error| own(error.into()))?;
+        bridge.look_with(Box::new(move || eye.look()));
+        say("tectum-bridge: target and end-effector come from a tracker; until it is there the arm stands still");
     }
     listen(&bridge);
     let report = run_plant(seat, bridge).map_err(own)?;

@@ -21,7 +21,9 @@ pub use debris::{Owner, Remains, survey, sweep};
 pub use domain::{Domain, DomainName, bury, wipe};
 pub use page::{Page, WORDS};
 pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Payload, Receiver, Sender};
-pub use services::{CONTROL, ControllerPorts, Hub, Identity, LoggerPorts, PlantPorts, WAKE, board_name};
+pub use services::{
+    CONTROL, ControllerPorts, EyePort, Hub, Identity, LoggerPorts, PlantPorts, TrackerPorts, WAKE, board_name,
+};
 pub use vault::Vault;
 
 /// The version of iceoryx2 that all processes of a run must have, whatever their language.

@@ -15,7 +15,7 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::publish_subscribe;
 
 use super::ChannelError;
-use crate::wire::{Command, Control, Learning, Observation, Sample, Status};
+use crate::wire::{Command, Control, Learning, Observation, Sample, Status, Vision};
 
 pub(super) type Factory<T> = publish_subscribe::PortFactory<ipc::Service, T, ()>;
 
@@ -36,7 +36,7 @@ macro_rules! payload {
     )+};
 }
 
-payload!(Observation, Command, Learning, Control, Status);
+payload!(Observation, Command, Learning, Vision, Control, Status);
 
 /// The writing end of a channel.
 #[derive(Debug)]

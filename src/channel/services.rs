@@ -9,17 +9,24 @@ use super::domain::{Domain, DomainName, wipe};
 use super::ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Factory, Payload, Receiver, Sender};
 use super::{ChannelError, INCARNATIONS, LOG_BUFFER, Mismatch};
 use crate::scenario::ChannelsTable;
-use crate::wire::{Command, Control, Learning, Observation, Role, Status};
+use crate::wire::{Command, Control, Learning, Observation, Role, Status, Vision};
 
 type Board = blackboard::PortFactory<ipc::Service, u64>;
 type Event = event::PortFactory<ipc::Service>;
 
 /// The loop reads the newest sample; one more slot lets a late one be seen and counted.
 const LOOP_BUFFER: usize = 2;
-/// Controller and logger, and room for a viewer. None of them can hold up the writer.
+/// Controller and logger, and room for viewers. None of them can hold up the writer.
 const MAX_SUBSCRIBERS: usize = 4;
 /// Launcher, the three processes, and room for viewers.
 const MAX_NODES: usize = 8;
+/// More of both where trackers may come: one that is killed leaves its place taken until the launcher next tidies up, and to tidy up
+/// while another is being set up could take that for a dead one.
+const FOR_TRACKERS: usize = 8;
+/// Trackers that there may be at once, those that were killed among them. The newest picture counts, whoever took it.
+const MAX_TRACKERS: usize = 8;
+/// Samples of each tracker that the bridge can be behind: it takes the newest at every tick.
+const VISION_BUFFER: usize = 4;
 /// The service that exists before all others and says whose run this is.
 pub const WAKE: &str = "wake";
 /// The launcher's board.
@@ -61,12 +68,12 @@ impl Identity {
     }
 
     /// Compares with what the run's first service says.
-    fn check(&self, role: Role, run: &AttributeSet) -> Result<(), ChannelError> {
+    fn check(&self, role: &'static str, run: &AttributeSet) -> Result<(), ChannelError> {
         for (what, ours) in self.attributes() {
             let key = what.try_into().expect("a short key");
             let theirs = run.key_value(&key, 0).map(|v| v.to_string()).unwrap_or_default();
             if theirs != ours {
-                return Err(ChannelError::Mismatch(Mismatch { role: role.name(), what, ours, theirs }));
+                return Err(ChannelError::Mismatch(Mismatch { role, what, ours, theirs }));
             }
         }
         Ok(())
@@ -82,6 +89,7 @@ pub struct Hub {
     // In reverse order of need: services go before the node, the files after all of them.
     _boards: Vec<Board>,
     _channels: (Factory<Observation>, Factory<Command>, Factory<Learning>),
+    _vision: Option<Factory<Vision>>,
     _wake: Event,
     _domain: Domain,
     _wipe: Wipe,
@@ -107,6 +115,21 @@ impl Hub {
     /// # Errors
     /// [`ChannelError::SetUp`] when shared memory cannot be used.
     pub fn create(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+        Self::of(name, identity, channels, None)
+    }
+
+    /// The same with a channel `vision` for trackers, and room for them, where one is named.
+    ///
+    /// # Errors
+    /// As for [`Hub::create`].
+    pub fn of(
+        name: &DomainName,
+        identity: &Identity,
+        channels: &ChannelsTable,
+        vision: Option<&str>,
+    ) -> Result<Self, ChannelError> {
+        let more = if vision.is_some() { FOR_TRACKERS } else { 0 };
+        let nodes = MAX_NODES + more;
         let claim = Claim::take(name).map_err(|e| ChannelError::set_up("the root", e.kind()))?;
         let wipe = Wipe { name: name.clone(), _claim: claim };
         let domain = Domain::join(name)?;
@@ -114,18 +137,19 @@ impl Hub {
             .node
             .service_builder(&service_name(WAKE)?)
             .event()
-            .max_nodes(MAX_NODES)
+            .max_nodes(nodes)
             .create_with_attributes(&identity.specifier())
             .map_err(|e| ChannelError::set_up("the wake-up service", e))?;
         let channels = (
-            create_channel(&domain, &channels.observation)?,
-            create_channel(&domain, &channels.command)?,
-            create_channel(&domain, &channels.learning)?,
+            create_channel(&domain, &channels.observation, more)?,
+            create_channel(&domain, &channels.command, more)?,
+            create_channel(&domain, &channels.learning, more)?,
         );
-        let control = create_board::<Control>(&domain, CONTROL, 1)?;
+        let vision = vision.map(|name| create_vision(&domain, name, nodes)).transpose()?;
+        let control = create_board::<Control>(&domain, CONTROL, 1, nodes)?;
         let mut boards = Vec::new();
         for role in Role::ALL {
-            boards.push(create_board::<Status>(&domain, role.name(), INCARNATIONS)?);
+            boards.push(create_board::<Status>(&domain, role.name(), INCARNATIONS, nodes)?);
         }
         let status = [read_board(&boards[0], 0)?, read_board(&boards[1], 0)?, read_board(&boards[2], 0)?];
         let writer = write_board(&control, PAGE)?;
@@ -135,6 +159,7 @@ impl Hub {
             status,
             _boards: boards,
             _channels: channels,
+            _vision: vision,
             _wake: wake,
             _domain: domain,
             _wipe: wipe,
@@ -211,7 +236,7 @@ impl PlantPorts {
         identity: &Identity,
         channels: &ChannelsTable,
     ) -> Result<(Self, Desk), ChannelError> {
-        let (domain, wake) = open_domain(name, identity, Role::Plant)?;
+        let (domain, wake) = open_domain(name, identity, Role::Plant.name())?;
         let bell = wake.notifier_builder().create().map_err(|e| ChannelError::set_up("the bell", e)).map(Bell)?;
         let desk = open_desk(&domain, Role::Plant)?;
         let ports = Self {
@@ -236,7 +261,7 @@ impl ControllerPorts {
         identity: &Identity,
         channels: &ChannelsTable,
     ) -> Result<(Self, Desk), ChannelError> {
-        let (domain, wake) = open_domain(name, identity, Role::Controller)?;
+        let (domain, wake) = open_domain(name, identity, Role::Controller.name())?;
         let ear = wake.listener_builder().create().map_err(|e| ChannelError::set_up("the ear", e)).map(Ear)?;
         let desk = open_desk(&domain, Role::Controller)?;
         let ports = Self {
@@ -265,7 +290,7 @@ impl LoggerPorts {
         identity: &Identity,
         channels: &ChannelsTable,
     ) -> Result<(Self, Desk), ChannelError> {
-        let (domain, _wake) = open_domain(name, identity, Role::Logger)?;
+        let (domain, _wake) = open_domain(name, identity, Role::Logger.name())?;
         let desk = open_desk(&domain, Role::Logger)?;
         let ports = Self {
             observation: Receiver::new(
@@ -283,6 +308,61 @@ impl LoggerPorts {
     }
 }
 
+/// A tracker's ends: it says what it sees, and may read what the plant says.
+pub struct TrackerPorts {
+    /// What it sees, to the bridge.
+    pub vision: Sender<Vision>,
+    /// Observations, newest two.
+    pub observation: Receiver<Observation>,
+    /// The launcher's board.
+    pub control: BoardReader<Control>,
+    _domain: Domain,
+}
+
+impl TrackerPorts {
+    /// Joins the run as a tracker. It may come and go at any time, also by SIGKILL.
+    ///
+    /// # Errors
+    /// As for [`PlantPorts::open`]; and where the run has no channel for trackers, or no place for another one.
+    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+        let (domain, _wake) = open_domain(name, identity, "tracker")?;
+        Ok(Self {
+            vision: Sender::new(&channels.vision, open_channel(&domain, &channels.vision)?)?,
+            observation: Receiver::new(
+                &channels.observation,
+                open_channel(&domain, &channels.observation)?,
+                LOOP_BUFFER,
+            )?,
+            control: read_board(&open_board(&domain, CONTROL)?, PAGE)?,
+            _domain: domain,
+        })
+    }
+}
+
+/// The bridge's end of the channel on which trackers say what they see.
+pub struct EyePort {
+    vision: Receiver<Vision>,
+    _domain: Domain,
+}
+
+impl EyePort {
+    /// Opens it.
+    ///
+    /// # Errors
+    /// As for [`PlantPorts::open`].
+    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+        let (domain, _wake) = open_domain(name, identity, Role::Plant.name())?;
+        let vision = Receiver::new(&channels.vision, open_channel(&domain, &channels.vision)?, VISION_BUFFER)?;
+        Ok(Self { vision, _domain: domain })
+    }
+
+    /// The next sample that was not received yet, of whichever tracker. One that cannot be had, as when its tracker has just died, is
+    /// none: trackers come and go, and are no reason to end a run.
+    pub fn look(&mut self) -> Option<Vision> {
+        self.vision.receive().ok().flatten()
+    }
+}
+
 /// The service of the board called `name`.
 pub fn board_name(name: &str) -> String {
     format!("board/{name}")
@@ -292,7 +372,7 @@ pub(super) fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
     name.try_into().map_err(|e| ChannelError::set_up(format!("the name {name}"), e))
 }
 
-fn open_domain(name: &DomainName, identity: &Identity, role: Role) -> Result<(Domain, Event), ChannelError> {
+fn open_domain(name: &DomainName, identity: &Identity, role: &'static str) -> Result<(Domain, Event), ChannelError> {
     let domain = Domain::join(name)?;
     let wake = domain
         .node
@@ -304,15 +384,31 @@ fn open_domain(name: &DomainName, identity: &Identity, role: Role) -> Result<(Do
     Ok((domain, wake))
 }
 
-fn create_channel<T: Payload>(domain: &Domain, name: &str) -> Result<Factory<T>, ChannelError> {
+fn create_channel<T: Payload>(domain: &Domain, name: &str, more: usize) -> Result<Factory<T>, ChannelError> {
     domain
         .node
         .service_builder(&service_name(name)?)
         .publish_subscribe::<T>()
         .max_publishers(1)
-        .max_subscribers(MAX_SUBSCRIBERS)
-        .max_nodes(MAX_NODES)
+        .max_subscribers(MAX_SUBSCRIBERS + more)
+        .max_nodes(MAX_NODES + more)
         .subscriber_max_buffer_size(LOG_BUFFER)
+        .subscriber_max_borrowed_samples(2)
+        .history_size(0)
+        .enable_safe_overflow(true)
+        .create()
+        .map_err(|e| ChannelError::set_up(format!("channel {name}"), e))
+}
+
+fn create_vision(domain: &Domain, name: &str, nodes: usize) -> Result<Factory<Vision>, ChannelError> {
+    domain
+        .node
+        .service_builder(&service_name(name)?)
+        .publish_subscribe::<Vision>()
+        .max_publishers(MAX_TRACKERS)
+        .max_subscribers(MAX_SUBSCRIBERS)
+        .max_nodes(nodes)
+        .subscriber_max_buffer_size(VISION_BUFFER)
         .subscriber_max_borrowed_samples(2)
         .history_size(0)
         .enable_safe_overflow(true)
@@ -335,13 +431,18 @@ fn open_desk(domain: &Domain, role: Role) -> Result<Desk, ChannelError> {
     Ok(Desk { control, status: write_board(&open_board(domain, role.name())?, incarnation)?, incarnation })
 }
 
-fn create_board<T: Payload + Default>(domain: &Domain, name: &str, pages: u32) -> Result<Board, ChannelError> {
+fn create_board<T: Payload + Default>(
+    domain: &Domain,
+    name: &str,
+    pages: u32,
+    nodes: usize,
+) -> Result<Board, ChannelError> {
     let creator = domain
         .node
         .service_builder(&service_name(&board_name(name))?)
         .blackboard_creator::<u64>()
-        .max_readers(MAX_NODES)
-        .max_nodes(MAX_NODES);
+        .max_readers(nodes)
+        .max_nodes(nodes);
     (0..pages)
         .fold(creator, |creator, page| creator.add::<T>(u64::from(page), T::default()))
         .create()

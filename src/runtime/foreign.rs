@@ -49,6 +49,9 @@ pub struct Services {
     pub command: String,
     /// Learning records.
     pub learning: String,
+    /// What trackers see, where the scenario has such a channel.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vision: Option<String>,
     /// The event that says whose run it is, and wakes the controller.
     pub wake: String,
     /// The launcher's board.
@@ -75,6 +78,7 @@ impl Foreign {
                 observation: channels.observation.clone(),
                 command: channels.command.clone(),
                 learning: channels.learning.clone(),
+                vision: plan.scenario.vision().map(str::to_owned),
                 wake: crate::channel::WAKE.to_owned(),
                 control: crate::channel::board_name(crate::channel::CONTROL),
                 boards: Role::ALL.map(|role| crate::channel::board_name(role.name())),

@@ -25,6 +25,7 @@ mod reports;
 mod seat;
 mod stopwatch;
 mod tally;
+mod tracker;
 
 pub use budget::{Slack, TickBudget};
 pub use controller::Controller;
@@ -44,3 +45,4 @@ pub use reports::{
 pub use seat::{Card, End, Mode, Resumed, Seat, Session, identity};
 pub use stopwatch::laps;
 pub use tally::{Snapshot, Switch, Tally};
+pub use tracker::Tracker;

@@ -207,6 +207,21 @@ pub struct ChannelsTable {
     pub command: String,
     /// Controller to logger.
     pub learning: String,
+    /// Trackers to the bridge, where `[plant.servos]` has `sight = "vision"`.
+    #[serde(skip_serializing_if = "is_vision")]
+    pub vision: String,
+}
+
+fn is_vision(name: &str) -> bool {
+    name == "vision"
+}
+
+impl Scenario {
+    /// The name of the channel on which trackers say what they see, if this scenario has one.
+    pub fn vision(&self) -> Option<&str> {
+        let looked_at = self.plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model());
+        looked_at.then_some(self.channels.vision.as_str())
+    }
 }
 
 /// Two numbers, and no third: serde's own reader of arrays passes over what follows them.
@@ -282,6 +297,11 @@ impl Default for LogTable {
 
 impl Default for ChannelsTable {
     fn default() -> Self {
-        Self { observation: "observation".into(), command: "command".into(), learning: "learning".into() }
+        Self {
+            observation: "observation".into(),
+            command: "command".into(),
+            learning: "learning".into(),
+            vision: "vision".into(),
+        }
     }
 }

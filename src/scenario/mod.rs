@@ -40,7 +40,7 @@ pub use learner::*;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeProcess, RealtimeTable};
 pub use restart::{Restart, RestartTable};
-pub use servos::{Goal, JointTable, ServosTable, check_joints};
+pub use servos::{Goal, JointTable, ServosTable, Sight, check_joints};
 pub use source::Source;
 
 use std::{fs::File, io::Read, path::Path};

@@ -30,6 +30,7 @@ const PRESETS: &[Preset] = &[
     Preset { name: "office", text: include_str!("../../scenarios/office.toml") },
     Preset { name: "servo-simulated", text: include_str!("../../scenarios/servo-simulated.toml") },
     Preset { name: "servo-emulated", text: include_str!("../../scenarios/servo-emulated.toml") },
+    Preset { name: "servo-vision", text: include_str!("../../scenarios/servo-vision.toml") },
 ];
 
 /// The built-in scenarios, the one to start with first.

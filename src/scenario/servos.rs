@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::{Problem, quoted};
 use super::validate::{number, show};
-use super::{PlantTable, limits};
+use super::{ArmTable, PlantTable, limits};
 use crate::servo::model::Protocol;
 
 /// `[plant.servos]`: the bus, the joints on it, and when torque goes off.
@@ -39,6 +39,15 @@ pub struct ServosTable {
     /// Lowest voltage, V; 0 asks for none.
     #[serde(default)]
     pub min_voltage: f64,
+    /// Who says where target and end-effector are.
+    #[serde(default, skip_serializing_if = "Sight::is_model")]
+    pub sight: Sight,
+    /// With `sight = "vision"`: how old the newest sample may be when a tick begins, ms; default 100.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vision_age_ms: Option<f64>,
+    /// With `sight = "vision"`: a target that has moved further than this since it was taken up is a new one, m; default 0.05.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vision_jump: Option<f64>,
     /// The joints, from the base on; with one motor for each segment of `[plant.arm]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub joints: Vec<JointTable>,
@@ -73,6 +82,36 @@ pub enum Goal {
     Speed,
     /// A goal position, one tick's travel ahead: the servo stops there by itself.
     Position,
+}
+
+/// Who says where target and end-effector are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Sight {
+    /// Targets are drawn as in the simulator, and the end-effector is where the model of the arm has it.
+    #[default]
+    Model,
+    /// Any program that looks, on the channel `vision`.
+    Vision,
+}
+
+impl Sight {
+    /// Whether nobody looks.
+    pub fn is_model(&self) -> bool {
+        *self == Self::Model
+    }
+}
+
+impl ServosTable {
+    /// How old the newest sample of a tracker may be when a tick begins, ns.
+    pub fn vision_age_ns(&self) -> u64 {
+        (self.vision_age_ms.unwrap_or(100.0) * 1e6) as u64
+    }
+
+    /// How far a target moves before it is a new one, m.
+    pub fn vision_jump(&self) -> f32 {
+        self.vision_jump.unwrap_or(0.05) as f32
+    }
 }
 
 fn megabaud() -> u32 {
@@ -140,6 +179,7 @@ pub(super) fn check(plant: &PlantTable, period_ms: f64) -> Result<(), Problem> {
     }
     number("plant.servos.max_temperature", servos.max_temperature, 20.0..=100.0, "give 20 to 100 degrees")?;
     number("plant.servos.min_voltage", servos.min_voltage, 0.0..=50.0, "give 0 to 50 V")?;
+    sight(servos, arm)?;
     match (&servos.calibration, servos.joints.is_empty()) {
         (None, true) => {
             let text = "has neither joints nor a calibration; add [[plant.servos.joints]], or the file that `tectum-bridge calibrate` writes";
@@ -151,6 +191,31 @@ pub(super) fn check(plant: &PlantTable, period_ms: f64) -> Result<(), Problem> {
         (Some(_), true) => Ok(()),
         (None, false) => joints(&servos.joints, arm.lengths.len(), servos.protocol, servos.goal),
     }
+}
+
+/// Checks the keys of what is seen.
+fn sight(servos: &ServosTable, arm: &ArmTable) -> Result<(), Problem> {
+    if servos.sight.is_model() {
+        let given = [("vision_age_ms", servos.vision_age_ms), ("vision_jump", servos.vision_jump)];
+        return match given.iter().find(|(_, value)| value.is_some()) {
+            Some((key, _)) => {
+                let text = "says what is done with a tracker's samples, and plant.servos.sight is \"model\"; take it out, or give sight = \"vision\"";
+                Err(Problem::new(format_args!("plant.servos.{key}"), text))
+            }
+            None => Ok(()),
+        };
+    }
+    if let Some(age) = servos.vision_age_ms {
+        number("plant.servos.vision_age_ms", age, 1.0..=10_000.0, "give 1 to 10000 ms")?;
+    }
+    if let Some(jump) = servos.vision_jump {
+        number("plant.servos.vision_jump", jump, limits::LENGTH, "give 0.001 to 100 m")?;
+    }
+    if !arm.targets.is_empty() {
+        let text = "are given, and with plant.servos.sight = \"vision\" a tracker says where the target is; take one of the two out";
+        return Err(Problem::new("plant.arm.targets", text));
+    }
+    Ok(())
 }
 
 /// Checks a table of joints, from a scenario or from a calibration.

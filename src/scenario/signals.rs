@@ -3,6 +3,7 @@
 use std::{f64::consts::PI, path::Path};
 
 use super::{ArmTable, EyeTable, MirrorAxis, PerOutput, Retina, Scenario, SignalTable};
+use crate::wire::MAX_MEASURES;
 
 /// The name of the simulator's program.
 const SIMULATOR: &str = "tectum-simulator";
@@ -31,6 +32,9 @@ pub(super) fn signals(scenario: &Scenario) -> Signals {
     let mut known = known;
     if plant.servos.is_some() {
         known.measures.extend(["bus_read_us", "bus_write_us"].map(String::from));
+    }
+    if plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model()) && known.measures.len() < MAX_MEASURES {
+        known.measures.push("vision_age_ms".to_owned());
     }
     Signals {
         inputs: if plant.inputs.is_empty() { known.inputs } else { plant.inputs.clone() },

@@ -216,8 +216,15 @@ fn log(log: &LogTable) -> Result<(), Problem> {
 
 fn channels(scenario: &Scenario) -> Result<(), Problem> {
     let channels = &scenario.channels;
-    let named_channels =
-        [("observation", &channels.observation), ("command", &channels.command), ("learning", &channels.learning)];
+    let mut named_channels =
+        vec![("observation", &channels.observation), ("command", &channels.command), ("learning", &channels.learning)];
+    if scenario.vision().is_some() {
+        named_channels.push(("vision", &channels.vision));
+    } else if channels.vision != super::ChannelsTable::default().vision {
+        let text =
+            "names a channel that there is with plant.servos.sight = \"vision\" alone; take it out, or give that";
+        return Err(Problem::new("channels.vision", text));
+    }
     let allowed = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "_-/".contains(c);
     for (i, (key, name)) in named_channels.iter().enumerate() {
         let words = "lower-case letters, digits, _, - and /";

@@ -12,7 +12,7 @@ mod samples;
 mod schema;
 
 pub use boards::{Control, Phase, Role, State, Status};
-pub use samples::{Command, Gap, Header, Learning, Observation, flag};
+pub use samples::{Command, Gap, Header, Learning, Observation, Vision, flag};
 pub use schema::{Field, Sample, schema_hash};
 
 /// Most inputs that an observation can carry.

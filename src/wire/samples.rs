@@ -76,6 +76,18 @@ sample! {
 }
 
 sample! {
+    /// What a tracker sees: the target and the arm's end-effector. Of its header, `tick`, `scheduled_ns`, `incarnation` and `flags` are 0.
+    Vision, "1" {
+        /// Who, and when: `sensed_ns` is the instant at which the picture was taken, `sequence` counts from 0 in each tracker.
+        header: Header,
+        /// Where the target is, x and y in the arm's coordinates, m.
+        target: [f32; 2],
+        /// Where the end-effector is, x and y in the arm's coordinates, m.
+        end: [f32; 2],
+    }
+}
+
+sample! {
     /// The log's own statement that samples of a channel are missing from it.
     Gap, "1" {
         /// The channel: 0 observation, 1 command, 2 learning.
@@ -128,7 +140,8 @@ pub mod flag {
     pub const UNARMED: u32 = 1 << 19;
     /// Observation: the body is real and its own safety has turned torque off; nothing was applied.
     pub const TRIPPED: u32 = 1 << 20;
-    /// Observation: the body could not be read in tick k-1 or for this observation; inputs and reward are those of before.
+    /// Observation: the body could not be read, or its tracker had nothing new enough to say, in tick k-1 or for this observation; what is
+    /// not known anew, and the reward, are those of before.
     pub const BLIND: u32 = 1 << 21;
     /// Learning: the weights were changed with the reward of tick k-1.
     pub const LEARNED: u32 = 1 << 16;

@@ -123,6 +123,7 @@ pub fn schema_hash() -> u64 {
     add::<super::Observation>(&mut text);
     add::<super::Command>(&mut text);
     add::<super::Learning>(&mut text);
+    add::<super::Vision>(&mut text);
     add::<super::Gap>(&mut text);
     add::<super::Control>(&mut text);
     add::<super::Status>(&mut text);
@@ -132,7 +133,7 @@ pub fn schema_hash() -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::{Command, Gap, Header, Learning, Observation};
+    use crate::wire::{Command, Gap, Header, Learning, Observation, Vision};
 
     /// CDR aligns each primitive to its size, counted from the start of the body: with no implicit padding in the
     /// `repr(C)` layout (`Pod` proves it) and 8-byte sizes, body and struct are the same bytes.
@@ -159,6 +160,7 @@ mod tests {
         is_cdr::<Observation>();
         is_cdr::<Command>();
         is_cdr::<Learning>();
+        is_cdr::<Vision>();
         is_cdr::<Gap>();
     }
 
@@ -175,5 +177,6 @@ mod tests {
     fn the_layout_is_pinned() {
         let sizes = [size_of::<Header>(), size_of::<Observation>(), size_of::<Command>(), size_of::<Learning>()];
         assert_eq!(sizes, [56, 184, 120, 112]);
+        assert_eq!(size_of::<Vision>(), 72);
     }
 }

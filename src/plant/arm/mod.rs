@@ -130,7 +130,32 @@ impl Arm {
         self.stands(theta);
         let sum = |values: &[f32]| values[..self.joints].iter().map(|&x| square(x)).sum();
         let (rates, angles) = (sum(rates), sum(theta));
-        self.judged(rates, angles)
+        self.judged(rates, angles, self.end())
+    }
+
+    /// The same with an end-effector that somebody has seen: error, reward and measures are of that; the model says what nobody sees,
+    /// which segments cross.
+    pub fn measured_seen(&mut self, tick: u64, theta: &[f32], rates: &[f32], end: [f32; 2]) -> Outcome {
+        let _ = self.measured(tick, theta, rates);
+        let sum = |values: &[f32]| values[..self.joints].iter().map(|&x| square(x)).sum();
+        self.judged(sum(rates), sum(theta), end)
+    }
+
+    /// Inputs as for [`Plant::sense`], with a target that somebody has seen, m, in place of a drawn one.
+    pub fn sense_seen(&mut self, tick: u64, target: [f32; 2], inputs: &mut [f32]) {
+        self.target = target;
+        self.tell(tick, inputs);
+    }
+
+    /// Writes the inputs: the target as it is reported, and the angles.
+    fn tell(&self, tick: u64, inputs: &mut [f32]) {
+        let mirrored = self.table.mirrored(tick);
+        for (input, (x, mirrored)) in inputs.iter_mut().zip(self.target.into_iter().zip(mirrored)) {
+            *input = if mirrored { -x } else { x };
+        }
+        if !self.table.open_loop {
+            inputs[2..2 + self.joints].copy_from_slice(self.angles());
+        }
     }
 
     /// The same before anything was applied: the arm stands at `theta`.
@@ -139,9 +164,8 @@ impl Arm {
         self.theta[..joints].copy_from_slice(&theta[..joints]);
     }
 
-    /// What a posture is worth, with the sums of the squared rates and angles.
-    fn judged(&self, rates: f32, angles: f32) -> Outcome {
-        let end = self.end();
+    /// What a posture is worth, with the sums of the squared rates and angles, and the end-effector there.
+    fn judged(&self, rates: f32, angles: f32, end: [f32; 2]) -> Outcome {
         let error = square(end[0] - self.target[0]) + square(end[1] - self.target[1]);
         let mut measures = [0.0; MAX_MEASURES];
         measures[..3].copy_from_slice(&[error.sqrt(), end[0], end[1]]);
@@ -192,13 +216,7 @@ impl Plant for Arm {
             self.shown += 1;
             self.due += self.table.target_every;
         }
-        let mirrored = self.table.mirrored(tick);
-        for (input, (x, mirrored)) in inputs.iter_mut().zip(self.target.into_iter().zip(mirrored)) {
-            *input = if mirrored { -x } else { x };
-        }
-        if !self.table.open_loop {
-            inputs[2..2 + self.joints].copy_from_slice(self.angles());
-        }
+        self.tell(tick, inputs);
         fresh
     }
 
@@ -221,7 +239,7 @@ impl Plant for Arm {
             self.theta[joint] = theta;
             angles += square(theta);
         }
-        self.judged(rates, angles)
+        self.judged(rates, angles, self.end())
     }
 
     /// A joint that comes round is measured in [-pi, pi), so that a limit between is a wall that it crosses from neither side,

@@ -5,6 +5,10 @@
 //! reward and the measures alone; targets are drawn as in the simulator. The reward's speed is the
 //! measured one, since a motor lags behind its goal: an ideal chain of servos earns what the simulator earns, to within its resolution.
 //!
+//! *What is seen.* With `sight = "vision"` target and end-effector, and so error and reward, are what trackers say; the model is left with what
+//! none of them sees, segments that cross. A tracker that says nothing new enough leaves the arm [blind](flag::BLIND): it stands still with torque on
+//! (which does not come on before something is seen), nothing is learned, and it goes on when it sees again.
+//!
 //! *Motors and outputs.* A motor turns a segment against the one before it. With `angles = "absolute"` the inputs are the segments'
 //! directions, running sums of the motors' angles, and a motor's rate is the difference of two outputs. Limits are the motors': when
 //! one of them is asked for more than its `max_speed`, all rates shrink by one factor; one that would leave its `range` goes to its end.
@@ -18,10 +22,12 @@ mod chain;
 mod checks;
 mod report;
 mod safety;
+mod sight;
 
 pub use checks::{BridgeError, joints_of};
 pub use report::{BridgeReport, Event};
 pub use safety::{Cause, Drive, RECOVERY, Safety, State};
+pub use sight::VisionReport;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -37,7 +43,8 @@ use crate::policy::Outputs;
 use crate::runtime::Percentiles;
 use crate::scenario::{Angles, Goal, JointTable, Plan, ServosTable};
 use crate::state::{Ledger, Remember};
-use crate::wire::{MAX_OUTPUTS, flag};
+use crate::wire::{MAX_MEASURES, MAX_OUTPUTS, Vision, flag};
+use sight::Sight;
 
 /// Dynamixel's bus watchdog counts in 20 ms; the servo stops when it hears nothing for so long.
 const WATCHDOG: i32 = 10;
@@ -47,6 +54,12 @@ const RAMP: u32 = 20;
 
 /// Every so many ticks all servos are asked whether they still have torque.
 const TORQUE_EVERY: u64 = 20;
+
+/// Where samples of trackers come from: the next one that was not taken yet.
+pub type Eye = Box<dyn FnMut() -> Option<Vision>>;
+
+/// Samples that are taken at a tick, at most: eight trackers' buffers, which is all that can wait.
+const MOST_LOOKS: usize = 32;
 
 /// The body.
 pub struct Bridge {
@@ -72,6 +85,13 @@ pub struct Bridge {
     theta: Outputs,
     raw: [i32; MAX_OUTPUTS],
     blind: bool,
+    /// What trackers see, where they are asked.
+    sight: Option<Sight>,
+    eye: Option<Eye>,
+    /// What came of the last tick in which something was seen.
+    seen: Outcome,
+    /// Where the motors were when the arm began to stand still.
+    rest: Option<[i32; MAX_OUTPUTS]>,
     write_ns: u64,
     /// Set by whoever arms it at the terminal.
     key: Arc<AtomicBool>,
@@ -120,6 +140,10 @@ impl Bridge {
             theta: [0.0; MAX_OUTPUTS],
             raw: [0; MAX_OUTPUTS],
             blind: false,
+            sight: (!table.sight.is_model()).then(|| Sight::new(table, plan.period_ns)),
+            eye: None,
+            seen: Outcome::default(),
+            rest: None,
             write_ns: 0,
             key: Arc::default(),
             say,
@@ -135,6 +159,11 @@ impl Bridge {
         }
         bridge.arm.stands(&bridge.theta);
         Ok(bridge)
+    }
+
+    /// Hands it the eye with which it sees, where the scenario has `sight = "vision"`. Without one it never sees anything.
+    pub fn look_with(&mut self, eye: Eye) {
+        self.eye = Some(eye);
     }
 
     /// The budget of a tick of `plan`.
@@ -206,6 +235,41 @@ impl Bridge {
         }
     }
 
+    /// Takes what came from trackers; `tick` begins. No more than a tick can need: who floods the channel does not hold the tick up.
+    fn look(&mut self, tick: u64) {
+        let Some(sight) = &mut self.sight else { return };
+        let now = self.bus.now();
+        for sample in std::iter::from_fn(|| self.eye.as_mut().and_then(|eye| eye())).take(MOST_LOOKS) {
+            sight.take(&sample, now);
+        }
+        if sight.look(now) {
+            let text = match (sight.sees, sight.age_at(now)) {
+                (true, _) => "target and end-effector are seen".to_owned(),
+                (false, age) => format!(
+                    "nothing is seen any more: the newest sample of a tracker is {} ms old; the arm stands still",
+                    age.unwrap_or_default() / 1_000_000
+                ),
+            };
+            (self.say)(&format!("tick {tick}: {text}"));
+        }
+    }
+
+    /// Whether the arm sees, where it needs to.
+    fn sees(&self) -> bool {
+        self.sight.as_ref().is_none_or(|sight| sight.sees)
+    }
+
+    /// What came of a tick, as trackers see it; when they do not, as of before.
+    fn judged(&mut self, tick: u64, rates: &[f32]) -> Outcome {
+        let Some(sight) = &self.sight else { return self.arm.measured(tick, &self.theta, rates) };
+        if sight.sees {
+            self.seen = self.arm.measured_seen(tick, &self.theta, rates, sight.end());
+        } else {
+            self.arm.stands(&self.theta);
+        }
+        self.seen
+    }
+
     fn tell(&mut self, tick: u64, before: State) {
         let state = self.safety.state();
         if state == before {
@@ -271,11 +335,13 @@ impl Bridge {
             Goal::Speed => series.goal_velocity,
             Goal::Position => series.goal_position,
         };
+        // An arm that stands still stays where it began to, and does not follow what pulls at it.
+        let from = self.rest.unwrap_or(self.raw);
         let value = |i: usize| {
             let (joint, rate) = (&self.joints[i], rates[i]);
             match self.table.goal {
                 Goal::Speed => f64::from(joint.direction) * rate / series.speed_unit,
-                Goal::Position => f64::from(self.raw[i]) + f64::from(joint.direction) * rate * period / STEP,
+                Goal::Position => f64::from(from[i]) + f64::from(joint.direction) * rate * period / STEP,
             }
         };
         let width = usize::from(goal.width);
@@ -323,7 +389,14 @@ impl Bridge {
 
 impl Plant for Bridge {
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
-        self.arm.sense(tick, inputs)
+        // Before the first tick is over nobody has looked.
+        if self.report.ticks == 0 {
+            self.look(tick);
+        }
+        let Some(sight) = &mut self.sight else { return self.arm.sense(tick, inputs) };
+        let (target, fresh) = sight.target().unwrap_or((self.arm.target(), false));
+        self.arm.sense_seen(tick, target, inputs);
+        fresh
     }
 
     fn acts_within(&self) -> Option<u64> {
@@ -339,7 +412,12 @@ impl Plant for Bridge {
         {
             (self.say)(&format!("tick {tick}: not armed: {error}"));
         }
-        let mut drive = self.safety.command(flags);
+        let mut drive = self.safety.command(flags, self.sees());
+        if drive == Drive::Still {
+            self.rest.get_or_insert(self.raw);
+        } else {
+            self.rest = None;
+        }
         // After a loss of the bus or of power, nothing that was set before is taken for granted.
         if drive == Drive::Rise {
             let checked = checks::prepare(&mut self.bus, &self.joints, self.table.goal, &self.motors);
@@ -390,6 +468,8 @@ impl Plant for Bridge {
 
     fn advance(&mut self, tick: u64, _applied: &[f32]) -> Outcome {
         let (before, stood) = (self.safety.state(), self.theta);
+        // How old a picture is counts from here, and not from when the bus has been read.
+        self.look(tick + 1);
         let (heard, mut took) = self.measure();
         self.blind = heard.is_err();
         self.safety.hear(heard.ok());
@@ -408,10 +488,16 @@ impl Plant for Bridge {
         for (rate, (now, then)) in rates.iter_mut().zip(self.theta.iter().zip(stood)) {
             *rate = chain::wrap(f64::from(now - then)) as f32 / self.period;
         }
-        let mut outcome = self.arm.measured(tick, &self.theta, &rates);
+        let mut outcome = self.judged(tick, &rates);
         let first = if self.collides { 4 } else { 3 };
         outcome.measures[first] = report::microseconds(took);
         outcome.measures[first + 1] = report::microseconds(self.write_ns);
+        if let Some(sight) = &self.sight
+            && first + 2 < MAX_MEASURES
+        {
+            let age = sight.age_at(self.bus.now());
+            outcome.measures[first + 2] = age.map_or(-1.0, |ns| ns as f32 / 1e6);
+        }
         self.report.ticks += 1;
         self.report.blind += u64::from(self.blind);
         self.times[0].saturating_record(took);
@@ -420,7 +506,7 @@ impl Plant for Bridge {
     }
 
     fn remarks(&self) -> u32 {
-        if self.blind { flag::BLIND } else { 0 }
+        if self.blind || !self.sees() { flag::BLIND } else { 0 }
     }
 
     fn joints(&self) -> Option<Joints> {
@@ -437,6 +523,7 @@ impl Drop for Bridge {
         if let Some(path) = &self.account {
             [self.report.bus_read, self.report.bus_write] =
                 [Percentiles::of(&self.times[0]), Percentiles::of(&self.times[1])];
+            self.report.vision = self.sight.as_ref().map(Sight::account);
             let text = serde_json::to_string_pretty(&self.report).unwrap_or_default();
             // The run's own account is not in danger without it.
             let _ = std::fs::write(path, text);

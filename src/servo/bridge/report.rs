@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::safety::Cause;
+use super::sight::VisionReport;
 use crate::runtime::Percentiles;
 
 /// Torque went off.
@@ -31,6 +32,9 @@ pub struct BridgeReport {
     pub bus_read: Option<Percentiles>,
     /// What a tick's synchronous write takes.
     pub bus_write: Option<Percentiles>,
+    /// What came from trackers, where the scenario asks for them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vision: Option<VisionReport>,
 }
 
 /// ns as us.

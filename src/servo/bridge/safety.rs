@@ -146,16 +146,17 @@ impl Safety {
         }
     }
 
-    /// What to do with the command of a tick, of which the gate says `flags`.
-    pub fn command(&mut self, flags: u32) -> Drive {
+    /// What to do with the command of a tick, of which the gate says `flags`. An arm that does not see (`sees`) stands still, and torque does
+    /// not come on before it does.
+    pub fn command(&mut self, flags: u32, sees: bool) -> Drive {
         let came = flags & flag::MISSED == 0;
         if self.state == State::Driving && flags & flag::STOPPED != 0 {
             self.trip(Cause::CommandsAway);
         }
         match self.state {
-            State::Driving if self.missed > 0 => Drive::Still,
+            State::Driving if self.missed > 0 || !sees => Drive::Still,
             State::Driving => Drive::Go,
-            State::Ready | State::Tripped(Cause::CommandsAway) if came && self.missed == 0 => {
+            State::Ready | State::Tripped(Cause::CommandsAway) if came && sees && self.missed == 0 => {
                 self.state = State::Driving;
                 Drive::Rise
             }
@@ -175,12 +176,12 @@ mod tests {
         let mut safety = Safety::new(3);
         for _ in 0..10 {
             safety.hear(Some(Ok(())));
-            assert_eq!(safety.command(0), Drive::Off);
+            assert_eq!(safety.command(0, true), Drive::Off);
         }
         safety.arm();
-        assert_eq!(safety.command(flag::MISSED | flag::HELD), Drive::Off);
-        assert_eq!(safety.command(0), Drive::Rise);
-        assert_eq!(safety.command(0), Drive::Go);
+        assert_eq!(safety.command(flag::MISSED | flag::HELD, true), Drive::Off);
+        assert_eq!(safety.command(0, true), Drive::Rise);
+        assert_eq!(safety.command(0, true), Drive::Go);
     }
 
     #[test]
@@ -188,15 +189,15 @@ mod tests {
         for cause in [Cause::Overload, Cause::Heat, Cause::Voltage, Cause::TorqueLost] {
             let mut safety = Safety::new(3);
             safety.arm();
-            assert_eq!(safety.command(0), Drive::Rise);
+            assert_eq!(safety.command(0, true), Drive::Rise);
             safety.hear(Some(Err(cause)));
             for _ in 0..100 {
-                assert_eq!(safety.command(0), Drive::Off);
+                assert_eq!(safety.command(0, true), Drive::Off);
                 safety.hear(Some(Ok(())));
             }
             assert_eq!(safety.state(), State::Tripped(cause));
             safety.arm();
-            assert_eq!(safety.command(0), Drive::Rise);
+            assert_eq!(safety.command(0, true), Drive::Rise);
         }
     }
 
@@ -204,27 +205,41 @@ mod tests {
     fn a_bus_that_is_lost_stands_still_then_off_and_comes_back() {
         let mut safety = Safety::new(3);
         safety.arm();
-        safety.command(0);
+        safety.command(0, true);
         for drive in [Drive::Still, Drive::Still, Drive::Off, Drive::Off] {
             safety.hear(None);
-            assert_eq!(safety.command(0), drive);
+            assert_eq!(safety.command(0, true), drive);
         }
         for _ in 1..RECOVERY {
             safety.hear(Some(Ok(())));
-            assert_eq!(safety.command(0), Drive::Off);
+            assert_eq!(safety.command(0, true), Drive::Off);
         }
         safety.hear(Some(Ok(())));
-        assert_eq!(safety.command(0), Drive::Rise);
+        assert_eq!(safety.command(0, true), Drive::Rise);
     }
 
     #[test]
     fn commands_that_stay_away_and_come_back() {
         let mut safety = Safety::new(3);
         safety.arm();
-        safety.command(0);
-        assert_eq!(safety.command(flag::MISSED | flag::DECAYED), Drive::Go);
-        assert_eq!(safety.command(AWAY), Drive::Off);
-        assert_eq!(safety.command(AWAY), Drive::Off);
-        assert_eq!(safety.command(0), Drive::Rise);
+        safety.command(0, true);
+        assert_eq!(safety.command(flag::MISSED | flag::DECAYED, true), Drive::Go);
+        assert_eq!(safety.command(AWAY, true), Drive::Off);
+        assert_eq!(safety.command(AWAY, true), Drive::Off);
+        assert_eq!(safety.command(0, true), Drive::Rise);
+    }
+
+    #[test]
+    fn who_does_not_see_stands_still_and_gets_no_torque() {
+        let mut safety = Safety::new(3);
+        safety.arm();
+        assert_eq!(safety.command(0, false), Drive::Off);
+        assert_eq!(safety.state(), State::Ready);
+        assert_eq!(safety.command(0, true), Drive::Rise);
+        assert_eq!(safety.command(0, false), Drive::Still);
+        assert_eq!(safety.state(), State::Driving, "torque stays on");
+        assert_eq!(safety.command(0, true), Drive::Go);
+        // Commands that stay away end it all the same.
+        assert_eq!(safety.command(AWAY, false), Drive::Off);
     }
 }

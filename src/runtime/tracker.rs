@@ -1,0 +1,72 @@
+//! A tracker's place in a run: a program that looks at target and end-effector, and says where they are.
+//!
+//! It needs no handshake and no leave; it may come late, go, or be killed, and another may take over. It reads the plant's observations
+//! like a viewer, if it wants to.
+
+use std::path::Path;
+
+use super::{Card, RuntimeError, identity};
+use crate::channel::TrackerPorts;
+use crate::clock::{Life, monotonic_ns};
+use crate::scenario::{Plan, Scenario};
+use crate::wire::{Header, Observation, Phase, Vision};
+
+/// A tracker that has joined a run.
+pub struct Tracker {
+    /// The run's scenario.
+    pub plan: Plan,
+    ports: TrackerPorts,
+    launcher: Life,
+    header: Header,
+}
+
+impl Tracker {
+    /// Joins the run called `run` (a folder, or a name under `runs/`).
+    ///
+    /// # Errors
+    /// [`RuntimeError::NoRun`] when there is no such run, it is over, or nobody is asked to look in it; otherwise as for
+    /// [`TrackerPorts::open`].
+    pub fn join(run: &Path) -> Result<Self, RuntimeError> {
+        let named = Path::new("runs").join(run);
+        let folder = if !Card::path(run).exists() && Card::path(&named).exists() { named } else { run.to_owned() };
+        let none = |cause: String| RuntimeError::NoRun { path: folder.display().to_string(), cause };
+        let text = std::fs::read_to_string(Card::path(&folder)).map_err(|e| none(e.to_string()))?;
+        let card: Card = serde_json::from_str(&text).map_err(|e| none(e.to_string()))?;
+        let launcher = Life::of(card.launcher).ok_or_else(|| none("the run is over".to_owned()))?;
+        let plan = Scenario::load(&Card::scenario_path(&folder))?.plan()?;
+        if plan.scenario.vision().is_none() {
+            return Err(none("its scenario has no plant.servos.sight = \"vision\"".to_owned()));
+        }
+        let ports = TrackerPorts::open(&card.domain, &identity(&plan), &plan.scenario.channels)?;
+        let header = Header { run: card.run_id(), ..Header::default() };
+        Ok(Self { plan, ports, launcher, header })
+    }
+
+    /// Says where target and end-effector are, m, in a picture that was taken at `sensed_ns` of CLOCK_MONOTONIC. Never waits.
+    ///
+    /// # Errors
+    /// When shared memory fails.
+    pub fn see(&mut self, sensed_ns: u64, target: [f32; 2], end: [f32; 2]) -> Result<(), RuntimeError> {
+        (self.header.sensed_ns, self.header.published_ns) = (sensed_ns, monotonic_ns());
+        self.ports.vision.send(&Vision { header: self.header, target, end })?;
+        self.header.sequence += 1;
+        Ok(())
+    }
+
+    /// What the plant has said since this was asked last, the newest of it.
+    ///
+    /// # Errors
+    /// When shared memory fails.
+    pub fn observation(&self) -> Result<Option<Observation>, RuntimeError> {
+        let mut newest = None;
+        while let Some(observation) = self.ports.observation.receive()? {
+            newest = Some(observation);
+        }
+        Ok(newest)
+    }
+
+    /// Whether the run is over, or its launcher gone.
+    pub fn over(&self) -> bool {
+        self.ports.control.get().phase() >= Phase::Stop || self.launcher.ended()
+    }
+}
