@@ -12,7 +12,7 @@ use tectum::scenario::{EmulatorTable, Plan, Scenario};
 use tectum::servo::bridge::{Bridge, State, joints_of};
 use tectum::servo::bus::Bus;
 use tectum::servo::emulator::{Chain, Port, SteppedClock};
-use tectum::wire::{Command, Observation, flag};
+use tectum::wire::{Command, Learning, Observation, Vision, flag};
 
 /// The emulated twin with this emulator, so many ticks, and with `change` made to its text.
 fn plan(emulator: &str, ticks: u64, change: impl FnOnce(String) -> String) -> Plan {
@@ -56,18 +56,31 @@ fn end_error(observations: &[Observation]) -> f64 {
 }
 
 /// One run in virtual time; `see` is asked in every tick for what happens to the command.
-fn run(plan: &Plan, setup: Setup, mut heard: impl FnMut(u64) -> bool) -> (Vec<Observation>, Vec<bool>, Bridge) {
+fn run(plan: &Plan, setup: Setup, heard: impl FnMut(u64) -> bool) -> (Vec<Observation>, Vec<bool>, Bridge) {
+    let (all, torque, bridge, _) = run_learning(plan, setup, heard);
+    (all, torque, bridge)
+}
+
+/// The same, with what was learned at each tick.
+fn run_learning(
+    plan: &Plan,
+    setup: Setup,
+    mut heard: impl FnMut(u64) -> bool,
+) -> (Vec<Observation>, Vec<bool>, Bridge, Vec<Learning>) {
     let Setup { chain, clock, bridge } = setup;
     let t0 = clock.now();
     let mut side = PlantSide::new(bridge, plan);
     let mut controller = Controller::new(plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
-    let (mut all, mut torque) = (Vec::new(), Vec::new());
+    let (mut all, mut torque, mut learned) = (Vec::new(), Vec::new(), Vec::new());
     for tick in 0..plan.scenario.ticks {
         side.observe(tick, 0, 0, &mut observation);
         all.push(observation);
         controller.respond(&observation, &mut command);
         controller.settle(&observation);
+        let mut learning = Learning::default();
+        controller.record(&observation, &mut learning);
+        learned.push(learning);
         side.decide(tick, heard(tick).then_some(&command), true);
         let end = t0 + (tick + 1) * plan.period_ns;
         assert!(clock.now() <= end, "tick {tick}: the bus took more than the tick has");
@@ -75,7 +88,7 @@ fn run(plan: &Plan, setup: Setup, mut heard: impl FnMut(u64) -> bool) -> (Vec<Ob
         torque.push(chain.lock().unwrap().state(end).iter().any(|servo| servo.torque));
         side.conclude(tick);
     }
-    (all, torque, side.into_body())
+    (all, torque, side.into_body(), learned)
 }
 
 #[test]
@@ -143,6 +156,68 @@ fn whoever_arms_late_begins_gently() {
         assert!(observation.applied.iter().all(|u| u.abs() <= most + 1e-6), "tick {tick}: {:?}", observation.applied);
     }
     assert!(all[first + 1].header.flags & flag::RAMPED != 0);
+}
+
+/// A tracker that is there from tick 0, says nothing from tick 100 to 149, and whose target jumps at tick 60.
+#[test]
+fn what_is_seen_counts_and_who_does_not_see_stands_still() {
+    let plan = plan("", 200, |text| {
+        let text = text.replace("\"learned-reward\"", "\"paper\"");
+        text.replace("armed = true ", "sight = \"vision\"\narmed = true ")
+    });
+    assert_eq!(plan.measures[3..], ["bus_read_us", "bus_write_us", "vision_age_ms"]);
+    let mut setup = set_up(&plan);
+    let samples = Arc::new(Mutex::new(std::collections::VecDeque::new()));
+    let theirs = Arc::clone(&samples);
+    setup.bridge.look_with(Box::new(move || theirs.lock().unwrap().pop_front()));
+    setup.bridge.arm().unwrap();
+    let clock = setup.clock.clone();
+    let (first, second, end) = ([0.3, 0.2], [-0.4, 0.1], [0.1_f32, 0.25]);
+    let (all, torque, bridge, learned) = run_learning(&plan, setup, |tick| {
+        if !(100..150).contains(&tick) {
+            let mut sample = Vision { target: if tick < 60 { first } else { second }, end, ..Vision::default() };
+            sample.header.sensed_ns = clock.now();
+            samples.lock().unwrap().push_back(sample);
+            // What cannot be is dropped.
+            samples.lock().unwrap().push_back(Vision { end: [f32::NAN; 2], ..sample });
+        }
+        true
+    });
+    let error = |target: [f32; 2]| (target[0] - end[0]).hypot(target[1] - end[1]);
+    // What was sent in tick k is there when tick k + 1 begins; that of tick 99 is 145 ms old at tick 102, and another is there at tick 151.
+    let sees = |tick: u64| (1..102).contains(&tick) || tick > 150;
+    for (tick, observation) in (0..).zip(&all) {
+        let (flags, target) = (observation.header.flags, if tick < 61 { first } else { second });
+        // A tick in which it did not see at the beginning or at the end.
+        let blind = !sees(tick) || tick > 1 && !sees(tick - 1);
+        assert_eq!(flags & flag::BLIND != 0, blind, "tick {tick}: {flags:b}");
+        assert_eq!(learned[tick as usize].header.flags & flag::LEARNED != 0, tick > 1 && !blind, "tick {tick}");
+        assert_eq!(flags & flag::NEW_TARGET != 0, tick == 1 || tick == 61, "tick {tick}");
+        if tick > 0 {
+            assert_eq!(observation.inputs[..2], target, "tick {tick}");
+        }
+        if tick > 1 {
+            // The reward of the tick before is that of its own target.
+            let before = if tick < 62 { first } else { second };
+            assert!((observation.measures[0] - error(before)).abs() < 1e-6, "tick {tick}: {:?}", observation.measures);
+            assert_eq!(observation.measures[1..3], end, "tick {tick}");
+        }
+        if sees(tick) && tick > 1 {
+            assert!((0.0..=100.0).contains(&observation.measures[5]), "tick {tick}: {:?}", observation.measures);
+        }
+    }
+    // Torque comes on with the first command that is given with open eyes, and stays on when they close; the arm then stands.
+    assert_eq!(torque.iter().position(|on| *on), Some(1));
+    assert!(torque[1..].iter().all(|on| *on));
+    for observation in &all[103..=151] {
+        assert_eq!(observation.applied, [0.0; 8], "tick {}", observation.header.tick);
+        assert_eq!(observation.inputs[2..6], all[105].inputs[2..6], "tick {}", observation.header.tick);
+        let seen = observation.header.tick > 150;
+        assert!(seen || observation.reward == all[102].reward, "tick {}", observation.header.tick);
+    }
+    assert!(all[90..102].iter().chain(&all[153..]).all(|observation| observation.applied != [0.0; 8]));
+    drop(samples);
+    assert_eq!(bridge.report.armed, 1);
 }
 
 /// An hour of everything at once: whatever happens, what is applied is within limits, no tick is longer than a tick, and torque is on

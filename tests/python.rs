@@ -13,7 +13,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 use support::{Place, TECTUM, assert_no_debris, signal_process};
-use tectum::wire::{Command, Control, Header, Learning, Observation, Sample, Status};
+use tectum::wire::{Command, Control, Header, Learning, Observation, Sample, Status, Vision, flag};
 
 fn python() -> String {
     std::env::var("TECTUM_PYTHON").unwrap_or_else(|_| "python3".to_owned())
@@ -122,6 +122,7 @@ fn python_has_the_samples_as_they_are() {
         layout::<Observation>(),
         layout::<Command>(),
         layout::<Learning>(),
+        layout::<Vision>(),
         layout::<Control>(),
         layout::<Status>(),
     ];
@@ -222,11 +223,48 @@ fn a_plant_in_python_lives_in_real_time_and_comes_back() {
     place.start(TECTUM, &["log", "info", "run"]).wait().expect(0);
 }
 
+/// Trackers in Python: one is killed, and the next one takes over.
+#[test]
+#[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
+fn a_tracker_in_python_is_what_the_arm_sees_with() {
+    let place = Place::new();
+    let text = fs::read_to_string("scenarios/servo-vision.toml").unwrap();
+    let text = text.replace("\"learned-reward\"", "\"paper\"").replace("= 100.0 ", "= 500.0 ");
+    let scenario = place.file("scenario.toml", text);
+    let mut run = place.run(&[scenario.to_str().unwrap(), "--ticks", "100000"]);
+    let mut witness = None;
+    run.until("a run to look at", || {
+        witness = tectum::runtime::Tracker::join(&place.run_folder()).ok();
+        witness.is_some()
+    });
+    let witness = witness.unwrap();
+    let until = |run: &mut support::Process, sees: bool| {
+        run.until("an arm that sees, or does not", || {
+            let observation = witness.observation().unwrap();
+            observation.is_some_and(|o| (o.header.flags & flag::BLIND == 0) == sees)
+        });
+    };
+    until(&mut run, false);
+    let script = example("tracker.py");
+    let track = || place.start(python(), &[&script, "--run", "run"]);
+    let first = track();
+    until(&mut run, true);
+    signal_process(first.id(), "KILL");
+    first.wait();
+    until(&mut run, false);
+    let second = track();
+    until(&mut run, true);
+    run.signal("INT");
+    run.wait().expect(130);
+    second.wait().expect(0);
+    assert_no_debris(&place.run_folder());
+}
+
 #[test]
 #[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
 fn what_python_cannot_do_it_refuses_in_a_sentence() {
     let place = Place::new();
-    for program in ["plant.py", "viewer.py", "mujoco_arm.py"] {
+    for program in ["plant.py", "viewer.py", "mujoco_arm.py", "tracker.py"] {
         let end = place.start(python(), &[&example(program), "--run", "nowhere"]).wait().expect(2);
         assert!(
             end.stderr.lines().count() == 1 && end.stderr.contains("there is no run to join in nowhere"),

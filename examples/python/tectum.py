@@ -22,6 +22,7 @@ LOG_BUFFER, CREDIT = 1024, 256
 # Bits of a header's flags that a plant or a viewer meets.
 FIRST, MISSED, HELD, DECAYED, STOPPED, CLAMPED, NON_FINITE, SKIPPED, NEW_TARGET, LATE = (1 << bit for bit in range(10))
 STEP_LIMITED, POSITION_LIMITED, RAMPED, UNHEARD = (1 << bit for bit in range(12, 16))
+UNARMED, TRIPPED, BLIND = (1 << bit for bit in range(19, 22))
 # Phases of a run, states of a process, and the places on the control board.
 SET_UP, CONNECT, RUN, STOP, ABORT = range(5)
 ABSENT, READY, CONNECTED, RUNNING, FINISHED, FAILED = range(6)
@@ -59,6 +60,7 @@ Command = sample("tectum.Command.v1", [
 Learning = sample("tectum.Learning.v1", [
     ("header", Header), ("noise", c_float * MAX_OUTPUTS), ("reward", c_float), ("step", c_float),
     ("weights_norm", c_float), ("trace_norm", c_float), ("weights_hash", c_uint64)])
+Vision = sample("tectum.Vision.v1", [("header", Header), ("target", c_float * 2), ("end", c_float * 2)])
 Control = sample("tectum.Control.v2", [
     ("phase", c_uint32), ("checkpoints", c_uint32), ("t0_ns", c_uint64), ("incarnations", c_uint32 * 4)])
 Status = sample("tectum.Status.v3", [
@@ -186,6 +188,29 @@ class Run:
 
     def over(self):
         return self.control.get().phase >= STOP or self.orphaned()
+
+
+class Tracker:
+    """Says where target and end-effector are, in a run whose scenario has `sight = "vision"`. May come and go at any time."""
+
+    def __init__(self, run):
+        if "vision" not in run.wire["services"]:
+            raise Refused(f"in {run.folder} nobody is asked to look: its scenario has no sight = \"vision\"")
+        self.sample, iox = Vision(), run.iox
+        self.sample.header.run = int(run.card["run"], 16)
+        try:
+            self.out = run.channel("vision", Vision).publisher_builder().backpressure_strategy(
+                iox.BackpressureStrategy.DiscardData).max_loaned_samples(1).create()
+        except Exception as cause:
+            raise Refused(f"the run has no place for another tracker: {said(cause)}", 1) from None
+
+    def see(self, sensed_ns, target, end):
+        """Where they are, m, in a picture that was taken at `sensed_ns` of CLOCK_MONOTONIC (`time.monotonic_ns()`)."""
+        self.sample.target, self.sample.end = tuple(target), tuple(end)
+        header = self.sample.header
+        header.sensed_ns, header.published_ns = sensed_ns, time.monotonic_ns()
+        self.out.send_copy(self.sample)
+        header.sequence += 1
 
 
 def said(cause):

@@ -263,3 +263,49 @@ fn joints(joints: &[JointTable], segments: usize, protocol: Protocol, goal: Goal
 pub fn check_joints(table: &[JointTable], segments: usize, protocol: Protocol, goal: Goal) -> Result<(), String> {
     joints(table, segments, protocol, goal).map_err(|problem| format!("{} {}", problem.key, problem.text))
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::scenario::{Scenario, ScenarioError};
+
+    fn plan(change: impl FnOnce(String) -> String) -> Result<crate::scenario::Plan, ScenarioError> {
+        Scenario::parse(&change(include_str!("../../scenarios/servo-vision.toml").to_owned()), "vision.toml")?.plan()
+    }
+
+    #[test]
+    fn what_is_said_of_sight_fits_or_is_refused() {
+        let good = plan(|text| text).unwrap();
+        assert_eq!(good.scenario.vision(), Some("vision"));
+        assert_eq!(good.measures.last().map(String::as_str), Some("vision_age_ms"));
+        let model = |text: String| text.replace("sight = \"vision\"", "sight = \"model\"");
+        let bare = |text: String| model(text).replace("vision_age_ms =", "# ").replace("vision_jump =", "# ");
+        let named = |text: String| text + "\n[channels]\nvision = \"eye\"\n";
+        assert_eq!(plan(named).unwrap().scenario.vision(), Some("eye"));
+        for (told, change) in [
+            (
+                "plant.servos.vision_age_ms says what is done with a tracker's samples",
+                &model as &dyn Fn(String) -> String,
+            ),
+            ("plant.servos.vision_jump says", &|text| model(text).replace("vision_age_ms =", "# ")),
+            ("plant.servos.vision_age_ms is 0", &|text| text.replace("= 100.0 ", "= 0.0 ")),
+            ("plant.servos.vision_jump is 0", &|text| text.replace("= 0.05 ", "= 0.0 ")),
+            ("channels.vision names a channel that there is with", &|text| named(bare(text))),
+            ("are both \"command\"", &|text| text + "\n[channels]\nvision = \"command\"\n"),
+            ("plant.arm.targets are given", &|text| {
+                text.replace("[plant.arm]", "[plant.arm]\ntargets = [[0.0, 0.0]]\n#")
+            }),
+        ] {
+            let error = plan(change).unwrap_err().to_string();
+            assert!(error.contains(told) && error.starts_with("vision.toml"), "{error}");
+        }
+    }
+
+    /// A scenario in which nobody looks is written as before there were trackers, so that its hash is what it was.
+    #[test]
+    fn who_does_not_look_has_no_new_keys() {
+        let emulated = Scenario::built_in("servo-emulated").unwrap().plan().unwrap();
+        let text = emulated.scenario.to_toml();
+        assert!(!text.contains("vision") && !text.contains("sight"), "{text}");
+        assert_eq!(emulated.scenario.vision(), None);
+    }
+}

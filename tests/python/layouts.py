@@ -8,7 +8,7 @@ sys.path.insert(0, sys.argv[1])
 import tectum  # noqa: E402
 
 found = {}
-for kind in (tectum.Header, tectum.Observation, tectum.Command, tectum.Learning, tectum.Control, tectum.Status):
+for kind in (tectum.Header, tectum.Observation, tectum.Command, tectum.Learning, tectum.Vision, tectum.Control, tectum.Status):
     fields = [[name, getattr(kind, name).offset, getattr(kind, name).size] for name, _ in kind._fields_]
     found[kind.type_name()] = [ctypes.sizeof(kind), fields]
 print(json.dumps(found))

@@ -243,7 +243,7 @@ impl Bridge {
             sight.take(&sample, now);
         }
         if sight.look(now) {
-            let text = match (sight.sees, sight.age_at(now)) {
+            let text = match (sight.sees, sight.aged) {
                 (true, _) => "target and end-effector are seen".to_owned(),
                 (false, age) => format!(
                     "nothing is seen any more: the newest sample of a tracker is {} ms old; the arm stands still",
@@ -495,8 +495,7 @@ impl Plant for Bridge {
         if let Some(sight) = &self.sight
             && first + 2 < MAX_MEASURES
         {
-            let age = sight.age_at(self.bus.now());
-            outcome.measures[first + 2] = age.map_or(-1.0, |ns| ns as f32 / 1e6);
+            outcome.measures[first + 2] = sight.aged.map_or(-1.0, |ns| ns as f32 / 1e6);
         }
         self.report.ticks += 1;
         self.report.blind += u64::from(self.blind);

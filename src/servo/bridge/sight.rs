@@ -38,6 +38,8 @@ pub(super) struct Sight {
     taken: Option<[f32; 2]>,
     /// Whether anything new enough was there at the last look.
     pub sees: bool,
+    /// How old the newest sample was at the last look, ns.
+    pub aged: Option<u64>,
     ages: Histogram<u64>,
     /// The account so far.
     pub report: VisionReport,
@@ -53,6 +55,7 @@ impl Sight {
             newest: None,
             taken: None,
             sees: false,
+            aged: None,
             ages: histogram(),
             report: VisionReport { spells: 1, ..VisionReport::default() },
         }
@@ -72,7 +75,8 @@ impl Sight {
     /// A tick begins at `now`: whether anything is seen, and whether that has changed.
     pub fn look(&mut self, now: u64) -> bool {
         let before = self.sees;
-        let age = self.age_at(now);
+        let age = self.newest.map(|newest| now.saturating_sub(newest.header.sensed_ns));
+        self.aged = age;
         self.sees = age.is_some_and(|age| age <= self.age);
         match age {
             Some(age) if self.sees => self.ages.saturating_record(age),
@@ -80,11 +84,6 @@ impl Sight {
         }
         self.report.spells += u64::from(before && !self.sees);
         self.sees != before
-    }
-
-    /// How old the newest sample is, ns.
-    pub fn age_at(&self, now: u64) -> Option<u64> {
-        self.newest.map(|newest| now.saturating_sub(newest.header.sensed_ns))
     }
 
     /// Where the end-effector was seen last, m.
