@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use rand::RngExt as _;
 use rand_distr::{Distribution as _, Normal};
+use tectum::channel::ChannelError;
 use tectum::clock::pause;
 use tectum::plant::posture;
 use tectum::runtime::{RuntimeError, Tracker};
@@ -53,7 +54,11 @@ fn join(arguments: &Arguments) -> Result<Tracker, RuntimeError> {
     let until = Instant::now() + Duration::from_secs_f64(arguments.wait.clamp(0.0, 3600.0));
     loop {
         match Tracker::join(&arguments.run) {
-            Err(RuntimeError::NoRun { .. } | RuntimeError::Channel(_)) if Instant::now() < until => pause(50_000_000),
+            Err(RuntimeError::NoRun { .. } | RuntimeError::Channel(ChannelError::SetUp { .. }))
+                if Instant::now() < until =>
+            {
+                pause(50_000_000);
+            }
             joined => return joined,
         }
     }

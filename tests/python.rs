@@ -241,7 +241,8 @@ fn a_tracker_in_python_is_what_the_arm_sees_with() {
     let until = |run: &mut support::Process, sees: bool| {
         run.until("an arm that sees, or does not", || {
             let observation = witness.observation().unwrap();
-            observation.is_some_and(|o| (o.header.flags & flag::BLIND == 0) == sees)
+            let aged = |o: &Observation| (0.0..=500.0).contains(&o.measures[5]) && o.header.flags & flag::FIRST == 0;
+            observation.is_some_and(|o| aged(&o) == sees)
         });
     };
     until(&mut run, false);

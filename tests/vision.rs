@@ -11,8 +11,12 @@ use tectum::wire::flag;
 fn until(run: &mut Process, witness: &Tracker, sees: bool) {
     let what = if sees { "an arm that sees" } else { "an arm that is blind" };
     run.until(what, || {
-        let observation = witness.observation().unwrap();
-        observation.is_some_and(|o| (o.header.flags & flag::BLIND == 0) == sees)
+        let Some(observation) = witness.observation().unwrap() else { return false };
+        let flags = observation.header.flags;
+        // The measure, since a bus that is slow on a loaded machine leaves the arm blind as well.
+        let seen = flags & flag::FIRST == 0 && (0.0..=500.0).contains(&observation.measures[5]);
+        assert!(seen || flags & flag::BLIND != 0, "{observation:?}");
+        seen == sees
     });
 }
 
@@ -55,7 +59,7 @@ fn trackers_come_late_are_killed_and_are_followed_by_others() {
     let vision = &account["vision"];
     assert_eq!((vision["spells"].as_u64(), vision["dropped"].as_u64()), (Some(6), Some(0)), "{account}");
     assert!(vision["age"]["count"].as_u64() > Some(10), "{account}");
-    assert_eq!(account["armed"], 1, "{account}");
+    assert!(account["armed"].as_u64() >= Some(1), "{account}");
 }
 
 #[test]
