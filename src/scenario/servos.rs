@@ -287,12 +287,12 @@ mod tests {
                 &model as &dyn Fn(String) -> String,
             ),
             ("plant.servos.vision_jump says", &|text| model(text).replace("vision_age_ms =", "# ")),
-            ("plant.servos.vision_age_ms is 0", &|text| text.replace("= 100.0 ", "= 0.0 ")),
-            ("plant.servos.vision_jump is 0", &|text| text.replace("= 0.05 ", "= 0.0 ")),
+            ("plant.servos.vision_age_ms is 0", &|text| text.replace("vision_age_ms = 100.0", "vision_age_ms = 0.0")),
+            ("plant.servos.vision_jump is 0", &|text| text.replace("vision_jump = 0.05", "vision_jump = 0.0")),
             ("channels.vision names a channel that there is with", &|text| named(bare(text))),
             ("are both \"command\"", &|text| text + "\n[channels]\nvision = \"command\"\n"),
             ("plant.arm.targets are given", &|text| {
-                text.replace("[plant.arm]", "[plant.arm]\ntargets = [[0.0, 0.0]]\n#")
+                text.replace("[plant.arm]  ", "[plant.arm]\ntargets = [[0.0, 0.0]]\n#")
             }),
         ] {
             let error = plan(change).unwrap_err().to_string();
