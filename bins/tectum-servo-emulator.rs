@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use tectum::clock::{Life, Signals};
+use tectum::runtime::exit;
 use tectum::scenario::{EmulatorTable, Scenario, ServoFault, ServoFaultKind};
 use tectum::servo::emulator::Chain;
 use tectum::servo::model::Protocol;
@@ -58,32 +59,37 @@ struct Arguments {
 fn main() -> ExitCode {
     match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
+        Err((error, code)) => {
             let _ = writeln!(std::io::stderr(), "tectum-servo-emulator: {error}");
-            ExitCode::FAILURE
+            ExitCode::from(code)
         }
     }
 }
 
-fn run(arguments: &Arguments) -> Result<(), String> {
+/// A sentence and an exit code.
+type Problem = (String, u8);
+
+fn run(arguments: &Arguments) -> Result<(), Problem> {
+    let bad = |text: String| (text, exit::INPUT);
+    let own = |text: String| (text, exit::ERROR);
     let protocol = Protocol::named(&arguments.protocol);
     let series = protocol.series();
     if let Err(known) = series.check_baud(arguments.baud) {
-        return Err(format!("--baud {}: {} has {known}", arguments.baud, series.name));
+        return Err(bad(format!("--baud {}: {} has {known}", arguments.baud, series.name)));
     }
     if let Some(id) = arguments.ids.iter().find(|&&id| id > series.max_id) {
-        return Err(format!("--ids {id}: the highest id of {} is {}", series.name, series.max_id));
+        return Err(bad(format!("--ids {id}: the highest id of {} is {}", series.name, series.max_id)));
     }
     let (mut settings, mut seed) = (EmulatorTable::default(), 1);
     if let Some(path) = &arguments.scenario {
-        let plan = Scenario::load(path).and_then(Scenario::plan).map_err(|error| error.to_string())?;
+        let plan = Scenario::load(path).and_then(Scenario::plan).map_err(|error| bad(error.to_string()))?;
         settings = plan.scenario.plant.emulator.unwrap_or_default();
         seed = plan.scenario.seed;
     }
     for text in &arguments.faults {
-        settings.faults.push(fault(text)?);
+        settings.faults.push(fault(text).map_err(bad)?);
     }
-    let signals = Signals::install().map_err(|error| format!("signals cannot be taken: {error}"))?;
+    let signals = Signals::install().map_err(|error| own(format!("signals cannot be taken: {error}")))?;
     let parent = match arguments.parent {
         // A parent that is gone already has nobody left to serve.
         Some(pid) => match Life::of(pid) {
@@ -93,8 +99,8 @@ fn run(arguments: &Arguments) -> Result<(), String> {
         None => None,
     };
     let terminal = Terminal::open(arguments.link.as_deref()).map_err(|error| match &arguments.link {
-        Some(link) => format!("{}: no terminal can be put there: {error}", link.display()),
-        None => format!("there is no terminal to be had: {error}"),
+        Some(link) => bad(format!("{}: no terminal can be put there: {error}", link.display())),
+        None => own(format!("there is no terminal to be had: {error}")),
     })?;
     let chain = Chain::new(protocol, &arguments.ids, arguments.baud, &settings, arguments.seed.unwrap_or(seed));
     let path = arguments.link.as_deref().unwrap_or(terminal.path()).display().to_string();
@@ -107,7 +113,7 @@ fn run(arguments: &Arguments) -> Result<(), String> {
     };
     let _ = writeln!(out, "{line}").and_then(|()| out.flush());
     let duties = Duties { control: arguments.control, trace: arguments.trace, json: arguments.json, parent };
-    terminal.serve(chain, &signals, &duties).map_err(|error| format!("the terminal failed: {error}"))
+    terminal.serve(chain, &signals, &duties).map_err(|error| own(format!("the terminal failed: {error}")))
 }
 
 /// `KIND[:SERVO[:FROM_S[:UNTIL_S]]]`.

@@ -220,6 +220,32 @@ fn what_is_seen_counts_and_who_does_not_see_stands_still() {
     assert_eq!(bridge.report.armed, 1);
 }
 
+/// A panic with torque on, here in what the bridge says: torque is off before the process is gone.
+#[test]
+fn a_panic_turns_torque_off() {
+    let plan = plan("", 100, |text| text);
+    let servos = plan.scenario.plant.servos.as_ref().unwrap();
+    let chain = Chain::new(servos.protocol, &[1, 2, 3, 4], servos.baud, &EmulatorTable::default(), 1);
+    let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
+    let port = Port::new(Arc::clone(&chain), clock.clone(), servos.baud);
+    let now = clock.clone();
+    let bus = Bus::over(Box::new(port), servos.protocol, Bridge::budget(&plan), Box::new(move || now.now()));
+    let seen = Arc::new(Mutex::new(false));
+    let (look, at, note) = (Arc::clone(&chain), clock.clone(), Arc::clone(&seen));
+    let say = move |text: &str| {
+        if text.contains("torque is on") {
+            *note.lock().unwrap() = look.lock().unwrap().state(at.now()).iter().all(|servo| servo.torque);
+            panic!("as any other");
+        }
+    };
+    let mut bridge = Bridge::new(&plan, bus, joints_of(&plan).unwrap(), Box::new(say)).unwrap();
+    bridge.arm().unwrap();
+    let setup = Setup { chain: Arc::clone(&chain), clock: clock.clone(), bridge };
+    let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run(&plan, setup, |_| true)));
+    assert!(ended.is_err() && *seen.lock().unwrap(), "it did not panic with torque on");
+    assert!(chain.lock().unwrap().state(clock.now()).iter().all(|servo| !servo.torque));
+}
+
 /// An hour of everything at once: whatever happens, what is applied is within limits, no tick is longer than a tick, and torque is on
 /// in no tick that says it is off.
 #[test]

@@ -32,11 +32,11 @@ fn tool(place: &Place, arguments: &[&str]) -> Output {
     Command::new(BRIDGE).args(arguments).current_dir(place.path()).stdin(Stdio::null()).output().unwrap()
 }
 
-/// What a tool said on its way out, which must be one line and no success.
+/// What a tool said on its way out, which must be one line and the exit code of bad input.
 #[track_caller]
 fn refused(output: &Output) -> String {
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(!output.status.success(), "{text}");
+    assert_eq!(output.status.code(), Some(2), "{text}");
     assert_eq!(text.trim_end().lines().count(), 1, "{text}");
     text
 }

@@ -134,7 +134,7 @@ fn what_it_cannot_do_it_says_in_one_line() {
         (&["--scenario", "none.toml"], "none.toml"),
         (&["--link", "precious"], "precious: no terminal can be put there: "),
     ] {
-        let outcome = place.start(EMULATOR, arguments).wait().expect(1);
+        let outcome = place.start(EMULATOR, arguments).wait().expect(2);
         assert!(outcome.stderr.contains(said), "{arguments:?}: {}", outcome.stderr);
         assert_eq!(outcome.stderr.lines().count(), 1, "{}", outcome.stderr);
     }

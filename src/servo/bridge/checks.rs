@@ -72,6 +72,7 @@ pub enum BridgeError {
 /// A calibration: the joints, as `tectum-bridge calibrate` writes them.
 #[derive(Debug, Deserialize)]
 struct Calibration {
+    protocol: Protocol,
     joints: Vec<JointTable>,
 }
 
@@ -86,6 +87,12 @@ pub fn joints_of(plan: &Plan) -> Result<Vec<JointTable>, BridgeError> {
     let bad = |cause: String| BridgeError::Calibration { path: path.clone(), cause };
     let text = std::fs::read_to_string(Path::new(path)).map_err(|error| bad(error.to_string()))?;
     let calibration: Calibration = toml::from_str(&text).map_err(|error| bad(error.message().to_owned()))?;
+    if calibration.protocol != servos.protocol {
+        let (theirs, ours) = (calibration.protocol.name(), servos.protocol.name());
+        return Err(bad(format!(
+            "it is for servos that speak {theirs} and plant.servos.protocol is {ours}: it is another arm's"
+        )));
+    }
     check_joints(&calibration.joints, arm.lengths.len(), servos.protocol, servos.goal).map_err(bad)?;
     Ok(calibration.joints)
 }
