@@ -220,6 +220,37 @@ fn what_is_seen_counts_and_who_does_not_see_stands_still() {
     assert_eq!(bridge.report.armed, 1);
 }
 
+/// Whatever the goals are, the servos hold the joints' limits afterwards; a joint that turns freely has none.
+#[test]
+fn limits_are_written_into_the_servos() {
+    for (protocol, goal) in
+        [("dynamixel", "speed"), ("dynamixel", "position"), ("feetech", "speed"), ("feetech", "position")]
+    {
+        let plan = plan("", 10, |text| {
+            let text = text.replace("\"dynamixel\" ", &format!("\"{protocol}\" "));
+            let text = text.replace("goal = \"speed\"", &format!("goal = \"{goal}\""));
+            let all = text.replace("max_speed = 12.0", "range = [-2.0, 2.0]\nmax_speed = 12.0");
+            // The first one is mounted the other way round, with its zero off the middle.
+            all.replacen("range = [-2.0, 2.0]", "direction = -1\nzero = 1500\nrange = [-1.0, 0.5]\n", 1)
+        });
+        let mut setup = set_up(&plan);
+        setup.bridge.arm().unwrap();
+        let servos = plan.scenario.plant.servos.as_ref().unwrap();
+        let port = Port::new(Arc::clone(&setup.chain), setup.clock.clone(), servos.baud);
+        let now = setup.clock.clone();
+        let mut bus = Bus::over(Box::new(port), servos.protocol, Bridge::budget(&plan), Box::new(move || now.now()));
+        let series = bus.series();
+        let mut ends = |id| [series.min_position, series.max_position].map(|register| bus.read(id, register).unwrap());
+        // 1 rad is 651.9 steps.
+        assert_eq!(ends(1), [1500 - 325, 1500 + 651], "{protocol}, {goal}");
+        assert_eq!(ends(2), [2048 - 1303, 2048 + 1303], "{protocol}, {goal}");
+        if let Some(limit) = series.velocity_limit {
+            let unit = series.speed_unit;
+            assert_eq!(bus.read(1, limit).unwrap(), (12.0 / unit).ceil() as i32);
+        }
+    }
+}
+
 /// A panic with torque on, here in what the bridge says: torque is off before the process is gone.
 #[test]
 fn a_panic_turns_torque_off() {

@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use crate::scenario::{Goal, JointTable, Plan, check_joints};
 use crate::servo::bus::{Bus, BusError};
-use crate::servo::model::{Protocol, Register, STEP, UnknownModel};
+use crate::servo::model::{Block, Protocol, Register, STEP, UnknownModel};
 
 /// Why the bridge does not start, or is not armed.
 #[derive(Debug, thiserror::Error)]
@@ -133,14 +133,40 @@ pub(super) fn prepare(bus: &mut Bus, joints: &[JointTable], goal: Goal, motors: 
             set(bus, joint.id, register, speed.min(1023))?;
         }
         if goal == Goal::Position {
-            let ends = joint.range.map(|end| joint.zero + (f64::from(joint.direction) * end / STEP) as i32);
-            set(bus, joint.id, series.min_position, ends[0].min(ends[1]).clamp(0, 4095))?;
-            set(bus, joint.id, series.max_position, ends[0].max(ends[1]).clamp(0, 4095))?;
             set(bus, joint.id, series.profile_velocity, speed)?;
         }
         if series.protocol == Protocol::Feetech {
             // As fast as it goes: what limits acceleration is the gate.
             set(bus, joint.id, series.profile_acceleration, 0)?;
+        }
+    }
+    limit(bus, joints)
+}
+
+/// The positions between which the servos are to stay, steps. With speed goals neither series heeds them, and the bridge alone keeps
+/// the range; they are written all the same, so that whoever moves a servo to a position afterwards stays within it.
+fn limit(bus: &mut Bus, joints: &[JointTable]) -> Result<(), BridgeError> {
+    let series = bus.series();
+    let ids: Vec<_> = joints.iter().map(|joint| joint.id).collect();
+    let registers = [series.min_position, series.max_position];
+    // Neighbours in both series, in one order or the other: one instruction reads both of all servos.
+    let block = Block {
+        address: registers[0].address.min(registers[1].address),
+        length: registers[0].width + registers[1].width,
+    };
+    let answers = bus.sync_read(&ids, block).0?;
+    for (joint, answer) in joints.iter().zip(answers) {
+        let ends = if joint.is_free() {
+            [0, 4095]
+        } else {
+            joint.range.map(|end| joint.zero + (f64::from(joint.direction) * end / STEP) as i32)
+        };
+        let ends = [ends[0].min(ends[1]), ends[0].max(ends[1])];
+        for (register, end) in registers.into_iter().zip(ends) {
+            let end = end.clamp(0, 4095);
+            if block.decode(register, &answer.bytes) != Some(end) {
+                set(bus, joint.id, register, end)?;
+            }
         }
     }
     Ok(())
