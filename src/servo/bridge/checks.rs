@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use crate::scenario::{Goal, JointTable, Plan, check_joints};
-use crate::servo::bus::{Bus, BusError};
+use crate::servo::bus::{Answer, Bus, BusError};
 use crate::servo::model::{Block, Protocol, Register, STEP, UnknownModel};
 
 /// Why the bridge does not start, or is not armed.
@@ -154,22 +154,34 @@ fn limit(bus: &mut Bus, joints: &[JointTable]) -> Result<(), BridgeError> {
         address: registers[0].address.min(registers[1].address),
         length: registers[0].width + registers[1].width,
     };
-    let answers = bus.sync_read(&ids, block).0?;
-    for (joint, answer) in joints.iter().zip(answers) {
-        let ends = if joint.is_free() {
-            [0, 4095]
-        } else {
-            joint.range.map(|end| joint.zero + (f64::from(joint.direction) * end / STEP) as i32)
-        };
-        let ends = [ends[0].min(ends[1]), ends[0].max(ends[1])];
-        for (register, end) in registers.into_iter().zip(ends) {
-            let end = end.clamp(0, 4095);
-            if block.decode(register, &answer.bytes) != Some(end) {
-                set(bus, joint.id, register, end)?;
-            }
+    let ends = |joint: &JointTable| {
+        if joint.is_free() {
+            return [0, 4095];
         }
+        let [a, b] = joint.range.map(|end| joint.zero + (f64::from(joint.direction) * end / STEP) as i32);
+        [a.min(b).clamp(0, 4095), a.max(b).clamp(0, 4095)]
+    };
+    let wanted: Vec<_> = joints
+        .iter()
+        .map(|joint| {
+            let mut bytes = vec![0; usize::from(block.length)];
+            for (register, end) in registers.into_iter().zip(ends(joint)) {
+                let (at, width) = (usize::from(register.address - block.address), usize::from(register.width));
+                bytes[at..at + width].copy_from_slice(&register.encode(end)[..width]);
+            }
+            bytes
+        })
+        .collect();
+    // One instruction for all servos, as arming has no more time than a tick; and none where nothing differs, as EEPROM wears out.
+    let other = |answers: &[Answer]| answers.iter().zip(&wanted).position(|(answer, wanted)| answer.bytes != *wanted);
+    if other(&bus.sync_read(&ids, block).0?).is_none() {
+        return Ok(());
     }
-    Ok(())
+    bus.sync_write(&ids, block.address, &wanted).0?;
+    let answers = bus.sync_read(&ids, block).0?;
+    let Some(i) = other(&answers) else { return Ok(()) };
+    let found = block.decode(registers[0], &answers[i].bytes).unwrap_or(0);
+    Err(BridgeError::Setting { id: ids[i], value: ends(&joints[i])[0], address: registers[0].address, found })
 }
 
 /// Sets a register that has another value, and looks whether it was taken: EEPROM wears out.

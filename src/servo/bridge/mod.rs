@@ -406,11 +406,12 @@ impl Plant for Bridge {
     fn act(&mut self, tick: u64, applied: &mut [f32], flags: u32) -> u32 {
         self.write_ns = 0;
         let before = self.safety.state();
-        if self.key.swap(false, Ordering::Relaxed)
-            && before != State::Driving
-            && let Err(error) = self.arm()
-        {
-            (self.say)(&format!("tick {tick}: not armed: {error}"));
+        let mut prepared = false;
+        if self.key.swap(false, Ordering::Relaxed) && before != State::Driving {
+            match self.arm() {
+                Ok(()) => prepared = true,
+                Err(error) => (self.say)(&format!("tick {tick}: not armed: {error}")),
+            }
         }
         let mut drive = self.safety.command(flags, self.sees());
         if drive == Drive::Still {
@@ -418,9 +419,13 @@ impl Plant for Bridge {
         } else {
             self.rest = None;
         }
-        // After a loss of the bus or of power, nothing that was set before is taken for granted.
+        // After a loss of the bus or of power, or a while in which somebody may have moved the arm, nothing is taken for granted.
         if drive == Drive::Rise {
-            let checked = checks::prepare(&mut self.bus, &self.joints, self.table.goal, &self.motors);
+            let checked = if prepared {
+                Ok(())
+            } else {
+                checks::prepare(&mut self.bus, &self.joints, self.table.goal, &self.motors)
+            };
             if let Err(error) = &checked {
                 (self.say)(&format!("tick {tick}: {error}"));
             }
