@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 
 use serde_json::Value;
-use support::{Place, WATCHDOG, assert_no_debris, signal_process};
+use support::{Place, TECTUM, WATCHDOG, assert_no_debris, signal_process};
 
 /// A chain of four that says each change of torque; dropped, it is killed.
 struct Chain {
@@ -85,6 +85,13 @@ fn unarmed_it_only_looks() {
     assert_eq!(account["armed"], 0, "{account}");
     assert!(account["bus_read"]["count"].as_u64() > Some(20), "{account}");
     assert_no_debris(&place.run_folder());
+    replays(&place);
+}
+
+/// The log of an arm that limits and stops itself is learned again like any other.
+fn replays(place: &Place) {
+    let replay = place.start(TECTUM, &["replay", "run", "--json"]).wait().expect(0).json();
+    assert!(replay["difference"].is_null() && replay["commands"].as_u64() > Some(20), "{replay}");
 }
 
 #[test]

@@ -113,8 +113,10 @@ fn a_joint_is_moved_by_as_much_and_has_no_torque_afterwards() {
         let place = Place::new();
         let mut emulator = start(&place, &["--protocol", protocol, "--ids", "1,2"]);
         let jog = ["jog", "--port", "arm", "--protocol", protocol, "--id", "2", "--by", "-0.5", "--speed", "2"];
-        let output = tool(&place, &jog);
+        let output = tool(&place, &[&jog[..], &["--json"]].concat());
         assert!(output.status.success(), "{output:?}");
+        let after: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert!(after["id"] == 2 && after["torque"] == false, "{after}");
         let servos = ask(&mut emulator, "state");
         let at = servos[1]["position"].as_f64().unwrap();
         assert!((at - (2048.0 - 0.5 / tectum::servo::model::STEP)).abs() < 20.0, "{at}");
@@ -176,4 +178,39 @@ fn what_cannot_be_is_refused_in_a_sentence_and_torque_is_never_on() {
     // The trace would have told: with torque it does.
     assert!(tool(&place, &[&["jog", "--by", "0.1", "--id", "1"], &ON[..]].concat()).status.success());
     assert_eq!(emulator.line()["servos"][0]["torque"], true);
+}
+
+#[test]
+fn every_tool_has_help_with_an_example() {
+    for name in ["scan", "calibrate", "jog", "watch"] {
+        let help = Command::new(BRIDGE).args([name, "--help"]).output().unwrap();
+        let text = String::from_utf8(help.stdout).unwrap();
+        assert!(help.status.success() && text.contains(&format!("tectum-bridge {name} --port")), "{name}: {text}");
+        assert!(text.contains("--json"), "{name}: {text}");
+    }
+}
+
+/// Who may not open the port is told so. A test that runs as root becomes somebody else for it; where nobody can, it cannot be shown.
+#[test]
+fn a_port_without_permission_is_named() {
+    let place = Place::new();
+    let port = place.file("port", "");
+    std::fs::set_permissions(&port, std::os::unix::fs::PermissionsExt::from_mode(0o000)).unwrap();
+    let arguments = ["watch", "--port", port.to_str().unwrap(), "--protocol", "feetech", "--ids", "1", "--once"];
+    let mut command = Command::new("setpriv");
+    command.args(["--reuid", "65534", "--clear-groups", "--bounding-set", "-all", "--inh-caps", "-all"]);
+    let output = match std::fs::File::open(&port) {
+        Err(_) => tool(&place, &arguments),
+        Ok(_) => {
+            // Somebody else may not look into the folders of the build and of the test; the program goes along on standard input.
+            let program = std::fs::File::open(BRIDGE).unwrap();
+            command.args(["--", "/proc/self/fd/0"]).args(arguments).stdin(program).output().unwrap()
+        }
+    };
+    let text = String::from_utf8_lossy(&output.stderr);
+    if output.status.code() != Some(2) && !text.contains("tectum-bridge:") {
+        eprintln!("skipped: nobody else can be had here: {text}");
+        return;
+    }
+    assert!(refused(&output).contains("ermission"), "{text}");
 }

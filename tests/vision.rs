@@ -3,7 +3,7 @@
 mod support;
 
 use serde_json::Value;
-use support::{Place, Process, assert_no_debris, example, signal_process};
+use support::{Place, Process, TECTUM, assert_no_debris, example, signal_process};
 use tectum::runtime::Tracker;
 use tectum::wire::flag;
 
@@ -60,6 +60,9 @@ fn trackers_come_late_are_killed_and_are_followed_by_others() {
     assert_eq!((vision["spells"].as_u64(), vision["dropped"].as_u64()), (Some(6), Some(0)), "{account}");
     assert!(vision["age"]["count"].as_u64() > Some(10), "{account}");
     assert!(account["armed"].as_u64() >= Some(1), "{account}");
+    // With ticks in which the arm saw nothing, stood still, or had no torque yet.
+    let replay = place.start(TECTUM, &["replay", "run", "--json"]).wait().expect(0).json();
+    assert!(replay["difference"].is_null() && replay["commands"].as_u64() > Some(20), "{replay}");
 }
 
 #[test]

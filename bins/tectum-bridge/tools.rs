@@ -38,6 +38,10 @@ struct Which {
 
 /// `scan`.
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  tectum-bridge scan --port /dev/ttyUSB0                                       both series, at all their rates
+  tectum-bridge scan --port /dev/ttyUSB0 --protocol feetech --baud 1000000     some seconds instead of a minute")]
 pub struct Scan {
     /// The serial port
     #[arg(long)]
@@ -58,6 +62,12 @@ pub struct Scan {
 
 /// `calibrate`.
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Torque is off all the while. Each step is asked for, done by hand, and ends with Enter; with --json the questions go to
+standard error, and one object with the joints comes at the end.
+
+Example:
+  tectum-bridge calibrate --port /dev/ttyUSB0 --protocol feetech --ids 1,2,3,4 --out my-arm.toml")]
 pub struct Calibrate {
     #[command(flatten)]
     which: Which,
@@ -73,10 +83,18 @@ pub struct Calibrate {
     /// Replace a file that is there
     #[arg(long)]
     force: bool,
+    /// Print the joints as one JSON object
+    #[arg(long)]
+    json: bool,
 }
 
 /// `jog`.
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Torque is on while the servo moves, and off afterwards however that ends.
+
+Example:
+  tectum-bridge jog --port /dev/ttyUSB0 --protocol feetech --id 2 --by -0.3 --calibration my-arm.toml")]
 pub struct Move {
     #[command(flatten)]
     which: Which,
@@ -92,10 +110,18 @@ pub struct Move {
     /// Keeps to the range and direction of this file
     #[arg(long)]
     calibration: Option<PathBuf>,
+    /// Print how the servo is afterwards as one JSON object
+    #[arg(long)]
+    json: bool,
 }
 
 /// `watch`.
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Nothing is written to the servos. With --json there is one object for each servo and look.
+
+Example:
+  tectum-bridge watch --port /dev/ttyUSB0 --protocol feetech --ids 1,2,3,4 --once")]
 pub struct Watch {
     #[command(flatten)]
     which: Which,
@@ -140,7 +166,7 @@ pub fn run(tool: &Tool) -> Result<(), ToolError> {
             let mut bus = what.which.open()?;
             let asked = Jog { id: what.id, by: what.by, speed: what.speed, calibration: calibration.as_ref() };
             let after = tools::jog(&mut bus, asked, pause, stop)?;
-            say(&after.line())
+            say(&if what.json { serde_json::json!(after).to_string() } else { after.line() })
         }
         Tool::Watch(what) => watch(what, &stop),
     }
@@ -195,9 +221,14 @@ fn calibrate(what: &Calibrate) -> Result<(), ToolError> {
     }
     let mut bus = what.which.open()?;
     let mut input = std::io::stdin().lock();
-    let calibration = tools::calibrate(&mut bus, &what.ids, what.max_speed, &mut input, &mut std::io::stdout())?;
+    let mut ask: Box<dyn std::io::Write> =
+        if what.json { Box::new(std::io::stderr()) } else { Box::new(std::io::stdout()) };
+    let calibration = tools::calibrate(&mut bus, &what.ids, what.max_speed, &mut input, &mut ask)?;
     calibration.save(&what.out)?;
-    say(&format!("written to {}", what.out.display()))
+    match what.json {
+        true => say(&serde_json::json!({ "file": what.out, "calibration": calibration }).to_string()),
+        false => say(&format!("written to {}", what.out.display())),
+    }
 }
 
 fn watch(what: &Watch, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {

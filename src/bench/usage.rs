@@ -117,7 +117,8 @@ fn cpu_ns(pid: u32) -> Option<u64> {
     let mut sum = 0;
     for thread in fs::read_dir(format!("/proc/{pid}/task")).ok()?.flatten() {
         // Time on a core, time waiting for one, slices.
-        let text = fs::read_to_string(thread.path().join("schedstat")).ok()?;
+        // A thread that has ended meanwhile is none of the process's any more.
+        let Ok(text) = fs::read_to_string(thread.path().join("schedstat")) else { continue };
         sum += text.split(' ').next()?.parse::<u64>().ok()?;
     }
     Some(sum)

@@ -13,6 +13,7 @@ use std::path::Path;
 use super::clockwork::Clockwork;
 use super::compare::{Difference, compare};
 use crate::plant::{Body, Joints, Outcome, Plant};
+use crate::policy::Outputs;
 use crate::runtime::PlantSide;
 use crate::scenario::Plan;
 use crate::state::{Ledger, Remember};
@@ -28,7 +29,25 @@ enum Stand {
     /// A body of the simulator, which lives through the run again.
     Simulated(Body),
     /// The log's own, for a plant that nobody can run again.
-    Told { inputs: [f32; MAX_INPUTS], fresh: bool, outcome: Outcome },
+    Told { inputs: [f32; MAX_INPUTS], fresh: bool, outcome: Outcome, own: Option<Own> },
+}
+
+/// What a body that acts at once has said of a tick: such a one has limits of its own, behind the gate's.
+#[derive(Debug, Clone, Copy, Default)]
+struct Own {
+    /// What it applied.
+    applied: Outputs,
+    /// What the observation says of it.
+    flags: u32,
+    /// Whether both are of the tick that is lived through now, and not of a later one.
+    current: bool,
+}
+
+impl Own {
+    /// Flags by which a body says that it did something else than it was asked to.
+    const ELSE: u32 = flag::CLAMPED | flag::UNARMED | flag::TRIPPED | flag::BLIND;
+    /// All flags that it may add to the gate's.
+    const ALL: u32 = Self::ELSE | flag::POSITION_LIMITED | flag::RAMPED;
 }
 
 impl Remember for Stand {
@@ -54,6 +73,30 @@ impl Plant for Stand {
         match self {
             Self::Simulated(body) => body.advance(tick, applied),
             Self::Told { outcome, .. } => *outcome,
+        }
+    }
+
+    fn acts_within(&self) -> Option<u64> {
+        match self {
+            Self::Told { own: Some(_), .. } => Some(0),
+            _ => None,
+        }
+    }
+
+    fn act(&mut self, _tick: u64, applied: &mut [f32], _flags: u32) -> u32 {
+        match self {
+            Self::Told { own: Some(own), .. } if own.current && own.flags & Own::ELSE != 0 => {
+                applied.copy_from_slice(&own.applied[..applied.len()]);
+                own.flags & Own::ALL
+            }
+            _ => 0,
+        }
+    }
+
+    fn remarks(&self) -> u32 {
+        match self {
+            Self::Told { own: Some(own), .. } => own.flags & flag::BLIND,
+            _ => 0,
         }
     }
 
@@ -88,7 +131,8 @@ impl PlantShadow {
         let program = Path::new(&plan.scenario.plant.program).file_name();
         let body = Body::of(plan).filter(|_| program.is_some_and(|name| name == "tectum-simulator"));
         let simulated = body.is_some();
-        let told = Stand::Told { inputs: [0.0; MAX_INPUTS], fresh: false, outcome: Outcome::default() };
+        let own = plan.scenario.plant.servos.as_ref().map(|_| Own::default());
+        let told = Stand::Told { inputs: [0.0; MAX_INPUTS], fresh: false, outcome: Outcome::default(), own };
         let side = PlantSide::new(body.map_or(told, Stand::Simulated), plan);
         let faulty = !side.is_clean();
         Self { sides: vec![side], simulated, faulty, ticks: plan.scenario.ticks, seen: 0, last: None, incarnation: 0 }
@@ -185,10 +229,13 @@ impl PlantShadow {
 impl PlantSide<Stand> {
     /// Lives from tick `due` - 1, of which `command` came in time, to the beginning of `tick`.
     fn follow(&mut self, due: u64, tick: u64, command: Option<&Command>, logged: &Observation) {
-        if let Stand::Told { inputs, fresh, outcome } = self.body_mut() {
+        if let Stand::Told { inputs, fresh, outcome, own } = self.body_mut() {
             *inputs = logged.inputs;
             *fresh = logged.header.flags & flag::NEW_TARGET != 0;
             *outcome = Outcome { reward: logged.reward, measures: logged.measures };
+            if let Some(own) = own {
+                *own = Own { applied: logged.applied, flags: logged.header.flags, current: tick == due };
+            }
         }
         let guessed = matches!(self.body_mut(), Stand::Told { .. }) && self.limits_positions();
         if guessed {
@@ -197,6 +244,9 @@ impl PlantSide<Stand> {
         }
         if due > 0 {
             self.live(due - 1, command);
+        }
+        if let Stand::Told { own: Some(own), .. } = self.body_mut() {
+            own.current = true;
         }
         self.skip(due, tick);
         // Of the ticks passed over, the log tells the last one only.
