@@ -1,0 +1,261 @@
+//! What a series of servos is like: registers, units, signs, models.
+//!
+//! Two series are known: Dynamixel X (XL330, XC330, XL430, XC430, XM430, XH430, XM540, XH540; protocol 2.0) and Feetech's STS3215 with
+//! its kin (the SO-100 and SO-101 arms). Addresses and widths are those of the makers' manuals
+//! (<https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/>, `xl430-w250`, `xm430-w350`; Feetech's memory table of the STS series),
+//! and a test holds every one of them to rustypot's tables.
+//!
+//! *Positions* count 4096 a turn in both series. *Signs*: Dynamixel has two's complement; Feetech has a magnitude with a
+//! sign bit of its own, bit 15 for positions and speeds, bit 10 for the load.
+//! *EEPROM*: Dynamixel refuses writes below address 64 (access error) while torque is on. Feetech takes them at any time; they outlive a
+//! loss of power only if `lock` is 0.
+
+mod kinds;
+mod register;
+
+pub use kinds::{MODELS, Model, UnknownModel, model};
+pub use register::{Block, Register, Sign};
+
+use std::f64::consts::TAU;
+
+use serde::{Deserialize, Serialize};
+
+/// Positions a turn, of both series.
+pub const STEPS_PER_TURN: i32 = 4096;
+
+/// One step of position, rad.
+pub const STEP: f64 = TAU / STEPS_PER_TURN as f64;
+
+/// What the servos of a bus speak.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Protocol {
+    /// Dynamixel protocol 2.0, X series.
+    Dynamixel,
+    /// Feetech's form of protocol 1.0, STS series.
+    Feetech,
+}
+
+/// The registers of a series and the units in which they count.
+#[derive(Debug, Clone, Copy)]
+pub struct Series {
+    /// The protocol that it speaks.
+    pub protocol: Protocol,
+    /// As users call it.
+    pub name: &'static str,
+    /// Model number, read only.
+    pub model: Register,
+    /// The servo's id. EEPROM.
+    pub id: Register,
+    /// Baud rate, as an index into [`Series::bauds`]. EEPROM.
+    pub baud: Register,
+    /// How long an answer waits, in units of 2 us. EEPROM.
+    pub return_delay: Register,
+    /// Position or velocity, see [`Series::position_mode`]. EEPROM.
+    pub operating_mode: Register,
+    /// Limit of temperature, degrees Celsius. EEPROM.
+    pub temperature_limit: Register,
+    /// Highest voltage, 0.1 V. EEPROM.
+    pub max_voltage: Register,
+    /// Lowest voltage, 0.1 V. EEPROM.
+    pub min_voltage: Register,
+    /// Limit of speed, in units of speed, where there is one. EEPROM.
+    pub velocity_limit: Option<Register>,
+    /// Lowest goal position, steps. EEPROM. In velocity mode neither series heeds it.
+    pub min_position: Register,
+    /// Highest goal position, steps. EEPROM.
+    pub max_position: Register,
+    /// Which errors turn torque off, as bits of [`Series::hardware_error`]. EEPROM.
+    pub shutdown: Register,
+    /// Torque: 1 on, 0 off.
+    pub torque_enable: Register,
+    /// Errors that hold: bit 0 voltage, bit 2 heat, bit 5 overload in both series.
+    pub hardware_error: Register,
+    /// Stops the servo when no instruction comes for so many times 20 ms; 0 is off, 255 says that it has bitten. Dynamixel alone.
+    pub bus_watchdog: Option<Register>,
+    /// Goal speed in velocity mode.
+    pub goal_velocity: Register,
+    /// Acceleration of motions; 0 is as fast as it goes.
+    pub profile_acceleration: Register,
+    /// Speed of motions in position mode; 0 is as fast as it goes. With Feetech this is the goal speed's register.
+    pub profile_velocity: Register,
+    /// Goal position in position mode.
+    pub goal_position: Register,
+    /// EEPROM lock: 0 open, 1 locked. Feetech alone.
+    pub lock: Option<Register>,
+    /// Present load, 0.1 % of the most (current where the model measures it).
+    pub load: Register,
+    /// Present speed.
+    pub velocity: Register,
+    /// Present position, steps.
+    pub position: Register,
+    /// Present voltage, 0.1 V.
+    pub voltage: Register,
+    /// Present temperature, degrees Celsius.
+    pub temperature: Register,
+    /// 1 while it moves.
+    pub moving: Register,
+    /// Position, speed and load: what a tick reads.
+    pub motion: Block,
+    /// [`Series::motion`] with voltage and temperature.
+    pub state: Block,
+    /// One unit of speed, rad/s.
+    pub speed_unit: f64,
+    /// One unit of acceleration, rad/s^2.
+    pub acceleration_unit: f64,
+    /// The operating mode in which goals are positions.
+    pub position_mode: u8,
+    /// The operating mode in which goals are speeds.
+    pub velocity_mode: u8,
+    /// Baud rates with their index.
+    pub bauds: &'static [(u32, u8)],
+    /// Baud rate of a servo as it leaves the factory.
+    pub factory_baud: u32,
+    /// Highest id.
+    pub max_id: u8,
+    /// Addresses that are EEPROM: the first, and the first after them.
+    pub eeprom: (u8, u8),
+}
+
+/// Bits of [`Series::hardware_error`] and [`Series::shutdown`] that both series have in common.
+pub mod error_bit {
+    /// Voltage outside its limits.
+    pub const VOLTAGE: u8 = 1 << 0;
+    /// Too hot.
+    pub const HEAT: u8 = 1 << 2;
+    /// A load that the servo cannot carry for long.
+    pub const OVERLOAD: u8 = 1 << 5;
+}
+
+/// Dynamixel X: protocol 2.0. A unit of speed is 0.229 rpm, one of acceleration 214.577 revolutions a minute squared.
+pub const DYNAMIXEL_X: Series = Series {
+    protocol: Protocol::Dynamixel,
+    name: "Dynamixel X",
+    model: Register::unsigned(0, 2),
+    id: Register::unsigned(7, 1),
+    baud: Register::unsigned(8, 1),
+    return_delay: Register::unsigned(9, 1),
+    operating_mode: Register::unsigned(11, 1),
+    temperature_limit: Register::unsigned(31, 1),
+    max_voltage: Register::unsigned(32, 2),
+    min_voltage: Register::unsigned(34, 2),
+    velocity_limit: Some(Register::unsigned(44, 4)),
+    max_position: Register::unsigned(48, 4),
+    min_position: Register::unsigned(52, 4),
+    shutdown: Register::unsigned(63, 1),
+    torque_enable: Register::unsigned(64, 1),
+    hardware_error: Register::unsigned(70, 1),
+    bus_watchdog: Some(Register::unsigned(98, 1)),
+    goal_velocity: Register::new(104, 4, Sign::TwosComplement),
+    profile_acceleration: Register::unsigned(108, 4),
+    profile_velocity: Register::unsigned(112, 4),
+    goal_position: Register::new(116, 4, Sign::TwosComplement),
+    lock: None,
+    moving: Register::unsigned(122, 1),
+    load: Register::new(126, 2, Sign::TwosComplement),
+    velocity: Register::new(128, 4, Sign::TwosComplement),
+    position: Register::new(132, 4, Sign::TwosComplement),
+    voltage: Register::unsigned(144, 2),
+    temperature: Register::unsigned(146, 1),
+    motion: Block { address: 126, length: 10 },
+    state: Block { address: 126, length: 21 },
+    speed_unit: 0.229 * TAU / 60.0,
+    acceleration_unit: 214.577 * TAU / 3600.0,
+    position_mode: 3,
+    velocity_mode: 1,
+    bauds: &[(9_600, 0), (57_600, 1), (115_200, 2), (1_000_000, 3), (2_000_000, 4), (3_000_000, 5), (4_000_000, 6)],
+    factory_baud: 57_600,
+    max_id: 252,
+    eeprom: (0, 64),
+};
+
+/// Feetech STS3215 and its kin. A unit of speed is a step a second, one of acceleration a hundred steps a second squared.
+pub const FEETECH_STS: Series = Series {
+    protocol: Protocol::Feetech,
+    name: "Feetech STS",
+    model: Register::unsigned(3, 2),
+    id: Register::unsigned(5, 1),
+    baud: Register::unsigned(6, 1),
+    return_delay: Register::unsigned(7, 1),
+    min_position: Register::unsigned(9, 2),
+    max_position: Register::unsigned(11, 2),
+    temperature_limit: Register::unsigned(13, 1),
+    max_voltage: Register::unsigned(14, 1),
+    min_voltage: Register::unsigned(15, 1),
+    velocity_limit: None,
+    shutdown: Register::unsigned(19, 1),
+    operating_mode: Register::unsigned(33, 1),
+    torque_enable: Register::unsigned(40, 1),
+    profile_acceleration: Register::unsigned(41, 1),
+    goal_position: Register::new(42, 2, Sign::Magnitude(15)),
+    goal_velocity: Register::new(46, 2, Sign::Magnitude(15)),
+    profile_velocity: Register::new(46, 2, Sign::Magnitude(15)),
+    lock: Some(Register::unsigned(55, 1)),
+    bus_watchdog: None,
+    position: Register::new(56, 2, Sign::Magnitude(15)),
+    velocity: Register::new(58, 2, Sign::Magnitude(15)),
+    load: Register::new(60, 2, Sign::Magnitude(10)),
+    voltage: Register::unsigned(62, 1),
+    temperature: Register::unsigned(63, 1),
+    hardware_error: Register::unsigned(65, 1),
+    moving: Register::unsigned(66, 1),
+    motion: Block { address: 56, length: 6 },
+    state: Block { address: 56, length: 8 },
+    speed_unit: STEP,
+    acceleration_unit: 100.0 * STEP,
+    position_mode: 0,
+    velocity_mode: 1,
+    bauds: &[
+        (1_000_000, 0),
+        (500_000, 1),
+        (250_000, 2),
+        (128_000, 3),
+        (115_200, 4),
+        (57_600, 5),
+        (38_400, 6),
+        (19_200, 7),
+    ],
+    factory_baud: 1_000_000,
+    max_id: 253,
+    eeprom: (0, 40),
+};
+
+impl Protocol {
+    /// The names by which files and command lines call them.
+    pub const NAMES: [&'static str; 2] = ["dynamixel", "feetech"];
+
+    /// The name of this one.
+    pub fn name(self) -> &'static str {
+        Self::NAMES[self as usize]
+    }
+
+    /// The one of this name; a name that there is not reads as the first, since command lines take [`NAMES`](Self::NAMES) alone.
+    pub fn named(name: &str) -> Self {
+        if name == Self::Feetech.name() { Self::Feetech } else { Self::Dynamixel }
+    }
+
+    /// The series that speaks it.
+    pub fn series(self) -> &'static Series {
+        match self {
+            Protocol::Dynamixel => &DYNAMIXEL_X,
+            Protocol::Feetech => &FEETECH_STS,
+        }
+    }
+}
+
+impl Series {
+    /// Whether it knows a baud rate; if not, those that it knows, as a list for people.
+    ///
+    /// # Errors
+    /// The list.
+    pub fn check_baud(&self, baud: u32) -> Result<(), String> {
+        if self.bauds.iter().any(|&(known, _)| known == baud) {
+            return Ok(());
+        }
+        let known: Vec<_> = self.bauds.iter().map(|(baud, _)| baud.to_string()).collect();
+        Err(known.join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests;

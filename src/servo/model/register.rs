@@ -1,0 +1,92 @@
+//! Registers of a control table: where they stand, and how they carry a number.
+
+/// How a register carries a sign.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sign {
+    /// None: all bits count.
+    Unsigned,
+    /// Two's complement over the register's width.
+    TwosComplement,
+    /// A magnitude, and this bit for the sign.
+    Magnitude(u8),
+}
+
+/// A register of the control table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Register {
+    /// Address of its first byte; the lowest byte comes first in both series.
+    pub address: u8,
+    /// Width, bytes: 1, 2 or 4.
+    pub width: u8,
+    /// How it carries a sign.
+    pub sign: Sign,
+}
+
+impl Register {
+    pub(super) const fn new(address: u8, width: u8, sign: Sign) -> Self {
+        Self { address, width, sign }
+    }
+
+    pub(super) const fn unsigned(address: u8, width: u8) -> Self {
+        Self::new(address, width, Sign::Unsigned)
+    }
+
+    /// The register's bytes for `value`; only the first [`Register::width`] of them count. A value that does not fit is cut to the largest one
+    /// that does.
+    pub fn encode(self, value: i32) -> [u8; 4] {
+        let bits = u32::from(self.width) * 8;
+        let raw = match self.sign {
+            Sign::Unsigned => {
+                let most = if bits == 32 { i64::from(u32::MAX) } else { (1_i64 << bits) - 1 };
+                i64::from(value).clamp(0, most) as u32
+            }
+            Sign::TwosComplement => {
+                let most = (1_i64 << (bits - 1)) - 1;
+                i64::from(value).clamp(-most - 1, most) as u32
+            }
+            Sign::Magnitude(bit) => {
+                let magnitude = value.unsigned_abs().min((1 << bit) - 1);
+                magnitude | if value < 0 { 1 << bit } else { 0 }
+            }
+        };
+        raw.to_le_bytes()
+    }
+
+    /// What the register's bytes say; bytes that are missing count as zero, those beyond its width are left alone. An unsigned register of
+    /// four bytes stops at `i32::MAX`.
+    pub fn decode(self, bytes: &[u8]) -> i32 {
+        let mut raw = [0; 4];
+        let width = usize::from(self.width).min(bytes.len());
+        raw[..width].copy_from_slice(&bytes[..width]);
+        let raw = u32::from_le_bytes(raw);
+        match self.sign {
+            Sign::Unsigned => raw.min(i32::MAX as u32) as i32,
+            Sign::TwosComplement => {
+                let unused = 32 - u32::from(self.width) * 8;
+                ((raw << unused) as i32) >> unused
+            }
+            Sign::Magnitude(bit) => {
+                let magnitude = (raw & ((1 << bit) - 1)) as i32;
+                if raw >> bit & 1 == 1 { -magnitude } else { magnitude }
+            }
+        }
+    }
+}
+
+/// A stretch of registers that one instruction reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Block {
+    /// Address of its first byte.
+    pub address: u8,
+    /// Length, bytes.
+    pub length: u8,
+}
+
+impl Block {
+    /// What `register` says in the bytes of this block, or nothing if it does not lie in it.
+    pub fn decode(self, register: Register, bytes: &[u8]) -> Option<i32> {
+        let from = usize::from(register.address.checked_sub(self.address)?);
+        let slice = bytes.get(from..from + usize::from(register.width))?;
+        Some(register.decode(slice))
+    }
+}
