@@ -9,9 +9,10 @@ use std::sync::{Arc, Mutex};
 use tectum::plant::Body;
 use tectum::runtime::{Controller, PlantSide};
 use tectum::scenario::{EmulatorTable, Plan, Scenario};
-use tectum::servo::bridge::{Bridge, State, joints_of};
+use tectum::servo::bridge::{Bridge, BridgeError, State, joints_of};
 use tectum::servo::bus::Bus;
 use tectum::servo::emulator::{Chain, Port, SteppedClock};
+use tectum::servo::model::{Model, Protocol};
 use tectum::wire::{Command, Learning, Observation, Vision, flag};
 
 /// The emulated twin with this emulator, so many ticks, and with `change` made to its text.
@@ -34,17 +35,22 @@ struct Setup {
 
 fn set_up(plan: &Plan) -> Setup {
     let servos = plan.scenario.plant.servos.as_ref().unwrap();
-    let joints = joints_of(plan).unwrap();
-    let ids: Vec<u8> = joints.iter().map(|joint| joint.id).collect();
+    let ids: Vec<u8> = joints_of(plan).unwrap().iter().map(|joint| joint.id).collect();
     let ideal = EmulatorTable::default();
     let settings = plan.scenario.plant.emulator.as_ref().unwrap_or(&ideal);
     let chain = Chain::new(servos.protocol, &ids, servos.baud, settings, plan.scenario.seed);
+    set_up_on(plan, chain).unwrap()
+}
+
+/// The same on a chain that may not be the plan's.
+fn set_up_on(plan: &Plan, chain: Chain) -> Result<Setup, BridgeError> {
+    let (servos, joints) = (plan.scenario.plant.servos.as_ref().unwrap(), joints_of(plan)?);
     let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
     let port = Port::new(Arc::clone(&chain), clock.clone(), servos.baud);
     let now = clock.clone();
     let bus = Bus::over(Box::new(port), servos.protocol, Bridge::budget(plan), Box::new(move || now.now()));
-    let bridge = Bridge::new(plan, bus, joints, Box::new(|_| {})).unwrap();
-    Setup { chain, clock, bridge }
+    let bridge = Bridge::new(plan, bus, joints, Box::new(|_| {}))?;
+    Ok(Setup { chain, clock, bridge })
 }
 
 /// Errors at the ends of targets, averaged over the last quarter of the run.
@@ -259,6 +265,57 @@ fn limits_are_written_into_the_servos() {
         if let Some(limit) = series.velocity_limit {
             let unit = series.speed_unit;
             assert_eq!(bus.read(1, limit).unwrap(), (12.0 / unit).ceil() as i32);
+        }
+    }
+}
+
+/// What speaks against torque is said in a sentence that names the servo or the file, and nothing has torque then.
+#[test]
+fn what_does_not_fit_is_refused_without_torque() {
+    let ids = [1, 2, 3, 4];
+    let chain = |ids: &[u8]| Chain::new(Protocol::Dynamixel, ids, 1_000_000, &EmulatorTable::default(), 1);
+    let whole = plan("", 10, |text| text);
+    // Of the same protocol, with another control table.
+    let small = Model { name: "XL-320", number: 350, protocol: Protocol::Dynamixel };
+    let small = Chain::of(&small, &ids, 1_000_000, &EmulatorTable::default(), 1);
+    for (chain, text) in [
+        (small, "servo 1 says that it is model 350, which is none of the Dynamixel X"),
+        (chain(&[1, 2, 4]), "(`tectum-bridge scan`)"),
+        (chain(&[1, 2, 2, 3, 4]), "2"),
+    ] {
+        let error = set_up_on(&whole, chain).err().unwrap().to_string();
+        assert!(error.contains(text), "{text}: {error}");
+    }
+
+    // It stands at 1 rad of a range that ends at 0.5.
+    let bent =
+        plan("", 10, |text| text.replacen("max_speed = 12.0", "zero = 1396\nrange = [-1.0, 0.5]\nmax_speed = 12.0", 1));
+    let mut setup = set_up_on(&bent, chain(&ids)).unwrap();
+    let error = setup.bridge.arm().unwrap_err().to_string();
+    assert!(error.starts_with("servo 1 stands at 1.000 rad and its range is -1 to 0.5 rad"), "{error}");
+    let (_, torque, bridge) = run(&bent, setup, |_| true);
+    assert!(bridge.state() == State::ReadOnly && torque.iter().all(|on| !on));
+
+    // Calibrations: another arm's in what it speaks, and in its number of joints.
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("arm.toml");
+    let by_file = plan("", 10, |text| {
+        let (head, tail) = text.split_once("[[plant.servos.joints]]").unwrap();
+        let (_, tail) = tail.split_once("[plant.emulator]").unwrap();
+        let head = head.replace("armed = true ", &format!("calibration = {file:?}\narmed = true "));
+        format!("{head}[plant.emulator]{tail}")
+    });
+    let joints = |n: usize| (1..=n).map(|id| format!("[[joints]]\nid = {id}\n")).collect::<String>();
+    for (protocol, n, text) in
+        [("feetech", 4, "another arm's"), ("dynamixel", 3, "3"), ("dynamixel", 0, "joints"), ("dynamixel", 4, "")]
+    {
+        std::fs::write(&file, format!("protocol = \"{protocol}\"\n{}", joints(n))).unwrap();
+        match joints_of(&by_file) {
+            Ok(found) => assert!(text.is_empty() && found.len() == 4, "{text}"),
+            Err(error) => {
+                let error = error.to_string();
+                assert!(!text.is_empty() && error.contains("arm.toml") && error.contains(text), "{text}: {error}");
+            }
         }
     }
 }

@@ -84,6 +84,12 @@ impl Chain {
         let usual = MODELS.iter().find(|model| model.protocol == protocol);
         let model: &Model =
             named.filter(|model| model.protocol == protocol).or(usual).expect("a model of each protocol");
+        Self::of(model, ids, baud, settings, seed)
+    }
+
+    /// The same of any model, with the control table of its protocol's series.
+    pub fn of(model: &Model, ids: &[u8], baud: u32, settings: &EmulatorTable, seed: u64) -> Self {
+        let protocol = model.protocol;
         let servos = ids.iter().map(|&id| Servo::new(model, id, baud, 2048.0, settings)).collect();
         let mut rng = seed::stream(seed, "emulator");
         let faults = Faults::new(&settings.faults, rng.random());
