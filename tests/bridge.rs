@@ -320,6 +320,28 @@ fn what_does_not_fit_is_refused_without_torque() {
     }
 }
 
+/// An answer does not say to what it is one: those that come too late are not taken for that of the next question.
+#[test]
+fn late_answers_are_nobodys() {
+    let slow = "faults = [{ kind = \"slow\", servo = 1, delay_ms = 10.0, until_s = 0.01 }]";
+    for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
+        // Whenever the next question is asked, the second of two late answers comes then.
+        for wait in (0..12_000_000).step_by(50_000) {
+            let chain = Chain::new(protocol, &[1], 1_000_000, &toml::from_str(slow).unwrap(), 1);
+            let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
+            let (port, now) = (Port::new(chain, clock.clone(), 1_000_000), clock.clone());
+            let budget = Bridge::budget(&plan("", 10, |text| text));
+            let mut bus = Bus::over(Box::new(port), protocol, budget, Box::new(move || now.now()));
+            let (read, _) = bus.sync_read(&[1], bus.series().state);
+            assert!(read.is_ok(), "the second time it is in time for the first");
+            clock.step_to(clock.now() + wait);
+            let (number, known) = bus.model(1).unwrap();
+            assert!(known.is_some(), "{protocol:?}, after {wait} ns: {number}");
+            assert_eq!(bus.read(1, bus.series().hardware_error).unwrap(), 0);
+        }
+    }
+}
+
 /// A panic with torque on, here in what the bridge says: torque is off before the process is gone.
 #[test]
 fn a_panic_turns_torque_off() {

@@ -126,6 +126,19 @@ impl Bus {
         (result, self.now().saturating_sub(began))
     }
 
+    /// Lets what is still on its way arrive, and forgets it: an answer does not say to what it is one, so that a late one would pass
+    /// for that of the next question.
+    fn settle(&mut self) {
+        let until = self.now().saturating_add(SETTLE_NS);
+        let mut late = [0; 64];
+        while self.now() < until {
+            self.port.until = self.now().saturating_add(QUIET_NS);
+            if !matches!(self.port.read(&mut late), Ok(1..)) {
+                break;
+            }
+        }
+    }
+
     /// Whether servo `id` answers.
     pub fn ping(&mut self, id: u8) -> bool {
         let answer = self.within(self.budget.read_ns, |handler, port| handler.ping(port, id)).0;
@@ -142,9 +155,11 @@ impl Bus {
         let mut last = None;
         for _ in 0..2 {
             match self.within(half, |h, port| h.read(port, id, register.address, register.width)).0 {
-                Ok(bytes) => return Ok(register.decode(&bytes)),
+                Ok(bytes) if bytes.len() == usize::from(register.width) => return Ok(register.decode(&bytes)),
+                Ok(_) => last = Some(BusError::Silent("what came answers something else".to_owned())),
                 Err(error) => last = Some(error),
             }
+            self.settle();
         }
         Err(BusError::Silent(format!("servo {id} does not answer ({})", last.map_or(String::new(), |e| e.to_string()))))
     }
@@ -178,6 +193,7 @@ impl Bus {
                 Ok(_) => return Ok(()),
                 Err(error) => last = Some(error),
             }
+            self.settle();
         }
         Err(BusError::Silent(format!("servo {id} does not answer ({})", last.map_or(String::new(), |e| e.to_string()))))
     }
@@ -246,6 +262,10 @@ fn probe(path: &str) -> Result<(), BusError> {
     })?;
     flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(|_| BusError::Busy(path.to_owned()))
 }
+
+/// How long nothing comes before a line counts as quiet, and how long that is waited for at most, ns.
+const QUIET_NS: u64 = 1_000_000;
+const SETTLE_NS: u64 = 3_000_000;
 
 /// A port whose reads end at an instant.
 struct Paced {
