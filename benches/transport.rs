@@ -76,7 +76,7 @@ fn measure() {
     for wait in ["poll and yield", "bell"] {
         let run = u64::from(std::process::id()) << 32 | wait.len() as u64;
         let name = DomainName::of(run);
-        let _hub = Hub::create(&name, &identity, channels).unwrap();
+        let _hub = Hub::create(&name, &identity, channels, None).unwrap();
         let (ports, _desk) = PlantPorts::open(&name, &identity, channels).unwrap();
         let child = Program::new(std::env::current_exe().unwrap())
             .env(PEER, format!("{run} {wait}"))

@@ -108,7 +108,7 @@ fn what_the_transport_allocates_is_known() {
     let plan = Scenario::find("paper").unwrap().plan().unwrap();
     let (channels, identity) = (&plan.scenario.channels, identity(&plan));
     let name = DomainName::of(u64::from(std::process::id()) << 32 | 0xa110c);
-    let _hub = Hub::create(&name, &identity, channels).unwrap();
+    let _hub = Hub::create(&name, &identity, channels, None).unwrap();
     let (plant, _desk) = PlantPorts::open(&name, &identity, channels).unwrap();
     let (controller, desk) = ControllerPorts::open(&name, &identity, channels).unwrap();
     let (logger, _desk) = LoggerPorts::open(&name, &identity, channels).unwrap();

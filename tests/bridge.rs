@@ -44,13 +44,21 @@ fn set_up(plan: &Plan) -> Setup {
 
 /// The same on a chain that may not be the plan's.
 fn set_up_on(plan: &Plan, chain: Chain) -> Result<Setup, BridgeError> {
-    let (servos, joints) = (plan.scenario.plant.servos.as_ref().unwrap(), joints_of(plan)?);
     let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
-    let port = Port::new(Arc::clone(&chain), clock.clone(), servos.baud);
-    let now = clock.clone();
-    let bus = Bus::over(Box::new(port), servos.protocol, Bridge::budget(plan), Box::new(move || now.now()));
-    let bridge = Bridge::new(plan, bus, joints, Box::new(|_| {}))?;
+    let bridge = Bridge::new(plan, bus_to(&chain, &clock, plan), joints_of(plan)?, Box::new(|_| {}))?;
     Ok(Setup { chain, clock, bridge })
+}
+
+/// The plan's host at the other end of the wire.
+fn bus_to(chain: &Arc<Mutex<Chain>>, clock: &SteppedClock, plan: &Plan) -> Bus {
+    let servos = plan.scenario.plant.servos.as_ref().unwrap();
+    let (port, now) = (Port::new(Arc::clone(chain), clock.clone(), servos.baud), clock.clone());
+    Bus::over(Box::new(port), servos.protocol, Bridge::budget(plan), Box::new(move || now.now()))
+}
+
+/// The text of a plan with another protocol.
+fn speaking(text: &str, protocol: Protocol) -> String {
+    text.replace("\"dynamixel\" ", &format!("\"{}\" ", protocol.name()))
 }
 
 /// Errors at the ends of targets, averaged over the last quarter of the run.
@@ -241,27 +249,22 @@ fn what_is_seen_counts_and_who_does_not_see_stands_still() {
 /// Whatever the goals are, the servos hold the joints' limits afterwards; a joint that turns freely has none.
 #[test]
 fn limits_are_written_into_the_servos() {
-    for (protocol, goal) in
-        [("dynamixel", "speed"), ("dynamixel", "position"), ("feetech", "speed"), ("feetech", "position")]
-    {
+    let both = [Protocol::Dynamixel, Protocol::Feetech];
+    for (protocol, goal) in both.into_iter().flat_map(|protocol| [(protocol, "speed"), (protocol, "position")]) {
         let plan = plan("", 10, |text| {
-            let text = text.replace("\"dynamixel\" ", &format!("\"{protocol}\" "));
-            let text = text.replace("goal = \"speed\"", &format!("goal = \"{goal}\""));
+            let text = speaking(&text, protocol).replace("goal = \"speed\"", &format!("goal = \"{goal}\""));
             let all = text.replace("max_speed = 12.0", "range = [-2.0, 2.0]\nmax_speed = 12.0");
             // The first one is mounted the other way round, with its zero off the middle.
             all.replacen("range = [-2.0, 2.0]", "direction = -1\nzero = 1500\nrange = [-1.0, 0.5]\n", 1)
         });
         let mut setup = set_up(&plan);
         setup.bridge.arm().unwrap();
-        let servos = plan.scenario.plant.servos.as_ref().unwrap();
-        let port = Port::new(Arc::clone(&setup.chain), setup.clock.clone(), servos.baud);
-        let now = setup.clock.clone();
-        let mut bus = Bus::over(Box::new(port), servos.protocol, Bridge::budget(&plan), Box::new(move || now.now()));
+        let mut bus = bus_to(&setup.chain, &setup.clock, &plan);
         let series = bus.series();
         let mut ends = |id| [series.min_position, series.max_position].map(|register| bus.read(id, register).unwrap());
         // 1 rad is 651.9 steps.
-        assert_eq!(ends(1), [1500 - 325, 1500 + 651], "{protocol}, {goal}");
-        assert_eq!(ends(2), [2048 - 1303, 2048 + 1303], "{protocol}, {goal}");
+        assert_eq!(ends(1), [1500 - 325, 1500 + 651], "{protocol:?}, {goal}");
+        assert_eq!(ends(2), [2048 - 1303, 2048 + 1303], "{protocol:?}, {goal}");
         if let Some(limit) = series.velocity_limit {
             let unit = series.speed_unit;
             assert_eq!(bus.read(1, limit).unwrap(), (12.0 / unit).ceil() as i32);
@@ -325,13 +328,12 @@ fn what_does_not_fit_is_refused_without_torque() {
 fn late_answers_are_nobodys() {
     let slow = "faults = [{ kind = \"slow\", servo = 1, delay_ms = 10.0, until_s = 0.01 }]";
     for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
+        let plan = plan("", 10, |text| speaking(&text, protocol));
         // Whenever the next question is asked, the second of two late answers comes then.
         for wait in (0..12_000_000).step_by(50_000) {
             let chain = Chain::new(protocol, &[1], 1_000_000, &toml::from_str(slow).unwrap(), 1);
             let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
-            let (port, now) = (Port::new(chain, clock.clone(), 1_000_000), clock.clone());
-            let budget = Bridge::budget(&plan("", 10, |text| text));
-            let mut bus = Bus::over(Box::new(port), protocol, budget, Box::new(move || now.now()));
+            let mut bus = bus_to(&chain, &clock, &plan);
             let (read, _) = bus.sync_read(&[1], bus.series().state);
             assert!(read.is_ok(), "the second time it is in time for the first");
             clock.step_to(clock.now() + wait);
@@ -349,9 +351,7 @@ fn a_panic_turns_torque_off() {
     let servos = plan.scenario.plant.servos.as_ref().unwrap();
     let chain = Chain::new(servos.protocol, &[1, 2, 3, 4], servos.baud, &EmulatorTable::default(), 1);
     let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
-    let port = Port::new(Arc::clone(&chain), clock.clone(), servos.baud);
-    let now = clock.clone();
-    let bus = Bus::over(Box::new(port), servos.protocol, Bridge::budget(&plan), Box::new(move || now.now()));
+    let bus = bus_to(&chain, &clock, &plan);
     let seen = Arc::new(Mutex::new(false));
     let (look, at, note) = (Arc::clone(&chain), clock.clone(), Arc::clone(&seen));
     let say = move |text: &str| {

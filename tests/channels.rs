@@ -16,7 +16,7 @@ fn domain(salt: u64) -> DomainName {
 #[test]
 fn the_handshake_compares_all_three() {
     let (name, channels) = (domain(1), ChannelsTable::default());
-    let _hub = Hub::create(&name, &identity(), &channels).unwrap();
+    let _hub = Hub::create(&name, &identity(), &channels, None).unwrap();
     for (stranger, what, ours, theirs) in [
         (Identity { schema: 9, ..identity() }, "schema", "0000000000000009", "0000000000000001"),
         (Identity { scenario: 9, ..identity() }, "scenario", "0000000000000009", "0000000000000002"),
@@ -41,7 +41,7 @@ fn the_handshake_compares_all_three() {
 #[test]
 fn a_full_reader_loses_its_oldest() {
     let (name, channels) = (domain(2), ChannelsTable::default());
-    let _hub = Hub::create(&name, &identity(), &channels).unwrap();
+    let _hub = Hub::create(&name, &identity(), &channels, None).unwrap();
     let (plant, _desk) = PlantPorts::open(&name, &identity(), &channels).unwrap();
     let (controller, _desk) = ControllerPorts::open(&name, &identity(), &channels).unwrap();
     let (logger, _desk) = LoggerPorts::open(&name, &identity(), &channels).unwrap();
@@ -69,7 +69,7 @@ fn a_domain_is_wiped_with_its_hub() {
         let prefix = prefix.trim_end_matches('_').to_owned();
         entries.filter(|e| e.file_name().to_string_lossy().starts_with(&prefix)).count()
     };
-    let hub = Hub::create(&name, &identity(), &channels).unwrap();
+    let hub = Hub::create(&name, &identity(), &channels, None).unwrap();
     assert!(here() > 0);
     drop(hub);
     assert_eq!(here(), 0);

@@ -110,19 +110,11 @@ impl Drop for Wipe {
 }
 
 impl Hub {
-    /// Creates the domain and all its services.
+    /// Creates the domain and all its services; a channel for trackers, and room for them, where `vision` names one.
     ///
     /// # Errors
     /// [`ChannelError::SetUp`] when shared memory cannot be used.
-    pub fn create(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
-        Self::of(name, identity, channels, None)
-    }
-
-    /// The same with a channel `vision` for trackers, and room for them, where one is named.
-    ///
-    /// # Errors
-    /// As for [`Hub::create`].
-    pub fn of(
+    pub fn create(
         name: &DomainName,
         identity: &Identity,
         channels: &ChannelsTable,

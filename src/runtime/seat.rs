@@ -92,6 +92,17 @@ impl Card {
         folder.join(crate::log::LOG_FILE)
     }
 
+    /// Finds the run called `run` (a folder, or a name under `runs/`): its folder, its card, and the launcher's life.
+    pub(super) fn find(run: &Path) -> Result<(PathBuf, Self, Life), RuntimeError> {
+        let named = Path::new("runs").join(run);
+        let folder = if !Self::path(run).exists() && Self::path(&named).exists() { named } else { run.to_owned() };
+        let none = |cause: String| RuntimeError::NoRun { path: folder.display().to_string(), cause };
+        let text = std::fs::read_to_string(Self::path(&folder)).map_err(|e| none(e.to_string()))?;
+        let card: Self = serde_json::from_str(&text).map_err(|e| none(e.to_string()))?;
+        let launcher = Life::of(card.launcher).ok_or_else(|| none("the run is over".to_owned()))?;
+        Ok((folder, card, launcher))
+    }
+
     /// The run's id as a number.
     pub fn run_id(&self) -> u64 {
         u64::from_str_radix(&self.run, 16).unwrap_or(0)
@@ -121,12 +132,7 @@ impl Seat {
     /// [`RuntimeError::NoRun`] when there is no such run or it is over, [`RuntimeError::Scenario`] for a bad scenario.
     pub fn take(run: &Path, role: Role, scenario: Option<&Path>) -> Result<Self, RuntimeError> {
         let signals = Signals::install().map_err(RuntimeError::Signals)?;
-        let named = Path::new("runs").join(run);
-        let folder = if !Card::path(run).exists() && Card::path(&named).exists() { named } else { run.to_owned() };
-        let none = |cause: String| RuntimeError::NoRun { path: folder.display().to_string(), cause };
-        let text = std::fs::read_to_string(Card::path(&folder)).map_err(|e| none(e.to_string()))?;
-        let card: Card = serde_json::from_str(&text).map_err(|e| none(e.to_string()))?;
-        let launcher = Life::of(card.launcher).ok_or_else(|| none("the run is over".to_owned()))?;
+        let (folder, card, launcher) = Card::find(run)?;
         let own = Card::scenario_path(&folder);
         let plan = Scenario::load(scenario.unwrap_or(&own))?.plan()?;
         Ok(Self { folder, card, plan, role, signals, launcher })

@@ -27,15 +27,11 @@ impl Tracker {
     /// [`RuntimeError::NoRun`] when there is no such run, it is over, or nobody is asked to look in it; otherwise as for
     /// [`TrackerPorts::open`].
     pub fn join(run: &Path) -> Result<Self, RuntimeError> {
-        let named = Path::new("runs").join(run);
-        let folder = if !Card::path(run).exists() && Card::path(&named).exists() { named } else { run.to_owned() };
-        let none = |cause: String| RuntimeError::NoRun { path: folder.display().to_string(), cause };
-        let text = std::fs::read_to_string(Card::path(&folder)).map_err(|e| none(e.to_string()))?;
-        let card: Card = serde_json::from_str(&text).map_err(|e| none(e.to_string()))?;
-        let launcher = Life::of(card.launcher).ok_or_else(|| none("the run is over".to_owned()))?;
+        let (folder, card, launcher) = Card::find(run)?;
         let plan = Scenario::load(&Card::scenario_path(&folder))?.plan()?;
         if plan.scenario.vision().is_none() {
-            return Err(none("its scenario has no plant.servos.sight = \"vision\"".to_owned()));
+            let cause = "its scenario has no plant.servos.sight = \"vision\"".to_owned();
+            return Err(RuntimeError::NoRun { path: folder.display().to_string(), cause });
         }
         let ports = TrackerPorts::open(&card.domain, &identity(&plan), &plan.scenario.channels)?;
         let header = Header { run: card.run_id(), ..Header::default() };

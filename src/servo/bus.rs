@@ -146,22 +146,36 @@ impl Bus {
         answer.unwrap_or(false)
     }
 
+    /// Asks servo `id` something, once more if need be, each time with half the budget.
+    fn ask<T>(
+        &mut self,
+        id: u8,
+        question: impl Fn(&DynamixelProtocolHandler, &mut dyn SerialPort) -> Result<T, Box<dyn std::error::Error>>,
+    ) -> Result<T, BusError> {
+        let half = self.budget.read_ns / 2;
+        let mut last = String::new();
+        for _ in 0..2 {
+            match self.within(half, &question).0 {
+                Ok(answer) => return Ok(answer),
+                Err(error) => last = error.to_string(),
+            }
+            self.settle();
+        }
+        Err(BusError::Silent(format!("servo {id} does not answer ({last})")))
+    }
+
     /// A register of one servo.
     ///
     /// # Errors
     /// When no proper answer comes within the budget, also not the second time.
     pub fn read(&mut self, id: u8, register: Register) -> Result<i32, BusError> {
-        let half = self.budget.read_ns / 2;
-        let mut last = None;
-        for _ in 0..2 {
-            match self.within(half, |h, port| h.read(port, id, register.address, register.width)).0 {
-                Ok(bytes) if bytes.len() == usize::from(register.width) => return Ok(register.decode(&bytes)),
-                Ok(_) => last = Some(BusError::Silent("what came answers something else".to_owned())),
-                Err(error) => last = Some(error),
+        self.ask(id, |handler, port| {
+            let bytes = handler.read(port, id, register.address, register.width)?;
+            if bytes.len() != usize::from(register.width) {
+                return Err("what came answers something else".into());
             }
-            self.settle();
-        }
-        Err(BusError::Silent(format!("servo {id} does not answer ({})", last.map_or(String::new(), |e| e.to_string()))))
+            Ok(register.decode(&bytes))
+        })
     }
 
     /// The model number of one servo, and the model if its series has it.
@@ -179,23 +193,16 @@ impl Bus {
     /// # Errors
     /// As for [`Bus::read`]; and where the servo refuses.
     pub fn write(&mut self, id: u8, register: Register, value: i32) -> Result<(), BusError> {
-        let half = self.budget.read_ns / 2;
         let data = &register.encode(value)[..usize::from(register.width)];
-        let mut last = None;
-        for _ in 0..2 {
-            match self.within(half, |h, port| h.write_with_error(port, id, register.address, data)).0 {
-                // Protocol 1.0 tells conditions there, protocol 2.0 a number that says why it refuses.
-                Ok(status) if self.series.protocol == Protocol::Dynamixel && status.v2_instruction_error() != 0 => {
-                    let why = status.v2_instruction_error();
-                    let text = format!("servo {id} refuses {value} at address {} (error {why})", register.address);
-                    return Err(BusError::Silent(text));
-                }
-                Ok(_) => return Ok(()),
-                Err(error) => last = Some(error),
+        let status = self.ask(id, |handler, port| handler.write_with_error(port, id, register.address, data))?;
+        // Protocol 1.0 tells conditions there, protocol 2.0 a number that says why it refuses.
+        match status.v2_instruction_error() {
+            why if self.series.protocol == Protocol::Dynamixel && why != 0 => {
+                let text = format!("servo {id} refuses {value} at address {} (error {why})", register.address);
+                Err(BusError::Silent(text))
             }
-            self.settle();
+            _ => Ok(()),
         }
-        Err(BusError::Silent(format!("servo {id} does not answer ({})", last.map_or(String::new(), |e| e.to_string()))))
     }
 
     /// One synchronous read, once more if need be: the servos' answers in order. With the time that it took, ns.

@@ -79,7 +79,7 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
     }
     let run = run_id(plan);
     let domain = DomainName::of(run);
-    let hub = Hub::of(&domain, &identity(plan), &plan.scenario.channels, plan.scenario.vision())?;
+    let hub = Hub::create(&domain, &identity(plan), &plan.scenario.channels, plan.scenario.vision())?;
     let card = Card {
         run: format!("{run:016x}"),
         wire: Some(Foreign::of(plan, &domain)),

@@ -122,23 +122,17 @@ impl Arm {
     }
 
     /// A body that is somebody else's: `theta` was measured of it (rad, as this arm's angles), and its `rates` (rad/s).
-    /// What comes of it is reckoned as for the arm itself, by its model: lengths, base and the way that angles are counted.
-    pub fn measured(&mut self, tick: u64, theta: &[f32], rates: &[f32]) -> Outcome {
+    /// What comes of it is reckoned as for the arm itself, by its model: lengths, base and the way that angles are counted. Where
+    /// somebody has `seen` the end-effector, error, reward and measures are of that; the model says what nobody sees, which segments
+    /// cross.
+    pub fn measured(&mut self, tick: u64, theta: &[f32], rates: &[f32], seen: Option<[f32; 2]>) -> Outcome {
         if !self.table.shorten.is_empty() {
             self.lengths = lengths(&self.table, tick);
         }
         self.stands(theta);
         let sum = |values: &[f32]| values[..self.joints].iter().map(|&x| square(x)).sum();
         let (rates, angles) = (sum(rates), sum(theta));
-        self.judged(rates, angles, self.end())
-    }
-
-    /// The same with an end-effector that somebody has seen: error, reward and measures are of that; the model says what nobody sees,
-    /// which segments cross.
-    pub fn measured_seen(&mut self, tick: u64, theta: &[f32], rates: &[f32], end: [f32; 2]) -> Outcome {
-        let _ = self.measured(tick, theta, rates);
-        let sum = |values: &[f32]| values[..self.joints].iter().map(|&x| square(x)).sum();
-        self.judged(sum(rates), sum(theta), end)
+        self.judged(rates, angles, seen.unwrap_or_else(|| self.end()))
     }
 
     /// Inputs as for [`Plant::sense`], with a target that somebody has seen, m, in place of a drawn one.

@@ -2,11 +2,10 @@
 
 use std::path::Path;
 
-use serde::Deserialize;
-
 use crate::scenario::{Goal, JointTable, Plan, check_joints};
 use crate::servo::bus::{Answer, Bus, BusError};
 use crate::servo::model::{Block, Protocol, Register, STEP, UnknownModel};
+use crate::servo::tools::Calibration;
 
 /// Why the bridge does not start, or is not armed.
 #[derive(Debug, thiserror::Error)]
@@ -67,13 +66,6 @@ pub enum BridgeError {
         /// What is wrong.
         cause: String,
     },
-}
-
-/// A calibration: the joints, as `tectum-bridge calibrate` writes them.
-#[derive(Debug, Deserialize)]
-struct Calibration {
-    protocol: Protocol,
-    joints: Vec<JointTable>,
 }
 
 /// The joints of a plan, from the scenario or from the file that it names.
@@ -166,8 +158,7 @@ fn limit(bus: &mut Bus, joints: &[JointTable]) -> Result<(), BridgeError> {
         .map(|joint| {
             let mut bytes = vec![0; usize::from(block.length)];
             for (register, end) in registers.into_iter().zip(ends(joint)) {
-                let (at, width) = (usize::from(register.address - block.address), usize::from(register.width));
-                bytes[at..at + width].copy_from_slice(&register.encode(end)[..width]);
+                block.encode(register, end, &mut bytes);
             }
             bytes
         })

@@ -222,9 +222,9 @@ impl Bridge {
 
     /// What came of a tick, as trackers see it; when they do not, as of before.
     fn judged(&mut self, tick: u64, rates: &[f32]) -> Outcome {
-        let Some(sight) = &self.sight else { return self.arm.measured(tick, &self.theta, rates) };
+        let Some(sight) = &self.sight else { return self.arm.measured(tick, &self.theta, rates, None) };
         if sight.sees {
-            self.seen = self.arm.measured_seen(tick, &self.theta, rates, sight.end());
+            self.seen = self.arm.measured(tick, &self.theta, rates, Some(sight.end()));
         } else {
             self.arm.stands(&self.theta);
         }

@@ -83,6 +83,12 @@ pub struct Block {
 }
 
 impl Block {
+    /// Puts `value` where `register`, which lies in this block, has it in the block's bytes.
+    pub fn encode(self, register: Register, value: i32, bytes: &mut [u8]) {
+        let (from, width) = (usize::from(register.address - self.address), usize::from(register.width));
+        bytes[from..from + width].copy_from_slice(&register.encode(value)[..width]);
+    }
+
     /// What `register` says in the bytes of this block, or nothing if it does not lie in it.
     pub fn decode(self, register: Register, bytes: &[u8]) -> Option<i32> {
         let from = usize::from(register.address.checked_sub(self.address)?);
