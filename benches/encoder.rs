@@ -7,9 +7,9 @@ use std::f64::consts::PI;
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use tectum::encoder::naive::{Naive, Separable};
+use tectum::encoder::naive::{NaiveEncoder, SeparableEncoder};
 use tectum::encoder::{Axis, Encoder, Map};
-use tectum::lanes::Path;
+use tectum::simd::SimdPath;
 
 /// Inputs of the ring; a power of two.
 const RING: usize = 256;
@@ -47,7 +47,7 @@ fn arm320(criterion: &mut Criterion) {
     let mut encoder = Encoder::new(&maps, true);
     let mut features = encoder.features();
     let mut plain = vec![0.0f32; encoder.units()];
-    let (naive, mut separable) = (Naive::new(&maps, true), Separable::new(&maps, true));
+    let (naive, mut separable) = (NaiveEncoder::new(&maps, true), SeparableEncoder::new(&maps, true));
 
     let mut group = criterion.benchmark_group("encode/arm320");
     group.bench_function("naive", |b| {
@@ -68,7 +68,7 @@ fn arm320(criterion: &mut Criterion) {
             black_box(&mut features);
         });
     });
-    for path in Path::all() {
+    for path in SimdPath::all() {
         let mut encoder = encoder.clone().on(path);
         group.bench_function(format!("kernel, {path}"), |b| {
             over_ring(b, |inputs| {
@@ -84,7 +84,7 @@ fn arm320(criterion: &mut Criterion) {
 fn scaling(criterion: &mut Criterion, name: &str, shape: impl Fn(u32) -> Map) {
     let mut group = criterion.benchmark_group(name);
     for power in (5..=15).step_by(2) {
-        for path in Path::all() {
+        for path in SimdPath::all() {
             let mut encoder = Encoder::new(&[shape(power)], true).on(path);
             let mut features = encoder.features();
             group.throughput(Throughput::Elements(1 << power));

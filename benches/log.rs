@@ -7,8 +7,8 @@ use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
-use tectum::log::{Clock, LogHeader, LogWriter, Record};
-use tectum::scenario::ChannelsTable;
+use tectum::log::{LogClock, LogHeader, LogRecord, LogWriter};
+use tectum::scenario::ChannelsConfig;
 use tectum::wire::{Command, Learning, Observation, schema_hash};
 
 /// Ticks in a file before the next one is started: about 10 MB.
@@ -30,10 +30,10 @@ fn header() -> LogHeader {
         inputs: Vec::new(),
         outputs: Vec::new(),
         measures: Vec::new(),
-        channels: ChannelsTable::default(),
+        channels: ChannelsConfig::default(),
         machine: BTreeMap::new(),
         realtime: Default::default(),
-        clock: Clock::Virtual,
+        clock: LogClock::Virtual,
         t0_ns: 0,
         wall_at_t0_ns: 0,
         segment: Default::default(),
@@ -79,9 +79,9 @@ fn append(c: &mut Criterion) {
     group.bench_function("flush per tick", |b| {
         b.iter_custom(|ticks| {
             timed(&path, ticks, |log| {
-                log.append(&Record::Observation(observation)).expect("room");
-                log.append(&Record::Command(command)).expect("room");
-                log.append(&Record::Learning(learning)).expect("room");
+                log.append(&LogRecord::Observation(observation)).expect("room");
+                log.append(&LogRecord::Command(command)).expect("room");
+                log.append(&LogRecord::Learning(learning)).expect("room");
                 log.flush().expect("room");
             })
         });

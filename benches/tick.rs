@@ -4,13 +4,13 @@
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
-use tectum::lanes::Path;
-use tectum::learner::Paper;
-use tectum::learner::naive::Textbook;
-use tectum::plant::Body;
-use tectum::policy::{Linear, Outputs};
+use tectum::learner::PaperRule;
+use tectum::learner::naive::NaivePaperRule;
+use tectum::plant::SimulatedPlant;
+use tectum::policy::{LinearPolicy, Outputs};
 use tectum::runtime::{Controller, PlantSide};
 use tectum::scenario::{Plan, Scenario};
+use tectum::simd::SimdPath;
 use tectum::wire::{Command, Learning, Observation};
 
 const NOISE: Outputs = [0.003, -0.002, 0.001, -0.004, 0.002, -0.001, 0.004, -0.003];
@@ -29,16 +29,16 @@ fn features(len: usize) -> [Vec<f32>; 2] {
 fn paper(c: &mut Criterion) {
     let mut group = c.benchmark_group("learn and answer/4 x 320");
     let [now, next] = features(320);
-    let mut textbook = Textbook::new(320, 4, 0.98, 1e-3);
+    let mut textbook = NaivePaperRule::new(320, 4, 0.98, 1e-3);
     group.bench_function("textbook", |b| {
         b.iter(|| {
             textbook.step(black_box(&now), &NOISE, -0.1);
             black_box(textbook.mean(black_box(&next)));
         });
     });
-    for path in Path::all() {
-        let mut policy = Linear::new(320, (0..320).collect(), 4).on(path);
-        let mut rule = Paper::new(320, 4, 0.98, 1e-3);
+    for path in SimdPath::all() {
+        let mut policy = LinearPolicy::new(320, (0..320).collect(), 4).on(path);
+        let mut rule = PaperRule::new(320, 4, 0.98, 1e-3);
         group.bench_function(format!("two passes, {path}"), |b| {
             b.iter(|| {
                 rule.step(&mut policy, black_box(&now), &NOISE, -0.1);
@@ -62,9 +62,9 @@ fn scaling(c: &mut Criterion) {
     for (outputs, power) in [4, 8].into_iter().flat_map(|outputs| (5..=15).step_by(2).map(move |p| (outputs, p))) {
         let len = 1_usize << power;
         let [now, next] = features(len);
-        for path in Path::all() {
-            let mut policy = Linear::new(len, (0..len).collect(), outputs).on(path);
-            let mut rule = Paper::new(len, outputs, 0.98, 1e-3);
+        for path in SimdPath::all() {
+            let mut policy = LinearPolicy::new(len, (0..len).collect(), outputs).on(path);
+            let mut rule = PaperRule::new(len, outputs, 0.98, 1e-3);
             group.throughput(Throughput::Elements((len * outputs) as u64));
             group.bench_function(BenchmarkId::new(path.to_string(), format!("{outputs} x {len}")), |b| {
                 let mut mean = [0.0; 8];
@@ -79,16 +79,16 @@ fn scaling(c: &mut Criterion) {
 }
 
 /// A controller in the middle of things, with a ring of observations as they come from a real run.
-fn running(plan: &Plan, path: Path, ticks: u64) -> (Controller, Vec<Observation>) {
-    let mut plant = PlantSide::new(Body::of(plan).unwrap(), plan);
+fn running(plan: &Plan, path: SimdPath, ticks: u64) -> (Controller, Vec<Observation>) {
+    let mut plant = PlantSide::new(SimulatedPlant::of(plan).unwrap(), plan);
     let mut controller = Controller::new(plan).on(path);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let mut ring = Vec::new();
     for tick in 0..ticks {
         plant.observe(tick, 0, 0, &mut observation);
         controller.respond(&observation, &mut command);
-        controller.settle(&observation);
-        plant.live(tick, Some(&command));
+        controller.after_command(&observation);
+        plant.step(tick, Some(&command));
         ring.push(observation);
     }
     (controller, ring)
@@ -97,7 +97,7 @@ fn running(plan: &Plan, path: Path, ticks: u64) -> (Controller, Vec<Observation>
 fn controller(c: &mut Criterion) {
     let plan = plan("paper");
     let mut group = c.benchmark_group("controller/arm320");
-    for path in Path::all() {
+    for path in SimdPath::all() {
         let (mut controller, ring) = running(&plan, path, 4096);
         let mut tick = 4096_u64;
         let mut command = Command::default();
@@ -116,7 +116,7 @@ fn controller(c: &mut Criterion) {
             b.iter(|| {
                 let observation = &ring[(tick % 4096) as usize];
                 tick += 1;
-                controller.settle(black_box(observation));
+                controller.after_command(black_box(observation));
                 controller.record(observation, &mut learning);
                 black_box(&learning);
             });
@@ -127,9 +127,11 @@ fn controller(c: &mut Criterion) {
 
 fn in_process(c: &mut Criterion) {
     let mut group = c.benchmark_group("in process/tick of plant and controller");
-    for (name, path) in Path::all().map(|path| ("paper", path)).chain([("arm", Path::best()), ("eye", Path::best())]) {
+    for (name, path) in
+        SimdPath::all().map(|path| ("paper", path)).chain([("arm", SimdPath::best()), ("eye", SimdPath::best())])
+    {
         let plan = plan(name);
-        let mut plant = PlantSide::new(Body::of(&plan).unwrap(), &plan);
+        let mut plant = PlantSide::new(SimulatedPlant::of(&plan).unwrap(), &plan);
         let mut controller = Controller::new(&plan).on(path);
         let (mut observation, mut command) = (Observation::default(), Command::default());
         let mut tick = 0;
@@ -137,8 +139,8 @@ fn in_process(c: &mut Criterion) {
             b.iter(|| {
                 plant.observe(tick, 0, 0, &mut observation);
                 controller.respond(&observation, &mut command);
-                controller.settle(&observation);
-                plant.live(tick, Some(&command));
+                controller.after_command(&observation);
+                plant.step(tick, Some(&command));
                 tick += 1;
             });
         });

@@ -10,8 +10,8 @@ use std::process::{Child, Command as Program, Stdio};
 use std::time::Duration;
 
 use criterion::Criterion;
-use tectum::channel::{ControllerPorts, DomainName, Hub, PlantPorts};
-use tectum::clock::{Backoff, Life, monotonic_ns, precise_timers};
+use tectum::channel::{ControllerPorts, DomainName, PlantPorts, RunServices};
+use tectum::clock::{Backoff, ProcessHandle, monotonic_ns, precise_timers};
 use tectum::runtime::identity;
 use tectum::scenario::{Plan, Scenario};
 use tectum::wire::{Command, Observation};
@@ -36,7 +36,7 @@ fn answer(task: &str) {
     let plan = plan();
     let name = DomainName::of(run.parse().unwrap());
     let (ports, _desk) = ControllerPorts::open(&name, &identity(&plan), &plan.scenario.channels).unwrap();
-    let parent = Life::of(rustix::process::getppid().unwrap().as_raw_pid() as u32).unwrap();
+    let parent = ProcessHandle::of(rustix::process::getppid().unwrap().as_raw_pid() as u32).unwrap();
     precise_timers();
     println!("ready");
     std::io::stdout().flush().unwrap();
@@ -49,7 +49,7 @@ fn answer(task: &str) {
             backoff = Backoff::default();
         }
         let look = if wait == "bell" {
-            ports.ear.listen(Duration::from_millis(100));
+            ports.wake.wait(Duration::from_millis(100));
             true
         } else {
             backoff.pause()
@@ -60,9 +60,9 @@ fn answer(task: &str) {
     }
 }
 
-struct Peer(Child);
+struct PeerProcess(Child);
 
-impl Drop for Peer {
+impl Drop for PeerProcess {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();
@@ -76,14 +76,14 @@ fn measure() {
     for wait in ["poll and yield", "bell"] {
         let run = u64::from(std::process::id()) << 32 | wait.len() as u64;
         let name = DomainName::of(run);
-        let _hub = Hub::create(&name, &identity, channels, None).unwrap();
+        let _hub = RunServices::create(&name, &identity, channels, None).unwrap();
         let (ports, _desk) = PlantPorts::open(&name, &identity, channels).unwrap();
         let child = Program::new(std::env::current_exe().unwrap())
             .env(PEER, format!("{run} {wait}"))
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        let mut peer = Peer(child);
+        let mut peer = PeerProcess(child);
         let mut ready = String::new();
         BufReader::new(peer.0.stdout.take().unwrap()).read_line(&mut ready).unwrap();
 
@@ -93,7 +93,7 @@ fn measure() {
                 observation.header.tick += 1;
                 ports.observation.send(&observation).unwrap();
                 if wait == "bell" {
-                    ports.bell.ring();
+                    ports.wake.notify();
                 }
                 let began = monotonic_ns();
                 let mut backoff = Backoff::default();

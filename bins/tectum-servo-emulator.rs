@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use tectum::clock::{Life, Signals};
+use tectum::clock::{ProcessHandle, TerminationSignals};
 use tectum::runtime::exit;
-use tectum::scenario::{EmulatorTable, Scenario, ServoFault, ServoFaultKind};
-use tectum::servo::emulator::Chain;
+use tectum::scenario::{EmulatorConfig, Scenario, ServoFault, ServoFaultKind};
+use tectum::servo::emulator::EmulatedChain;
 use tectum::servo::model::Protocol;
-use tectum::servo::pty::{Duties, Terminal};
+use tectum::servo::pseudo_terminal::{EmulatorTasks, PseudoTerminal};
 
 const EXAMPLE: &str = "Four servos that a bridge, or any program for such servos, finds under /tmp/arm:\n  \
     tectum-servo-emulator --protocol feetech --ids 1,2,3,4 --link /tmp/arm\n  \
@@ -80,7 +80,7 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
     if let Some(id) = arguments.ids.iter().find(|&&id| id > series.max_id) {
         return Err(bad(format!("--ids {id}: the highest id of {} is {}", series.name, series.max_id)));
     }
-    let (mut settings, mut seed) = (EmulatorTable::default(), 1);
+    let (mut settings, mut seed) = (EmulatorConfig::default(), 1);
     if let Some(path) = &arguments.scenario {
         let plan = Scenario::load(path).and_then(Scenario::plan).map_err(|error| bad(error.to_string()))?;
         settings = plan.scenario.plant.emulator.unwrap_or_default();
@@ -89,20 +89,20 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
     for text in &arguments.faults {
         settings.faults.push(fault(text).map_err(bad)?);
     }
-    let signals = Signals::install().map_err(|error| own(format!("signals cannot be taken: {error}")))?;
+    let signals = TerminationSignals::install().map_err(|error| own(format!("signals cannot be taken: {error}")))?;
     let parent = match arguments.parent {
         // A parent that is gone already has nobody left to serve.
-        Some(pid) => match Life::of(pid) {
+        Some(pid) => match ProcessHandle::of(pid) {
             Some(life) => Some(life),
             None => return Ok(()),
         },
         None => None,
     };
-    let terminal = Terminal::open(arguments.link.as_deref()).map_err(|error| match &arguments.link {
+    let terminal = PseudoTerminal::open(arguments.link.as_deref()).map_err(|error| match &arguments.link {
         Some(link) => bad(format!("{}: no terminal can be put there: {error}", link.display())),
         None => own(format!("there is no terminal to be had: {error}")),
     })?;
-    let chain = Chain::new(protocol, &arguments.ids, arguments.baud, &settings, arguments.seed.unwrap_or(seed));
+    let chain = EmulatedChain::new(protocol, &arguments.ids, arguments.baud, &settings, arguments.seed.unwrap_or(seed));
     let path = arguments.link.as_deref().unwrap_or(terminal.path()).display().to_string();
     let mut out = std::io::stdout();
     let line = if arguments.json {
@@ -112,7 +112,7 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
         format!("{} servos at {path}", arguments.ids.len())
     };
     let _ = writeln!(out, "{line}").and_then(|()| out.flush());
-    let duties = Duties { control: arguments.control, trace: arguments.trace, json: arguments.json, parent };
+    let duties = EmulatorTasks { control: arguments.control, trace: arguments.trace, json: arguments.json, parent };
     terminal.serve(chain, &signals, &duties).map_err(|error| own(format!("the terminal failed: {error}")))
 }
 

@@ -2,14 +2,14 @@
 
 use std::process::ExitCode;
 
-use tectum::plant::Body;
+use tectum::plant::SimulatedPlant;
 use tectum::runtime::{RuntimeError, run_plant};
 use tectum::wire::Role;
 
 fn main() -> ExitCode {
-    tectum::process::main(Role::Plant, "Simulates the plant that a run's scenario describes", |seat| {
-        let body =
-            Body::of(&seat.plan).ok_or_else(|| RuntimeError::NotSimulated(seat.plan.scenario.plant.program.clone()))?;
-        run_plant(seat, body)
+    tectum::process::main(Role::Plant, "Simulates the plant that a run's scenario describes", |participant| {
+        let body = SimulatedPlant::of(&participant.plan)
+            .ok_or_else(|| RuntimeError::NotSimulated(participant.plan.scenario.plant.program.clone()))?;
+        run_plant(participant, body)
     })
 }

@@ -14,7 +14,7 @@ use rand::RngExt as _;
 use tectum::plant::{Outcome, Plant};
 use tectum::runtime::run_plant;
 use tectum::seed::{Rng, stream};
-use tectum::state::{Ledger, Remember};
+use tectum::state::{Persist, StateVisitor};
 use tectum::wire::{MAX_MEASURES, Role};
 
 /// A point with a position and a target, both in [-1, 1] m.
@@ -32,12 +32,12 @@ const TARGET_EVERY: u64 = 40;
 const STRIDE: f32 = 0.1;
 
 /// What the point must know to go on where it was, should its process be killed and started again.
-impl Remember for Point {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.number("position", &mut self.position);
-        ledger.number("target", &mut self.target);
-        ledger.number("shown", &mut self.shown);
-        ledger.part("rng", &mut self.rng);
+impl Persist for Point {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.number("position", &mut self.position);
+        visitor.number("target", &mut self.target);
+        visitor.number("shown", &mut self.shown);
+        visitor.nested("rng", &mut self.rng);
     }
 }
 
@@ -65,8 +65,8 @@ impl Plant for Point {
 }
 
 fn main() -> ExitCode {
-    tectum::process::main(Role::Plant, "A point on a line that is to follow a target", |seat| {
-        let rng = stream(seat.plan.scenario.seed, "targets");
-        run_plant(seat, Point { position: 0.0, target: 0.0, shown: 0, rng })
+    tectum::process::main(Role::Plant, "A point on a line that is to follow a target", |participant| {
+        let rng = stream(participant.plan.scenario.seed, "targets");
+        run_plant(participant, Point { position: 0.0, target: 0.0, shown: 0, rng })
     })
 }

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser};
 use serde::Serialize;
 
-use crate::runtime::{RuntimeError, Seat};
+use crate::runtime::{Participant, RuntimeError};
 use crate::wire::Role;
 
 /// What every process of a run is told.
@@ -31,7 +31,7 @@ struct Arguments {
 pub fn main<R: Serialize>(
     role: Role,
     about: &'static str,
-    work: impl FnOnce(Seat) -> Result<R, RuntimeError>,
+    work: impl FnOnce(Participant) -> Result<R, RuntimeError>,
 ) -> ExitCode {
     let example = format!(
         "A run's launcher starts this program by itself. To start it in a terminal of its own:\n  \
@@ -45,7 +45,7 @@ pub fn main<R: Serialize>(
         Ok(arguments) => arguments,
         Err(error) => error.exit(),
     };
-    let result = Seat::take(&arguments.run, role, arguments.scenario.as_deref()).and_then(work);
+    let result = Participant::take(&arguments.run, role, arguments.scenario.as_deref()).and_then(work);
     match result {
         Ok(report) => {
             if arguments.json {

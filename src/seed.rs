@@ -7,7 +7,7 @@ use rand::{SeedableRng, TryRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use xxhash_rust::xxh3::xxh3_64_with_seed;
 
-use crate::state::{Ledger, Remember};
+use crate::state::{Persist, StateVisitor};
 
 /// The generator of all random streams.
 #[derive(Debug, Clone)]
@@ -60,11 +60,11 @@ fn words(generator: &Xoshiro256PlusPlus) -> [u64; 4] {
     inside.map(|inside| inside.s).expect("a generator of four words")
 }
 
-impl Remember for Rng {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
+impl Persist for Rng {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         let before = *self.words.get_or_insert_with(|| words(&self.generator));
         let mut now = before;
-        ledger.numbers("words", &mut now);
+        visitor.numbers("words", &mut now);
         if now != before {
             let mut seed = [0; 32];
             for (bytes, word) in seed.chunks_exact_mut(8).zip(now) {

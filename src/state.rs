@@ -1,6 +1,6 @@
 //! What a part must remember to go on as if it had never stopped, told once for all purposes.
 //!
-//! A part with a memory lists its numbers to a [`Ledger`], in a fixed order and by name. Who keeps the ledger decides what
+//! A part with a memory lists its numbers to a [`StateVisitor`], in a fixed order and by name. Who keeps the ledger decides what
 //! that is for: one copies the numbers out, another writes others in. Saving and restoring cannot disagree, because they
 //! are the same list. What a part can work out again from its scenario (constants, scratch memory) is not in it.
 
@@ -10,7 +10,7 @@ use crate::wire::Sample;
 
 /// The type of a row's numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum NumberKind {
     /// `u32`
     U32,
     /// `u64`
@@ -21,7 +21,7 @@ pub enum Kind {
     F64,
 }
 
-impl Kind {
+impl NumberKind {
     /// Bytes of one number.
     pub const fn size(self) -> usize {
         match self {
@@ -34,11 +34,11 @@ impl Kind {
 /// What a ledger's rows are made of: numbers, or records of one kind of number.
 pub trait Number: Pod {
     /// The numbers' type.
-    const KIND: Kind;
+    const KIND: NumberKind;
 }
 
 macro_rules! number {
-    ($($ty:ty: $kind:ident),+) => { $(impl Number for $ty { const KIND: Kind = Kind::$kind; })+ };
+    ($($ty:ty: $kind:ident),+) => { $(impl Number for $ty { const KIND: NumberKind = NumberKind::$kind; })+ };
 }
 
 number!(u32: U32, u64: U64, f32: F32, f64: F64, glam::Vec4: F32);
@@ -47,13 +47,13 @@ impl<T: Number, const N: usize> Number for [T; N]
 where
     [T; N]: Pod,
 {
-    const KIND: Kind = T::KIND;
+    const KIND: NumberKind = T::KIND;
 }
 
 /// Where numbers are written down, or read from. Rows come in a fixed order; a name that comes again continues its row.
-pub trait Ledger {
+pub trait StateVisitor {
     /// One row: to be copied from, or written over. `bytes` hold numbers of type `kind` as this machine does.
-    fn row(&mut self, name: &'static str, kind: Kind, bytes: &mut [u8]);
+    fn row(&mut self, name: &'static str, kind: NumberKind, bytes: &mut [u8]);
 
     /// How many records the row `name`, which follows, has.
     fn count(&mut self, name: &'static str, count: &mut u64);
@@ -65,7 +65,7 @@ pub trait Ledger {
     fn leave(&mut self) {}
 }
 
-impl dyn Ledger + '_ {
+impl dyn StateVisitor + '_ {
     /// A row of numbers.
     pub fn numbers<T: Number>(&mut self, name: &'static str, numbers: &mut [T]) {
         self.row(name, T::KIND, bytemuck::cast_slice_mut(numbers));
@@ -78,18 +78,18 @@ impl dyn Ledger + '_ {
 
     /// A sample, as the words that it consists of.
     pub fn sample<S: Sample>(&mut self, name: &'static str, sample: &mut S) {
-        self.row(name, Kind::U32, bytemuck::bytes_of_mut(sample));
+        self.row(name, NumberKind::U32, bytemuck::bytes_of_mut(sample));
     }
 
     /// Yes or no.
-    pub fn yes(&mut self, name: &'static str, yes: &mut bool) {
+    pub fn boolean(&mut self, name: &'static str, yes: &mut bool) {
         let mut word = u32::from(*yes);
         self.number(name, &mut word);
         *yes = word != 0;
     }
 
     /// A number that may be missing.
-    pub fn maybe(&mut self, name: &'static str, number: &mut Option<u64>) {
+    pub fn optional(&mut self, name: &'static str, number: &mut Option<u64>) {
         let mut words = number.map_or([0, 0], |n| [1, n]);
         self.number(name, &mut words);
         *number = (words[0] != 0).then_some(words[1]);
@@ -105,24 +105,24 @@ impl dyn Ledger + '_ {
     }
 
     /// The part `name`, by its own list.
-    pub fn part(&mut self, name: &'static str, part: &mut dyn Remember) {
+    pub fn nested(&mut self, name: &'static str, part: &mut dyn Persist) {
         self.enter(name);
-        part.remember(self);
+        part.visit_state(self);
         self.leave();
     }
 }
 
 /// A part with a memory.
-pub trait Remember {
+pub trait Persist {
     /// Lists everything that the part must remember.
-    fn remember(&mut self, ledger: &mut dyn Ledger);
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor);
 }
 
 /// Counts the bytes that a part needs.
-struct Measure(usize);
+struct SizeCounter(usize);
 
-impl Ledger for Measure {
-    fn row(&mut self, _name: &'static str, _kind: Kind, bytes: &mut [u8]) {
+impl StateVisitor for SizeCounter {
+    fn row(&mut self, _name: &'static str, _kind: NumberKind, bytes: &mut [u8]) {
         self.0 += bytes.len();
     }
 
@@ -132,13 +132,13 @@ impl Ledger for Measure {
 }
 
 /// Copies a part's numbers out, one row after the other.
-struct Save<'a> {
+struct StateWriter<'a> {
     to: &'a mut [u8],
     at: usize,
 }
 
-impl Ledger for Save<'_> {
-    fn row(&mut self, _name: &'static str, _kind: Kind, bytes: &mut [u8]) {
+impl StateVisitor for StateWriter<'_> {
+    fn row(&mut self, _name: &'static str, _kind: NumberKind, bytes: &mut [u8]) {
         if let Some(to) = self.to.get_mut(self.at..self.at + bytes.len()) {
             to.copy_from_slice(bytes);
         }
@@ -146,18 +146,18 @@ impl Ledger for Save<'_> {
     }
 
     fn count(&mut self, name: &'static str, count: &mut u64) {
-        self.row(name, Kind::U64, bytemuck::bytes_of_mut(count));
+        self.row(name, NumberKind::U64, bytemuck::bytes_of_mut(count));
     }
 }
 
 /// Copies them in again.
-struct Load<'a> {
+struct StateReader<'a> {
     from: &'a [u8],
     at: usize,
 }
 
-impl Ledger for Load<'_> {
-    fn row(&mut self, _name: &'static str, _kind: Kind, bytes: &mut [u8]) {
+impl StateVisitor for StateReader<'_> {
+    fn row(&mut self, _name: &'static str, _kind: NumberKind, bytes: &mut [u8]) {
         if let Some(from) = self.from.get(self.at..self.at + bytes.len()) {
             bytes.copy_from_slice(from);
         }
@@ -165,71 +165,71 @@ impl Ledger for Load<'_> {
     }
 
     fn count(&mut self, name: &'static str, count: &mut u64) {
-        self.row(name, Kind::U64, bytemuck::bytes_of_mut(count));
+        self.row(name, NumberKind::U64, bytemuck::bytes_of_mut(count));
     }
 }
 
 /// Bytes that `part` needs now.
-pub fn size(part: &mut dyn Remember) -> usize {
-    let mut measure = Measure(0);
-    part.remember(&mut measure);
+pub fn size(part: &mut dyn Persist) -> usize {
+    let mut measure = SizeCounter(0);
+    part.visit_state(&mut measure);
     measure.0
 }
 
 /// Copies the state of `part` into `to` and returns its size; `None` if there is no room. Allocates nothing.
-pub fn save(part: &mut dyn Remember, to: &mut [u8]) -> Option<usize> {
-    let mut save = Save { to, at: 0 };
-    part.remember(&mut save);
+pub fn save(part: &mut dyn Persist, to: &mut [u8]) -> Option<usize> {
+    let mut save = StateWriter { to, at: 0 };
+    part.visit_state(&mut save);
     (save.at <= save.to.len()).then_some(save.at)
 }
 
 /// Gives `part`, which is made from the same scenario, the state that was saved into `from`. False if `from` is not of the
 /// right size: `part` is then neither old nor new, and of no use.
 #[must_use]
-pub fn load(part: &mut dyn Remember, from: &[u8]) -> bool {
-    let mut load = Load { from, at: 0 };
-    part.remember(&mut load);
+pub fn load(part: &mut dyn Persist, from: &[u8]) -> bool {
+    let mut load = StateReader { from, at: 0 };
+    part.visit_state(&mut load);
     load.at == from.len()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::Body;
+    use crate::plant::SimulatedPlant;
     use crate::runtime::{Controller, PlantSide};
     use crate::scenario::{Plan, Scenario};
     use crate::wire::{Command, Observation};
 
     /// Plant and controller of a scenario, and what they say.
-    struct Pair {
-        plant: PlantSide<Body>,
+    struct PlantAndController {
+        plant: PlantSide<SimulatedPlant>,
         controller: Controller,
         observation: Observation,
         command: Command,
     }
 
-    impl Pair {
+    impl PlantAndController {
         fn of(plan: &Plan) -> Self {
             Self {
-                plant: PlantSide::new(Body::of(plan).unwrap(), plan),
+                plant: PlantSide::new(SimulatedPlant::of(plan).unwrap(), plan),
                 controller: Controller::new(plan),
                 observation: Observation::default(),
                 command: Command::default(),
             }
         }
 
-        fn live(&mut self, ticks: std::ops::Range<u64>) {
+        fn step(&mut self, ticks: std::ops::Range<u64>) {
             for tick in ticks {
                 self.plant.observe(tick, 0, 0, &mut self.observation);
                 self.controller.respond(&self.observation, &mut self.command);
-                self.controller.settle(&self.observation);
+                self.controller.after_command(&self.observation);
                 // Now and then nothing comes: gate and trace have a memory of that.
-                self.plant.live(tick, (tick % 97 != 96).then_some(&self.command));
+                self.plant.step(tick, (tick % 97 != 96).then_some(&self.command));
             }
         }
     }
 
-    fn saved(part: &mut dyn Remember) -> Vec<u8> {
+    fn saved(part: &mut dyn Persist) -> Vec<u8> {
         let mut bytes = vec![0; size(part)];
         assert_eq!(save(part, &mut bytes), Some(bytes.len()));
         bytes
@@ -253,14 +253,14 @@ mod tests {
             let mut plan = Scenario::find(scenario).unwrap();
             plan.learner = toml::from_str(&format!("rule = \"{rule}\"")).unwrap();
             let plan = plan.plan().unwrap();
-            let mut whole = Pair::of(&plan);
+            let mut whole = PlantAndController::of(&plan);
             // Across a challenger's birth, a new target, and a saving in the middle of a movement.
-            whole.live(0..333);
+            whole.step(0..333);
             let (plant, controller) = (saved(&mut whole.plant), saved(&mut whole.controller));
-            let mut back = Pair::of(&plan);
+            let mut back = PlantAndController::of(&plan);
             assert!(load(&mut back.plant, &plant) && load(&mut back.controller, &controller), "{scenario} {rule}");
-            whole.live(333..500);
-            back.live(333..500);
+            whole.step(333..500);
+            back.step(333..500);
             assert_eq!(whole.command, back.command, "{scenario} {rule}");
             assert!(saved(&mut whole.plant) == saved(&mut back.plant), "{scenario} {rule}");
             assert!(saved(&mut whole.controller) == saved(&mut back.controller), "{scenario} {rule}");
@@ -276,7 +276,7 @@ mod tests {
         let mut controller = Controller::new(&plan);
         let bytes = saved(&mut controller);
         assert!(!load(&mut Controller::new(&plan), &bytes[1..]));
-        assert!(!load(&mut PlantSide::new(Body::of(&plan).unwrap(), &plan), &bytes));
+        assert!(!load(&mut PlantSide::new(SimulatedPlant::of(&plan).unwrap(), &plan), &bytes));
         assert_eq!(save(&mut controller, &mut vec![0; bytes.len() - 1]), None);
     }
 }

@@ -3,8 +3,8 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-use tectum::channel::{ControllerPorts, DomainName, Hub, LoggerPorts, PlantPorts};
-use tectum::plant::Body;
+use tectum::channel::{ControllerPorts, DomainName, LoggerPorts, PlantPorts, RunServices};
+use tectum::plant::SimulatedPlant;
 use tectum::runtime::{Controller, PlantSide, identity};
 use tectum::scenario::Scenario;
 use tectum::wire::{Command, Learning, Observation, Status};
@@ -45,7 +45,7 @@ fn count() -> u64 {
 
 /// The two halves of a tick, and what passes between them.
 struct Loop {
-    plant: PlantSide<Body>,
+    plant: PlantSide<SimulatedPlant>,
     controller: Controller,
     observation: Observation,
     command: Command,
@@ -59,7 +59,7 @@ impl Loop {
         scenario.ticks = 10_000;
         let plan = scenario.plan().unwrap();
         Self {
-            plant: PlantSide::new(Body::of(&plan).unwrap(), &plan),
+            plant: PlantSide::new(SimulatedPlant::of(&plan).unwrap(), &plan),
             controller: Controller::new(&plan),
             observation: Observation::default(),
             command: Command::default(),
@@ -70,20 +70,20 @@ impl Loop {
     fn tick(&mut self, tick: u64) {
         self.plant.observe(tick, 0, 0, &mut self.observation);
         self.controller.respond(&self.observation, &mut self.command);
-        self.controller.settle(&self.observation);
+        self.controller.after_command(&self.observation);
         self.controller.record(&self.observation, &mut self.learning);
         // Every kind of tick: answered, missed, out of range, not a number.
         match tick % 97 {
-            13 => self.plant.live(tick, None),
+            13 => self.plant.step(tick, None),
             29 => {
                 self.command.drawn[0] = 1e9;
-                self.plant.live(tick, Some(&self.command));
+                self.plant.step(tick, Some(&self.command));
             }
             31 => {
                 self.command.drawn[0] = f32::NAN;
-                self.plant.live(tick, Some(&self.command));
+                self.plant.step(tick, Some(&self.command));
             }
-            _ => self.plant.live(tick, Some(&self.command)),
+            _ => self.plant.step(tick, Some(&self.command)),
         }
     }
 }
@@ -108,7 +108,7 @@ fn what_the_transport_allocates_is_known() {
     let plan = Scenario::find("paper").unwrap().plan().unwrap();
     let (channels, identity) = (&plan.scenario.channels, identity(&plan));
     let name = DomainName::of(u64::from(std::process::id()) << 32 | 0xa110c);
-    let _hub = Hub::create(&name, &identity, channels, None).unwrap();
+    let _hub = RunServices::create(&name, &identity, channels, None).unwrap();
     let (plant, _desk) = PlantPorts::open(&name, &identity, channels).unwrap();
     let (controller, desk) = ControllerPorts::open(&name, &identity, channels).unwrap();
     let (logger, _desk) = LoggerPorts::open(&name, &identity, channels).unwrap();
@@ -120,7 +120,7 @@ fn what_the_transport_allocates_is_known() {
             before = count();
         }
         plant.observation.send(&all.observation).unwrap();
-        plant.bell.ring();
+        plant.wake.notify();
         let received = controller.observation.receive().unwrap().unwrap();
         assert_eq!(received, all.observation);
         controller.command.send(&all.command).unwrap();

@@ -145,7 +145,7 @@ fn lockstep_stands_beside_bare_iceoryx2() {
 }
 
 fn paths() -> Vec<String> {
-    tectum::lanes::Path::all().map(|path| path.to_string()).collect()
+    tectum::simd::SimdPath::all().map(|path| path.to_string()).collect()
 }
 
 fn assert_costs(found: &Value, growths: usize) {

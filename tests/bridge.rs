@@ -6,13 +6,13 @@
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex};
 
-use tectum::plant::Body;
+use tectum::plant::SimulatedPlant;
 use tectum::runtime::{Controller, PlantSide};
-use tectum::scenario::{EmulatorTable, Plan, Scenario};
-use tectum::servo::bridge::{Bridge, BridgeError, State, joints_of};
+use tectum::scenario::{EmulatorConfig, Plan, Scenario};
+use tectum::servo::bridge::{Bridge, BridgeError, SafetyState, joints_of};
 use tectum::servo::bus::Bus;
-use tectum::servo::emulator::{Chain, Port, SteppedClock};
-use tectum::servo::model::{Model, Protocol};
+use tectum::servo::emulator::{EmulatedChain, EmulatedPort, SteppedClock};
+use tectum::servo::model::{Protocol, ServoModel};
 use tectum::wire::{Command, Learning, Observation, Vision, flag};
 
 /// The emulated twin with this emulator, so many ticks, and with `change` made to its text.
@@ -28,7 +28,7 @@ fn plan(emulator: &str, ticks: u64, change: impl FnOnce(String) -> String) -> Pl
 
 /// A bridge at the host's end of an emulated chain.
 struct Setup {
-    chain: Arc<Mutex<Chain>>,
+    chain: Arc<Mutex<EmulatedChain>>,
     clock: SteppedClock,
     bridge: Bridge,
 }
@@ -36,23 +36,23 @@ struct Setup {
 fn set_up(plan: &Plan) -> Setup {
     let servos = plan.scenario.plant.servos.as_ref().unwrap();
     let ids: Vec<u8> = joints_of(plan).unwrap().iter().map(|joint| joint.id).collect();
-    let ideal = EmulatorTable::default();
+    let ideal = EmulatorConfig::default();
     let settings = plan.scenario.plant.emulator.as_ref().unwrap_or(&ideal);
-    let chain = Chain::new(servos.protocol, &ids, servos.baud, settings, plan.scenario.seed);
+    let chain = EmulatedChain::new(servos.protocol, &ids, servos.baud, settings, plan.scenario.seed);
     set_up_on(plan, chain).unwrap()
 }
 
 /// The same on a chain that may not be the plan's.
-fn set_up_on(plan: &Plan, chain: Chain) -> Result<Setup, BridgeError> {
+fn set_up_on(plan: &Plan, chain: EmulatedChain) -> Result<Setup, BridgeError> {
     let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
     let bridge = Bridge::new(plan, bus_to(&chain, &clock, plan), joints_of(plan)?, Box::new(|_| {}))?;
     Ok(Setup { chain, clock, bridge })
 }
 
 /// The plan's host at the other end of the wire.
-fn bus_to(chain: &Arc<Mutex<Chain>>, clock: &SteppedClock, plan: &Plan) -> Bus {
+fn bus_to(chain: &Arc<Mutex<EmulatedChain>>, clock: &SteppedClock, plan: &Plan) -> Bus {
     let servos = plan.scenario.plant.servos.as_ref().unwrap();
-    let (port, now) = (Port::new(Arc::clone(chain), clock.clone(), servos.baud), clock.clone());
+    let (port, now) = (EmulatedPort::new(Arc::clone(chain), clock.clone(), servos.baud), clock.clone());
     Bus::over(Box::new(port), servos.protocol, Bridge::budget(plan), Box::new(move || now.now()))
 }
 
@@ -91,16 +91,16 @@ fn run_learning(
         side.observe(tick, 0, 0, &mut observation);
         all.push(observation);
         controller.respond(&observation, &mut command);
-        controller.settle(&observation);
+        controller.after_command(&observation);
         let mut learning = Learning::default();
         controller.record(&observation, &mut learning);
         learned.push(learning);
-        side.decide(tick, heard(tick).then_some(&command), true);
+        side.apply(tick, heard(tick).then_some(&command), true);
         let end = t0 + (tick + 1) * plan.period_ns;
         assert!(clock.now() <= end, "tick {tick}: the bus took more than the tick has");
         clock.step_to(end);
         torque.push(chain.lock().unwrap().state(end).iter().any(|servo| servo.torque));
-        side.conclude(tick);
+        side.finish_step(tick);
     }
     (all, torque, side.into_body(), learned)
 }
@@ -124,7 +124,7 @@ fn an_ideal_chain_learns_as_the_simulator_does() {
         (scenario.seed, scenario.ticks) = (seed, ticks);
         let plan = scenario.plan().unwrap();
         let mut all = Vec::new();
-        tectum::runtime::in_process_seen(&plan, Body::of(&plan).unwrap(), |observation, _| {
+        tectum::runtime::in_process_seen(&plan, SimulatedPlant::of(&plan).unwrap(), |observation, _| {
             all.push(*observation);
             true
         });
@@ -156,7 +156,7 @@ fn an_ideal_chain_learns_as_the_simulator_does() {
 fn unarmed_it_reads_and_torque_stays_off() {
     let plan = plan("", 100, |text| text);
     let (all, torque, bridge) = run(&plan, set_up(&plan), |_| true);
-    assert_eq!(bridge.state(), State::ReadOnly);
+    assert_eq!(bridge.state(), SafetyState::ReadOnly);
     assert!(torque.iter().all(|on| !on));
     for observation in &all[1..] {
         assert_eq!(observation.applied, [0.0; 8]);
@@ -276,11 +276,11 @@ fn limits_are_written_into_the_servos() {
 #[test]
 fn what_does_not_fit_is_refused_without_torque() {
     let ids = [1, 2, 3, 4];
-    let chain = |ids: &[u8]| Chain::new(Protocol::Dynamixel, ids, 1_000_000, &EmulatorTable::default(), 1);
+    let chain = |ids: &[u8]| EmulatedChain::new(Protocol::Dynamixel, ids, 1_000_000, &EmulatorConfig::default(), 1);
     let whole = plan("", 10, |text| text);
     // Of the same protocol, with another control table.
-    let small = Model { name: "XL-320", number: 350, protocol: Protocol::Dynamixel };
-    let small = Chain::of(&small, &ids, 1_000_000, &EmulatorTable::default(), 1);
+    let small = ServoModel { name: "XL-320", number: 350, protocol: Protocol::Dynamixel };
+    let small = EmulatedChain::of(&small, &ids, 1_000_000, &EmulatorConfig::default(), 1);
     for (chain, text) in [
         (small, "servo 1 says that it is model 350, which is none of the Dynamixel X"),
         (chain(&[1, 2, 4]), "(`tectum-bridge scan`)"),
@@ -297,7 +297,7 @@ fn what_does_not_fit_is_refused_without_torque() {
     let error = setup.bridge.arm().unwrap_err().to_string();
     assert!(error.starts_with("servo 1 stands at 1.000 rad and its range is -1 to 0.5 rad"), "{error}");
     let (_, torque, bridge) = run(&bent, setup, |_| true);
-    assert!(bridge.state() == State::ReadOnly && torque.iter().all(|on| !on));
+    assert!(bridge.state() == SafetyState::ReadOnly && torque.iter().all(|on| !on));
 
     // Calibrations: another arm's in what it speaks, and in its number of joints.
     let folder = tempfile::tempdir().unwrap();
@@ -331,7 +331,7 @@ fn late_answers_are_nobodys() {
         let plan = plan("", 10, |text| speaking(&text, protocol));
         // Whenever the next question is asked, the second of two late answers comes then.
         for wait in (0..12_000_000).step_by(50_000) {
-            let chain = Chain::new(protocol, &[1], 1_000_000, &toml::from_str(slow).unwrap(), 1);
+            let chain = EmulatedChain::new(protocol, &[1], 1_000_000, &toml::from_str(slow).unwrap(), 1);
             let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
             let mut bus = bus_to(&chain, &clock, &plan);
             let (read, _) = bus.sync_read(&[1], bus.series().state);
@@ -349,7 +349,7 @@ fn late_answers_are_nobodys() {
 fn a_panic_turns_torque_off() {
     let plan = plan("", 100, |text| text);
     let servos = plan.scenario.plant.servos.as_ref().unwrap();
-    let chain = Chain::new(servos.protocol, &[1, 2, 3, 4], servos.baud, &EmulatorTable::default(), 1);
+    let chain = EmulatedChain::new(servos.protocol, &[1, 2, 3, 4], servos.baud, &EmulatorConfig::default(), 1);
     let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
     let bus = bus_to(&chain, &clock, &plan);
     let seen = Arc::new(Mutex::new(false));

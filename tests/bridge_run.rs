@@ -10,13 +10,13 @@ use serde_json::Value;
 use support::{Place, TECTUM, WATCHDOG, assert_no_debris, signal_process};
 
 /// A chain of four that says each change of torque; dropped, it is killed.
-struct Chain {
+struct EmulatedChain {
     child: Child,
     said: Receiver<(u64, bool)>,
     torque: [bool; 5],
 }
 
-impl Chain {
+impl EmulatedChain {
     fn start(place: &Place) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_tectum-servo-emulator"))
             .args(["--protocol", "dynamixel", "--ids", "1,2,3,4", "--link", "arm", "--trace", "--json"])
@@ -55,7 +55,7 @@ impl Chain {
     }
 }
 
-impl Drop for Chain {
+impl Drop for EmulatedChain {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
@@ -75,7 +75,7 @@ fn scenario(place: &Place, armed: bool, more: &str) -> String {
 #[test]
 fn unarmed_it_only_looks() {
     let place = Place::new();
-    let chain = Chain::start(&place);
+    let chain = EmulatedChain::start(&place);
     let scenario = scenario(&place, false, "");
     let outcome = place.run(&[&scenario, "--ticks", "30", "--json"]).wait().expect(0);
     assert_eq!(outcome.json()["mode"], "realtime");
@@ -101,7 +101,7 @@ fn torque_is_off_however_it_ends() {
         [("TERM", false, "", 143), ("INT", false, "", 130), ("TERM", true, never, 4), ("KILL", true, never, 4)]
     {
         let place = Place::new();
-        let mut chain = Chain::start(&place);
+        let mut chain = EmulatedChain::start(&place);
         let scenario = scenario(&place, true, more);
         let mut run = place.run(&[&scenario, "--ticks", "100000", "--json"]);
         chain.until(true);
@@ -119,7 +119,7 @@ fn torque_is_off_however_it_ends() {
 #[test]
 fn a_bridge_that_was_killed_comes_back() {
     let place = Place::new();
-    let mut chain = Chain::start(&place);
+    let mut chain = EmulatedChain::start(&place);
     let scenario = scenario(&place, true, "");
     let mut run = place.run(&[&scenario, "--ticks", "100000", "--json"]);
     chain.until(true);

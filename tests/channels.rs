@@ -1,7 +1,9 @@
 //! The channels by themselves: who is let in, and that no writer ever waits.
 
-use tectum::channel::{ChannelError, ControllerPorts, DomainName, Hub, Identity, LOG_BUFFER, LoggerPorts, PlantPorts};
-use tectum::scenario::ChannelsTable;
+use tectum::channel::{
+    ChannelError, ControllerPorts, DomainName, Identity, LOG_BUFFER, LoggerPorts, PlantPorts, RunServices,
+};
+use tectum::scenario::ChannelsConfig;
 use tectum::wire::Observation;
 
 fn identity() -> Identity {
@@ -15,8 +17,8 @@ fn domain(salt: u64) -> DomainName {
 /// Schema, scenario and build are each compared, and the difference is named.
 #[test]
 fn the_handshake_compares_all_three() {
-    let (name, channels) = (domain(1), ChannelsTable::default());
-    let _hub = Hub::create(&name, &identity(), &channels, None).unwrap();
+    let (name, channels) = (domain(1), ChannelsConfig::default());
+    let _hub = RunServices::create(&name, &identity(), &channels, None).unwrap();
     for (stranger, what, ours, theirs) in [
         (Identity { schema: 9, ..identity() }, "schema", "0000000000000009", "0000000000000001"),
         (Identity { scenario: 9, ..identity() }, "scenario", "0000000000000009", "0000000000000002"),
@@ -40,8 +42,8 @@ fn the_handshake_compares_all_three() {
 /// A reader that does not read loses the oldest samples; the writer never notices.
 #[test]
 fn a_full_reader_loses_its_oldest() {
-    let (name, channels) = (domain(2), ChannelsTable::default());
-    let _hub = Hub::create(&name, &identity(), &channels, None).unwrap();
+    let (name, channels) = (domain(2), ChannelsConfig::default());
+    let _hub = RunServices::create(&name, &identity(), &channels, None).unwrap();
     let (plant, _desk) = PlantPorts::open(&name, &identity(), &channels).unwrap();
     let (controller, _desk) = ControllerPorts::open(&name, &identity(), &channels).unwrap();
     let (logger, _desk) = LoggerPorts::open(&name, &identity(), &channels).unwrap();
@@ -62,20 +64,20 @@ fn a_full_reader_loses_its_oldest() {
 
 #[test]
 fn a_domain_is_wiped_with_its_hub() {
-    let (name, channels) = (domain(3), ChannelsTable::default());
+    let (name, channels) = (domain(3), ChannelsConfig::default());
     let here = || {
         let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
         let prefix = name.prefix();
         let prefix = prefix.trim_end_matches('_').to_owned();
         entries.filter(|e| e.file_name().to_string_lossy().starts_with(&prefix)).count()
     };
-    let hub = Hub::create(&name, &identity(), &channels, None).unwrap();
+    let services = RunServices::create(&name, &identity(), &channels, None).unwrap();
     assert!(here() > 0);
-    drop(hub);
+    drop(services);
     assert_eq!(here(), 0);
     let Err(ChannelError::SetUp { hint, .. }) = PlantPorts::open(&name, &identity(), &channels) else {
         panic!("there is no run any more");
     };
     assert_eq!(hint, "; the run is over or was never started");
-    tectum::channel::wipe(&name);
+    tectum::channel::remove_domain(&name);
 }

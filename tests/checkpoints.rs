@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use support::{Place, TECTUM};
-use tectum::log::{LogReader, Record};
+use tectum::log::{LogReader, LogRecord};
 
 fn checkpoints(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder.join("checkpoints")).into_iter().flatten().flatten();
@@ -19,15 +19,15 @@ fn checkpoints(folder: &Path) -> Vec<String> {
 }
 
 /// The samples of a log, without what tells runs and starts apart.
-fn samples(log: &Path) -> Vec<Record> {
+fn samples(log: &Path) -> Vec<LogRecord> {
     let records = LogReader::open(log).unwrap().map(Result::unwrap);
     records
         .map(|mut record| {
             let header = match &mut record {
-                Record::Observation(s) => &mut s.header,
-                Record::Command(s) => &mut s.header,
-                Record::Learning(s) => &mut s.header,
-                Record::Gap(gap) => panic!("a lockstep log lacks nothing: {gap:?}"),
+                LogRecord::Observation(s) => &mut s.header,
+                LogRecord::Command(s) => &mut s.header,
+                LogRecord::Learning(s) => &mut s.header,
+                LogRecord::Gap(gap) => panic!("a lockstep log lacks nothing: {gap:?}"),
             };
             (header.run, header.incarnation) = (0, 0);
             record
@@ -35,7 +35,7 @@ fn samples(log: &Path) -> Vec<Record> {
         .collect()
 }
 
-fn tick(record: &Record) -> u64 {
+fn tick(record: &LogRecord) -> u64 {
     record.header().unwrap().tick
 }
 

@@ -18,8 +18,9 @@ fn doctor(place: &Place, arguments: &[&str]) -> Outcome {
 
 /// The name of the domain of the run in `place`.
 fn domain(place: &Place) -> String {
-    let card: Value = serde_json::from_str(&fs::read_to_string(place.run_folder().join("run.json")).unwrap()).unwrap();
-    format!("tectum_{}", card["domain"].as_str().unwrap())
+    let manifest: Value =
+        serde_json::from_str(&fs::read_to_string(place.run_folder().join("run.json")).unwrap()).unwrap();
+    format!("tectum_{}", manifest["domain"].as_str().unwrap())
 }
 
 /// What the doctor's `list` says of a domain.
@@ -102,8 +103,8 @@ fn what_a_killed_launcher_left_is_named_and_removed_and_the_living_are_left_alon
         let place = Place::new();
         let scenario = place.endless("realtime");
         let mut run = place.run(&[&scenario, "--mode", "realtime", "--by-hand", "controller"]);
-        let card = place.run_folder().join("run.json");
-        run.until("the run's card", || fs::read_to_string(&card).is_ok_and(|text| text.trim().ends_with('}')));
+        let manifest = place.run_folder().join("run.json");
+        run.until("the run's card", || fs::read_to_string(&manifest).is_ok_and(|text| text.trim().ends_with('}')));
         // By hand, because a stopped child of a launcher that dies is hung up by the kernel, and ends.
         let controller = place.start(env!("CARGO_BIN_EXE_tectum-controller"), &["--run", "run"]);
         run.until_ticking();

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 use support::{Outcome, Place, TECTUM, assert_no_debris, example, signal_process};
-use tectum::log::{Info, LogReader, Record};
+use tectum::log::{LogInfo, LogReader, LogRecord};
 
 /// Every limit of the gate, and every fault that can be told from a clean run.
 const GATE: &str = "\
@@ -118,7 +118,7 @@ fn faults_are_the_same_in_one_process_and_in_three_and_replay() {
     ] {
         assert!(text.contains(line), "{line}: {text}");
     }
-    let info = Info::of(&[place.run_folder().join("log.mcap")]).unwrap();
+    let info = LogInfo::of(&[place.run_folder().join("log.mcap")]).unwrap();
     for (flag, key) in [("MISSED", "missed"), ("POSITION_LIMITED", "position_limited"), ("UNHEARD", "unheard")] {
         // What came of the last tick is in no observation.
         let (flags, run) = (info.flags[flag], three[key].as_u64().unwrap());
@@ -280,9 +280,9 @@ until = 1001
     let (mut learning, mut gaps) = (Vec::new(), 0);
     for record in LogReader::open(&log).unwrap() {
         match record.unwrap() {
-            Record::Learning(s) => learning.push(s.header.sequence),
-            Record::Gap(gap) if gap.channel == 2 => gaps += gap.count,
-            Record::Gap(gap) => panic!("{gap:?}"),
+            LogRecord::Learning(s) => learning.push(s.header.sequence),
+            LogRecord::Gap(gap) if gap.channel == 2 => gaps += gap.count,
+            LogRecord::Gap(gap) => panic!("{gap:?}"),
             _ => {}
         }
     }

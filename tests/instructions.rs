@@ -13,10 +13,10 @@ use nix::sys::ptrace;
 use nix::sys::signal::Signal;
 use nix::sys::wait::{WaitStatus, waitpid};
 use nix::unistd::Pid;
-use tectum::lanes::Path;
-use tectum::plant::Body;
+use tectum::plant::SimulatedPlant;
 use tectum::runtime::{Controller, PlantSide};
 use tectum::scenario::Scenario;
+use tectum::simd::SimdPath;
 use tectum::wire::{self, Observation};
 
 /// Names what the program is to do when it is started to be counted.
@@ -47,7 +47,7 @@ fn main() -> ExitCode {
     let profile = usize::from(cfg!(debug_assertions));
     let mut changed = false;
     for (what, path, recorded) in RECORDED {
-        if !Path::all().any(|here| here.to_string() == path) {
+        if !SimdPath::all().any(|here| here.to_string() == path) {
             println!("{what}, {path}: skipped, this machine has no such path");
             continue;
         }
@@ -104,9 +104,9 @@ fn step_to_mark(pid: Pid) -> nix::Result<u64> {
 /// The counted program's side: gets ready, waits until it is watched, and marks where counting begins and ends.
 fn counted(part: &str) {
     let (what, path) = part.split_once(' ').unwrap();
-    let path = Path::all().find(|here| here.to_string() == path).unwrap();
+    let path = SimdPath::all().find(|here| here.to_string() == path).unwrap();
     let plan = Scenario::find("paper").unwrap().plan().unwrap();
-    let mut plant = PlantSide::new(Body::of(&plan).unwrap(), &plan);
+    let mut plant = PlantSide::new(SimulatedPlant::of(&plan).unwrap(), &plan);
     let mut controller = Controller::new(&plan).on(path);
     let mut encoder = plan.encoder().on(path);
     let mut features = encoder.features();
@@ -114,8 +114,8 @@ fn counted(part: &str) {
     let mut tick = |tick: u64| {
         plant.observe(tick, 0, 0, &mut observation);
         controller.respond(&observation, &mut command);
-        controller.settle(&observation);
-        plant.live(tick, Some(&command));
+        controller.after_command(&observation);
+        plant.step(tick, Some(&command));
         observation
     };
     let seen: Vec<_> = (0..BEFORE).map(&mut tick).skip((BEFORE - COUNTED) as usize).collect();

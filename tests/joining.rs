@@ -33,8 +33,8 @@ fn every_process_can_be_started_by_hand() {
     {
         let place = Place::new();
         let mut run = place.start(TECTUM, &["run", "--name", "demo", "--by-hand", role, "--ticks", "500", "--json"]);
-        let card = place.path().join("runs/demo/run.json");
-        run.until("the run's card", || card.exists());
+        let manifest = place.path().join("runs/demo/run.json");
+        run.until("the run's card", || manifest.exists());
         let member = place.start(program(name), &["--run", "demo", "--json"]);
         let account = member.wait().expect(0).json();
         let outcome = run.wait().expect(0);
@@ -53,8 +53,8 @@ fn a_process_with_another_scenario_is_refused_in_one_sentence() {
     let place = Place::new();
     let other = place.arm(&[("beta", "0.8")]);
     let mut run = place.start(TECTUM, &["run", "--name", "demo", "--by-hand", "controller", "--ticks", "500"]);
-    let card = place.path().join("runs/demo/run.json");
-    run.until("the run's card", || card.exists());
+    let manifest = place.path().join("runs/demo/run.json");
+    run.until("the run's card", || manifest.exists());
     let stranger = ["--run", "demo", "--scenario", &other];
     let outcome = place.start(program("tectum-controller"), &stranger).wait().expect(3);
     assert_eq!(outcome.stderr.lines().count(), 1, "{outcome:#?}");

@@ -9,7 +9,7 @@ use serde_json::Value;
 use support::content::read;
 use support::slow::run_with_a_stopped_logger;
 use support::{Outcome, Place, TECTUM, signal_process};
-use tectum::log::Record;
+use tectum::log::LogRecord;
 use tectum::wire::flag;
 
 fn log(place: &Place, arguments: &[&str]) -> Outcome {
@@ -296,7 +296,7 @@ fn losses_are_stated_found_and_marked() {
     // A log that says less than it lacks is found out.
     let path = place.run_folder().join("log.mcap");
     let (bodies, end) = support::bytes::bodies(&fs::read(&path).unwrap());
-    let gap = bodies.iter().find(|body| matches!(body.sample, Record::Gap(_))).unwrap();
+    let gap = bodies.iter().find(|body| matches!(body.sample, LogRecord::Gap(_))).unwrap();
     let mut bytes = fs::read(&path).unwrap()[..end].to_vec();
     bytes[gap.at + 16] ^= 1;
     place.file("liar.mcap", bytes);

@@ -5,8 +5,10 @@ use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command as Process;
-use tectum::log::{Clock, FIXED_BYTES, LogError, LogHeader, LogReader, LogWriter, Record, Totals, bytes_per_tick};
-use tectum::scenario::{ChannelsTable, SignalTable};
+use tectum::log::{
+    FIXED_BYTES, LogClock, LogError, LogHeader, LogReader, LogRecord, LogTotals, LogWriter, bytes_per_tick,
+};
+use tectum::scenario::{ChannelsConfig, SignalConfig};
 use tectum::wire::{Command, Gap, Header, Learning, Observation, schema_hash};
 
 /// Counts what each thread allocates.
@@ -32,7 +34,7 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 fn header() -> LogHeader {
-    let signal = |name: &str, unit: &str| SignalTable { name: name.into(), unit: unit.into(), min: -1.0, max: 1.0 };
+    let signal = |name: &str, unit: &str| SignalConfig { name: name.into(), unit: unit.into(), min: -1.0, max: 1.0 };
     LogHeader {
         scenario: "name = \"synthetic\"\n".repeat(50),
         run: 42,
@@ -48,10 +50,10 @@ fn header() -> LogHeader {
         inputs: vec![signal("target_x", "m"), signal("target_y", "m")],
         outputs: vec![signal("rate_1", "rad/s")],
         measures: vec!["error".into()],
-        channels: ChannelsTable::default(),
+        channels: ChannelsConfig::default(),
         machine: BTreeMap::new(),
         realtime: Default::default(),
-        clock: Clock::Virtual,
+        clock: LogClock::Virtual,
         t0_ns: 0,
         wall_at_t0_ns: 0,
         segment: Default::default(),
@@ -81,7 +83,7 @@ fn write_ticks(log: &mut LogWriter, ticks: std::ops::Range<u64>) -> Result<(), L
 fn write(path: &Path, ticks: u64) -> u64 {
     let mut log = LogWriter::create(path, &header()).unwrap();
     write_ticks(&mut log, 0..ticks).unwrap();
-    log.finish(&Totals { last_tick: ticks.checked_sub(1), complete: true, ..Totals::default() }).unwrap().bytes
+    log.finish(&LogTotals { last_tick: ticks.checked_sub(1), complete: true, ..LogTotals::default() }).unwrap().bytes
 }
 
 #[test]
@@ -92,17 +94,21 @@ fn a_log_comes_back_as_it_was_written() {
     write_ticks(&mut log, 0..10).unwrap();
     let gap = Gap { channel: 1, first: 10, count: 2, total: 2 };
     log.gap(&gap).unwrap();
-    let totals = Totals { lost: [0, 2, 0], thinned: [9, 9, 9], last_tick: Some(99), ..Totals::default() };
+    let totals = LogTotals { lost: [0, 2, 0], thinned: [9, 9, 9], last_tick: Some(99), ..LogTotals::default() };
     let summary = log.finish(&totals).unwrap();
     assert_eq!(summary.bytes, std::fs::metadata(&path).unwrap().len());
 
     let mut log = LogReader::open(&path).unwrap();
     assert_eq!(log.scenario(), header().scenario);
-    let records: Vec<Record> = log.by_ref().collect::<Result<_, _>>().unwrap();
+    let records: Vec<LogRecord> = log.by_ref().collect::<Result<_, _>>().unwrap();
     assert_eq!(records.len(), 31);
     let (observation, command, learning) = tick(9);
-    let last =
-        [Record::Observation(observation), Record::Command(command), Record::Learning(learning), Record::Gap(gap)];
+    let last = [
+        LogRecord::Observation(observation),
+        LogRecord::Command(command),
+        LogRecord::Learning(learning),
+        LogRecord::Gap(gap),
+    ];
     assert_eq!(records[27..], last);
     assert!(log.finished());
     assert_eq!(log.totals(), Some(totals));
@@ -152,7 +158,7 @@ fn a_message_costs_no_allocation() {
     let before = ALLOCATIONS.get();
     write_ticks(&mut log, 200..1200).unwrap();
     for _ in 0..1000 {
-        log.append(&Record::Gap(Gap::default())).unwrap();
+        log.append(&LogRecord::Gap(Gap::default())).unwrap();
     }
     log.flush().unwrap();
     assert_eq!(ALLOCATIONS.get() - before, 0);
@@ -191,17 +197,17 @@ fn a_log_without_room_is_closed_with_what_it_lacks() {
         assert!(write_ticks(&mut log, tick..tick + 1).unwrap_err().is_full(), "and again");
         log.missing_from(tick, &error).unwrap();
         log.gap(&gap(tick)).unwrap();
-        log.finish(&Totals { missing_from: Some(tick), ..Totals::default() }).unwrap();
+        log.finish(&LogTotals { missing_from: Some(tick), ..LogTotals::default() }).unwrap();
         return;
     }
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
     under_a_limit("a_log_without_room_is_closed_with_what_it_lacks", &path);
     let mut log = LogReader::open(&path).unwrap();
-    let records: Vec<Record> = log.by_ref().map(Result::unwrap).collect();
+    let records: Vec<LogRecord> = log.by_ref().map(Result::unwrap).collect();
     let ticks = records.len() as u64 / 3;
     assert!(ticks > 1000 && log.finished(), "{ticks}");
-    assert_eq!((records.last(), log.missing_from()), (Some(&Record::Gap(gap(ticks))), Some(ticks)));
+    assert_eq!((records.last(), log.missing_from()), (Some(&LogRecord::Gap(gap(ticks))), Some(ticks)));
     assert!(log.metadata()["tectum.missing"]["why"].contains("ulimit -f"));
 }
 
@@ -217,7 +223,7 @@ fn a_write_that_fails_leaves_a_torn_log() {
         // There is room again, but half a message may stand at the end, and nothing is put behind it.
         limit(None);
         assert_eq!(log.flush().unwrap_err().to_string(), error.to_string());
-        let again = log.finish(&Totals::default()).unwrap_err();
+        let again = log.finish(&LogTotals::default()).unwrap_err();
         assert_eq!(again.to_string(), error.to_string());
         return;
     }
@@ -293,5 +299,5 @@ fn a_log_for_python() {
         let error = (end[0] - target[0]).powi(2) + (end[1] - target[1]).powi(2);
         reward = -0.1 * (error + 0.025 * rates + 0.01 * theta.iter().map(|t| t * t).sum::<f32>());
     }
-    log.finish(&Totals { last_tick: Some(ticks - 1), complete: true, ..Totals::default() }).unwrap();
+    log.finish(&LogTotals { last_tick: Some(ticks - 1), complete: true, ..LogTotals::default() }).unwrap();
 }

@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use tectum::plant::Body;
+use tectum::plant::SimulatedPlant;
 use tectum::report::Window;
 use tectum::runtime::{Controller, ControllerReport, PlantReport, PlantSide};
 use tectum::scenario::{Plan, Scenario};
@@ -75,7 +75,7 @@ fn cells() -> Vec<Cell> {
 
 /// The run, with what must hold in every tick of it, whatever goes wrong.
 fn run(plan: &Plan) -> (PlantReport, ControllerReport) {
-    let mut side = PlantSide::new(Body::of(plan).unwrap(), plan);
+    let mut side = PlantSide::new(SimulatedPlant::of(plan).unwrap(), plan);
     let mut controller = Controller::new(plan);
     let (mut observation, mut command, mut learning) =
         (Observation::default(), Command::default(), Learning::default());
@@ -90,13 +90,13 @@ fn run(plan: &Plan) -> (PlantReport, ControllerReport) {
             assert_eq!(observation.applied, asked, "tick {tick}, flags {flags:#x}");
         }
         controller.respond(&observation, &mut command);
-        controller.settle(&observation);
+        controller.after_command(&observation);
         controller.record(&observation, &mut learning);
         assert!(command.drawn.iter().all(|u| u.is_finite()) && learning.weights_norm.is_finite());
         if flags & flag::MISSED != 0 {
             assert_eq!(learning.header.flags & flag::LEARNED, 0, "tick {tick}");
         }
-        side.live(tick, Some(&command));
+        side.step(tick, Some(&command));
     }
     (side.report, controller.finish())
 }

@@ -3,18 +3,18 @@
 
 use rand::RngExt as _;
 use tectum::encoder::{Axis, Encoder, Map};
-use tectum::lanes::Path;
-use tectum::learner::{ActorCritic, Critic, LearningRule, Paper, Tick};
-use tectum::policy::{Linear, Outputs};
+use tectum::learner::{ActorCritic, CriticConstants, LearningRule, PaperRule, Transition};
+use tectum::policy::{LinearPolicy, Outputs};
 use tectum::seed::{Rng, stream};
+use tectum::simd::SimdPath;
 
 const MILLION: usize = 1_000_000;
 
 /// The paths besides the first.
-fn others() -> Vec<Path> {
-    let others: Vec<_> = Path::all().skip(1).collect();
+fn others() -> Vec<SimdPath> {
+    let others: Vec<_> = SimdPath::all().skip(1).collect();
     if others.is_empty() {
-        println!("skipped: this machine has one path only, {}", Path::BASELINE);
+        println!("skipped: this machine has one path only, {}", SimdPath::BASELINE);
     }
     others
 }
@@ -53,7 +53,7 @@ fn encoders_agree_to_the_bit() {
         let encoders = encoders();
         let rounds = MILLION / encoders.len();
         for encoder in encoders {
-            let (mut base, mut other) = (encoder.clone().on(Path::BASELINE), encoder.on(path));
+            let (mut base, mut other) = (encoder.clone().on(SimdPath::BASELINE), encoder.on(path));
             let (mut expected, mut seen) = (base.features(), base.features());
             for _ in 0..rounds {
                 let inputs: [f32; 4] = std::array::from_fn(|_| input(&mut rng));
@@ -69,12 +69,13 @@ fn encoders_agree_to_the_bit() {
 /// A rule on two paths, side by side.
 struct Pair<R> {
     rules: [R; 2],
-    policies: [Linear; 2],
+    policies: [LinearPolicy; 2],
 }
 
 impl<R: LearningRule> Pair<R> {
-    fn new(rules: [R; 2], path: Path, len: usize, outputs: usize) -> Self {
-        let policies = [Path::BASELINE, path].map(|path| Linear::new(len, (0..len).collect(), outputs).on(path));
+    fn new(rules: [R; 2], path: SimdPath, len: usize, outputs: usize) -> Self {
+        let policies =
+            [SimdPath::BASELINE, path].map(|path| LinearPolicy::new(len, (0..len).collect(), outputs).on(path));
         Self { rules, policies }
     }
 
@@ -88,7 +89,7 @@ impl<R: LearningRule> Pair<R> {
             let noise: Outputs = std::array::from_fn(|_| 0.2 * (rng.random::<f32>() - 0.5));
             let reward = -rng.random::<f32>();
             let [now, next] = &features;
-            let tick_of = Tick {
+            let tick_of = Transition {
                 features: now,
                 inputs: &[],
                 noise: &noise,
@@ -128,7 +129,7 @@ fn the_papers_rule_agrees_to_the_bit() {
     let mut rng = stream(8, "paths");
     for path in others() {
         for (len, outputs) in SIZES {
-            let rule = Paper::new(len, outputs, 0.9, 0.01);
+            let rule = PaperRule::new(len, outputs, 0.9, 0.01);
             Pair::new([rule.clone(), rule], path, len, outputs).run(&mut rng, len, MILLION / SIZES.len());
         }
     }
@@ -136,7 +137,7 @@ fn the_papers_rule_agrees_to_the_bit() {
 
 #[test]
 fn the_actor_critic_agrees_to_the_bit() {
-    let critic = Critic {
+    let critic = CriticConstants {
         step: 0.05,
         discount: 0.9,
         decay: 0.5,

@@ -12,10 +12,10 @@ use std::path::Path;
 
 use serde_json::Value;
 use tectum::encoder::{Encoder, Features};
-use tectum::learner::Paper;
+use tectum::learner::PaperRule;
 use tectum::plant::{Arm, Eye, Plant, Stimulus};
-use tectum::policy::{Linear, Outputs};
-use tectum::scenario::{BlockTable, Retina, Scenario};
+use tectum::policy::{LinearPolicy, Outputs};
+use tectum::scenario::{BlockConfig, Retina, Scenario};
 
 fn load(name: &str) -> Value {
     let path = Path::new("tests/reference").join(name);
@@ -51,8 +51,8 @@ impl Worst {
 struct Learner {
     encoder: Encoder,
     features: Features,
-    policy: Linear,
-    rule: Paper,
+    policy: LinearPolicy,
+    rule: PaperRule,
 }
 
 impl Learner {
@@ -63,8 +63,8 @@ impl Learner {
         let table = &plan.scenario.learner;
         Self {
             features: encoder.features(),
-            policy: Linear::new(len, encoder.positions().collect(), outputs),
-            rule: Paper::new(len, outputs, table.beta as f32, table.alpha_over_variance as f32),
+            policy: LinearPolicy::new(len, encoder.positions().collect(), outputs),
+            rule: PaperRule::new(len, outputs, table.beta as f32, table.alpha_over_variance as f32),
             encoder,
         }
     }
@@ -104,7 +104,7 @@ fn the_arm_learns_as_the_reference_does() {
     let arm = scenario.plant.arm.as_mut().unwrap();
     arm.targets =
         run["targets_every_80_ticks"].as_array().unwrap().iter().map(|t| numbers(t).try_into().unwrap()).collect();
-    arm.block = vec![BlockTable { joint: 3, tick: run["block_joint_3_at"].as_u64().unwrap(), angle: 0.0 }];
+    arm.block = vec![BlockConfig { joint: 3, tick: run["block_joint_3_at"].as_u64().unwrap(), angle: 0.0 }];
     for (key, value) in [
         ("sigma", scenario.policy.sigma),
         ("alpha_over_variance", scenario.learner.alpha_over_variance),

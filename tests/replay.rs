@@ -10,9 +10,9 @@ use rand::{Rng as _, RngExt as _};
 use serde_json::Value;
 use support::bytes::{Body, bodies};
 use support::{Outcome, Place, TECTUM, signal_process};
-use tectum::log::Record;
+use tectum::log::LogRecord;
 use tectum::seed::stream;
-use tectum::study::replay::{Replay, ReplayError, replay};
+use tectum::study::replay::{ReplayError, ReplayResult, replay};
 use tectum::wire::{Command, Learning, Observation, flag};
 
 fn replayed(place: &Place, arguments: &[&str]) -> Outcome {
@@ -83,7 +83,7 @@ fn flips_are_found(log: &[u8], n: usize, unfindable: impl Fn(&Body, usize, u8) -
         let mut bytes = torn.to_vec();
         bytes[body.at + offset] ^= mask;
         match replay(&[place.file("flipped.mcap", &bytes)], None, false) {
-            Ok(Replay { difference: Some(_), .. }) => found[0] += 1,
+            Ok(ReplayResult { difference: Some(_), .. }) => found[0] += 1,
             Err(ReplayError::Log(_) | ReplayError::Lost { .. }) => found[1] += 1,
             other => panic!("bit {mask:#04x} of byte {offset} of {:?}: {other:?}", body.sample),
         }
@@ -130,11 +130,11 @@ fn real_time_logs_with_missed_ticks_replay_and_their_flips_are_found() {
         let answered: Vec<u64> = bodies(&log)
             .0
             .iter()
-            .filter_map(|body| if let Record::Command(c) = body.sample { Some(c.header.tick) } else { None })
+            .filter_map(|body| if let LogRecord::Command(c) = body.sample { Some(c.header.tick) } else { None })
             .collect();
         // All that no other byte tells: when an observation was sensed that nobody answered, and that a command was late.
         flips_are_found(&log, 700, |body, offset, mask| {
-            let Record::Observation(o) = body.sample else { return false };
+            let LogRecord::Observation(o) = body.sample else { return false };
             let late = (52..56).contains(&offset) && u32::from(mask) << (8 * (offset - 52)) == flag::LATE;
             let sensed = (32..40).contains(&offset) && answered.binary_search(&o.header.tick).is_err() && {
                 let flipped = o.header.sensed_ns ^ (u64::from(mask) << (8 * (offset - 32)));
@@ -151,9 +151,9 @@ fn the_first_difference_is_named() {
     let log = ran(&place, "paper", "", &["--ticks", "300"]);
     let (bodies, end) = bodies(&log);
     let observation =
-        bodies.iter().find(|b| matches!(b.sample, Record::Observation(o) if o.header.tick == 100)).unwrap();
-    let command = bodies.iter().find(|b| matches!(b.sample, Record::Command(c) if c.header.tick == 200)).unwrap();
-    let learning = bodies.iter().find(|b| matches!(b.sample, Record::Learning(l) if l.header.tick == 290)).unwrap();
+        bodies.iter().find(|b| matches!(b.sample, LogRecord::Observation(o) if o.header.tick == 100)).unwrap();
+    let command = bodies.iter().find(|b| matches!(b.sample, LogRecord::Command(c) if c.header.tick == 200)).unwrap();
+    let learning = bodies.iter().find(|b| matches!(b.sample, LogRecord::Learning(l) if l.header.tick == 290)).unwrap();
     let said = |body: &Body, offset: usize| {
         let mut bytes = log[..end].to_vec();
         bytes[body.at + offset] ^= 1;
@@ -237,7 +237,7 @@ fn another_learner_learns_from_the_same_experience() {
 /// The gap is named, and how far the log was good.
 #[test]
 fn a_log_with_losses_is_replayed_up_to_the_first() {
-    use tectum::log::{Clock, LogHeader, LogReader, LogWriter, Totals};
+    use tectum::log::{LogClock, LogHeader, LogReader, LogTotals, LogWriter};
     use tectum::scenario::Scenario;
     use tectum::wire::Gap;
     let place = Place::new();
@@ -245,18 +245,18 @@ fn a_log_with_losses_is_replayed_up_to_the_first() {
     let mut log = LogReader::open(&place.run_folder().join("log.mcap")).unwrap();
     let plan = Scenario::parse(log.scenario(), "log").unwrap().plan().unwrap();
     let run = u64::from_str_radix(log.run("run").unwrap(), 16).unwrap();
-    let header = LogHeader { clock: Clock::Virtual, ..LogHeader::new(&plan, run, "lockstep", Default::default()) };
+    let header = LogHeader { clock: LogClock::Virtual, ..LogHeader::new(&plan, run, "lockstep", Default::default()) };
     let path = place.path().join("lossy.mcap");
     let mut lossy = LogWriter::create(Path::new(&path), &header).unwrap();
     for record in log.by_ref().map(Result::unwrap) {
         match record {
-            Record::Command(c) if c.header.tick == 40 => {
-                lossy.append(&Record::Gap(Gap { channel: 1, first: 40, count: 1, total: 1 })).unwrap();
+            LogRecord::Command(c) if c.header.tick == 40 => {
+                lossy.append(&LogRecord::Gap(Gap { channel: 1, first: 40, count: 1, total: 1 })).unwrap();
             }
             other => lossy.append(&other).unwrap(),
         }
     }
-    lossy.finish(&Totals { lost: [0, 1, 0], last_tick: Some(99), complete: true, ..Totals::default() }).unwrap();
+    lossy.finish(&LogTotals { lost: [0, 1, 0], last_tick: Some(99), complete: true, ..LogTotals::default() }).unwrap();
     let text = replayed(&place, &["lossy.mcap"]).expect(2).stderr;
     for words in [
         "a gap on channel command, 1 missing from sequence number 40 on",

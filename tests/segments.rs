@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use serde_json::Value;
 use support::{Outcome, Place, Process, TECTUM, assert_no_debris, children, signal_process};
-use tectum::log::{Info, Record, RunLog, State, find, segments};
+use tectum::log::{LogInfo, LogRecord, LogState, RunLog, find, segments};
 
 /// The paper's arm with every tick in its log, and restarts as quick as they can be.
 fn scenario(place: &Place, changes: &[(&str, &str)]) -> String {
@@ -56,10 +56,10 @@ fn check(place: &Place, summary: &Value, ticks: u64) -> Vec<PathBuf> {
         let record = record.unwrap();
         account.take(&record);
         let channel = match record {
-            Record::Observation(_) => 0,
-            Record::Command(_) => 1,
-            Record::Learning(_) => 2,
-            Record::Gap(_) => continue,
+            LogRecord::Observation(_) => 0,
+            LogRecord::Command(_) => 1,
+            LogRecord::Learning(_) => 2,
+            LogRecord::Gap(_) => continue,
         };
         order.push((record.header().unwrap().tick, channel));
     }
@@ -73,13 +73,13 @@ fn check(place: &Place, summary: &Value, ticks: u64) -> Vec<PathBuf> {
         assert_eq!(summary["lost_by_channel"][i], totals.lost[i], "channel {i}");
         assert_eq!(lane.messages + lane.stated, ticks, "channel {i}");
     }
-    let info = Info::of(&files).unwrap();
+    let info = LogInfo::of(&files).unwrap();
     assert!(info.agrees(), "{info:?}");
     assert_eq!(summary["log_segments"], files.len(), "{summary}");
     assert_eq!(summary["log_bytes"], info.bytes, "{summary}");
     for file in &files {
         // One whose logger was killed before it had described the run is no log.
-        assert!(Info::of(std::slice::from_ref(file)).map_or(true, |alone| alone.agrees()), "{}", file.display());
+        assert!(LogInfo::of(std::slice::from_ref(file)).map_or(true, |alone| alone.agrees()), "{}", file.display());
     }
     assert_no_debris(&place.run_folder());
     files
@@ -118,11 +118,14 @@ fn in_lockstep_a_logger_that_is_killed_costs_what_it_says() {
     assert!(text.contains("it is a later segment: give the run's folder"), "{text}");
 
     // All segments made whole, and they say what they said.
-    let before = Info::of(&files).unwrap();
+    let before = LogInfo::of(&files).unwrap();
     let text = tectum(&place, &["log", "repair", "run"]).expect(0).stdout;
     assert!(text.matches(" was torn at byte ").count() >= 5, "{text}");
-    let info = Info::of(&files).unwrap();
-    assert!(info.segments.iter().all(|segment| matches!(segment.state, State::Whole | State::Repaired)), "{info:?}");
+    let info = LogInfo::of(&files).unwrap();
+    assert!(
+        info.segments.iter().all(|segment| matches!(segment.state, LogState::Whole | LogState::Repaired)),
+        "{info:?}"
+    );
     assert_eq!((info.channels, info.gaps), (before.channels, before.gaps));
     check(
         &place,
@@ -147,7 +150,7 @@ fn in_real_time_durations_and_losses_are_those_of_the_run() {
     let summary = run.wait().expect(130).json();
     let files = find(&place.run_folder()).unwrap();
     assert!(files.len() >= 4 && files.len() == summary["log_segments"].as_u64().unwrap() as usize, "{files:?}");
-    let info = Info::of(&files).unwrap();
+    let info = LogInfo::of(&files).unwrap();
     assert!(info.agrees() && !info.recounted, "{info:?}");
     let written: Vec<u64> = info.channels.iter().map(|channel| channel.messages).collect();
     for (i, channel) in info.channels.iter().enumerate() {

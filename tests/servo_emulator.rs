@@ -4,9 +4,9 @@ use std::sync::{Arc, Mutex};
 
 use proptest::prelude::*;
 use rustypot::DynamixelProtocolHandler as Host;
-use tectum::scenario::{EmulatorTable, ServoFault, ServoFaultKind};
-use tectum::servo::emulator::{Chain, Port, ServoState, SteppedClock};
-use tectum::servo::model::{Protocol, Register, Series};
+use tectum::scenario::{EmulatorConfig, ServoFault, ServoFaultKind};
+use tectum::servo::emulator::{EmulatedChain, EmulatedPort, ServoState, SteppedClock};
+use tectum::servo::model::{Protocol, Register, ServoSeries};
 
 const SECOND: u64 = 1_000_000_000;
 const BAUD: u32 = 1_000_000;
@@ -14,17 +14,17 @@ const BAUD: u32 = 1_000_000;
 /// A host, its port, and a look at the chain behind it.
 struct Bench {
     host: Host,
-    port: Port,
+    port: EmulatedPort,
     clock: SteppedClock,
-    chain: Arc<Mutex<Chain>>,
-    series: &'static Series,
+    chain: Arc<Mutex<EmulatedChain>>,
+    series: &'static ServoSeries,
 }
 
 impl Bench {
-    fn new(protocol: Protocol, ids: &[u8], settings: &EmulatorTable) -> Self {
-        let chain = Arc::new(Mutex::new(Chain::new(protocol, ids, BAUD, settings, 1)));
+    fn new(protocol: Protocol, ids: &[u8], settings: &EmulatorConfig) -> Self {
+        let chain = Arc::new(Mutex::new(EmulatedChain::new(protocol, ids, BAUD, settings, 1)));
         let clock = SteppedClock::default();
-        let port = Port::new(Arc::clone(&chain), clock.clone(), BAUD);
+        let port = EmulatedPort::new(Arc::clone(&chain), clock.clone(), BAUD);
         let host = match protocol {
             Protocol::Dynamixel => Host::v2(),
             Protocol::Feetech => Host::v1(),
@@ -59,16 +59,16 @@ impl Bench {
 
 const BOTH: [Protocol; 2] = [Protocol::Dynamixel, Protocol::Feetech];
 
-fn fault(kind: ServoFaultKind, servo: u8, from: f64, until: f64) -> EmulatorTable {
+fn fault(kind: ServoFaultKind, servo: u8, from: f64, until: f64) -> EmulatorConfig {
     let (from_s, until_s) = (Some(from), Some(until));
     let fault = ServoFault { kind, servo: Some(servo), from_s, until_s, probability: None, delay_ms: None };
-    EmulatorTable { faults: vec![fault], ..EmulatorTable::default() }
+    EmulatorConfig { faults: vec![fault], ..EmulatorConfig::default() }
 }
 
 #[test]
 fn pings_reads_and_writes_are_answered() {
     for protocol in BOTH {
-        let mut bench = Bench::new(protocol, &[1, 2, 7], &EmulatorTable::default());
+        let mut bench = Bench::new(protocol, &[1, 2, 7], &EmulatorConfig::default());
         let series = bench.series;
         for id in [1, 2, 7] {
             assert!(bench.host.ping(&mut bench.port, id).unwrap());
@@ -88,8 +88,8 @@ fn pings_reads_and_writes_are_answered() {
 #[test]
 fn nobody_answers_at_another_baud_rate_and_a_new_id_holds_at_once() {
     for protocol in BOTH {
-        let mut bench = Bench::new(protocol, &[1], &EmulatorTable::default());
-        let mut other = Port::new(Arc::clone(&bench.chain), bench.clock.clone(), 57_600);
+        let mut bench = Bench::new(protocol, &[1], &EmulatorConfig::default());
+        let mut other = EmulatedPort::new(Arc::clone(&bench.chain), bench.clock.clone(), 57_600);
         assert!(!bench.host.ping(&mut other, 1).unwrap());
         let id = bench.series.id;
         bench.write(1, id, 9);
@@ -101,7 +101,7 @@ fn nobody_answers_at_another_baud_rate_and_a_new_id_holds_at_once() {
 #[test]
 fn a_synchronous_write_of_speeds_turns_the_shafts_by_as_much() {
     for protocol in BOTH {
-        let mut bench = Bench::new(protocol, &[1, 2], &EmulatorTable::default());
+        let mut bench = Bench::new(protocol, &[1, 2], &EmulatorConfig::default());
         let series = bench.series;
         bench.velocity(1);
         bench.velocity(2);
@@ -122,7 +122,7 @@ fn a_synchronous_write_of_speeds_turns_the_shafts_by_as_much() {
 #[test]
 fn positions_are_reached_with_the_profile_and_torque_off_leaves_the_shaft_to_the_hand() {
     for protocol in BOTH {
-        let settings = EmulatorTable { speed: Some(3.0), acceleration: Some(50.0), ..EmulatorTable::default() };
+        let settings = EmulatorConfig { speed: Some(3.0), acceleration: Some(50.0), ..EmulatorConfig::default() };
         let mut bench = Bench::new(protocol, &[1], &settings);
         let series = bench.series;
         bench.write(1, series.torque_enable, 1);
@@ -148,7 +148,7 @@ fn positions_are_reached_with_the_profile_and_torque_off_leaves_the_shaft_to_the
 
 #[test]
 fn dynamixel_refuses_what_the_manual_says_it_does() {
-    let mut bench = Bench::new(Protocol::Dynamixel, &[1], &EmulatorTable::default());
+    let mut bench = Bench::new(Protocol::Dynamixel, &[1], &EmulatorConfig::default());
     let series = bench.series;
     let limit = series.velocity_limit.unwrap();
     assert_eq!(bench.write(1, limit, 100), 0);
@@ -183,7 +183,7 @@ fn feetech_limits_positions_itself_and_forgets_what_was_written_under_lock() {
 
 #[test]
 fn the_bus_watchdog_stops_a_dynamixel_that_hears_nothing() {
-    let mut bench = Bench::new(Protocol::Dynamixel, &[1], &EmulatorTable::default());
+    let mut bench = Bench::new(Protocol::Dynamixel, &[1], &EmulatorConfig::default());
     let series = bench.series;
     let watchdog = series.bus_watchdog.unwrap();
     bench.velocity(1);
@@ -275,7 +275,7 @@ fn faults_of_answers_are_errors_at_the_host() {
 #[test]
 fn two_servos_with_one_id_cannot_be_read() {
     for protocol in BOTH {
-        let mut bench = Bench::new(protocol, &[1, 2, 2], &EmulatorTable::default());
+        let mut bench = Bench::new(protocol, &[1, 2, 2], &EmulatorConfig::default());
         let position = bench.series.position;
         assert!(bench.host.read(&mut bench.port, 1, position.address, position.width).is_ok());
         let error = bench.host.read(&mut bench.port, 2, position.address, position.width).unwrap_err();
@@ -288,14 +288,14 @@ fn the_same_seed_and_bytes_give_the_same_answers() {
     let run = |seed| {
         let probability = Some(0.2);
         let noisy = ServoFault { probability, ..fault(ServoFaultKind::NoReply, 1, 0.0, 100.0).faults[0].clone() };
-        let settings = EmulatorTable {
+        let settings = EmulatorConfig {
             noise: 2.0,
             latency_us: 100.0,
             jitter_us: 300.0,
             faults: vec![noisy],
-            ..EmulatorTable::default()
+            ..EmulatorConfig::default()
         };
-        let mut chain = Chain::new(Protocol::Feetech, &[1], BAUD, &settings, seed);
+        let mut chain = EmulatedChain::new(Protocol::Feetech, &[1], BAUD, &settings, seed);
         let mut all = Vec::new();
         for k in 1..200_u64 {
             chain.receive(k * 10_000_000, BAUD, &[0xff, 0xff, 1, 4, 2, 56, 2, 0xbe]);
@@ -318,7 +318,7 @@ proptest! {
         pieces in prop::collection::vec((prop::collection::vec(any::<u8>(), 0..40), 0_u64..50_000_000), 0..20),
     ) {
         for protocol in BOTH {
-            let mut chain = Chain::new(protocol, &[1, 2, 2], BAUD, &EmulatorTable::default(), 1);
+            let mut chain = EmulatedChain::new(protocol, &[1, 2, 2], BAUD, &EmulatorConfig::default(), 1);
             let mut now = 0;
             for (bytes, later) in &pieces {
                 now += later;
@@ -331,7 +331,7 @@ proptest! {
     #[test]
     fn what_rustypot_writes_is_what_it_reads(values in prop::collection::vec(any::<u32>(), 4)) {
         // Goal position, profiles and goal speed lie beside each other; whatever bytes they hold must be stuffed and come back.
-        let mut bench = Bench::new(Protocol::Dynamixel, &[1], &EmulatorTable::default());
+        let mut bench = Bench::new(Protocol::Dynamixel, &[1], &EmulatorConfig::default());
         for value in values {
             let bytes = (value | 0x00fd_ffff).to_le_bytes();
             bench.host.write(&mut bench.port, 1, 108, &bytes).unwrap();

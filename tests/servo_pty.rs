@@ -10,11 +10,11 @@ use std::process::{Command, ExitStatus, Stdio};
 use emulator::{EMULATOR, Emulator};
 use serde_json::Value;
 use support::{Place, signal_process};
-use tectum::servo::bus::{Budget, Bus, BusError};
+use tectum::servo::bus::{Bus, BusBudget, BusError};
 use tectum::servo::model::Protocol;
 
 /// Far more than any stall of a busy machine takes away.
-const BUDGET: Budget = Budget { read_ns: 4_000_000_000, write_ns: 4_000_000_000 };
+const BUDGET: BusBudget = BusBudget { read_ns: 4_000_000_000, write_ns: 4_000_000_000 };
 
 /// The next line that is about torque of one servo: whose, and whether it is on.
 fn torque(emulator: &mut Emulator) -> (u64, bool) {
@@ -91,7 +91,7 @@ fn faults_come_from_the_scenario_and_from_the_command_line() {
         ["--scenario", scenario.to_str().unwrap(), "--link", "arm", "--ids", "1,2,3", "--fault", "cable-out:3"];
     let mut emulator = Emulator::start(&place, &arguments);
     emulator.line();
-    let budget = Budget { read_ns: 300_000_000, ..BUDGET };
+    let budget = BusBudget { read_ns: 300_000_000, ..BUDGET };
     let mut bus =
         Bus::open(place.path().join("arm").to_str().unwrap(), Protocol::Dynamixel, 1_000_000, budget).unwrap();
     // The first two are there, though one never answers; the third has no cable.

@@ -6,8 +6,8 @@ use std::path::Path;
 use std::process::Command as Process;
 
 use tectum::wire::{
-    Command, Control, Gap, Header, Learning, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Phase, Role, Sample,
-    State, Status, Vision, flag,
+    Command, Control, Gap, Header, Learning, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Phase, ProcessState,
+    Role, Sample, Status, Vision, flag,
 };
 
 /// What a table needs of a sample.
@@ -113,14 +113,22 @@ fn phases() -> [(&'static str, u32); 5] {
 }
 
 fn states() -> [(&'static str, u32); 6] {
-    [State::Absent, State::Ready, State::Connected, State::Running, State::Finished, State::Failed].map(|state| {
+    [
+        ProcessState::Absent,
+        ProcessState::Ready,
+        ProcessState::Connected,
+        ProcessState::Running,
+        ProcessState::Finished,
+        ProcessState::Failed,
+    ]
+    .map(|state| {
         let name = match state {
-            State::Absent => "ABSENT",
-            State::Ready => "READY",
-            State::Connected => "CONNECTED",
-            State::Running => "RUNNING",
-            State::Finished => "FINISHED",
-            State::Failed => "FAILED",
+            ProcessState::Absent => "ABSENT",
+            ProcessState::Ready => "READY",
+            ProcessState::Connected => "CONNECTED",
+            ProcessState::Running => "RUNNING",
+            ProcessState::Finished => "FINISHED",
+            ProcessState::Failed => "FAILED",
         };
         (name, state as u32)
     })

@@ -6,8 +6,8 @@
 
 use std::process::{Command, ExitCode};
 
-use tectum::clock::{Life, Signals};
-use tectum::servo::bus::{Budget, Bus};
+use tectum::clock::{ProcessHandle, TerminationSignals};
+use tectum::servo::bus::{Bus, BusBudget};
 use tectum::servo::model::Protocol;
 
 /// What the guard is told.
@@ -38,12 +38,12 @@ pub fn command(port: &str, protocol: Protocol, baud: u32, ids: &[u8]) -> Command
 /// Waits for the bridge's end, then turns torque off.
 pub fn run(arguments: &Arguments) -> ExitCode {
     // Taken and never looked at: what ends the bridge must not end its guard.
-    let _signals = Signals::install();
-    while let Some(life) = Life::of(arguments.parent).filter(|life| !life.ended()) {
-        Life::await_any(std::iter::once(&life), 60_000_000_000);
+    let _signals = TerminationSignals::install();
+    while let Some(life) = ProcessHandle::of(arguments.parent).filter(|life| !life.ended()) {
+        ProcessHandle::await_any(std::iter::once(&life), 60_000_000_000);
     }
     let protocol = Protocol::named(&arguments.protocol);
-    let budget = Budget { read_ns: 20_000_000, write_ns: 20_000_000 };
+    let budget = BusBudget { read_ns: 20_000_000, write_ns: 20_000_000 };
     match Bus::open(&arguments.port, protocol, arguments.baud, budget) {
         Ok(mut bus) => {
             bus.torque_off(&arguments.ids);

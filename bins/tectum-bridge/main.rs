@@ -9,12 +9,12 @@ use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::atomic::Ordering;
 
 use clap::{Parser, Subcommand};
-use tectum::channel::EyePort;
+use tectum::channel::VisionReceiver;
 use tectum::clock::{monotonic_ns, pause};
 use tectum::process::say;
-use tectum::runtime::{RuntimeError, Seat, exit, run_plant};
+use tectum::runtime::{Participant, RuntimeError, exit, run_plant};
 use tectum::servo::bridge::{Bridge, joints_of};
-use tectum::servo::bus::{Budget, Bus, BusError};
+use tectum::servo::bus::{Bus, BusBudget, BusError};
 use tectum::servo::model::Protocol;
 use tectum::wire::Role;
 
@@ -80,25 +80,26 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
     let Some(run) = &arguments.run else {
         return Err(bad("no run is named; give --run, or let `tectum run` start this program".to_owned()));
     };
-    let seat = Seat::take(run, Role::Plant, arguments.scenario.as_deref()).map_err(own)?;
-    let joints = joints_of(&seat.plan).map_err(|error| bad(error.to_string()))?;
-    let Some(table) = seat.plan.scenario.plant.servos.clone() else {
+    let participant = Participant::take(run, Role::Plant, arguments.scenario.as_deref()).map_err(own)?;
+    let joints = joints_of(&participant.plan).map_err(|error| bad(error.to_string()))?;
+    let Some(table) = participant.plan.scenario.plant.servos.clone() else {
         return Err(bad("the scenario has no [plant.servos]".to_owned()));
     };
     let ids: Vec<u8> = joints.iter().map(|joint| joint.id).collect();
     // Ended, like the guard, when this function is over: after the bridge, which is dropped within.
     let (_emulator, port) = match table.port.as_str() {
         "emulator" => {
-            let (child, port) = emulate(&seat.folder, table.protocol, table.baud, &ids).map_err(bad)?;
+            let (child, port) = emulate(&participant.folder, table.protocol, table.baud, &ids).map_err(bad)?;
             (Some(child), port)
         }
         port => (None, port.to_owned()),
     };
-    let bus = open(&port, table.protocol, table.baud, Bridge::budget(&seat.plan)).map_err(|e| bad(e.to_string()))?;
+    let bus =
+        open(&port, table.protocol, table.baud, Bridge::budget(&participant.plan)).map_err(|e| bad(e.to_string()))?;
     let _guard = Helper::start(&mut guard::command(&port, table.protocol, table.baud, &ids)).map_err(bad)?;
     let tell = Box::new(|text: &str| say(&format!("tectum-bridge: {text}")));
-    let mut bridge = Bridge::new(&seat.plan, bus, joints, tell).map_err(|error| bad(error.to_string()))?;
-    bridge.leave_account(seat.folder.join("bridge.json"));
+    let mut bridge = Bridge::new(&participant.plan, bus, joints, tell).map_err(|error| bad(error.to_string()))?;
+    bridge.leave_account(participant.folder.join("bridge.json"));
     if arguments.arm || table.armed {
         bridge.arm().map_err(|error| bad(format!("not armed: {error}")))?;
     } else {
@@ -106,14 +107,18 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
             "tectum-bridge: read-only; --arm, armed = true under [plant.servos], or a and Enter at its own terminal arm it",
         );
     }
-    if seat.plan.scenario.vision().is_some() {
-        let mut eye = EyePort::open(&seat.card.domain, &seat.identity(), &seat.plan.scenario.channels)
-            .map_err(|error| own(error.into()))?;
+    if participant.plan.scenario.vision().is_some() {
+        let mut eye = VisionReceiver::open(
+            &participant.manifest.domain,
+            &participant.identity(),
+            &participant.plan.scenario.channels,
+        )
+        .map_err(|error| own(error.into()))?;
         bridge.look_with(Box::new(move || eye.look()));
         say("tectum-bridge: target and end-effector come from a tracker; until it is there the arm stands still");
     }
     listen(&bridge);
-    let report = run_plant(seat, bridge).map_err(own)?;
+    let report = run_plant(participant, bridge).map_err(own)?;
     if arguments.json {
         let _ = writeln!(std::io::stdout(), "{}", serde_json::to_string(&report).unwrap_or_default());
     }
@@ -121,7 +126,7 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
 }
 
 /// Opens the port. The guard of a bridge that was killed may have it for a moment, while it turns torque off.
-fn open(port: &str, protocol: Protocol, baud: u32, budget: Budget) -> Result<Bus, BusError> {
+fn open(port: &str, protocol: Protocol, baud: u32, budget: BusBudget) -> Result<Bus, BusError> {
     let until = monotonic_ns() + 500_000_000;
     loop {
         match Bus::open(port, protocol, baud, budget) {

@@ -4,8 +4,8 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use tectum::clock::{Signals, pause};
-use tectum::servo::bus::{Budget, Bus};
+use tectum::clock::{TerminationSignals, pause};
+use tectum::servo::bus::{Bus, BusBudget};
 use tectum::servo::model::Protocol;
 use tectum::servo::tools::{self, Calibration, Jog, ToolError};
 
@@ -156,7 +156,7 @@ impl Which {
 /// # Errors
 /// One sentence for people.
 pub fn run(tool: &Tool) -> Result<(), ToolError> {
-    let signals = Signals::install().map_err(|error| ToolError::Io("signals".into(), error))?;
+    let signals = TerminationSignals::install().map_err(|error| ToolError::Io("signals".into(), error))?;
     let stop = || signals.received() != 0;
     match tool {
         Tool::Scan(scan) => find(scan, &stop),
@@ -183,7 +183,7 @@ fn find(scan: &Scan, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
         for &(baud, _) in series.bauds.iter().filter(|(baud, _)| scan.baud.is_none_or(|only| only == *baud)) {
             // A slow line needs its time besides: some thirty bytes there and back.
             let wire = 30 * 10 * 1_000_000_000 / u64::from(baud);
-            let budget = Budget { read_ns: tools::SEARCH.read_ns + 2 * wire, ..tools::SEARCH };
+            let budget = BusBudget { read_ns: tools::SEARCH.read_ns + 2 * wire, ..tools::SEARCH };
             let mut bus = Bus::open(&scan.port, series.protocol, baud, budget)?;
             for found in tools::scan(&mut bus, 0..=scan.max_id.min(series.max_id), stop) {
                 let model = match (found.garbled, found.model) {

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
-use tectum::bench::{self, All, BenchError, Calls, CostsOutcome, Latency, Lockstep, Pace, Way};
+use tectum::bench::{
+    self, AllBenches, BenchError, CallsSettings, CostsOutcome, LatencySettings, LockstepSettings, Pace, Transport,
+};
 use tectum::process::say;
 
 use super::print;
@@ -43,7 +45,7 @@ enum Command {
 #[command(after_help = "\
 A real run of the paper's scenario (plant, controller, logger) takes turns with the same payload over bare
 iceoryx2 (event, and polling with a yield), a Unix-domain socket, a pipe, and shared memory with a futex,
-each between two processes. All series count from the scheduled instant; what a stall swallowed is added.
+each between two processes. AllBenches series count from the scheduled instant; what a stall swallowed is added.
 
 Examples:
   tectum bench latency                              ticks of 50 ms, ten seconds of each way
@@ -144,14 +146,14 @@ struct AllArguments {
 struct PeerArguments {
     /// Over which way
     #[arg(long, value_parser = way)]
-    over: Way,
+    over: Transport,
     /// Number of the iceoryx2 domain
     #[arg(long)]
     domain: Option<u64>,
 }
 
-fn way(name: &str) -> Result<Way, String> {
-    Way::of(name).ok_or_else(|| format!("one of {}", Way::ALL.map(Way::name).join(", ")))
+fn way(name: &str) -> Result<Transport, String> {
+    Transport::of(name).ok_or_else(|| format!("one of {}", Transport::ALL.map(Transport::name).join(", ")))
 }
 
 pub fn main(arguments: &Arguments) -> ExitCode {
@@ -180,23 +182,27 @@ fn latency(asked: &LatencyArguments) -> Result<String, BenchError> {
         Mode::Cadence => Pace::Cadence,
         Mode::Saturated => Pace::Saturated,
     };
-    let found = bench::latency(&Latency { pace, seconds: asked.seconds, out: asked.out.clone(), progress: true })?;
+    let found =
+        bench::latency(&LatencySettings { pace, seconds: asked.seconds, out: asked.out.clone(), progress: true })?;
     Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
 }
 
 fn lockstep(asked: &LockstepArguments) -> Result<String, BenchError> {
     let (ticks, rounds) = (asked.ticks, asked.rounds);
-    let found = bench::lockstep(&Lockstep { ticks, rounds, out: asked.out.clone(), progress: true })?;
+    let found = bench::lockstep(&LockstepSettings { ticks, rounds, out: asked.out.clone(), progress: true })?;
     Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
 }
 
-fn calls(asked: &CallsArguments, bench: fn(&Calls) -> Result<CostsOutcome, BenchError>) -> Result<String, BenchError> {
-    let found = bench(&Calls { batches: asked.batches, out: asked.out.clone(), progress: true })?;
+fn calls(
+    asked: &CallsArguments,
+    bench: fn(&CallsSettings) -> Result<CostsOutcome, BenchError>,
+) -> Result<String, BenchError> {
+    let found = bench(&CallsSettings { batches: asked.batches, out: asked.out.clone(), progress: true })?;
     Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
 }
 
 fn all(asked: &AllArguments) -> Result<String, BenchError> {
-    let found = bench::all(&All {
+    let found = bench::all(&AllBenches {
         report: asked.report.clone(),
         seconds: asked.seconds,
         ticks: asked.ticks,

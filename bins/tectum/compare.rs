@@ -5,15 +5,15 @@ use std::process::ExitCode;
 
 use clap::Args;
 use tectum::study::StudyError;
-use tectum::study::compare::{Change, Changes, Compared, Comparison, LEARNERS, compare, rule};
-use tectum::study::yardstick::STARTS;
+use tectum::study::compare::{ArmChange, Changes, Comparison, ComparisonResult, LEARNERS, compare, rule};
+use tectum::study::reference::STARTS;
 
 use super::study_ended;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Every learner runs with every seed on the built-in arm, and is tested without exploration noise on the
-same 40 targets. What it says of each: ticks until its loss reaches the level (that of the paper's rule
+same 40 targets. ArmChangeKind it says of each: ticks until its loss reaches the level (that of the paper's rule
 after 9 million ticks), ticks until it is over the block of a joint (within 10 % of the blocked arm's
 optimum), what is left to the optimum, what a tick costs; beside controllers that know the true arm.
 
@@ -47,7 +47,7 @@ pub struct Arguments {
     /// Change the arm from a tick on; may be given more than once: block:JOINT@TICK, block:JOINT:ANGLE@TICK,
     /// shorten:SEGMENT:LENGTH@TICK, mirror:x@TICK, mirror:y@TICK
     #[arg(long, value_name = "WHAT@TICK")]
-    change: Vec<Change>,
+    change: Vec<ArmChange>,
     /// A setting in TOML for all named learners, in place of their preset's, such as learner.beta=0.5
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
@@ -63,7 +63,7 @@ pub struct Arguments {
 }
 
 pub fn main(arguments: &Arguments) -> ExitCode {
-    let told = |compared: Compared| if arguments.json { compared.to_json() + "\n" } else { compared.to_text() };
+    let told = |compared: ComparisonResult| if arguments.json { compared.to_json() + "\n" } else { compared.to_text() };
     study_ended(comparison(arguments).and_then(|comparison| compare(&comparison)).map(told))
 }
 
@@ -80,7 +80,7 @@ fn comparison(arguments: &Arguments) -> Result<Comparison, StudyError> {
         Some(tick) => {
             let tick = tick.replace('_', "").parse();
             let tick = tick.map_err(|_| StudyError::Asked("--block is no tick; give a number, or never".to_owned()))?;
-            Changes::These(vec![Change::block(tick)])
+            Changes::These(vec![ArmChange::block(tick)])
         }
     };
     Ok(Comparison {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
-use tectum::log::{CsvChannel, Info, LogError, Repair, RunLog, csv, find, repair};
+use tectum::log::{CsvChannel, LogError, LogInfo, Repair, RunLog, csv, find, repair};
 use tectum::process::say;
 use tectum::runtime::exit;
 
@@ -92,7 +92,7 @@ impl ChannelArgument {
 pub fn main(arguments: &Arguments) -> ExitCode {
     let done = match &arguments.work {
         Work::Info(common) => find(&common.log)
-            .and_then(|log| Info::of(&log))
+            .and_then(|log| LogInfo::of(&log))
             .map(|info| print(&if common.json { info.to_json() + "\n" } else { info.to_text() })),
         Work::Repair { common, out } => find(&common.log)
             .and_then(|log| mend(&log, out.as_deref()))

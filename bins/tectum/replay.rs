@@ -8,7 +8,7 @@ use tectum::log;
 use tectum::process::say;
 use tectum::runtime::exit;
 use tectum::scenario::Rule;
-use tectum::study::replay::{Replay, ReplayError, replay};
+use tectum::study::replay::{ReplayError, ReplayResult, replay};
 
 use super::print;
 
@@ -77,7 +77,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     }
 }
 
-fn study(arguments: &Arguments) -> Result<Replay, ReplayError> {
+fn study(arguments: &Arguments) -> Result<ReplayResult, ReplayError> {
     let log = log::find(&arguments.log)?;
     replay(&log, arguments.learner.map(RuleArgument::rule), true)
 }

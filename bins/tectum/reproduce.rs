@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
-use tectum::study::reproduce::{Settings, arm, eye, open_loop, outlook};
+use tectum::study::reproduce::{ReproduceSettings, arm, eye, open_loop, outlook};
 
 use super::study_ended;
 
@@ -67,8 +67,8 @@ pub fn main(arguments: &Arguments) -> ExitCode {
 }
 
 impl Options {
-    fn settings(&self) -> Settings {
-        Settings {
+    fn settings(&self) -> ReproduceSettings {
+        ReproduceSettings {
             seeds: self.seeds,
             first_seed: self.first_seed,
             ticks: self.ticks,

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use tectum::process::say;
 use tectum::runtime::Mode;
 use tectum::scenario::Scenario;
-use tectum::supervise::{Launch, LaunchError, Summary, resume, run, study};
+use tectum::supervise::{Launch, LaunchError, RunSummary, resume, run, study};
 use tectum::wire::Role;
 
 use super::print;
@@ -93,7 +93,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     }
 }
 
-fn launch(arguments: &Arguments) -> Result<Summary, LaunchError> {
+fn launch(arguments: &Arguments) -> Result<RunSummary, LaunchError> {
     let launch = plan(arguments)?;
     for warning in &launch.plan.warnings {
         say(&format!("tectum: warning: {warning}"));
@@ -149,7 +149,7 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
     })
 }
 
-fn tell(summary: &Summary, json: bool) {
+fn tell(summary: &RunSummary, json: bool) {
     if let Some(failure) = &summary.failure {
         say(&format!("tectum: {failure}"));
     }

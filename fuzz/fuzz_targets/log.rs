@@ -7,7 +7,7 @@ use std::io::{Cursor, Read};
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use tectum::log::{CsvChannel, Info, LogError, LogReader, Record, RunLog, csv, mend};
+use tectum::log::{CsvChannel, LogInfo, LogError, LogReader, LogRecord, RunLog, csv, mend};
 use tectum::study::replay;
 
 fn open(bytes: &[u8]) -> Result<LogReader, LogError> {
@@ -23,10 +23,10 @@ fn messages(log: &mut LogReader) -> (Vec<Vec<u8>>, Option<LogError>) {
     let mut all = Vec::new();
     for record in log {
         match record {
-            Ok(Record::Observation(s)) => all.push(bytes(&s)),
-            Ok(Record::Command(s)) => all.push(bytes(&s)),
-            Ok(Record::Learning(s)) => all.push(bytes(&s)),
-            Ok(Record::Gap(s)) => all.push(bytes(&s)),
+            Ok(LogRecord::Observation(s)) => all.push(bytes(&s)),
+            Ok(LogRecord::Command(s)) => all.push(bytes(&s)),
+            Ok(LogRecord::Learning(s)) => all.push(bytes(&s)),
+            Ok(LogRecord::Gap(s)) => all.push(bytes(&s)),
             Err(error) => return (all, Some(error)),
         }
     }
@@ -40,7 +40,7 @@ fn bytes<T: Copy + std::fmt::Debug>(sample: &T) -> Vec<u8> {
 fuzz_target!(|bytes: &[u8]| {
     let Ok(mut log) = open(bytes) else { return };
     let (all, error) = messages(&mut log);
-    if let Ok(info) = open(bytes).and_then(|log| Info::over(RunLog::of(log))) {
+    if let Ok(info) = open(bytes).and_then(|log| LogInfo::over(RunLog::of(log))) {
         assert!(!info.to_text().is_empty() && !info.to_json().is_empty());
     }
     for channel in [CsvChannel::Observation, CsvChannel::Command, CsvChannel::Learning, CsvChannel::Gap] {

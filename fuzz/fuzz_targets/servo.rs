@@ -3,14 +3,14 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use tectum::scenario::EmulatorTable;
-use tectum::servo::emulator::Chain;
+use tectum::scenario::EmulatorConfig;
+use tectum::servo::emulator::EmulatedChain;
 use tectum::servo::model::Protocol;
 
 fuzz_target!(|bytes: &[u8]| {
     let Some((&first, rest)) = bytes.split_first() else { return };
     let protocol = if first & 1 == 0 { Protocol::Dynamixel } else { Protocol::Feetech };
-    let mut chain = Chain::new(protocol, &[1, 2, 2, 7], 1_000_000, &EmulatorTable::default(), 1);
+    let mut chain = EmulatedChain::new(protocol, &[1, 2, 2, 7], 1_000_000, &EmulatorConfig::default(), 1);
     let (mut now, mut last) = (0, 0);
     for piece in rest.chunks(usize::from(first >> 1) + 1) {
         now += u64::from(piece[0]) * 1_000_000;

@@ -5,19 +5,19 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::targets::{Target, targets};
+use super::targets::{TargetRow, targets};
 use super::{
-    BenchError, Calls, CostsOutcome, Growth, Latencies, Latency, LatencyOutcome, Lockstep, LockstepOutcome, Machine,
-    Pace, encoder, latency, learner, lockstep,
+    BenchError, CallsSettings, CostsOutcome, Growth, Latencies, LatencyOutcome, LatencySettings, LockstepOutcome,
+    LockstepSettings, Machine, Pace, encoder, latency, learner, lockstep,
 };
 use crate::clock::monotonic_ns;
-use crate::report::figure::{Scales, draw_scales};
+use crate::report::figure::{AxisScales, draw_scales};
 use crate::report::thousands;
 use crate::supervise::RunFolder;
 
 /// What to measure.
 #[derive(Debug, Clone)]
-pub struct All {
+pub struct AllBenches {
     /// The folder of the page.
     pub report: PathBuf,
     /// For how long each way is measured, s.
@@ -36,7 +36,7 @@ pub struct All {
 #[derive(Debug, Clone, Serialize)]
 pub struct AllOutcome {
     /// What was aimed at, and what came out.
-    pub targets: Vec<Target>,
+    pub targets: Vec<TargetRow>,
     /// At the cadence.
     pub latency: LatencyOutcome,
     /// Back to back.
@@ -59,18 +59,18 @@ pub struct AllOutcome {
 ///
 /// # Errors
 /// As the parts.
-pub fn all(asked: &All) -> Result<AllOutcome, BenchError> {
+pub fn all(asked: &AllBenches) -> Result<AllOutcome, BenchError> {
     let folder = RunFolder::create(Some(&asked.report), None, "bench")?;
     let began = monotonic_ns();
     let machine = Machine::now(folder.path());
     let (progress, seconds, rounds) = (asked.progress, asked.seconds, asked.rounds);
     let part = |name: &str| Some(folder.path().join(name));
     // The parts first that are over at once, so that what is asked wrongly shows early.
-    let calls = |name: &str| Calls { batches: asked.batches, out: part(name), progress };
+    let calls = |name: &str| CallsSettings { batches: asked.batches, out: part(name), progress };
     let encoder = encoder(&calls("encoder"))?;
     let learner = learner(&calls("learner"))?;
-    let lockstep = lockstep(&Lockstep { ticks: asked.ticks, rounds, out: part("lockstep"), progress })?;
-    let at = |pace: Pace| latency(&Latency { pace, seconds, out: part(pace.name()), progress });
+    let lockstep = lockstep(&LockstepSettings { ticks: asked.ticks, rounds, out: part("lockstep"), progress })?;
+    let at = |pace: Pace| latency(&LatencySettings { pace, seconds, out: part(pace.name()), progress });
     let (saturated, latency) = (at(Pace::Saturated)?, at(Pace::Cadence)?);
     let outcome = AllOutcome {
         targets: targets(&latency, &lockstep, &encoder, &learner),
@@ -124,7 +124,7 @@ impl AllOutcome {
             self.machine.to_text(),
             table(&self.targets)
         );
-        text += "\n## Latency\n\nDistributions by way, caches as usual: at the cadence from the sensed observation to the sent \
+        text += "\n## LatencySettings\n\nDistributions by way, caches as usual: at the cadence from the sensed observation to the sent \
                  command, back to back the whole round trip. Whole distributions of all series are in `cadence` and \
                  `saturated`, in HdrHistogram's text form (us).\n\n![Distributions](latency.svg)\n\n";
         for part in [&self.latency, &self.saturated] {
@@ -140,7 +140,7 @@ impl AllOutcome {
 }
 
 /// The table in Markdown.
-fn table(targets: &[Target]) -> String {
+fn table(targets: &[TargetRow]) -> String {
     let mut text = "| what | target | measured | measured / target | |\n|---|---|---|---|---|\n".to_owned();
     for t in targets {
         let met = if t.met { "met" } else { "not met" };
@@ -152,7 +152,7 @@ fn table(targets: &[Target]) -> String {
 }
 
 /// The distributions of a latency bench by way: us over 1 / (1 - percentile).
-fn distributions(outcome: &LatencyOutcome) -> Scales {
+fn distributions(outcome: &LatencyOutcome) -> AxisScales {
     let (name, pick): (&str, fn(&Latencies) -> &hdrhistogram::Histogram<u64>) = match outcome.mode {
         Pace::Cadence => ("every 50 ms: sensed to command", |l| &l.sensed_to_command),
         Pace::Saturated => ("back to back: sensed to applied", |l| &l.sensed_to_applied),
@@ -162,7 +162,7 @@ fn distributions(outcome: &LatencyOutcome) -> Scales {
         let steps = histogram.iter_quantiles(5).filter(|step| step.quantile_iterated_to() < 1.0);
         steps.map(|s| (1.0 / (1.0 - s.quantile_iterated_to()), s.value_iterated_to() as f64 / 1000.0)).collect()
     };
-    Scales {
+    AxisScales {
         name: name.to_owned(),
         x: "percentile".to_owned(),
         y: "us".to_owned(),
@@ -175,7 +175,7 @@ fn distributions(outcome: &LatencyOutcome) -> Scales {
 }
 
 /// The growth of costs: ns over features.
-fn growth(name: &str, growth: &[Growth]) -> Scales {
+fn growth(name: &str, growth: &[Growth]) -> AxisScales {
     let mut curves: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
     for g in growth {
         let name = format!("{}, {}", g.what, g.path);
@@ -185,7 +185,7 @@ fn growth(name: &str, growth: &[Growth]) -> Scales {
             None => curves.push((name, vec![point])),
         }
     }
-    Scales {
+    AxisScales {
         name: name.to_owned(),
         x: "features".to_owned(),
         y: "ns a call".to_owned(),
@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn the_table_is_markdown() {
-        let target = Target { what: "a", target: 85.0, measured: 42.5, unit: "ns", ratio: 0.5, met: true };
+        let target = TargetRow { what: "a", target: 85.0, measured: 42.5, unit: "ns", ratio: 0.5, met: true };
         let text = table(&[target]);
         assert_eq!(text.lines().last(), Some("| a | 85 ns | 42.500 | 0.50 | met |"));
         assert!(text.lines().all(|line| line.matches('|').count() == 6), "{text}");

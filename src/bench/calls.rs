@@ -6,21 +6,21 @@ use std::hint::black_box;
 use serde::Serialize;
 
 use super::BenchError;
-use crate::clock::{Signals, monotonic_ns};
+use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::study::Spread;
 
 /// Calls of a batch take about this long, ns: long against looking at the clock, short against a slice of the scheduler.
 const BATCH_NS: u64 = 100_000;
 
 /// A case: calls `n` times what it is about.
-pub(super) struct Case<'a, K> {
+pub(super) struct CallCase<'a, K> {
     /// What tells it from the others.
     pub key: K,
     /// Does it so many times.
     pub calls: Box<dyn FnMut(u64) + 'a>,
 }
 
-impl<'a, K> Case<'a, K> {
+impl<'a, K> CallCase<'a, K> {
     /// The case of one call.
     pub fn new(key: K, mut call: impl FnMut() + 'a) -> Self {
         let calls = move |n: u64| {
@@ -34,7 +34,7 @@ impl<'a, K> Case<'a, K> {
 
 /// What a call took, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Nanoseconds {
+pub struct CallTimes {
     /// The middle batch.
     pub median: f64,
     /// The quickest.
@@ -49,10 +49,10 @@ pub struct Nanoseconds {
 
 /// Runs `batches` batches of each case, in turns.
 pub(super) fn in_turns<K>(
-    mut cases: Vec<Case<K>>,
+    mut cases: Vec<CallCase<K>>,
     batches: u64,
-    signals: &Signals,
-) -> Result<Vec<(K, Nanoseconds)>, BenchError> {
+    signals: &TerminationSignals,
+) -> Result<Vec<(K, CallTimes)>, BenchError> {
     let mut calls = Vec::with_capacity(cases.len());
     for case in &mut cases {
         calls.push(calibrate(|n| timed(case, n)));
@@ -67,19 +67,19 @@ pub(super) fn in_turns<K>(
     }
     let told = cases.into_iter().zip(calls).zip(found).filter_map(|((case, calls), found)| {
         let Spread { min, median, max } = Spread::of(found)?;
-        Some((case.key, Nanoseconds { median, min, max, calls, batches }))
+        Some((case.key, CallTimes { median, min, max, calls, batches }))
     });
     Ok(told.collect())
 }
 
-fn interrupted(signals: &Signals) -> Result<(), BenchError> {
+fn interrupted(signals: &TerminationSignals) -> Result<(), BenchError> {
     match signals.received() {
         0 => Ok(()),
         number => Err(BenchError::Signal(number)),
     }
 }
 
-fn timed<K>(case: &mut Case<K>, calls: u64) -> u64 {
+fn timed<K>(case: &mut CallCase<K>, calls: u64) -> u64 {
     // Not timed: brings back into the caches what the other cases have driven out.
     (case.calls)(1);
     let began = monotonic_ns();
@@ -107,7 +107,7 @@ mod tests {
     #[test]
     fn cases_take_turns() {
         let order = RefCell::new(Vec::new());
-        let case = |key: &'static str| Case {
+        let case = |key: &'static str| CallCase {
             key,
             calls: Box::new({
                 let order = &order;
@@ -118,7 +118,7 @@ mod tests {
             }),
         };
         // Whatever calls take, the last batches are in turns.
-        let found = in_turns(vec![case("a"), case("b"), case("c")], 3, &Signals::default()).unwrap();
+        let found = in_turns(vec![case("a"), case("b"), case("c")], 3, &TerminationSignals::default()).unwrap();
         assert_eq!(found.iter().map(|(key, _)| *key).collect::<String>(), "abc");
         assert!(found.iter().all(|(_, ns)| ns.batches == 3 && ns.min <= ns.median && ns.median <= ns.max));
         drop(found);

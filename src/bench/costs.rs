@@ -6,13 +6,13 @@ use std::path::{Path as File, PathBuf};
 
 use serde::Serialize;
 
-use super::calls::Nanoseconds;
+use super::calls::CallTimes;
 use super::{BenchError, Machine};
 use crate::report::thousands;
 
 /// What to measure.
 #[derive(Debug, Clone)]
-pub struct Calls {
+pub struct CallsSettings {
     /// Batches of each case.
     pub batches: u64,
     /// The folder; `runs/bench-<what>-<n>` if there is none.
@@ -21,7 +21,7 @@ pub struct Calls {
     pub progress: bool,
 }
 
-impl Calls {
+impl CallsSettings {
     pub(super) fn check(&self) -> Result<(), BenchError> {
         match self.batches {
             0 => Err(BenchError::Asked("--batches is 0; give at least 1".to_owned())),
@@ -32,13 +32,13 @@ impl Calls {
 
 /// What a version of something costs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Cost {
+pub struct CallCost {
     /// What is called.
     pub what: String,
     /// Which version, and with which instructions.
     pub version: String,
     /// What a call took.
-    pub ns: Nanoseconds,
+    pub ns: CallTimes,
 }
 
 /// The same for a number of features.
@@ -53,7 +53,7 @@ pub struct Growth {
     /// Outputs; 1 where there are none.
     pub outputs: u64,
     /// What a call took.
-    pub ns: Nanoseconds,
+    pub ns: CallTimes,
     /// Median for each feature and output.
     pub ns_each: f64,
 }
@@ -64,7 +64,7 @@ pub struct CostsOutcome {
     /// `encoder` or `learner`.
     pub what: &'static str,
     /// Each version.
-    pub costs: Vec<Cost>,
+    pub costs: Vec<CallCost>,
     /// Growth with the number of features.
     pub growth: Vec<Growth>,
     /// What it ran on.
@@ -93,7 +93,7 @@ impl CostsOutcome {
 
     fn to_csv(&self) -> String {
         let mut text = "what,version,features,outputs,median_ns,min_ns,max_ns\n".to_owned();
-        for Cost { what, version, ns } in &self.costs {
+        for CallCost { what, version, ns } in &self.costs {
             let _ = writeln!(text, "\"{what}\",\"{version}\",,,{},{},{}", ns.median, ns.min, ns.max);
         }
         for g in &self.growth {
@@ -119,7 +119,7 @@ impl CostsOutcome {
             "median",
             "least"
         );
-        for Cost { what, version, ns } in &self.costs {
+        for CallCost { what, version, ns } in &self.costs {
             let _ = writeln!(text, "{what:<38} {version:<22} {:>11.1} {:>11.1}", ns.median, ns.min);
         }
         let _ = writeln!(

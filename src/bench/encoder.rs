@@ -6,13 +6,13 @@
 use std::f64::consts::PI;
 use std::hint::black_box;
 
-use super::calls::{Case, in_turns};
-use super::costs::{Calls, Cost, CostsOutcome, Growth};
-use super::{BenchError, Machine, Progress};
-use crate::clock::{Signals, monotonic_ns};
-use crate::encoder::naive::{Naive, Separable};
+use super::calls::{CallCase, in_turns};
+use super::costs::{CallCost, CallsSettings, CostsOutcome, Growth};
+use super::{BenchError, BenchProgress, Machine};
+use crate::clock::{TerminationSignals, monotonic_ns};
+use crate::encoder::naive::{NaiveEncoder, SeparableEncoder};
 use crate::encoder::{Axis, Encoder, Map};
-use crate::lanes::Path;
+use crate::simd::SimdPath;
 use crate::supervise::{LaunchError, RunFolder};
 
 /// Inputs of the ring; a power of two.
@@ -29,7 +29,7 @@ fn arm() -> Vec<Map> {
 }
 
 /// Inputs over the arm's ranges, from a fixed linear congruential generator.
-fn ring() -> Vec<[f32; 6]> {
+fn notify() -> Vec<[f32; 6]> {
     let mut state = 2010u64;
     let mut draw = |half: f64| {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -39,45 +39,45 @@ fn ring() -> Vec<[f32; 6]> {
 }
 
 /// A case that encodes the ring's inputs one after the other.
-fn over_ring<'a, K>(key: K, ring: &'a [[f32; 6]], mut encode: impl FnMut(&[f32]) + 'a) -> Case<'a, K> {
+fn over_ring<'a, K>(key: K, notify: &'a [[f32; 6]], mut encode: impl FnMut(&[f32]) + 'a) -> CallCase<'a, K> {
     let mut next = 0;
-    Case::new(key, move || {
+    CallCase::new(key, move || {
         next = (next + 1) % RING;
-        encode(black_box(&ring[next]));
+        encode(black_box(&notify[next]));
     })
 }
 
 /// The encoder of `maps` on `path`, as a case.
-fn kernel<'a, K>(key: K, ring: &'a [[f32; 6]], maps: &[Map], path: Path) -> Case<'a, K> {
+fn kernel<'a, K>(key: K, notify: &'a [[f32; 6]], maps: &[Map], path: SimdPath) -> CallCase<'a, K> {
     let mut encoder = Encoder::new(maps, true).on(path);
     let mut features = encoder.features();
-    over_ring(key, ring, move |inputs| {
+    over_ring(key, notify, move |inputs| {
         encoder.encode(inputs, &mut features);
         black_box(&mut features);
     })
 }
 
-fn versions(ring: &[[f32; 6]]) -> Vec<Case<'_, String>> {
+fn versions(notify: &[[f32; 6]]) -> Vec<CallCase<'_, String>> {
     let maps = arm();
-    let (naive, mut separable) = (Naive::new(&maps, true), Separable::new(&maps, true));
+    let (naive, mut separable) = (NaiveEncoder::new(&maps, true), SeparableEncoder::new(&maps, true));
     let mut twin = Encoder::new(&maps, true);
     let mut features = twin.features();
     let (mut naive_out, mut separable_out) = (vec![0.0_f32; twin.units()], vec![0.0_f32; twin.units()]);
     let mut cases = vec![
-        over_ring("naive".to_owned(), ring, move |inputs| {
+        over_ring("naive".to_owned(), notify, move |inputs| {
             naive.encode(inputs, &mut naive_out);
             black_box(&mut naive_out);
         }),
-        over_ring("separable".to_owned(), ring, move |inputs| {
+        over_ring("separable".to_owned(), notify, move |inputs| {
             separable.encode(inputs, &mut separable_out);
             black_box(&mut separable_out);
         }),
-        over_ring("scalar twin".to_owned(), ring, move |inputs| {
+        over_ring("scalar twin".to_owned(), notify, move |inputs| {
             twin.encode_scalar(inputs, &mut features);
             black_box(&mut features);
         }),
     ];
-    cases.extend(Path::all().map(|path| kernel(format!("final, {path}"), ring, &maps, path)));
+    cases.extend(SimdPath::all().map(|path| kernel(format!("final, {path}"), notify, &maps, path)));
     cases
 }
 
@@ -95,23 +95,23 @@ fn shapes(power: u32) -> [(&'static str, Map); 2] {
 ///
 /// # Errors
 /// When the folder cannot be used, or a signal ends it.
-pub fn encoder(asked: &Calls) -> Result<CostsOutcome, BenchError> {
+pub fn encoder(asked: &CallsSettings) -> Result<CostsOutcome, BenchError> {
     asked.check()?;
-    let signals = Signals::install().map_err(LaunchError::Signals)?;
+    let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let folder = RunFolder::create(asked.out.as_deref(), None, "bench-encoder")?;
     let began = monotonic_ns();
     let machine = Machine::now(folder.path());
-    let progress = Progress::new(asked.progress);
-    let ring = ring();
+    let progress = BenchProgress::new(asked.progress);
+    let notify = notify();
     progress.show("encoder: versions");
-    let costs = in_turns(versions(&ring), asked.batches, &signals)?
+    let costs = in_turns(versions(&notify), asked.batches, &signals)?
         .into_iter()
-        .map(|(version, ns)| Cost { what: "encode the arm's 320 features".to_owned(), version, ns })
+        .map(|(version, ns)| CallCost { what: "encode the arm's 320 features".to_owned(), version, ns })
         .collect();
     progress.show("encoder: growth");
     let sizes = POWERS.flat_map(|power| shapes(power).map(|(name, map)| (power, name, map)));
-    let sizes = sizes.flat_map(|(power, name, map)| Path::all().map(move |path| (power, name, map, path)));
-    let cases = sizes.map(|(power, name, map, path)| kernel((power, name, path), &ring, &[map], path)).collect();
+    let sizes = sizes.flat_map(|(power, name, map)| SimdPath::all().map(move |path| (power, name, map, path)));
+    let cases = sizes.map(|(power, name, map, path)| kernel((power, name, path), &notify, &[map], path)).collect();
     let mut growth: Vec<Growth> = in_turns(cases, asked.batches, &signals)?
         .into_iter()
         .map(|((power, name, path), ns)| Growth {

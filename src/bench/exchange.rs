@@ -13,75 +13,75 @@ use std::process::{Child, Command as Program, Stdio};
 use rustix::net::{AddressFamily, SocketFlags, SocketType, socketpair};
 use rustix::thread::sched_yield;
 
-use super::line::{DONE, Line, LineError, STAMPED, Way};
-use super::{BenchError, Lap, Latencies};
-use crate::channel::{Bare, DomainName, Page};
-use crate::clock::{Life, Signals, monotonic_ns, precise_timers, sleep_until};
+use super::transport::{DONE, STAMPED, Transport, TransportEnd, TransportError};
+use super::{BenchError, Latencies, TickTimes};
+use crate::channel::{BareExchange, DomainName, SharedPage};
+use crate::clock::{ProcessHandle, TerminationSignals, monotonic_ns, precise_timers, sleep_until};
 use crate::wire::{Command, Observation};
 
 /// How long the other process may take to be there.
 const SET_UP_NS: u64 = 20_000_000_000;
 
 /// A set-up with another process that answers.
-pub struct Exchange {
-    way: Way,
-    line: Line<Observation, Command>,
-    peer: Peer,
+pub struct PeerExchange {
+    way: Transport,
+    line: TransportEnd<Observation, Command>,
+    peer: PeerProcess,
     observation: Observation,
-    signals: Signals,
+    signals: TerminationSignals,
 }
 
 /// The child; it does not outlive this.
-struct Peer {
-    way: Way,
+struct PeerProcess {
+    way: Transport,
     child: Child,
-    life: Option<Life>,
-    signals: Signals,
+    life: Option<ProcessHandle>,
+    signals: TerminationSignals,
 }
 
-impl Peer {
+impl PeerProcess {
     /// Whether to go on waiting for it.
     fn look(&self) -> Result<(), BenchError> {
         match self.signals.received() {
-            0 if self.life.as_ref().is_none_or(Life::ended) => Err(failed(self.way, "it has ended")),
+            0 if self.life.as_ref().is_none_or(ProcessHandle::ended) => Err(failed(self.way, "it has ended")),
             0 => Ok(()),
             number => Err(BenchError::Signal(number)),
         }
     }
 }
 
-impl Drop for Peer {
+impl Drop for PeerProcess {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-fn failed(way: Way, cause: impl ToString) -> BenchError {
+fn failed(way: Transport, cause: impl ToString) -> BenchError {
     BenchError::Peer { way: way.name(), cause: cause.to_string() }
 }
 
 /// What may end a wait.
-enum Ended {
-    Line(LineError),
+enum WaitEnd {
+    Line(TransportError),
     Bench(BenchError),
 }
 
-impl From<LineError> for Ended {
-    fn from(error: LineError) -> Self {
+impl From<TransportError> for WaitEnd {
+    fn from(error: TransportError) -> Self {
         Self::Line(error)
     }
 }
 
-impl Exchange {
+impl PeerExchange {
     /// Sets `way` up and waits until the other process answers.
     ///
     /// # Errors
     /// [`BenchError::Channel`] and [`BenchError::Peer`] when that fails, [`BenchError::Signal`] when a signal comes.
-    pub fn start(way: Way, signals: &Signals) -> Result<Self, BenchError> {
+    pub fn start(way: Transport, signals: &TerminationSignals) -> Result<Self, BenchError> {
         let (line, child) = set_up(way)?;
-        let life = Life::of(child.id());
-        let peer = Peer { way, child, life, signals: signals.clone() };
+        let life = ProcessHandle::of(child.id());
+        let peer = PeerProcess { way, child, life, signals: signals.clone() };
         let mut exchange = Self { way, line, peer, observation: Observation::default(), signals: signals.clone() };
         exchange.observation.header.flags = STAMPED;
         exchange.connect()?;
@@ -95,7 +95,7 @@ impl Exchange {
 
     fn connect(&self) -> Result<(), BenchError> {
         let began = monotonic_ns();
-        while let Line::Bare { ends, .. } = &self.line
+        while let TransportEnd::Bare { ends, .. } = &self.line
             && !ends.connected()?
         {
             self.peer.look()?;
@@ -109,24 +109,24 @@ impl Exchange {
 
     /// One exchange for `tick`, which was scheduled for `scheduled`.
     #[inline]
-    fn ask(&mut self, tick: u64, scheduled: u64) -> Result<Lap, BenchError> {
+    fn ask(&mut self, tick: u64, scheduled: u64) -> Result<TickTimes, BenchError> {
         let sensed = monotonic_ns();
         self.observation.header.tick = tick;
         let command = self.there_and_back()?;
         let applied = monotonic_ns();
-        Ok(Lap { tick, scheduled, sensed, answered: Some(command.header.published_ns), applied: Some(applied) })
+        Ok(TickTimes { tick, scheduled, sensed, answered: Some(command.header.published_ns), applied: Some(applied) })
     }
 
     #[inline]
     fn there_and_back(&mut self) -> Result<Command, BenchError> {
         let Self { way, line, peer, observation, signals } = self;
-        let answer = line.send(observation).map_err(Ended::from);
-        let answer = answer.and_then(|()| line.receive(|| peer.look().map_err(Ended::Bench)));
+        let answer = line.send(observation).map_err(WaitEnd::from);
+        let answer = answer.and_then(|()| line.receive(|| peer.look().map_err(WaitEnd::Bench)));
         answer.map_err(|ended| match ended {
             // The other process's end shows as an error of the line, and a signal may be why.
-            Ended::Line(_) if signals.received() != 0 => BenchError::Signal(signals.received()),
-            Ended::Line(error) => failed(*way, error),
-            Ended::Bench(error) => error,
+            WaitEnd::Line(_) if signals.received() != 0 => BenchError::Signal(signals.received()),
+            WaitEnd::Line(error) => failed(*way, error),
+            WaitEnd::Bench(error) => error,
         })
     }
 
@@ -135,8 +135,8 @@ impl Exchange {
     ///
     /// # Errors
     /// [`BenchError::Peer`] when the other process fails, [`BenchError::Signal`] when a signal comes.
-    pub fn cadence(&mut self, ticks: u64, period: u64) -> Result<Vec<Lap>, BenchError> {
-        let mut laps = Vec::with_capacity(ticks as usize);
+    pub fn cadence(&mut self, ticks: u64, period: u64) -> Result<Vec<TickTimes>, BenchError> {
+        let mut tick_times = Vec::with_capacity(ticks as usize);
         let start = (monotonic_ns() + period / 2).next_multiple_of(period);
         let mut tick = 0;
         while tick < ticks {
@@ -149,10 +149,10 @@ impl Exchange {
             }
             // Those that are over already are passed over, but for the last.
             tick = tick.max((monotonic_ns() - start) / period).min(ticks - 1);
-            laps.push(self.ask(tick, start + tick * period)?);
+            tick_times.push(self.ask(tick, start + tick * period)?);
             tick += 1;
         }
-        Ok(laps)
+        Ok(tick_times)
     }
 
     /// Exchanges back to back for `ns` nanoseconds: each is due when the one before is over. Returns the nanoseconds that they
@@ -200,51 +200,51 @@ impl Exchange {
     }
 }
 
-impl Drop for Exchange {
+impl Drop for PeerExchange {
     fn drop(&mut self) {
         // In good order, so that it takes away what it holds in shared memory. Killed after that in any case.
         self.observation.header.tick = DONE;
         if self.line.send(&self.observation).is_ok()
             && let Some(life) = &self.peer.life
         {
-            Life::await_any(std::iter::once(life), 200_000_000);
+            ProcessHandle::await_any(std::iter::once(life), 200_000_000);
         }
     }
 }
 
 /// Our end of a way, and the process at the other.
-fn set_up(way: Way) -> Result<(Line<Observation, Command>, Child), BenchError> {
+fn set_up(way: Transport) -> Result<(TransportEnd<Observation, Command>, Child), BenchError> {
     let io = |cause: std::io::Error| failed(way, cause);
     let mut program = Program::new(std::env::current_exe().map_err(io)?);
     program.args(["bench", "peer", "--over", way.name()]).process_group(0).stdin(Stdio::null()).stdout(Stdio::null());
     match way {
-        Way::Event | Way::Poll => {
+        Transport::Event | Transport::Poll => {
             // The low half alone makes the domain's name, and runs hash theirs.
             let id = u64::from(std::process::id()) << 32 | monotonic_ns() & 0xffff_ffff;
-            let ends = Box::new(Bare::create(&DomainName::of(id))?);
+            let ends = Box::new(BareExchange::create(&DomainName::of(id))?);
             let child = program.args(["--domain", &id.to_string()]).spawn().map_err(io)?;
-            Ok((Line::Bare { ends, asleep: way == Way::Event }, child))
+            Ok((TransportEnd::Bare { ends, asleep: way == Transport::Event }, child))
         }
-        Way::Socket => {
+        Transport::Socket => {
             let pair = socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None);
             let (ours, theirs) = pair.map_err(|e| io(e.into()))?;
             let child = program.stdin(Stdio::from(theirs)).spawn().map_err(io)?;
             let to = File::from(ours);
-            Ok((Line::Stream { from: to.try_clone().map_err(io)?, to }, child))
+            Ok((TransportEnd::Stream { from: to.try_clone().map_err(io)?, to }, child))
         }
-        Way::Pipe => {
+        Transport::Pipe => {
             let mut child = program.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().map_err(io)?;
             let to = child.stdin.take().map(|fd| File::from(OwnedFd::from(fd)));
             let from = child.stdout.take().map(|fd| File::from(OwnedFd::from(fd)));
             match (to, from) {
-                (Some(to), Some(from)) => Ok((Line::Stream { to, from }, child)),
+                (Some(to), Some(from)) => Ok((TransportEnd::Stream { to, from }, child)),
                 _ => Err(failed(way, "it has no pipes")),
             }
         }
-        Way::Futex => {
-            let (page, file) = Page::create().map_err(io)?;
+        Transport::Futex => {
+            let (page, file) = SharedPage::create().map_err(io)?;
             let child = program.stdin(Stdio::from(file)).spawn().map_err(io)?;
-            Ok((Line::Page(page), child))
+            Ok((TransportEnd::Page(page), child))
         }
     }
 }

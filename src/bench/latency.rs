@@ -9,17 +9,17 @@
 //! sees, not what an arm sees.
 //!
 //! *Caches.* At 50 ms, caches are as other programs leave them. `cold`: in the middle of each period all cores read through
-//! twice the last-level cache ([`Evictor`](super::Evictor)). `warm`: the same exchanges every millisecond.
+//! twice the last-level cache ([`CacheEvictor`](super::Evictor)). `warm`: the same exchanges every millisecond.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::block::{self, Block};
-use super::lap::{Latencies, SERIES, SeriesPercentiles, hgrm};
-use super::{BenchError, Evictor, Exchange, Machine, Progress, Usage, Way};
-use crate::clock::{Signals, monotonic_ns};
+use super::run_block::{self, RunBlock};
+use super::tick_times::{Latencies, SERIES, SeriesPercentiles, hgrm};
+use super::{BenchError, BenchProgress, CacheEvictor, Machine, PeerExchange, Transport, Usage};
+use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::runtime::{Mode, Percentiles};
 use crate::study::Spread;
 use crate::supervise::{LaunchError, RunFolder};
@@ -39,7 +39,7 @@ const SATURATED_RATE: f64 = 100_000.0;
 
 /// What to measure.
 #[derive(Debug, Clone)]
-pub struct Latency {
+pub struct LatencySettings {
     /// At 50 ms, or back to back.
     pub pace: Pace,
     /// For how long each way is measured, s.
@@ -94,14 +94,14 @@ impl Caches {
 
 /// One thing that is measured: Tectum (no way) or a bare way, in a state of caches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Case {
-    way: Option<Way>,
+struct LatencyCase {
+    way: Option<Transport>,
     caches: Caches,
 }
 
-impl Case {
+impl LatencyCase {
     fn name(self) -> &'static str {
-        self.way.map_or("tectum", Way::name)
+        self.way.map_or("tectum", Transport::name)
     }
 }
 
@@ -182,16 +182,16 @@ pub struct LatencyOutcome {
 ///
 /// # Errors
 /// When the folder cannot be used, a run or another process fails, or a signal ends it.
-pub fn latency(asked: &Latency) -> Result<LatencyOutcome, BenchError> {
+pub fn latency(asked: &LatencySettings) -> Result<LatencyOutcome, BenchError> {
     if !(asked.seconds.is_finite() && asked.seconds > 0.0 && asked.seconds <= 86_400.0) {
         return Err(BenchError::Asked("--seconds is to be above 0 and at most 86400; give for example 10".to_owned()));
     }
-    let signals = Signals::install().map_err(LaunchError::Signals)?;
+    let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let folder = RunFolder::create(asked.out.as_deref(), None, "bench-latency")?;
     let began = monotonic_ns();
     let machine = Machine::now(folder.path());
-    let progress = Progress::new(asked.progress);
-    let mut bench = Bench::new(asked, folder.path().to_owned(), signals);
+    let progress = BenchProgress::new(asked.progress);
+    let mut bench = LatencyBench::new(asked, folder.path().to_owned(), signals);
     for round in 0..bench.rounds {
         for case in 0..bench.cases.len() {
             let name = bench.cases[case].name();
@@ -208,7 +208,7 @@ pub fn latency(asked: &Latency) -> Result<LatencyOutcome, BenchError> {
 }
 
 /// A bench in progress.
-struct Bench {
+struct LatencyBench {
     pace: Pace,
     rounds: u64,
     /// Ticks of a block at the cadence, without those that warm up.
@@ -217,21 +217,21 @@ struct Bench {
     block_ns: u64,
     /// Ticks a second of Tectum back to back, as far as known.
     rate: f64,
-    cases: Vec<Case>,
+    cases: Vec<LatencyCase>,
     found: Vec<(Latencies, Vec<f64>)>,
     usage: Usage,
     slowest_eviction: Option<u64>,
     folder: PathBuf,
-    signals: Signals,
+    signals: TerminationSignals,
 }
 
-impl Bench {
-    fn new(asked: &Latency, folder: PathBuf, signals: Signals) -> Self {
-        let ways = || std::iter::once(None).chain(Way::ALL.map(Some));
-        let mut cases: Vec<Case> = ways().map(|way| Case { way, caches: Caches::Usual }).collect();
+impl LatencyBench {
+    fn new(asked: &LatencySettings, folder: PathBuf, signals: TerminationSignals) -> Self {
+        let ways = || std::iter::once(None).chain(Transport::ALL.map(Some));
+        let mut cases: Vec<LatencyCase> = ways().map(|way| LatencyCase { way, caches: Caches::Usual }).collect();
         if asked.pace == Pace::Cadence {
             for caches in [Caches::Cold, Caches::Warm] {
-                cases.extend([None, Some(Way::Event)].map(|way| Case { way, caches }));
+                cases.extend([None, Some(Transport::Event)].map(|way| LatencyCase { way, caches }));
             }
         }
         let ticks = ((asked.seconds * 1e9 / PERIOD_NS as f64) as u64).max(2);
@@ -253,39 +253,39 @@ impl Bench {
 
     /// One block of one case.
     fn turn(&mut self, case: usize) -> Result<(), BenchError> {
-        let Case { way, caches } = self.cases[case];
+        let LatencyCase { way, caches } = self.cases[case];
         let period = if caches == Caches::Warm { WARM_PERIOD_NS } else { PERIOD_NS };
         let ticks = match caches {
             // A millisecond each: as many again and again cost little.
             Caches::Warm => 5 * self.ticks,
             _ => self.ticks,
         } + WARM_UP;
-        let evictor = (caches == Caches::Cold).then(|| Evictor::start(period));
+        let evictor = (caches == Caches::Cold).then(|| CacheEvictor::start(period));
         let mut block = Latencies::default();
         match (way, self.pace) {
             (Some(way), Pace::Cadence) => {
-                let laps = Exchange::start(way, &self.signals)?.cadence(ticks, period)?;
-                block.record(&laps, WARM_UP, period);
+                let tick_times = PeerExchange::start(way, &self.signals)?.cadence(ticks, period)?;
+                block.record(&tick_times, WARM_UP, period);
             }
             (Some(way), Pace::Saturated) => {
-                Exchange::start(way, &self.signals)?.saturated(self.block_ns, &mut block)?;
+                PeerExchange::start(way, &self.signals)?.saturated(self.block_ns, &mut block)?;
             }
             (None, Pace::Cadence) => {
                 // One more, for what becomes of the last.
-                let of = Block { mode: Mode::Realtime, ticks: ticks + 1, every: 1, period, timed: false };
-                let lived = block::live(&of, &self.folder)?;
-                block.record(&lived.laps, WARM_UP, period);
+                let of = RunBlock { mode: Mode::Realtime, ticks: ticks + 1, every: 1, period, timed: false };
+                let lived = run_block::measure(&of, &self.folder)?;
+                block.record(&lived.tick_times, WARM_UP, period);
                 if caches == Caches::Usual {
                     self.usage.add(&lived.usage);
                 }
             }
             (None, Pace::Saturated) => {
                 let ticks = (self.rate * self.block_ns as f64 / 1e9) as u64;
-                let ticks = ticks.clamp(block::LEAST, block::room(&self.folder).max(block::LEAST));
-                let of = Block { mode: Mode::Lockstep, ticks, every: 1, period: PERIOD_NS, timed: true };
-                let lived = block::live(&of, &self.folder)?;
+                let ticks = ticks.clamp(run_block::LEAST, run_block::room(&self.folder).max(run_block::LEAST));
+                let of = RunBlock { mode: Mode::Lockstep, ticks, every: 1, period: PERIOD_NS, timed: true };
+                let lived = run_block::measure(&of, &self.folder)?;
                 self.rate = lived.ticks_per_second;
-                block.record(&lived.laps, WARM_UP, 0);
+                block.record(&lived.tick_times, WARM_UP, 0);
                 self.usage.add(&lived.usage);
             }
         }
@@ -299,7 +299,7 @@ impl Bench {
         Ok(())
     }
 
-    fn outcome(self, asked: &Latency, machine: Machine) -> LatencyOutcome {
+    fn outcome(self, asked: &LatencySettings, machine: Machine) -> LatencyOutcome {
         let ways: Vec<CaseOutcome> = self
             .cases
             .iter()

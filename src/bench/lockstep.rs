@@ -7,10 +7,10 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::block::{self, Block};
-use super::{BenchError, Exchange, Machine, Progress, Usage, Way, latency::PERIOD_NS, usage::core_of};
-use crate::clock::{Signals, monotonic_ns};
-use crate::plant::Body;
+use super::run_block::{self, RunBlock};
+use super::{BenchError, BenchProgress, Machine, PeerExchange, Transport, Usage, latency::PERIOD_NS, usage::core_of};
+use crate::clock::{TerminationSignals, monotonic_ns};
+use crate::plant::SimulatedPlant;
 use crate::report::thousands;
 use crate::runtime::{Mode, in_process};
 use crate::study::Spread;
@@ -23,7 +23,7 @@ const CASES: [&str; 4] = ["complete log", "every 100th tick logged", "one proces
 
 /// What to measure.
 #[derive(Debug, Clone)]
-pub struct Lockstep {
+pub struct LockstepSettings {
     /// Ticks of a block.
     pub ticks: u64,
     /// Blocks of each case.
@@ -72,15 +72,15 @@ pub struct LockstepOutcome {
 ///
 /// # Errors
 /// When the folder cannot be used, a run or another process fails, or a signal ends it.
-pub fn lockstep(asked: &Lockstep) -> Result<LockstepOutcome, BenchError> {
+pub fn lockstep(asked: &LockstepSettings) -> Result<LockstepOutcome, BenchError> {
     if asked.ticks < 100 || asked.rounds == 0 {
         return Err(BenchError::Asked("--ticks is to be at least 100, and --rounds at least 1".to_owned()));
     }
-    let signals = Signals::install().map_err(LaunchError::Signals)?;
+    let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let folder = RunFolder::create(asked.out.as_deref(), None, "bench-lockstep")?;
     let began = monotonic_ns();
     let machine = Machine::now(folder.path());
-    let progress = Progress::new(asked.progress);
+    let progress = BenchProgress::new(asked.progress);
     let mut rates: [Vec<f64>; 4] = Default::default();
     let mut usage = [Usage::default(), Usage::default()];
     let mut seen: [BTreeSet<u32>; 4] = Default::default();
@@ -88,10 +88,10 @@ pub fn lockstep(asked: &Lockstep) -> Result<LockstepOutcome, BenchError> {
         for (case, name) in CASES.into_iter().enumerate() {
             progress.show(&format!("lockstep: round {} of {}, {name}", round + 1, asked.rounds));
             let block =
-                |every| Block { mode: Mode::Lockstep, ticks: asked.ticks, every, period: PERIOD_NS, timed: false };
+                |every| RunBlock { mode: Mode::Lockstep, ticks: asked.ticks, every, period: PERIOD_NS, timed: false };
             let rate = match case {
                 0 | 1 => {
-                    let lived = block::live(&block([1, THINNED][case]), folder.path())?;
+                    let lived = run_block::measure(&block([1, THINNED][case]), folder.path())?;
                     seen[case].extend(lived.usage.processes.iter().flat_map(|p| &p.cores));
                     usage[case].add(&lived.usage);
                     lived.ticks_per_second
@@ -102,7 +102,7 @@ pub fn lockstep(asked: &Lockstep) -> Result<LockstepOutcome, BenchError> {
                     rate
                 }
                 _ => {
-                    let mut exchange = Exchange::start(Way::Poll, &signals)?;
+                    let mut exchange = PeerExchange::start(Transport::Poll, &signals)?;
                     let ns = exchange.rounds(asked.ticks)?;
                     seen[case].extend([std::process::id(), exchange.peer()].into_iter().filter_map(core_of));
                     asked.ticks as f64 * 1e9 / ns.max(1) as f64
@@ -129,9 +129,10 @@ pub fn lockstep(asked: &Lockstep) -> Result<LockstepOutcome, BenchError> {
 }
 
 /// Plant and controller in this process: ticks a second.
-fn alone(block: &Block, signals: &Signals) -> Result<f64, BenchError> {
-    let plan = block::plan(block)?;
-    let body = Body::of(&plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+fn alone(block: &RunBlock, signals: &TerminationSignals) -> Result<f64, BenchError> {
+    let plan = run_block::plan(block)?;
+    let body =
+        SimulatedPlant::of(&plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
     let began = monotonic_ns();
     let _ = in_process(&plan, body, |_, _| signals.received() == 0);
     let ns = monotonic_ns() - began;

@@ -8,7 +8,7 @@ use std::path::Path;
 use rustix::thread::{CpuSet, sched_getaffinity};
 use serde::Serialize;
 
-use super::evict::last_level_cache;
+use super::cache_evictor::last_level_cache;
 use crate::clock::{facts, wall_ns};
 use crate::doctor::{Check, Verdict, examine};
 

@@ -5,19 +5,19 @@ use std::fs::File;
 use std::os::fd::AsFd as _;
 
 use super::BenchError;
-use super::line::{DONE, Line, LineError, STAMPED, Way};
-use crate::channel::{Bare, DomainName, Page};
-use crate::clock::{Life, monotonic_ns, precise_timers};
+use super::transport::{DONE, STAMPED, Transport, TransportEnd, TransportError};
+use crate::channel::{BareExchange, DomainName, SharedPage};
+use crate::clock::{ProcessHandle, monotonic_ns, precise_timers};
 use crate::wire::{Command, Observation};
 
 /// What ends the other process.
-enum Ended {
-    Line(LineError),
+enum PeerEnd {
+    Line(TransportError),
     Orphaned,
 }
 
-impl From<LineError> for Ended {
-    fn from(error: LineError) -> Self {
+impl From<TransportError> for PeerEnd {
+    fn from(error: TransportError) -> Self {
         Self::Line(error)
     }
 }
@@ -26,23 +26,23 @@ impl From<LineError> for Ended {
 ///
 /// # Errors
 /// [`BenchError::Peer`] when the way cannot be set up or fails, as it does when this was not started by a bench.
-pub fn serve(way: Way, domain: Option<u64>) -> Result<(), BenchError> {
+pub fn serve(way: Transport, domain: Option<u64>) -> Result<(), BenchError> {
     let failed = |cause: String| BenchError::Peer { way: way.name(), cause };
-    let parent = rustix::process::getppid().and_then(|parent| Life::of(parent.as_raw_pid() as u32));
+    let parent = rustix::process::getppid().and_then(|parent| ProcessHandle::of(parent.as_raw_pid() as u32));
     let parent = parent.ok_or_else(|| failed("it has no parent".to_owned()))?;
     let mut line = open(way, domain).map_err(|error| failed(error.to_string()))?;
     precise_timers();
     let mut command = Command::default();
     loop {
-        let asked = line.receive(|| if parent.ended() { Err(Ended::Orphaned) } else { Ok(()) });
+        let asked = line.receive(|| if parent.ended() { Err(PeerEnd::Orphaned) } else { Ok(()) });
         let observation: Observation = match asked {
             Ok(observation) => observation,
-            Err(Ended::Orphaned) => return Ok(()),
+            Err(PeerEnd::Orphaned) => return Ok(()),
             // The asking side is gone.
-            Err(Ended::Line(LineError::System(error))) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
+            Err(PeerEnd::Line(TransportError::System(error))) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
                 return Ok(());
             }
-            Err(Ended::Line(error)) => return Err(failed(error.to_string())),
+            Err(PeerEnd::Line(error)) => return Err(failed(error.to_string())),
         };
         if observation.header.tick == DONE {
             return Ok(());
@@ -55,16 +55,16 @@ pub fn serve(way: Way, domain: Option<u64>) -> Result<(), BenchError> {
     }
 }
 
-fn open(way: Way, domain: Option<u64>) -> Result<Line<Command, Observation>, LineError> {
+fn open(way: Transport, domain: Option<u64>) -> Result<TransportEnd<Command, Observation>, TransportError> {
     let (stdin, stdout) = (std::io::stdin(), std::io::stdout());
     let file = |fd: std::os::fd::BorrowedFd| fd.try_clone_to_owned().map(File::from);
     Ok(match way {
-        Way::Event | Way::Poll => {
-            let ends = Box::new(Bare::open(&DomainName::of(domain.unwrap_or_default()))?);
-            Line::Bare { ends, asleep: way == Way::Event }
+        Transport::Event | Transport::Poll => {
+            let ends = Box::new(BareExchange::open(&DomainName::of(domain.unwrap_or_default()))?);
+            TransportEnd::Bare { ends, asleep: way == Transport::Event }
         }
-        Way::Socket => Line::Stream { to: file(stdin.as_fd())?, from: file(stdin.as_fd())? },
-        Way::Pipe => Line::Stream { to: file(stdout.as_fd())?, from: file(stdin.as_fd())? },
-        Way::Futex => Line::Page(Page::open(stdin)?),
+        Transport::Socket => TransportEnd::Stream { to: file(stdin.as_fd())?, from: file(stdin.as_fd())? },
+        Transport::Pipe => TransportEnd::Stream { to: file(stdout.as_fd())?, from: file(stdin.as_fd())? },
+        Transport::Futex => TransportEnd::Page(SharedPage::open(stdin)?),
     })
 }

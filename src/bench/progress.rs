@@ -4,9 +4,9 @@ use std::io::{IsTerminal as _, Write as _};
 
 /// The line; it goes when this is dropped.
 #[derive(Debug)]
-pub struct Progress(bool);
+pub struct BenchProgress(bool);
 
-impl Progress {
+impl BenchProgress {
     /// A line, silent unless it is wanted and standard error is a terminal.
     pub fn new(wanted: bool) -> Self {
         Self(wanted && std::io::stderr().is_terminal())
@@ -21,7 +21,7 @@ impl Progress {
     }
 }
 
-impl Drop for Progress {
+impl Drop for BenchProgress {
     fn drop(&mut self) {
         if self.0 {
             let _ = std::io::stderr().write_all(b"\r\x1b[K");

@@ -100,13 +100,13 @@ impl Usage {
 
 /// One look at a process.
 #[derive(Debug, Clone, Copy)]
-struct Look {
+struct UsageSample {
     cpu_ns: u64,
     resident_kib: u64,
     core: u32,
 }
 
-impl Look {
+impl UsageSample {
     /// All threads of process `pid`; `None` when it is gone.
     fn at(pid: u32) -> Option<Self> {
         Some(Self { cpu_ns: cpu_ns(pid)?, resident_kib: resident_kib(pid)?, core: core(&stat(pid)?)? })
@@ -163,12 +163,12 @@ fn processes() -> Vec<(&'static str, u32)> {
 }
 
 /// Looks at a run's processes from another thread while it runs.
-pub struct Observer {
+pub struct UsageObserver {
     over: Arc<AtomicBool>,
     thread: JoinHandle<Usage>,
 }
 
-impl Observer {
+impl UsageObserver {
     /// Begins to look as soon as ticks run in the run in `folder`, then every `every`.
     pub fn start(folder: &Path, every: Duration) -> Self {
         let over = Arc::new(AtomicBool::new(false));
@@ -207,7 +207,7 @@ fn watch(log: &PathBuf, every: Duration, over: &AtomicBool, launcher: i32) -> Us
         text.split(' ').next()?.parse::<u64>().ok()
     };
     let began = monotonic_ns();
-    let looks: Vec<_> = found.iter().filter_map(|&(role, pid)| Some((role, pid, Look::at(pid)?))).collect();
+    let looks: Vec<_> = found.iter().filter_map(|&(role, pid)| Some((role, pid, UsageSample::at(pid)?))).collect();
     let first_launcher = launcher_ns().unwrap_or(0);
     let us = std::process::id();
     let mut uses: Vec<ProcessUse> = looks
@@ -233,7 +233,7 @@ fn watch(log: &PathBuf, every: Duration, over: &AtomicBool, launcher: i32) -> Us
                 break 'looking;
             }
         }
-        let now: Vec<_> = looks.iter().map_while(|&(_, pid, _)| Look::at(pid)).collect();
+        let now: Vec<_> = looks.iter().map_while(|&(_, pid, _)| UsageSample::at(pid)).collect();
         if now.len() < looks.len() {
             // One has ended: the run is over.
             break;
@@ -264,9 +264,9 @@ mod tests {
 
     #[test]
     fn a_process_that_lives_is_looked_at() {
-        let look = Look::at(std::process::id()).unwrap();
+        let look = UsageSample::at(std::process::id()).unwrap();
         assert!(look.cpu_ns > 0 && look.resident_kib > 100);
-        assert!(Look::at(0).is_none());
+        assert!(UsageSample::at(0).is_none());
         let line = "7 (a ) b) R 1 ".to_owned() + &"0 ".repeat(34) + "5 0 0";
         assert_eq!(core(&line), Some(5));
     }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use iceoryx2::prelude::*;
 
 use super::ChannelError;
-use super::debris::LOCK_FILE;
+use super::stale_domains::LOCK_FILE;
 
 /// Where shared memory is.
 pub(super) const SHM: &str = "/dev/shm";
@@ -91,7 +91,7 @@ fn configuration(name: &DomainName) -> Config {
 /// Takes away what processes that were killed held of the domain's services, so that others can take their places. For the
 /// launcher, when no process is being set up. `None` if nothing comes of it within `limit`, because iceoryx2 waits without
 /// end for what a process began to make and never finished; `Some(false)` if something could not be taken away.
-pub fn bury(name: &DomainName, limit: Duration) -> Option<bool> {
+pub fn reclaim_dead(name: &DomainName, limit: Duration) -> Option<bool> {
     // A segment without size is one whose maker died between making it and giving it its size: opening it would hang.
     let prefix = name.prefix();
     for entry in std::fs::read_dir(SHM).into_iter().flatten().flatten() {
@@ -123,16 +123,16 @@ pub fn bury(name: &DomainName, limit: Duration) -> Option<bool> {
     wait.recv_timeout(limit).ok()
 }
 
-/// How often [`bury`] tries.
+/// How often [`reclaim_dead`] tries.
 const ATTEMPTS: u32 = 10;
 
 /// Removes every file of the domain. For the launcher, when all processes of the run have ended.
-pub fn wipe(name: &DomainName) {
-    wipe_in(Path::new(SHM), name);
+pub fn remove_domain(name: &DomainName) {
+    remove_domain_in(Path::new(SHM), name);
 }
 
 /// The launcher's lock goes last, so that there is no time at which the domain has files and no lock.
-pub(super) fn wipe_in(shm: &Path, name: &DomainName) {
+pub(super) fn remove_domain_in(shm: &Path, name: &DomainName) {
     let prefix = name.prefix();
     if let Ok(entries) = std::fs::read_dir(shm) {
         for entry in entries.flatten() {
@@ -167,7 +167,7 @@ mod tests {
         for name in [&mine, &other] {
             std::fs::write(shm.path().join(format!("{}x", name.prefix())), "").unwrap();
         }
-        wipe_in(shm.path(), &mine);
+        remove_domain_in(shm.path(), &mine);
         let left: Vec<_> = std::fs::read_dir(shm.path()).unwrap().flatten().collect();
         assert_eq!(left.len(), 1);
         assert!(left[0].file_name().to_str().unwrap().starts_with(&other.prefix()));

@@ -8,23 +8,24 @@
 //! reader. Where nothing may be lost (lockstep), the plant does not run further ahead of the logger than the reader's
 //! buffer (see [`LOG_BUFFER`]), so that overflow cannot happen, rather than block on it.
 
-mod bare;
-mod debris;
+mod bare_exchange;
+mod crash_store;
 mod domain;
-mod page;
 mod ports;
 mod services;
-mod vault;
+mod shared_page;
+mod stale_domains;
 
-pub use bare::Bare;
-pub use debris::{Owner, Remains, survey, sweep};
-pub use domain::{Domain, DomainName, bury, wipe};
-pub use page::{Page, WORDS};
-pub use ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Payload, Receiver, Sender};
+pub use bare_exchange::BareExchange;
+pub use crash_store::CrashStore;
+pub use domain::{Domain, DomainName, reclaim_dead, remove_domain};
+pub use ports::{BoardReader, BoardWriter, Payload, Receiver, Sender, StatusBoard, WakeListener, WakeNotifier};
 pub use services::{
-    CONTROL, ControllerPorts, EyePort, Hub, Identity, LoggerPorts, PlantPorts, TrackerPorts, WAKE, board_name,
+    CONTROL, ControllerPorts, Identity, LoggerPorts, PlantPorts, RunServices, TrackerPorts, VisionReceiver, WAKE,
+    board_name,
 };
-pub use vault::Vault;
+pub use shared_page::{SharedPage, WORDS};
+pub use stale_domains::{DomainOwner, StaleDomain, list_domains, remove_stale_domains};
 
 /// The version of iceoryx2 that all processes of a run must have, whatever their language.
 pub const ICEORYX2: &str = "0.10.0";

@@ -130,30 +130,30 @@ impl<T: Payload> Receiver<T> {
 
 /// Rings when a sample has been sent, for a reader that sleeps.
 #[derive(Debug)]
-pub struct Bell(pub(super) Notifier<ipc::Service>);
+pub struct WakeNotifier(pub(super) Notifier<ipc::Service>);
 
-impl Bell {
+impl WakeNotifier {
     /// Wakes the listeners. A failure is not an error of the run: the sample itself has been sent.
     #[inline]
-    pub fn ring(&self) {
+    pub fn notify(&self) {
         let _ = self.0.notify();
     }
 }
 
 /// Hears the bell.
 #[derive(Debug)]
-pub struct Ear(pub(super) Listener<ipc::Service>);
+pub struct WakeListener(pub(super) Listener<ipc::Service>);
 
-impl Ear {
+impl WakeListener {
     /// Sleeps until the bell rings, for `timeout` at most (and some milliseconds more: the time-out is coarse and only
     /// for looking around). A ring before the call counts.
-    pub fn listen(&self, timeout: Duration) {
+    pub fn wait(&self, timeout: Duration) {
         let _ = self.0.timed_wait(|_| {}, timeout);
     }
 }
 
 /// A process's desk: the launcher's board to read from, its own to write on.
-pub struct Desk {
+pub struct StatusBoard {
     /// The launcher's board.
     pub control: BoardReader<Control>,
     /// This process's board.
@@ -206,7 +206,7 @@ impl<T: Payload> BoardReader<T> {
     ///
     /// # Errors
     /// [`ChannelError::SetUp`] when there is no such page.
-    pub fn turn_to(&mut self, incarnation: u32) -> Result<bool, ChannelError> {
+    pub fn set_incarnation(&mut self, incarnation: u32) -> Result<bool, ChannelError> {
         if incarnation == self.page {
             return Ok(false);
         }

@@ -4,11 +4,13 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{blackboard, event};
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::debris::Claim;
-use super::domain::{Domain, DomainName, wipe};
-use super::ports::{Bell, BoardReader, BoardWriter, Desk, Ear, Factory, Payload, Receiver, Sender};
+use super::domain::{Domain, DomainName, remove_domain};
+use super::ports::{
+    BoardReader, BoardWriter, Factory, Payload, Receiver, Sender, StatusBoard, WakeListener, WakeNotifier,
+};
+use super::stale_domains::DomainLock;
 use super::{ChannelError, INCARNATIONS, LOG_BUFFER, Mismatch};
-use crate::scenario::ChannelsTable;
+use crate::scenario::ChannelsConfig;
 use crate::wire::{Command, Control, Learning, Observation, Role, Status, Vision};
 
 type Board = blackboard::PortFactory<ipc::Service, u64>;
@@ -81,7 +83,7 @@ impl Identity {
 }
 
 /// Every service of a run, created and held by the launcher. Dropping it wipes the domain: it must be the last.
-pub struct Hub {
+pub struct RunServices {
     /// The launcher's board.
     pub control: BoardWriter<Control>,
     /// The boards of the processes, by [`Role`].
@@ -92,24 +94,24 @@ pub struct Hub {
     _vision: Option<Factory<Vision>>,
     _wake: Event,
     _domain: Domain,
-    _wipe: Wipe,
+    _wipe: DomainGuard,
 }
 
 /// Wipes the domain when everything else is gone, also when setting up fails half-way.
 /// The claim is given back after that.
 #[derive(Debug)]
-struct Wipe {
+struct DomainGuard {
     name: DomainName,
-    _claim: Claim,
+    _claim: DomainLock,
 }
 
-impl Drop for Wipe {
+impl Drop for DomainGuard {
     fn drop(&mut self) {
-        wipe(&self.name);
+        remove_domain(&self.name);
     }
 }
 
-impl Hub {
+impl RunServices {
     /// Creates the domain and all its services; a channel for trackers, and room for them, where `vision` names one.
     ///
     /// # Errors
@@ -117,13 +119,13 @@ impl Hub {
     pub fn create(
         name: &DomainName,
         identity: &Identity,
-        channels: &ChannelsTable,
+        channels: &ChannelsConfig,
         vision: Option<&str>,
     ) -> Result<Self, ChannelError> {
         let more = if vision.is_some() { FOR_TRACKERS } else { 0 };
         let nodes = MAX_NODES + more;
-        let claim = Claim::take(name).map_err(|e| ChannelError::set_up("the root", e.kind()))?;
-        let wipe = Wipe { name: name.clone(), _claim: claim };
+        let claim = DomainLock::take(name).map_err(|e| ChannelError::set_up("the root", e.kind()))?;
+        let remove_domain = DomainGuard { name: name.clone(), _claim: claim };
         let domain = Domain::join(name)?;
         let wake = domain
             .node
@@ -154,7 +156,7 @@ impl Hub {
             _vision: vision,
             _wake: wake,
             _domain: domain,
-            _wipe: wipe,
+            _wipe: remove_domain,
         })
     }
 
@@ -167,8 +169,8 @@ impl Hub {
     ///
     /// # Errors
     /// [`ChannelError::SetUp`] when it has no such page.
-    pub fn turn_to(&mut self, role: Role, incarnation: u32) -> Result<(), ChannelError> {
-        self.status[role as usize].turn_to(incarnation).map(|_| ())
+    pub fn set_incarnation(&mut self, role: Role, incarnation: u32) -> Result<(), ChannelError> {
+        self.status[role as usize].set_incarnation(incarnation).map(|_| ())
     }
 }
 
@@ -177,7 +179,7 @@ pub struct PlantPorts {
     /// Observations, to controller and logger.
     pub observation: Sender<Observation>,
     /// Wakes the controller.
-    pub bell: Bell,
+    pub wake: WakeNotifier,
     /// Commands, newest two.
     pub command: Receiver<Command>,
     /// How far the controller is.
@@ -192,7 +194,7 @@ pub struct ControllerPorts {
     /// Observations, newest two.
     pub observation: Receiver<Observation>,
     /// Rings with every observation.
-    pub ear: Ear,
+    pub wake: WakeListener,
     /// Commands, to plant and logger.
     pub command: Sender<Command>,
     /// What was learned, to the logger.
@@ -226,20 +228,21 @@ impl PlantPorts {
     pub fn open(
         name: &DomainName,
         identity: &Identity,
-        channels: &ChannelsTable,
-    ) -> Result<(Self, Desk), ChannelError> {
+        channels: &ChannelsConfig,
+    ) -> Result<(Self, StatusBoard), ChannelError> {
         let (domain, wake) = open_domain(name, identity, Role::Plant.name())?;
-        let bell = wake.notifier_builder().create().map_err(|e| ChannelError::set_up("the bell", e)).map(Bell)?;
-        let desk = open_desk(&domain, Role::Plant)?;
+        let wake =
+            wake.notifier_builder().create().map_err(|e| ChannelError::set_up("the bell", e)).map(WakeNotifier)?;
+        let status_board = open_desk(&domain, Role::Plant)?;
         let ports = Self {
             observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
-            bell,
+            wake,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
-            controller: read_peer(&domain, Role::Controller, &desk)?,
-            logger: read_peer(&domain, Role::Logger, &desk)?,
+            controller: read_peer(&domain, Role::Controller, &status_board)?,
+            logger: read_peer(&domain, Role::Logger, &status_board)?,
             _domain: domain,
         };
-        Ok((ports, desk))
+        Ok((ports, status_board))
     }
 }
 
@@ -251,24 +254,28 @@ impl ControllerPorts {
     pub fn open(
         name: &DomainName,
         identity: &Identity,
-        channels: &ChannelsTable,
-    ) -> Result<(Self, Desk), ChannelError> {
+        channels: &ChannelsConfig,
+    ) -> Result<(Self, StatusBoard), ChannelError> {
         let (domain, wake) = open_domain(name, identity, Role::Controller.name())?;
-        let ear = wake.listener_builder().create().map_err(|e| ChannelError::set_up("the ear", e)).map(Ear)?;
-        let desk = open_desk(&domain, Role::Controller)?;
+        let wake = wake
+            .listener_builder()
+            .create()
+            .map_err(|e| ChannelError::set_up("the wake-up listener", e))
+            .map(WakeListener)?;
+        let status_board = open_desk(&domain, Role::Controller)?;
         let ports = Self {
             observation: Receiver::new(
                 &channels.observation,
                 open_channel(&domain, &channels.observation)?,
                 LOOP_BUFFER,
             )?,
-            ear,
+            wake,
             command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
             learning: Sender::new(&channels.learning, open_channel(&domain, &channels.learning)?)?,
-            plant: read_peer(&domain, Role::Plant, &desk)?,
+            plant: read_peer(&domain, Role::Plant, &status_board)?,
             _domain: domain,
         };
-        Ok((ports, desk))
+        Ok((ports, status_board))
     }
 }
 
@@ -280,10 +287,10 @@ impl LoggerPorts {
     pub fn open(
         name: &DomainName,
         identity: &Identity,
-        channels: &ChannelsTable,
-    ) -> Result<(Self, Desk), ChannelError> {
+        channels: &ChannelsConfig,
+    ) -> Result<(Self, StatusBoard), ChannelError> {
         let (domain, _wake) = open_domain(name, identity, Role::Logger.name())?;
-        let desk = open_desk(&domain, Role::Logger)?;
+        let status_board = open_desk(&domain, Role::Logger)?;
         let ports = Self {
             observation: Receiver::new(
                 &channels.observation,
@@ -292,11 +299,11 @@ impl LoggerPorts {
             )?,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOG_BUFFER)?,
             learning: Receiver::new(&channels.learning, open_channel(&domain, &channels.learning)?, LOG_BUFFER)?,
-            plant: read_peer(&domain, Role::Plant, &desk)?,
-            controller: read_peer(&domain, Role::Controller, &desk)?,
+            plant: read_peer(&domain, Role::Plant, &status_board)?,
+            controller: read_peer(&domain, Role::Controller, &status_board)?,
             _domain: domain,
         };
-        Ok((ports, desk))
+        Ok((ports, status_board))
     }
 }
 
@@ -316,7 +323,7 @@ impl TrackerPorts {
     ///
     /// # Errors
     /// As for [`PlantPorts::open`]; and where the run has no channel for trackers, or no place for another one.
-    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsConfig) -> Result<Self, ChannelError> {
         let (domain, _wake) = open_domain(name, identity, "tracker")?;
         Ok(Self {
             vision: Sender::new(&channels.vision, open_channel(&domain, &channels.vision)?)?,
@@ -332,17 +339,17 @@ impl TrackerPorts {
 }
 
 /// The bridge's end of the channel on which trackers say what they see.
-pub struct EyePort {
+pub struct VisionReceiver {
     vision: Receiver<Vision>,
     _domain: Domain,
 }
 
-impl EyePort {
+impl VisionReceiver {
     /// Opens it.
     ///
     /// # Errors
     /// As for [`PlantPorts::open`].
-    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsTable) -> Result<Self, ChannelError> {
+    pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelsConfig) -> Result<Self, ChannelError> {
         let (domain, _wake) = open_domain(name, identity, Role::Plant.name())?;
         let vision = Receiver::new(&channels.vision, open_channel(&domain, &channels.vision)?, VISION_BUFFER)?;
         Ok(Self { vision, _domain: domain })
@@ -417,10 +424,10 @@ fn open_channel<T: Payload>(domain: &Domain, name: &str) -> Result<Factory<T>, C
         .map_err(|e| ChannelError::set_up(format!("channel {name}"), e))
 }
 
-fn open_desk(domain: &Domain, role: Role) -> Result<Desk, ChannelError> {
+fn open_desk(domain: &Domain, role: Role) -> Result<StatusBoard, ChannelError> {
     let control = read_board::<Control>(&open_board(domain, CONTROL)?, PAGE)?;
     let incarnation = control.get().incarnations[role as usize];
-    Ok(Desk { control, status: write_board(&open_board(domain, role.name())?, incarnation)?, incarnation })
+    Ok(StatusBoard { control, status: write_board(&open_board(domain, role.name())?, incarnation)?, incarnation })
 }
 
 fn create_board<T: Payload + Default>(
@@ -456,8 +463,8 @@ fn read_board<T: Payload>(board: &Board, page: u32) -> Result<BoardReader<T>, Ch
 }
 
 /// The board of a peer, at the page of its incarnation as it is now.
-fn read_peer(domain: &Domain, role: Role, desk: &Desk) -> Result<BoardReader<Status>, ChannelError> {
-    read_board(&open_board(domain, role.name())?, desk.control.get().incarnations[role as usize])
+fn read_peer(domain: &Domain, role: Role, status_board: &StatusBoard) -> Result<BoardReader<Status>, ChannelError> {
+    read_board(&open_board(domain, role.name())?, status_board.control.get().incarnations[role as usize])
 }
 
 fn write_board<T: Payload>(board: &Board, page: u32) -> Result<BoardWriter<T>, ChannelError> {

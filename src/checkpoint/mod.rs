@@ -4,18 +4,18 @@
 //! `<tick>.plant.safetensors` and `<tick>.controller.safetensors`. Both hold what is true when tick `<tick>` begins: all ticks
 //! before it are lived through, answered and learned from. Every row that a part lists ([`crate::state`]) is a tensor under
 //! the part's name, so that the file can be read wherever safetensors can; the controller's has besides the policy as a
-//! matrix, `weights`, of shape (outputs, features). The metadata has one entry, `tectum`, a JSON object: [`Facts`] and `check`.
+//! matrix, `weights`, of shape (outputs, features). The metadata has one entry, `tectum`, a JSON object: [`CheckpointFacts`] and `check`.
 //!
 //! A file is written under another name, brought to the disk, and renamed: it is there whole or not at all. `check` is a
 //! checksum over the facts and all tensors with their names, types and shapes. A file that is damaged, of another run, or of another
 //! scenario, schema or build is refused by name before anything of it is used.
 
 mod error;
-mod ledger;
+mod tensors;
 mod writer;
 
 pub use error::CheckpointError;
-pub use writer::Writer;
+pub use writer::CheckpointWriter;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -24,10 +24,10 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
-use crate::policy::Linear;
-use crate::state::{Kind, Remember};
+use crate::policy::LinearPolicy;
+use crate::state::{NumberKind, Persist};
 use crate::wire::Role;
-use ledger::{Collect, Restore, Tensor};
+use tensors::{Tensor, TensorCollector, TensorRestorer};
 
 /// Where a run's checkpoints lie in its folder.
 pub const FOLDER: &str = "checkpoints";
@@ -41,7 +41,7 @@ const FORMAT: u32 = 1;
 /// Whose state a checkpoint is, and as of when.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Facts {
+pub struct CheckpointFacts {
     /// Version of the format.
     format: u32,
     /// `plant` or `controller`.
@@ -60,7 +60,7 @@ pub struct Facts {
     pub build: String,
 }
 
-impl Facts {
+impl CheckpointFacts {
     /// The facts of a checkpoint by this build.
     pub fn new(role: Role, run: u64, tick: u64, sequence: u64, scenario: u64) -> Self {
         Self {
@@ -78,9 +78,9 @@ impl Facts {
 
 /// The metadata entry.
 #[derive(Serialize, Deserialize)]
-struct Entry {
+struct MetadataEntry {
     #[serde(flatten)]
-    facts: Facts,
+    facts: CheckpointFacts,
     check: String,
 }
 
@@ -89,7 +89,7 @@ struct Entry {
 pub struct Checkpoint {
     path: PathBuf,
     /// Whose, and as of when.
-    pub facts: Facts,
+    pub facts: CheckpointFacts,
     tensors: BTreeMap<String, Tensor>,
 }
 
@@ -109,21 +109,21 @@ pub fn ticks(folder: &Path) -> Vec<u64> {
 }
 
 /// Every state as a file's bytes. `policy` is the controller's.
-pub fn encode(facts: &Facts, part: &mut dyn Remember, policy: Option<&Linear>) -> Vec<u8> {
-    let mut collect = Collect::default();
-    part.remember(&mut collect);
+pub fn encode(facts: &CheckpointFacts, part: &mut dyn Persist, policy: Option<&LinearPolicy>) -> Vec<u8> {
+    let mut collect = TensorCollector::default();
+    part.visit_state(&mut collect);
     let mut tensors = collect.tensors;
     if let Some(policy) = policy {
         let rows = (0..policy.outputs()).flat_map(|o| (0..policy.features()).map(move |f| policy.weight(o, f)));
         let bytes = rows.flat_map(f32::to_ne_bytes).collect();
         let shape = vec![policy.outputs(), policy.features()];
-        tensors.insert(WEIGHTS.to_owned(), Tensor { kind: Kind::F32, shape, bytes });
+        tensors.insert(WEIGHTS.to_owned(), Tensor { kind: NumberKind::F32, shape, bytes });
     }
     write(facts, &tensors)
 }
 
-fn write(facts: &Facts, tensors: &BTreeMap<String, Tensor>) -> Vec<u8> {
-    let entry = Entry { facts: facts.clone(), check: check(facts, tensors) };
+fn write(facts: &CheckpointFacts, tensors: &BTreeMap<String, Tensor>) -> Vec<u8> {
+    let entry = MetadataEntry { facts: facts.clone(), check: check(facts, tensors) };
     let text = serde_json::to_string(&entry).unwrap_or_default();
     let views = tensors.iter().map(|(name, t)| {
         let view = TensorView::new(dtype(t.kind), t.shape.clone(), &t.bytes).expect("a shape of as many numbers");
@@ -134,7 +134,7 @@ fn write(facts: &Facts, tensors: &BTreeMap<String, Tensor>) -> Vec<u8> {
     safetensors::serialize(views, metadata).expect("a header of some kilobytes")
 }
 
-fn check(facts: &Facts, tensors: &BTreeMap<String, Tensor>) -> String {
+fn check(facts: &CheckpointFacts, tensors: &BTreeMap<String, Tensor>) -> String {
     let mut hash = Xxh3::new();
     hash.update(serde_json::to_string(facts).unwrap_or_default().as_bytes());
     for (name, Tensor { kind, shape, bytes }) in tensors {
@@ -144,17 +144,19 @@ fn check(facts: &Facts, tensors: &BTreeMap<String, Tensor>) -> String {
     format!("{:016x}", hash.digest())
 }
 
-fn dtype(kind: Kind) -> Dtype {
+fn dtype(kind: NumberKind) -> Dtype {
     match kind {
-        Kind::U32 => Dtype::U32,
-        Kind::U64 => Dtype::U64,
-        Kind::F32 => Dtype::F32,
-        Kind::F64 => Dtype::F64,
+        NumberKind::U32 => Dtype::U32,
+        NumberKind::U64 => Dtype::U64,
+        NumberKind::F32 => Dtype::F32,
+        NumberKind::F64 => Dtype::F64,
     }
 }
 
-fn kind(dtype: Dtype) -> Option<Kind> {
-    [Kind::U32, Kind::U64, Kind::F32, Kind::F64].into_iter().find(|&kind| self::dtype(kind) == dtype)
+fn kind(dtype: Dtype) -> Option<NumberKind> {
+    [NumberKind::U32, NumberKind::U64, NumberKind::F32, NumberKind::F64]
+        .into_iter()
+        .find(|&kind| self::dtype(kind) == dtype)
 }
 
 impl Checkpoint {
@@ -176,7 +178,7 @@ impl Checkpoint {
         let foreign = || CheckpointError::Foreign { path: path.to_owned() };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| damaged(&e.to_string()))?;
         let text = header.metadata().as_ref().and_then(|map| map.get(ENTRY)).ok_or_else(foreign)?;
-        let Entry { facts, check: stated } =
+        let MetadataEntry { facts, check: stated } =
             serde_json::from_str(text).map_err(|_| damaged("its metadata cannot be read"))?;
         if facts.format != FORMAT {
             return Err(foreign());
@@ -203,7 +205,7 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError::Mismatch`], which says what differs.
     pub fn fits(&self, role: Role, scenario: u64) -> Result<(), CheckpointError> {
-        let ours = Facts::new(role, 0, self.facts.tick, self.facts.sequence, scenario);
+        let ours = CheckpointFacts::new(role, 0, self.facts.tick, self.facts.sequence, scenario);
         let theirs = &self.facts;
         for (what, ours, theirs) in [
             ("role", ours.role, &theirs.role),
@@ -223,9 +225,9 @@ impl Checkpoint {
     ///
     /// # Errors
     /// [`CheckpointError::Damaged`] when something is missing, too much, or of another size.
-    pub fn restore(&self, part: &mut dyn Remember) -> Result<(), CheckpointError> {
-        let mut restore = Restore::new(&self.tensors, &[WEIGHTS]);
-        part.remember(&mut restore);
+    pub fn restore(&self, part: &mut dyn Persist) -> Result<(), CheckpointError> {
+        let mut restore = TensorRestorer::new(&self.tensors, &[WEIGHTS]);
+        part.visit_state(&mut restore);
         restore.finish().map_err(|what| CheckpointError::Damaged { path: self.path.clone(), what })
     }
 }

@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use super::*;
-use crate::plant::Body;
+use crate::plant::SimulatedPlant;
 use crate::runtime::{Controller, PlantSide};
 use crate::scenario::{Plan, Scenario};
 use crate::wire::{Command, Observation};
@@ -11,27 +11,27 @@ fn plan(name: &str) -> Plan {
 }
 
 /// Plant and controller after some ticks.
-fn lived(plan: &Plan, ticks: u64) -> (PlantSide<Body>, Controller) {
-    let mut plant = PlantSide::new(Body::of(plan).unwrap(), plan);
+fn lived(plan: &Plan, ticks: u64) -> (PlantSide<SimulatedPlant>, Controller) {
+    let mut plant = PlantSide::new(SimulatedPlant::of(plan).unwrap(), plan);
     let mut controller = Controller::new(plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     for tick in 0..ticks {
         plant.observe(tick, 0, 0, &mut observation);
         controller.respond(&observation, &mut command);
-        controller.settle(&observation);
-        plant.live(tick, Some(&command));
+        controller.after_command(&observation);
+        plant.step(tick, Some(&command));
     }
     (plant, controller)
 }
 
-fn bytes(part: &mut dyn Remember) -> Vec<u8> {
+fn bytes(part: &mut dyn Persist) -> Vec<u8> {
     let mut bytes = vec![0; crate::state::size(part)];
     crate::state::save(part, &mut bytes).unwrap();
     bytes
 }
 
-fn facts(role: Role, plan: &Plan) -> Facts {
-    Facts::new(role, 7, 300, 300, plan.hash)
+fn facts(role: Role, plan: &Plan) -> CheckpointFacts {
+    CheckpointFacts::new(role, 7, 300, 300, plan.hash)
 }
 
 #[test]
@@ -41,14 +41,14 @@ fn what_was_written_is_read_back_to_the_bit() {
         let (mut plant, mut controller) = lived(&plan, 300);
         let policy = controller.policy().clone();
         for (role, part, policy) in
-            [(Role::Plant, &mut plant as &mut dyn Remember, None), (Role::Controller, &mut controller, Some(&policy))]
+            [(Role::Plant, &mut plant as &mut dyn Persist, None), (Role::Controller, &mut controller, Some(&policy))]
         {
             let file = encode(&facts(role, &plan), part, policy);
             assert_eq!(file, encode(&facts(role, &plan), part, policy), "the same bytes each time");
             let checkpoint = Checkpoint::parse(Path::new("x"), &file).unwrap();
             checkpoint.fits(role, plan.hash).unwrap();
             let (mut new_plant, mut new_controller) = lived(&plan, 0);
-            let fresh: &mut dyn Remember = if role == Role::Plant { &mut new_plant } else { &mut new_controller };
+            let fresh: &mut dyn Persist = if role == Role::Plant { &mut new_plant } else { &mut new_controller };
             checkpoint.restore(fresh).unwrap();
             assert!(bytes(fresh) == bytes(part), "{name} {}", role.name());
         }

@@ -11,14 +11,14 @@ use crate::wire::Role;
 
 /// Brings a process's checkpoints to the disk while its ticks go on.
 #[derive(Debug)]
-pub struct Writer {
+pub struct CheckpointWriter {
     folder: PathBuf,
     role: Role,
     sender: Sender<(PathBuf, Vec<u8>, bool)>,
     thread: JoinHandle<Result<u64, String>>,
 }
 
-impl Writer {
+impl CheckpointWriter {
     /// A writer for the process in the place of `role` of the run in `folder`.
     ///
     /// # Errors

@@ -4,20 +4,20 @@
 //! a [`TimeSource`], which is real (absolute deadlines on CLOCK_MONOTONIC) or stepped (the tick's own virtual time).
 
 mod holders;
-mod life;
 mod limits;
 mod machine;
+mod process_handle;
 mod realtime;
 mod signals;
 mod source;
 
 pub use holders::mapping;
-pub use life::Life;
 pub use limits::{lock_limit, lock_remedy, priority_limit, priority_remedy};
 pub use machine::facts;
-pub use realtime::{Asked, Held, RealtimeReport, Refusal, fifo};
-pub use signals::Signals;
-pub use source::{Backoff, TimeSource, Wake};
+pub use process_handle::ProcessHandle;
+pub use realtime::{RealtimeGranted, RealtimeRefusal, RealtimeReport, RealtimeRequest, fifo};
+pub use signals::TerminationSignals;
+pub use source::{Backoff, TimeSource, WakeReason};
 
 use rustix::thread::{NanosleepRelativeResult, clock_nanosleep_absolute, nanosleep};
 use rustix::time::{ClockId, Timespec, clock_gettime};

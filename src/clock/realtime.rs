@@ -2,7 +2,7 @@
 //!
 //! A request that succeeded says little: a set of cores is cut down in silence, a lock may cover what is there and not what
 //! comes. So everything is read back from the kernel (`/proc`, the affinity mask), and what is not as it was asked for is
-//! a [`Refusal`] with its remedy. None of them ends a run. Requests hold for the calling thread, which must be the one that
+//! a [`RealtimeRefusal`] with its remedy. None of them ends a run. Requests hold for the calling thread, which must be the one that
 //! runs the loop; the lock holds for the whole process.
 
 use std::hint::black_box;
@@ -29,16 +29,16 @@ const SPARE_STACK_KIB: u64 = 512;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RealtimeReport {
     /// What was asked for.
-    pub asked: Asked,
+    pub asked: RealtimeRequest,
     /// What holds, read back after the requests.
-    pub held: Held,
+    pub held: RealtimeGranted,
     /// What was asked for and does not hold.
-    pub refused: Vec<Refusal>,
+    pub refused: Vec<RealtimeRefusal>,
 }
 
 /// What was asked for: the scenario's table, and the timer slack.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Asked {
+pub struct RealtimeRequest {
     /// Priority under SCHED_FIFO.
     pub priority: Option<u32>,
     /// Cores; none named means all.
@@ -53,7 +53,7 @@ pub struct Asked {
 
 /// What holds, as the kernel says it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Held {
+pub struct RealtimeGranted {
     /// The thread's scheduling policy: `other`, `fifo`, `round-robin`, `batch`, `idle`, `deadline`.
     pub scheduler: String,
     /// Its real-time priority; 0 under the ordinary scheduler.
@@ -70,7 +70,7 @@ pub struct Held {
 
 /// Something that was asked for and does not hold.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Refusal {
+pub struct RealtimeRefusal {
     /// What: the key and the value that was asked for.
     pub what: String,
     /// Why, as far as the system says.
@@ -91,10 +91,10 @@ impl RealtimeReport {
         let _ = NonZeroU64::new(TIMER_SLACK_NS).map(|slack| set_current_timer_slack(Some(slack)));
         let priority = process.priority.and_then(|priority| fifo(priority).err().map(|why| (priority, why)));
 
-        let held = Held::now();
+        let held = RealtimeGranted::now();
         refused.extend(stack.or_else(|| short_stack(process.prefault_stack_kib, &held)));
         refused.extend(lock.or_else(|| {
-            (process.lock_memory && held.locked_kib == 0).then(|| Refusal {
+            (process.lock_memory && held.locked_kib == 0).then(|| RealtimeRefusal {
                 what: "lock_memory".to_owned(),
                 why: "the request was taken, and nothing is locked".to_owned(),
                 remedy: lock_remedy(&program()),
@@ -103,25 +103,25 @@ impl RealtimeReport {
         let fallen = |wanted: &u32| held.scheduler != "fifo" || held.priority != *wanted;
         if let Some(wanted) = process.priority.filter(fallen) {
             let (_, why) = priority.unwrap_or((wanted, "the request was taken, and does not hold".to_owned()));
-            refused.push(Refusal {
+            refused.push(RealtimeRefusal {
                 what: format!("priority = {wanted}"),
                 why,
                 remedy: priority_remedy(wanted, &program()),
             });
         }
         if held.timer_slack_ns > TIMER_SLACK_NS {
-            refused.push(Refusal {
+            refused.push(RealtimeRefusal {
                 what: format!("timer slack of {TIMER_SLACK_NS} ns"),
                 why: format!("it is {} ns", held.timer_slack_ns),
                 remedy: "a sandbox may forbid prctl(PR_SET_TIMERSLACK); wake-ups are later by that much".to_owned(),
             });
         }
-        Self { asked: Asked::of(process), held, refused }
+        Self { asked: RealtimeRequest::of(process), held, refused }
     }
 
     /// Whether nothing was asked for beyond what always is, and nothing was refused.
     pub fn is_usual(&self) -> bool {
-        self.asked == Asked::of(&RealtimeProcess::default()) && self.refused.is_empty()
+        self.asked == RealtimeRequest::of(&RealtimeProcess::default()) && self.refused.is_empty()
     }
 
     /// What holds, and what was refused, on one line.
@@ -145,7 +145,7 @@ impl RealtimeReport {
     }
 }
 
-impl Asked {
+impl RealtimeRequest {
     fn of(process: &RealtimeProcess) -> Self {
         Self {
             priority: process.priority,
@@ -157,7 +157,7 @@ impl Asked {
     }
 }
 
-impl Held {
+impl RealtimeGranted {
     /// What holds for the calling thread now.
     pub fn now() -> Self {
         let (scheduler, priority) = scheduler().unwrap_or_else(|| ("unknown".to_owned(), 0));
@@ -200,7 +200,7 @@ fn system(error: std::io::Error) -> String {
 }
 
 /// Moves the calling thread to `asked`.
-fn take_cores(asked: &[u32], table: &str) -> Option<Refusal> {
+fn take_cores(asked: &[u32], table: &str) -> Option<RealtimeRefusal> {
     if asked.is_empty() {
         return None;
     }
@@ -219,7 +219,7 @@ fn take_cores(asked: &[u32], table: &str) -> Option<Refusal> {
         _ => format!("the machine has the cores {}, and the process may run on {}", online.trim(), ranges(&held)),
     };
     let what = if missing.is_empty() { asked } else { &missing };
-    Some(Refusal {
+    Some(RealtimeRefusal {
         what: format!("cores = [{}]", what.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")),
         why,
         remedy: format!("name cores that this machine has, and that its control groups allow, as {table}.cores"),
@@ -227,8 +227,8 @@ fn take_cores(asked: &[u32], table: &str) -> Option<Refusal> {
 }
 
 /// Locks what is there and, where no limit could be met later, what will come.
-fn lock_memory() -> Result<(), Refusal> {
-    let refusal = |why| Refusal { what: "lock_memory".to_owned(), why, remedy: lock_remedy(&program()) };
+fn lock_memory() -> Result<(), RealtimeRefusal> {
+    let refusal = |why| RealtimeRefusal { what: "lock_memory".to_owned(), why, remedy: lock_remedy(&program()) };
     let limit = lock_limit();
     // Under a limit, a process that had locked all that is to come would die of its next allocation beyond it.
     let what = if limit.is_none() { MlockAllFlags::CURRENT | MlockAllFlags::FUTURE } else { MlockAllFlags::CURRENT };
@@ -243,10 +243,10 @@ fn lock_memory() -> Result<(), Refusal> {
 }
 
 /// Touches `kib` of stack below the caller, so that no tick is the first to need it.
-fn touch_stack(kib: u32, table: &str) -> Option<Refusal> {
+fn touch_stack(kib: u32, table: &str) -> Option<RealtimeRefusal> {
     let limit = getrlimit(Resource::Stack).current.map_or(u64::MAX, |bytes| bytes >> 10);
     if u64::from(kib) + SPARE_STACK_KIB + status_kib("VmStk") > limit {
-        return (kib > 0).then(|| Refusal {
+        return (kib > 0).then(|| RealtimeRefusal {
             what: format!("prefault_stack_kib = {kib}"),
             why: format!("the whole stack is {limit} KiB"),
             remedy: format!("give less for {table}.prefault_stack_kib, or `ulimit -s 8192`"),
@@ -267,8 +267,8 @@ fn touch(pages: u32) {
     black_box(&page);
 }
 
-fn short_stack(kib: u32, held: &Held) -> Option<Refusal> {
-    (held.stack_kib < u64::from(kib)).then(|| Refusal {
+fn short_stack(kib: u32, held: &RealtimeGranted) -> Option<RealtimeRefusal> {
+    (held.stack_kib < u64::from(kib)).then(|| RealtimeRefusal {
         what: format!("prefault_stack_kib = {kib}"),
         why: format!("the main thread's stack has been in use for {} KiB", held.stack_kib),
         remedy: "run the loop in the program's main thread".to_owned(),
@@ -336,7 +336,7 @@ mod tests {
 
     #[test]
     fn a_core_is_held_alone_and_one_that_is_not_there_is_refused() {
-        let first = Held::now().cores[0];
+        let first = RealtimeGranted::now().cores[0];
         let report = asked(RealtimeProcess { cores: vec![first], ..RealtimeProcess::default() });
         assert_eq!((report.held.cores.as_slice(), report.refused.len()), ([first].as_slice(), 0));
         // The kernel takes this request and drops the core in silence.

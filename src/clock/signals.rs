@@ -10,12 +10,12 @@ use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGXFSZ};
 
 /// The last termination signal that came, if any, and whether a checkpoint was asked for.
 #[derive(Debug, Clone, Default)]
-pub struct Signals {
+pub struct TerminationSignals {
     number: Arc<AtomicUsize>,
     asked: Arc<AtomicBool>,
 }
 
-impl Signals {
+impl TerminationSignals {
     /// Takes over SIGINT, SIGTERM and SIGUSR1 for this process. SIGXFSZ is taken too, so that a file-size limit shows as an
     /// error of the write instead of killing the logger.
     ///

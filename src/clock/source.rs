@@ -8,7 +8,7 @@ use super::{monotonic_ns, pause, sleep_until};
 
 /// How a wait for a tick ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Wake {
+pub enum WakeReason {
     /// The tick begins.
     Tick,
     /// The caller's look-around said to give up.
@@ -93,28 +93,28 @@ impl TimeSource {
         tick: u64,
         mut arrived: impl FnMut() -> bool,
         mut look_around: impl FnMut() -> bool,
-    ) -> Wake {
+    ) -> WakeReason {
         let scheduled = self.scheduled(tick);
         if self.is_real() {
             loop {
                 let now = self.now();
                 if now >= scheduled {
-                    return if look_around() { Wake::Cancelled } else { Wake::Tick };
+                    return if look_around() { WakeReason::Cancelled } else { WakeReason::Tick };
                 }
                 sleep_until(scheduled.min(now + SLICE_NS));
                 if scheduled > now + SLICE_NS && look_around() {
-                    return Wake::Cancelled;
+                    return WakeReason::Cancelled;
                 }
             }
         }
         let mut backoff = Backoff::default();
         while !arrived() {
             if backoff.pause() && look_around() {
-                return Wake::Cancelled;
+                return WakeReason::Cancelled;
             }
         }
         self.step_to(tick);
-        Wake::Tick
+        WakeReason::Tick
     }
 }
 
@@ -161,22 +161,22 @@ mod tests {
             },
             || false,
         );
-        assert_eq!((wake, asked, time.now()), (Wake::Tick, 3, 350_000_000));
+        assert_eq!((wake, asked, time.now()), (WakeReason::Tick, 3, 350_000_000));
     }
 
     #[test]
     fn real_ticks_begin_at_their_absolute_instant_and_can_be_cancelled() {
         let t0 = monotonic_ns();
         let mut time = TimeSource::real(t0, 2_000_000);
-        assert_eq!(time.await_tick(5, || unreachable!(), || false), Wake::Tick);
+        assert_eq!(time.await_tick(5, || unreachable!(), || false), WakeReason::Tick);
         assert!(time.now() >= t0 + 10_000_000);
         let mut far = TimeSource::real(t0 + 3_600_000_000_000, 1);
-        assert_eq!(far.await_tick(0, || unreachable!(), || true), Wake::Cancelled);
+        assert_eq!(far.await_tick(0, || unreachable!(), || true), WakeReason::Cancelled);
     }
 
     #[test]
     fn a_stepped_wait_can_be_cancelled() {
         let mut time = TimeSource::stepped(1);
-        assert_eq!(time.await_tick(1, || false, || true), Wake::Cancelled);
+        assert_eq!(time.await_tick(1, || false, || true), WakeReason::Cancelled);
     }
 }

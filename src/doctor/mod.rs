@@ -4,9 +4,9 @@
 //! a thread wakes up that sleeps until an absolute instant, as the plant does. What runs left in shared memory is listed
 //! with its owner, and removed on request if it has none.
 
+mod cleanup;
 mod lateness;
 mod machine;
-mod tidy;
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -15,7 +15,7 @@ use serde::Serialize;
 
 pub use lateness::{Lateness, PERIOD_NS, measure};
 
-use crate::channel::{Remains, survey, sweep};
+use crate::channel::{StaleDomain, list_domains, remove_stale_domains};
 
 /// How good something is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -77,19 +77,19 @@ pub struct Examination {
     /// How late threads woke up; null where it was not measured.
     pub wake_up_lateness: Option<Lateness>,
     /// What runs have in shared memory, after any cleaning.
-    pub domains: Vec<Remains>,
+    pub domains: Vec<StaleDomain>,
     /// What was removed.
-    pub removed: Vec<Remains>,
+    pub removed: Vec<StaleDomain>,
 }
 
 /// Looks at everything: removes first what belongs to nobody if `clean`, measures for `seconds` (0 leaves that out), and
 /// looks for room on the disk of `folder`.
 pub fn examine(clean: bool, seconds: u32, folder: &Path) -> Examination {
-    let removed = if clean { sweep(true) } else { Vec::new() };
-    let domains = survey();
+    let removed = if clean { remove_stale_domains(true) } else { Vec::new() };
+    let domains = list_domains();
     let mut checks = machine::checks();
-    checks.extend(tidy::room(folder));
-    checks.push(tidy::debris(&domains, &removed));
+    checks.extend(cleanup::room(folder));
+    checks.push(cleanup::debris(&domains, &removed));
     let lateness = (seconds > 0).then(|| measure(seconds));
     checks.extend(lateness.as_ref().map(Lateness::check));
     let verdict = checks.iter().map(|check| check.verdict).max().unwrap_or(Verdict::Fine);

@@ -5,7 +5,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::lanes::LANES;
+use crate::simd::LANES;
 
 /// Features of a block: what rows of units are padded to.
 pub(super) const BLOCK: usize = 4;

@@ -1,4 +1,4 @@
-//! The kernel: features eight at a time, on whatever [`Lanes`] the machine has.
+//! The kernel: features eight at a time, on whatever [`F32x8`] the machine has.
 //!
 //! Exponentials are computed for *lines* only (96 units for the arm's 320 features). Their sums of squares give the
 //! norm of all features before any of them exists, so the scale is folded into the lines, and the features are written
@@ -18,22 +18,22 @@ use glam::Vec4;
 
 use super::exponential::{MAGIC, MANTISSA_BITS, POLYNOMIAL, SUM_SCALE, inverse_norm, scaled};
 use super::features::{BLOCK, CacheLine, Features, GROUP};
-use super::plan::{Group, Plan};
-use crate::lanes::{LANES, Lanes, Pass};
+use super::tables::{EncoderTables, UnitGroup};
+use crate::simd::{F32x8, Kernel, LANES};
 
 /// Encodes `inputs` into `out`, by way of `lines`.
 pub(super) struct Encode<'a> {
-    pub plan: &'a Plan,
+    pub plan: &'a EncoderTables,
     pub inputs: &'a [f32],
     pub lines: &'a mut Features,
     pub out: &'a mut Features,
 }
 
-impl Pass for Encode<'_> {
+impl Kernel for Encode<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self) {
+    fn run<L: F32x8>(self) {
         let Self { plan, inputs, lines, out } = self;
         let groups = lines.cache_lines_mut();
         exponents::<L>(inputs, &plan.groups, plan.centres.cache_lines(), plan.floors.cache_lines(), groups);
@@ -45,9 +45,9 @@ impl Pass for Encode<'_> {
 
 /// First pass: the (negative) binary exponents of all lines' units.
 #[inline(always)]
-fn exponents<L: Lanes>(
+fn exponents<L: F32x8>(
     inputs: &[f32],
-    groups: &[Group],
+    groups: &[UnitGroup],
     centres: &[CacheLine],
     floors: &[CacheLine],
     lines: &mut [CacheLine],
@@ -63,7 +63,7 @@ fn exponents<L: Lanes>(
 
 /// Second pass: exponents become activations, `2^-y` for `0 <= y <= 127`.
 #[inline(always)]
-fn activations<L: Lanes>(lines: &mut [CacheLine]) {
+fn activations<L: F32x8>(lines: &mut [CacheLine]) {
     let magic = L::splat(MAGIC);
     for line in lines {
         // Two chains of operations side by side, or with narrow registers four.
@@ -78,7 +78,7 @@ fn activations<L: Lanes>(lines: &mut [CacheLine]) {
 
 /// `2^g`, by Estrin's scheme: one multiplication more than Horner's, and half its chain.
 #[inline(always)]
-fn power<L: Lanes>(g: L) -> L {
+fn power<L: F32x8>(g: L) -> L {
     let [c0, c1, c2, c3, c4, c5] = POLYNOMIAL;
     let g2 = g * g;
     let p = (L::splat(c5) * g + L::splat(c4)) * g2 + (L::splat(c3) * g + L::splat(c2));
@@ -87,7 +87,7 @@ fn power<L: Lanes>(g: L) -> L {
 
 /// Third pass: the sum of squares of all features, in units of [`SUM_SCALE`]. A plane's is the product of its lines'.
 #[inline(always)]
-fn sum_of_squares<L: Lanes>(plan: &Plan, lines: &[CacheLine]) -> f32 {
+fn sum_of_squares<L: F32x8>(plan: &EncoderTables, lines: &[CacheLine]) -> f32 {
     let mut total = 0.0;
     for plane in &plan.planes {
         let slow = squares::<L>(&lines[plane.slow..plane.fast]) * SUM_SCALE;
@@ -98,7 +98,7 @@ fn sum_of_squares<L: Lanes>(plan: &Plan, lines: &[CacheLine]) -> f32 {
 
 /// The sum of squares of some groups: four neighbouring blocks of four, then groups, and the lanes last.
 #[inline(always)]
-fn squares<L: Lanes>(groups: &[CacheLine]) -> f32 {
+fn squares<L: F32x8>(groups: &[CacheLine]) -> f32 {
     let mut sum = Vec4::ZERO;
     for group in groups {
         let (low, high) = (L::load(&group.0[0]), L::load(&group.0[1]));
@@ -111,7 +111,7 @@ fn squares<L: Lanes>(groups: &[CacheLine]) -> f32 {
 
 /// Last pass: lines become features.
 #[inline(always)]
-fn expand<L: Lanes>(plan: &Plan, lines: &[f32], scale: f32, out: &mut [f32]) {
+fn expand<L: F32x8>(plan: &EncoderTables, lines: &[f32], scale: f32, out: &mut [f32]) {
     for plane in &plan.planes {
         let slow = &lines[plane.slow * GROUP..][..plane.rows];
         let fast = &lines[plane.fast * GROUP..][..plane.stride];
@@ -132,7 +132,7 @@ fn expand<L: Lanes>(plan: &Plan, lines: &[f32], scale: f32, out: &mut [f32]) {
 
 /// `out = line * factor`, whole blocks.
 #[inline(always)]
-fn multiply<L: Lanes>(line: &[f32], factor: f32, out: &mut [f32]) {
+fn multiply<L: F32x8>(line: &[f32], factor: f32, out: &mut [f32]) {
     let ((line, line_rest), (out, out_rest)) = (line.as_chunks(), out.as_chunks_mut());
     for (out, line) in out.iter_mut().zip(line) {
         *out = (L::load(line) * L::splat(factor)).store();
@@ -145,7 +145,7 @@ fn multiply<L: Lanes>(line: &[f32], factor: f32, out: &mut [f32]) {
 
 /// A plane whose rows are one group, as with the paper's 16 units: the fast line stays in registers.
 #[inline(always)]
-fn expand_rows<L: Lanes>(slow: &[f32], fast: &[f32; GROUP], scale: f32, out: &mut [[f32; GROUP]]) {
+fn expand_rows<L: F32x8>(slow: &[f32], fast: &[f32; GROUP], scale: f32, out: &mut [[f32; GROUP]]) {
     let [a, b]: [[f32; LANES]; 2] = bytemuck::cast(*fast);
     let (a, b, scale) = (L::load(&a), L::load(&b), L::splat(scale));
     // Four rows at a time: the next ones need not wait for the loop.

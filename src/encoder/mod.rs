@@ -35,21 +35,21 @@
 //!
 //! # Two implementations
 //!
-//! [`Encoder::encode`] runs as many lanes at a time as the machine has ([`Path`]); [`Encoder::encode_scalar`] is its twin in
+//! [`Encoder::encode`] runs as many lanes at a time as the machine has ([`SimdPath`]); [`Encoder::encode_scalar`] is its twin in
 //! plain `f32`, equal bit for bit on every path. [`naive`] holds plain baselines.
 
 mod exponential;
 mod features;
 mod kernel;
 pub mod naive;
-mod plan;
 mod scalar;
+mod tables;
 
 use features::BLOCK;
 pub use features::Features;
-use plan::Plan;
+use tables::EncoderTables;
 
-use crate::lanes::Path;
+use crate::simd::SimdPath;
 
 /// One axis of a map: `units` Gaussian kernels, uniformly spaced from `min` to `max`, reading input number `input`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,12 +78,12 @@ pub enum Map {
 /// Encodes inputs into features.
 #[derive(Debug, Clone)]
 pub struct Encoder {
-    plan: Plan,
+    plan: EncoderTables,
     /// Activations of all lines, between the passes; here so that a call allocates nothing.
     lines: Features,
     /// Inputs that are features themselves, behind the maps'.
     scalars: Vec<usize>,
-    path: Path,
+    path: SimdPath,
 }
 
 impl Encoder {
@@ -92,9 +92,9 @@ impl Encoder {
     ///
     /// The maps are taken as validated: finite numbers, at least 2 units, `radius > 0`, `max > min`.
     pub fn new(maps: &[Map], normalise: bool) -> Self {
-        let plan = Plan::new(maps, normalise);
+        let plan = EncoderTables::new(maps, normalise);
         let lines = plan.centres.clone();
-        Self { plan, lines, scalars: Vec::new(), path: Path::best() }
+        Self { plan, lines, scalars: Vec::new(), path: SimdPath::best() }
     }
 
     /// The same encoder with the inputs of these numbers as further features, as they are.
@@ -104,7 +104,7 @@ impl Encoder {
     }
 
     /// The same encoder on another path than the machine's best: the same features, bit for bit.
-    pub fn on(self, path: Path) -> Self {
+    pub fn on(self, path: SimdPath) -> Self {
         Self { path, ..self }
     }
 

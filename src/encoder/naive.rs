@@ -1,7 +1,7 @@
 //! Baselines: the same features written down the plain way, to measure the kernel's speed and its error against.
 //!
-//! Nothing in a run uses them. [`reference`](fn@reference) is the definition in double precision; [`Naive`] is what
-//! one would write first, one standard `exp` per feature and a second pass for the norm; [`Separable`] is what one
+//! Nothing in a run uses them. [`reference`](fn@reference) is the definition in double precision; [`NaiveEncoder`] is what
+//! one would write first, one standard `exp` per feature and a second pass for the norm; [`SeparableEncoder`] is what one
 //! would write next, one `exp` per unit of a line. All use the true feature order, without pads.
 
 use super::{Axis, Map};
@@ -36,13 +36,13 @@ pub fn reference(maps: &[Map], inputs: &[f64], normalise: bool) -> Vec<f64> {
 
 /// An axis in single precision: input, centres, and `-1 / (2 radius^2)`.
 #[derive(Debug, Clone)]
-struct Units {
+struct AxisUnits {
     input: usize,
     centres: Vec<f32>,
     factor: f32,
 }
 
-impl Units {
+impl AxisUnits {
     fn new(axis: &Axis) -> Self {
         let factor = -1.0 / (2.0 * axis.radius * axis.radius);
         Self { input: axis.input, centres: centres(axis).map(|c| c as f32).collect(), factor: factor as f32 }
@@ -56,10 +56,10 @@ impl Units {
 }
 
 /// The axes of every map; the second is the fast one of a plane.
-fn units(maps: &[Map]) -> Vec<(Units, Option<Units>)> {
+fn units(maps: &[Map]) -> Vec<(AxisUnits, Option<AxisUnits>)> {
     let units = |map: &Map| match map {
-        Map::Line(axis) => (Units::new(axis), None),
-        Map::Plane(slow, fast) => (Units::new(slow), Some(Units::new(fast))),
+        Map::Line(axis) => (AxisUnits::new(axis), None),
+        Map::Plane(slow, fast) => (AxisUnits::new(slow), Some(AxisUnits::new(fast))),
     };
     maps.iter().map(units).collect()
 }
@@ -72,12 +72,12 @@ fn to_unit_norm(features: &mut [f32]) {
 
 /// The textbook encoder: one standard `exp` per feature.
 #[derive(Debug, Clone)]
-pub struct Naive {
-    maps: Vec<(Units, Option<Units>)>,
+pub struct NaiveEncoder {
+    maps: Vec<(AxisUnits, Option<AxisUnits>)>,
     normalise: bool,
 }
 
-impl Naive {
+impl NaiveEncoder {
     /// An encoder for `maps`.
     pub fn new(maps: &[Map], normalise: bool) -> Self {
         Self { maps: units(maps), normalise }
@@ -104,13 +104,13 @@ impl Naive {
 
 /// The encoder that knows that a plane is the outer product of two lines: one standard `exp` per unit of a line.
 #[derive(Debug, Clone)]
-pub struct Separable {
-    maps: Vec<(Units, Option<Units>)>,
+pub struct SeparableEncoder {
+    maps: Vec<(AxisUnits, Option<AxisUnits>)>,
     line: Vec<f32>,
     normalise: bool,
 }
 
-impl Separable {
+impl SeparableEncoder {
     /// An encoder for `maps`.
     pub fn new(maps: &[Map], normalise: bool) -> Self {
         let maps = units(maps);

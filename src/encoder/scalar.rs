@@ -7,7 +7,7 @@
 
 use super::exponential::{MAGIC, MANTISSA_BITS, POLYNOMIAL, SUM_SCALE, inverse_norm, scaled};
 use super::features::{BLOCK, Features, GROUP};
-use super::plan::Plan;
+use super::tables::EncoderTables;
 
 /// `2^-min(y, floor)` for `y >= 0`; NaN gives the floor.
 fn exp2_negative(y: f32, floor: f32) -> f32 {
@@ -38,7 +38,7 @@ fn sum_of_squares(lines: &[f32]) -> f32 {
 }
 
 /// Encodes `inputs` into `out`, by way of `lines`.
-pub(super) fn encode(plan: &Plan, inputs: &[f32], lines: &mut Features, out: &mut Features) {
+pub(super) fn encode(plan: &EncoderTables, inputs: &[f32], lines: &mut Features, out: &mut Features) {
     let (lines, out) = (lines.as_mut_slice(), out.as_mut_slice());
     let (centres, floors) = (plan.centres.as_slice(), plan.floors.as_slice());
     for (at, line) in lines.iter_mut().enumerate() {

@@ -157,8 +157,8 @@ fn baselines_agree_with_the_reference() {
             encode(&mut plain);
             plain.iter().zip(&expected).for_each(|(g, e)| assert!((f64::from(*g) - e).abs() < 1e-6, "{name}"));
         };
-        check("naive", &mut |out| naive::Naive::new(&maps, normalise).encode(&inputs, out));
-        check("separable", &mut |out| naive::Separable::new(&maps, normalise).encode(&inputs, out));
+        check("naive", &mut |out| naive::NaiveEncoder::new(&maps, normalise).encode(&inputs, out));
+        check("separable", &mut |out| naive::SeparableEncoder::new(&maps, normalise).encode(&inputs, out));
     }
 }
 

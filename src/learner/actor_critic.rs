@@ -1,7 +1,7 @@
 //! Actor-critic with eligibility traces (Degris, Pilarski & Sutton 2012, *Model-Free Reinforcement Learning with
 //! Continuous Action in Practice*, ACC; algorithm "AC" with constant spread), and its natural gradient.
 //!
-//! A linear critic `V(k) = v . phi_k` stands on maps over pairs of inputs ([`Pairs`]) or on the actor's own features, and
+//! A linear critic `V(k) = v . phi_k` stands on maps over pairs of inputs ([`PairFeatures`]) or on the actor's own features, and
 //! on the reward of the tick before, if asked to. Its temporal-difference error takes the reward's place in the paper's rule:
 //!
 //! ```text
@@ -16,7 +16,7 @@
 //! with less noise (a control variate; Greensmith, Bartlett & Baxter 2004).
 //!
 //! `h` is the identity for the plain rule. For the natural one (Kakade 2001; Bhatnagar et al. 2009) it is the inverse of
-//! the features' second-moment matrix over the input box, worked out when the learner is built ([`Metric`]): the step then
+//! the features' second-moment matrix over the input box, worked out when the learner is built ([`NaturalMetric`]): the step then
 //! is as long in the space of commands whatever features overlap.
 //!
 //! Steps are bounded in the spirit of Elsayed et al. 2024 (*Streaming Deep Reinforcement Learning Finally Works*): an update
@@ -27,18 +27,18 @@
 //! slowly, so that it is not much more than what it bounds. An error, besides, counts for no more than some multiple of
 //! the running mean of its size: no single surprise (a joint that blocks, a reward far off) can throw the weights away.
 
-use super::critic_pass::Judge;
-use super::{LearningRule, Metric, Pairs, Tick, dot, sound};
+use super::critic_kernel::CriticKernel;
+use super::{LearningRule, NaturalMetric, PairFeatures, Transition, dot, sound};
 use crate::encoder::Features;
-use crate::lanes::Path;
-use crate::policy::{Linear, Outputs, Step, Tiles};
-use crate::scenario::CriticTable;
-use crate::state::{Ledger, Remember};
+use crate::policy::{LinearPolicy, Outputs, Tiles, TraceStep};
+use crate::scenario::CriticConfig;
+use crate::simd::SimdPath;
+use crate::state::{Persist, StateVisitor};
 use crate::wire::MAX_OUTPUTS;
 
 /// Constants of the critic.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Critic {
+pub struct CriticConstants {
     /// Its step `alpha_v`.
     pub step: f32,
     /// The discount `gamma` a tick.
@@ -61,9 +61,9 @@ pub struct Critic {
     pub sigma: f32,
 }
 
-impl Critic {
+impl CriticConstants {
     /// The constants of a table, for noise of standard deviation `sigma`.
-    pub fn of(table: &CriticTable, sigma: f32) -> Self {
+    pub fn of(table: &CriticConfig, sigma: f32) -> Self {
         Self {
             step: table.step as f32,
             discount: table.discount as f32,
@@ -93,10 +93,10 @@ const STRIDE: f32 = 0.5;
 pub struct ActorCritic {
     beta: f32,
     rate: f32,
-    critic: Critic,
-    pairs: Option<Pairs>,
+    critic: CriticConstants,
+    pairs: Option<PairFeatures>,
     sees_pairs: bool,
-    metric: Option<Metric>,
+    metric: Option<NaturalMetric>,
     /// What squared noise on each output costs, `c`.
     noise_costs: Outputs,
     outputs: usize,
@@ -121,7 +121,7 @@ pub struct ActorCritic {
 impl ActorCritic {
     /// The rule for a policy of `len` (padded) features and `outputs` outputs, with the actor's trace decay `beta` and
     /// `rate` = `alpha / sigma^2`.
-    pub fn new(len: usize, outputs: usize, beta: f32, rate: f32, critic: Critic) -> Self {
+    pub fn new(len: usize, outputs: usize, beta: f32, rate: f32, critic: CriticConstants) -> Self {
         Self {
             beta,
             rate,
@@ -147,7 +147,7 @@ impl ActorCritic {
     /// The same with a critic that sees `pairs`, and with steps along the natural gradient of `metric`. The metric is one
     /// of the actor's features, and is the critic's too where it sees those.
     #[must_use]
-    pub fn with(mut self, pairs: Option<Pairs>, metric: Option<Metric>) -> Self {
+    pub fn with(mut self, pairs: Option<PairFeatures>, metric: Option<NaturalMetric>) -> Self {
         if let Some(pairs) = &pairs {
             self.values = Features::zeroed(pairs.units());
             self.value_trace = self.values.clone();
@@ -178,10 +178,10 @@ impl ActorCritic {
 
     /// Takes the critic's step of the tick before, adds `direction` to its trace, and says what `here` and, after `reward`,
     /// `next` are worth: all in one pass, for there are many features.
-    fn judge(&mut self, path: Path, [here, next]: [&[f32]; 2], direction: &[f32], reward: f32) -> [f32; 2] {
+    fn judge(&mut self, path: SimdPath, [here, next]: [&[f32]; 2], direction: &[f32], reward: f32) -> [f32; 2] {
         let (kept, due) = (self.critic.discount * self.critic.decay, std::mem::take(&mut self.due));
         let (values, trace) = (self.values.as_mut_slice(), self.value_trace.as_mut_slice());
-        let seen = path.run(Judge { values, trace, here, next, direction, kept, due });
+        let seen = path.run(CriticKernel { values, trace, here, next, direction, kept, due });
         let factor = self.critic.reward_feature;
         let [weight, trace, last] = &mut self.last;
         *weight += due * *trace;
@@ -211,8 +211,8 @@ impl ActorCritic {
 
     fn learn_from(
         &mut self,
-        policy: &mut Linear,
-        tick: &Tick,
+        policy: &mut LinearPolicy,
+        tick: &Transition,
         [here, next]: [&[f32]; 2],
         metric: Option<&[f32]>,
         mean: &mut Outputs,
@@ -240,7 +240,7 @@ impl ActorCritic {
         self.due = self.critic_step(self.critic.step * fade, lengths, rewards) * error;
         let warm = ((self.learned + 1.0) / self.critic.warm_up.max(1.0)).min(1.0);
         let rate = self.actor_step(self.rate * warm * fade * error, sides, tick.noise);
-        let step = Step { features: direction, gain: tick.noise, decay: self.beta, rate };
+        let step = TraceStep { features: direction, gain: tick.noise, decay: self.beta, rate };
         self.learned += 1.0;
         policy.step_and_answer(&mut self.trace, step, tick.next_features, mean);
         rate
@@ -248,11 +248,11 @@ impl ActorCritic {
 }
 
 impl LearningRule for ActorCritic {
-    fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32 {
+    fn learn(&mut self, policy: &mut LinearPolicy, tick: &Transition) -> f32 {
         self.learn_and_answer(policy, tick, &mut [0.0; MAX_OUTPUTS])
     }
 
-    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
+    fn learn_and_answer(&mut self, policy: &mut LinearPolicy, tick: &Transition, mean: &mut Outputs) -> f32 {
         if self.halted {
             *mean = policy.mean(tick.next_features);
             return 0.0;
@@ -266,7 +266,7 @@ impl LearningRule for ActorCritic {
             Some(pairs) => pairs.see(tick.inputs, tick.next_inputs),
             None => [tick.features, tick.next_features],
         };
-        let learned = self.learn_from(policy, tick, seen, metric.as_ref().map(Metric::result), mean);
+        let learned = self.learn_from(policy, tick, seen, metric.as_ref().map(NaturalMetric::result), mean);
         (self.pairs, self.metric) = (pairs, metric);
         learned
     }
@@ -293,20 +293,20 @@ impl LearningRule for ActorCritic {
     }
 }
 
-impl Remember for ActorCritic {
+impl Persist for ActorCritic {
     /// What the pairs have seen last is not in it: they look again.
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.numbers("noise_costs", &mut self.noise_costs);
-        ledger.part("trace", &mut self.trace);
-        ledger.numbers("values", self.values.as_mut_slice());
-        ledger.numbers("value_trace", self.value_trace.as_mut_slice());
-        ledger.number("due", &mut self.due);
-        ledger.numbers("reach", &mut self.reach);
-        ledger.number("value_reach", &mut self.value_reach);
-        ledger.numbers("last", &mut self.last);
-        ledger.number("size", &mut self.size);
-        ledger.number("learned", &mut self.learned);
-        ledger.yes("halted", &mut self.halted);
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.numbers("noise_costs", &mut self.noise_costs);
+        visitor.nested("trace", &mut self.trace);
+        visitor.numbers("values", self.values.as_mut_slice());
+        visitor.numbers("value_trace", self.value_trace.as_mut_slice());
+        visitor.number("due", &mut self.due);
+        visitor.numbers("reach", &mut self.reach);
+        visitor.number("value_reach", &mut self.value_reach);
+        visitor.numbers("last", &mut self.last);
+        visitor.number("size", &mut self.size);
+        visitor.number("learned", &mut self.learned);
+        visitor.boolean("halted", &mut self.halted);
     }
 }
 
@@ -324,7 +324,7 @@ fn length(features: &[f32]) -> f32 {
 mod tests {
     use super::*;
 
-    const CRITIC: Critic = Critic {
+    const CRITIC: CriticConstants = CriticConstants {
         step: 0.5,
         discount: 0.9,
         decay: 0.5,
@@ -337,8 +337,8 @@ mod tests {
         sigma: 1.0,
     };
 
-    fn tick<'a>(features: &'a [f32], noise: &'a Outputs, reward: f32, next_features: &'a [f32]) -> Tick<'a> {
-        Tick { features, inputs: &[], noise, applied: noise, reward, next_features, next_inputs: &[] }
+    fn tick<'a>(features: &'a [f32], noise: &'a Outputs, reward: f32, next_features: &'a [f32]) -> Transition<'a> {
+        Transition { features, inputs: &[], noise, applied: noise, reward, next_features, next_inputs: &[] }
     }
 
     /// All value weights, once the step that is due has been taken.
@@ -350,9 +350,9 @@ mod tests {
 
     #[test]
     fn two_ticks_are_the_equations() {
-        let mut policy = Linear::new(4, (0..4).collect(), 4);
+        let mut policy = LinearPolicy::new(4, (0..4).collect(), 4);
         // Steps that no bound meets.
-        let critic = Critic { step: 0.25, sigma: 10.0, ..CRITIC };
+        let critic = CriticConstants { step: 0.25, sigma: 10.0, ..CRITIC };
         let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, critic);
         let mut noise = [0.0; 8];
         noise[..2].copy_from_slice(&[0.5, -1.0]);
@@ -378,9 +378,9 @@ mod tests {
     #[test]
     fn no_step_moves_a_mean_or_a_value_farther_than_the_bounds() {
         let (a, b) = ([0.8, 0.6, 0.0, 0.0], [0.0, 0.6, 0.8, 0.0]);
-        for metric in [None, Some(Metric::from_moments(vec![0.25; 16], 4, 4, 0.3))] {
-            let mut policy = Linear::new(4, (0..4).collect(), 3);
-            let critic = Critic { step: 100.0, sigma: 0.2, bound: 1e9, ..CRITIC };
+        for metric in [None, Some(NaturalMetric::from_moments(vec![0.25; 16], 4, 4, 0.3))] {
+            let mut policy = LinearPolicy::new(4, (0..4).collect(), 3);
+            let critic = CriticConstants { step: 100.0, sigma: 0.2, bound: 1e9, ..CRITIC };
             let mut rule = ActorCritic::new(4, 3, 0.9, 1000.0, critic).with(None, metric);
             let mut exploration = crate::policy::Exploration::new(3, 0.2, 3);
             let mut longest = 0.0_f32;
@@ -406,8 +406,8 @@ mod tests {
 
     #[test]
     fn what_squared_noise_costs_is_learned_and_taken_out() {
-        let mut policy = Linear::new(4, (0..4).collect(), 2);
-        let critic = Critic { noise_step: 0.05, sigma: 0.5, bound: 1e6, ..CRITIC };
+        let mut policy = LinearPolicy::new(4, (0..4).collect(), 2);
+        let critic = CriticConstants { noise_step: 0.05, sigma: 0.5, bound: 1e6, ..CRITIC };
         let mut rule = ActorCritic::new(4, 2, 0.0, 0.0, critic);
         let mut exploration = crate::policy::Exploration::new(3, 0.5, 2);
         for _ in 0..2000 {
@@ -431,7 +431,7 @@ mod tests {
 
     #[test]
     fn a_number_that_is_not_finite_stops_learning() {
-        let mut policy = Linear::new(4, (0..4).collect(), 4);
+        let mut policy = LinearPolicy::new(4, (0..4).collect(), 4);
         let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC);
         rule.values.as_mut_slice()[0] = f32::INFINITY;
         let noise = [1.0; 8];

@@ -9,22 +9,22 @@
 //! The mean is taken before the reward of the tick enters it, so that the gradient stays unbiased. Until N ticks have
 //! been it is the plain mean, after that it forgets with the time constant N.
 
-use super::{LearningRule, Paper, Tick};
-use crate::policy::{Linear, Outputs};
-use crate::state::{Ledger, Remember};
+use super::{LearningRule, PaperRule, Transition};
+use crate::policy::{LinearPolicy, Outputs};
+use crate::state::{Persist, StateVisitor};
 
 /// The rule and its mean.
 #[derive(Debug, Clone)]
-pub struct Baseline {
-    rule: Paper,
+pub struct BaselineRule {
+    rule: PaperRule,
     ticks: f32,
     seen: f32,
     mean: f32,
 }
 
-impl Baseline {
+impl BaselineRule {
     /// `rule` with a running mean over `ticks` ticks.
-    pub fn new(rule: Paper, ticks: f32) -> Self {
+    pub fn new(rule: PaperRule, ticks: f32) -> Self {
         Self { rule, ticks: ticks.max(1.0), seen: 0.0, mean: 0.0 }
     }
 
@@ -38,13 +38,13 @@ impl Baseline {
     }
 }
 
-impl LearningRule for Baseline {
-    fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32 {
+impl LearningRule for BaselineRule {
+    fn learn(&mut self, policy: &mut LinearPolicy, tick: &Transition) -> f32 {
         let advantage = self.advantage(tick.reward);
         self.rule.step(policy, tick.features, tick.noise, advantage)
     }
 
-    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
+    fn learn_and_answer(&mut self, policy: &mut LinearPolicy, tick: &Transition, mean: &mut Outputs) -> f32 {
         let advantage = self.advantage(tick.reward);
         self.rule.step_and_answer(policy, [tick.features, tick.next_features], tick.noise, advantage, mean)
     }
@@ -62,11 +62,11 @@ impl LearningRule for Baseline {
     }
 }
 
-impl Remember for Baseline {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        self.rule.remember(ledger);
-        ledger.number("seen", &mut self.seen);
-        ledger.number("mean", &mut self.mean);
+impl Persist for BaselineRule {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        self.rule.visit_state(visitor);
+        visitor.number("seen", &mut self.seen);
+        visitor.number("mean", &mut self.mean);
     }
 }
 
@@ -76,7 +76,7 @@ mod tests {
 
     #[test]
     fn the_mean_is_plain_at_first_and_then_forgets() {
-        let mut rule = Baseline::new(Paper::new(4, 4, 0.0, 1.0), 2.0);
+        let mut rule = BaselineRule::new(PaperRule::new(4, 4, 0.0, 1.0), 2.0);
         let advantages = [-1.0, -2.0, -4.0, -4.0].map(|r| rule.advantage(r));
         // Means before each reward: none, -1, -1.5, -2.75.
         assert_eq!(advantages, [0.0, -1.0, -2.5, -1.25]);

@@ -49,7 +49,7 @@ fn numerical(w: &Weights) -> Weights {
 
 /// What `rule`, told to step by next to nothing, adds to the weights 0 over all episodes.
 fn update(rule: &mut dyn LearningRule) -> Weights {
-    let mut policy = Linear::new(4, (0..4).collect(), 2);
+    let mut policy = LinearPolicy::new(4, (0..4).collect(), 2);
     let mut exploration = Exploration::new(5, SIGMA, 2);
     for episode in 0..EPISODES {
         let context = episode % 3;
@@ -64,7 +64,7 @@ fn update(rule: &mut dyn LearningRule) -> Weights {
             let (noise, applied) = (&noise, &noise);
             rule.learn(
                 &mut policy,
-                &Tick { features, inputs: &[], noise, applied, reward, next_features, next_inputs: &[] },
+                &Transition { features, inputs: &[], noise, applied, reward, next_features, next_inputs: &[] },
             );
         }
         rule.cut_trace();
@@ -84,7 +84,7 @@ fn cosine(a: &Weights, b: &Weights) -> f64 {
 const STEP: f32 = 1e-6;
 
 fn actor_critic() -> ActorCritic {
-    let critic = Critic {
+    let critic = CriticConstants {
         step: 0.05,
         discount: 0.9,
         decay: 0.5,
@@ -102,10 +102,10 @@ fn actor_critic() -> ActorCritic {
 #[test]
 fn first_order_rules_follow_the_gradient() {
     let gradient = numerical(&[[0.0; 4]; 2]);
-    let paper = || Paper::new(4, 2, BETA, STEP);
+    let paper = || PaperRule::new(4, 2, BETA, STEP);
     let rules: [(&str, Box<dyn LearningRule>); 3] = [
         ("paper", Box::new(paper())),
-        ("baseline", Box::new(Baseline::new(paper(), 100.0))),
+        ("baseline", Box::new(BaselineRule::new(paper(), 100.0))),
         ("actor-critic", Box::new(actor_critic())),
     ];
     for (name, mut rule) in rules {
@@ -124,7 +124,7 @@ fn the_natural_rule_follows_the_gradient_times_the_inverse_of_the_moments() {
     }
     let (len, share) = (4, 0.05);
     let ridge = share * (0..len).map(|i| moments[i * len + i]).sum::<f64>() / len as f64;
-    let metric = Metric::from_moments(moments.clone(), len, len, share);
+    let metric = NaturalMetric::from_moments(moments.clone(), len, len, share);
     let update = update(&mut actor_critic().with(None, Some(metric)));
     let gradient = numerical(&[[0.0; 4]; 2]);
     // The metric taken off again: (M + ridge) times the update.

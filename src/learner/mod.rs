@@ -14,28 +14,28 @@
 
 mod actor_critic;
 mod baseline;
-mod critic_pass;
+mod critic_kernel;
 mod learned_reward;
-mod metric;
 pub mod naive;
-mod pairs;
+mod natural_metric;
+mod pair_features;
 mod paper;
 
-pub use actor_critic::{ActorCritic, Critic};
-pub use baseline::Baseline;
+pub use actor_critic::{ActorCritic, CriticConstants};
+pub use baseline::BaselineRule;
 pub use learned_reward::LearnedReward;
-pub use metric::Metric;
-pub use pairs::Pairs;
-pub use paper::Paper;
+pub use natural_metric::NaturalMetric;
+pub use pair_features::PairFeatures;
+pub use paper::PaperRule;
 
 use crate::encoder::Encoder;
-use crate::policy::{Linear, Outputs};
-use crate::scenario::{CriticSight, Plan, Rule};
-use crate::state::{Ledger, Remember};
+use crate::policy::{LinearPolicy, Outputs};
+use crate::scenario::{CriticFeatures, Plan, Rule};
+use crate::state::{Persist, StateVisitor};
 
 /// One tick that may be learned from, with the inputs that followed it.
 #[derive(Debug, Clone, Copy)]
-pub struct Tick<'a> {
+pub struct Transition<'a> {
     /// The features that the policy answered, in the encoder's padded layout.
     pub features: &'a [f32],
     /// The inputs behind them.
@@ -58,18 +58,18 @@ pub struct Tick<'a> {
 pub trait LearningRule {
     /// Learns from one tick, before the next command goes out: the cheap part. Returns the factor with which the trace
     /// was added to the weights, or for a rule without a trace the size of its last step.
-    fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32;
+    fn learn(&mut self, policy: &mut LinearPolicy, tick: &Transition) -> f32;
 
     /// [`learn`](Self::learn), and then into `mean` the policy's mean output for the features of the tick after: the same
     /// numbers, to the bit, where a rule knows how to come by both in one pass.
-    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
+    fn learn_and_answer(&mut self, policy: &mut LinearPolicy, tick: &Transition, mean: &mut Outputs) -> f32 {
         let step = self.learn(policy, tick);
         *mean = policy.mean(tick.next_features);
         step
     }
 
     /// Uses the time after the command has gone out: the dear part. Called once a tick, learned from or not.
-    fn improve(&mut self, _policy: &mut Linear) {}
+    fn improve(&mut self, _policy: &mut LinearPolicy) {}
 
     /// Forgets what was done: after a tick in which something else happened than the policy asked for, no credit
     /// crosses over.
@@ -87,9 +87,9 @@ pub trait LearningRule {
 #[derive(Debug, Clone)]
 pub enum Learner {
     /// The paper's rule.
-    Paper(Paper),
+    Paper(PaperRule),
     /// The paper's rule with a baseline.
-    Baseline(Baseline),
+    Baseline(BaselineRule),
     /// Actor-critic, plain or natural.
     ActorCritic(Box<ActorCritic>),
     /// Policy improvement through a learned model of the reward.
@@ -100,23 +100,23 @@ impl Learner {
     /// The learner that `plan` names, for features of `encoder`.
     pub fn of(plan: &Plan, encoder: &Encoder) -> Self {
         let (table, len, outputs) = (&plan.scenario.learner, encoder.len(), plan.outputs.len());
-        let paper = || Paper::new(len, outputs, table.beta as f32, table.alpha_over_variance as f32);
+        let paper = || PaperRule::new(len, outputs, table.beta as f32, table.alpha_over_variance as f32);
         let actor_critic = |metric| {
             let critic = table.critic.clone().unwrap_or_default();
-            let pairs = (critic.sees == CriticSight::Pairs).then(|| Pairs::of(plan));
+            let pairs = (critic.sees == CriticFeatures::Pairs).then(|| PairFeatures::of(plan));
             let (beta, step, sigma) = (table.beta, table.alpha_over_variance, plan.scenario.policy.sigma);
             Self::ActorCritic(Box::new(
-                ActorCritic::new(len, outputs, beta as f32, step as f32, Critic::of(&critic, sigma as f32))
+                ActorCritic::new(len, outputs, beta as f32, step as f32, CriticConstants::of(&critic, sigma as f32))
                     .with(pairs, metric),
             ))
         };
         match table.rule {
             Rule::Paper => Self::Paper(paper()),
             Rule::Baseline => {
-                Self::Baseline(Baseline::new(paper(), table.baseline.clone().unwrap_or_default().ticks as f32))
+                Self::Baseline(BaselineRule::new(paper(), table.baseline.clone().unwrap_or_default().ticks as f32))
             }
             Rule::ActorCritic => actor_critic(None),
-            Rule::NaturalActorCritic => actor_critic(Some(Metric::of(plan, encoder))),
+            Rule::NaturalActorCritic => actor_critic(Some(NaturalMetric::of(plan, encoder))),
             Rule::LearnedReward => Self::LearnedReward(Box::new(LearnedReward::of(plan, encoder))),
         }
     }
@@ -141,11 +141,11 @@ impl Learner {
 }
 
 impl LearningRule for Learner {
-    fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32 {
+    fn learn(&mut self, policy: &mut LinearPolicy, tick: &Transition) -> f32 {
         self.rule_mut().learn(policy, tick)
     }
 
-    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
+    fn learn_and_answer(&mut self, policy: &mut LinearPolicy, tick: &Transition, mean: &mut Outputs) -> f32 {
         match self {
             // By name, so that what is called in every tick of the fastest rule can be inlined.
             Self::Paper(rule) => rule.learn_and_answer(policy, tick, mean),
@@ -153,7 +153,7 @@ impl LearningRule for Learner {
         }
     }
 
-    fn improve(&mut self, policy: &mut Linear) {
+    fn improve(&mut self, policy: &mut LinearPolicy) {
         self.rule_mut().improve(policy);
     }
 
@@ -170,13 +170,13 @@ impl LearningRule for Learner {
     }
 }
 
-impl Remember for Learner {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
+impl Persist for Learner {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         match self {
-            Self::Paper(rule) => rule.remember(ledger),
-            Self::Baseline(rule) => rule.remember(ledger),
-            Self::ActorCritic(rule) => rule.remember(ledger),
-            Self::LearnedReward(rule) => rule.remember(ledger),
+            Self::Paper(rule) => rule.visit_state(visitor),
+            Self::Baseline(rule) => rule.visit_state(visitor),
+            Self::ActorCritic(rule) => rule.visit_state(visitor),
+            Self::LearnedReward(rule) => rule.visit_state(visitor),
         }
     }
 }

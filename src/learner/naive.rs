@@ -2,14 +2,14 @@
 
 /// The rule and its policy as matrices, output by output, in three loops: trace, weights, mean output.
 #[derive(Debug, Clone)]
-pub struct Textbook {
+pub struct NaivePaperRule {
     beta: f32,
     rate: f32,
     weights: Vec<Vec<f32>>,
     trace: Vec<Vec<f32>>,
 }
 
-impl Textbook {
+impl NaivePaperRule {
     /// For `len` features and `outputs` outputs, with trace decay `beta` and `rate` = `alpha / sigma^2`.
     pub fn new(len: usize, outputs: usize, beta: f32, rate: f32) -> Self {
         let zeros = vec![vec![0.0; len]; outputs];
@@ -43,13 +43,13 @@ impl Textbook {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::learner::Paper;
-    use crate::policy::Linear;
+    use crate::learner::PaperRule;
+    use crate::policy::LinearPolicy;
 
     #[test]
     fn the_textbook_learns_what_the_rule_does() {
-        let (mut plain, mut rule) = (Textbook::new(20, 5, 0.9, 0.1), Paper::new(20, 5, 0.9, 0.1));
-        let mut policy = Linear::new(20, (0..20).collect(), 5);
+        let (mut plain, mut rule) = (NaivePaperRule::new(20, 5, 0.9, 0.1), PaperRule::new(20, 5, 0.9, 0.1));
+        let mut policy = LinearPolicy::new(20, (0..20).collect(), 5);
         for tick in 0..50 {
             let g: Vec<f32> = (0..20).map(|i| ((i * 7 + tick * 3) % 11) as f32 / 11.0).collect();
             let noise = std::array::from_fn(|i| ((i + tick) % 5) as f32 / 10.0 - 0.2);

@@ -10,13 +10,13 @@
 //! The trace is kept in units of noise: the paper's `Sigma^-1` is inside `alpha / sigma^2`, which is also how the paper
 //! states its step. `beta = 0` is the open-loop rule.
 
-use super::{LearningRule, Tick, sound};
-use crate::policy::{Linear, Outputs, Step, Tiles};
-use crate::state::{Ledger, Remember};
+use super::{LearningRule, Transition, sound};
+use crate::policy::{LinearPolicy, Outputs, Tiles, TraceStep};
+use crate::state::{Persist, StateVisitor};
 
 /// The rule, its constants and its trace.
 #[derive(Debug, Clone)]
-pub struct Paper {
+pub struct PaperRule {
     beta: f32,
     rate: f32,
     /// In the layout of the policy's weights.
@@ -24,7 +24,7 @@ pub struct Paper {
     halted: bool,
 }
 
-impl Paper {
+impl PaperRule {
     /// The rule for a policy of `len` (padded) features and `outputs` outputs, with trace decay `beta` in [0, 1) and
     /// `rate` = `alpha / sigma^2`.
     pub fn new(len: usize, outputs: usize, beta: f32, rate: f32) -> Self {
@@ -33,10 +33,10 @@ impl Paper {
 
     /// Learns from one tick: `features` and `noise` are those of the tick that earned `reward`. Returns the factor with
     /// which the trace was added to the weights, `rate * reward`; 0 from the first number on that is not sound.
-    pub fn step(&mut self, policy: &mut Linear, features: &[f32], noise: &Outputs, reward: f32) -> f32 {
+    pub fn step(&mut self, policy: &mut LinearPolicy, features: &[f32], noise: &Outputs, reward: f32) -> f32 {
         let (rate, gain) = self.prepare(noise, reward);
         if !self.halted {
-            policy.step(&mut self.trace, Step { features, gain: &gain, decay: self.beta, rate });
+            policy.step(&mut self.trace, TraceStep { features, gain: &gain, decay: self.beta, rate });
         }
         rate
     }
@@ -45,7 +45,7 @@ impl Paper {
     #[inline]
     pub fn step_and_answer(
         &mut self,
-        policy: &mut Linear,
+        policy: &mut LinearPolicy,
         [features, next]: [&[f32]; 2],
         noise: &Outputs,
         reward: f32,
@@ -55,7 +55,7 @@ impl Paper {
         if self.halted {
             *mean = policy.mean(next);
         } else {
-            let step = Step { features, gain: &gain, decay: self.beta, rate };
+            let step = TraceStep { features, gain: &gain, decay: self.beta, rate };
             policy.step_and_answer(&mut self.trace, step, next, mean);
         }
         rate
@@ -69,12 +69,12 @@ impl Paper {
     }
 }
 
-impl LearningRule for Paper {
-    fn learn(&mut self, policy: &mut Linear, tick: &Tick) -> f32 {
+impl LearningRule for PaperRule {
+    fn learn(&mut self, policy: &mut LinearPolicy, tick: &Transition) -> f32 {
         self.step(policy, tick.features, tick.noise, tick.reward)
     }
 
-    fn learn_and_answer(&mut self, policy: &mut Linear, tick: &Tick, mean: &mut Outputs) -> f32 {
+    fn learn_and_answer(&mut self, policy: &mut LinearPolicy, tick: &Transition, mean: &mut Outputs) -> f32 {
         self.step_and_answer(policy, [tick.features, tick.next_features], tick.noise, tick.reward, mean)
     }
 
@@ -91,10 +91,10 @@ impl LearningRule for Paper {
     }
 }
 
-impl Remember for Paper {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.part("trace", &mut self.trace);
-        ledger.yes("halted", &mut self.halted);
+impl Persist for PaperRule {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("trace", &mut self.trace);
+        visitor.boolean("halted", &mut self.halted);
     }
 }
 
@@ -106,8 +106,8 @@ mod tests {
 
     #[test]
     fn one_tick_is_the_equation() {
-        let mut policy = Linear::new(4, (0..4).collect(), 4);
-        let mut rule = Paper::new(4, 4, 0.75, 0.1);
+        let mut policy = LinearPolicy::new(4, (0..4).collect(), 4);
+        let mut rule = PaperRule::new(4, 4, 0.75, 0.1);
         let g = [1.0, 0.5, 0.0, 0.25];
         assert_eq!(rule.step(&mut policy, &g, &NOISE, -2.0), -0.2);
         for (output, noise) in NOISE[..4].iter().enumerate() {
@@ -120,8 +120,8 @@ mod tests {
 
     #[test]
     fn the_trace_decays_and_a_cut_clears_it() {
-        let mut policy = Linear::new(4, (0..4).collect(), 4);
-        let mut rule = Paper::new(4, 4, 0.5, 0.1);
+        let mut policy = LinearPolicy::new(4, (0..4).collect(), 4);
+        let mut rule = PaperRule::new(4, 4, 0.5, 0.1);
         rule.step(&mut policy, &[1.0; 4], &NOISE, 0.0);
         let norm = rule.trace_norm();
         rule.step(&mut policy, &[1.0; 4], &[0.0; 8], 0.0);
@@ -135,8 +135,8 @@ mod tests {
     fn a_number_that_is_not_sound_stops_learning() {
         for (reward, noise) in [(f32::INFINITY, 0.1), (f32::NAN, 0.1), (-1.0, f32::INFINITY), (1e30, 0.1), (-1.0, 1e30)]
         {
-            let mut policy = Linear::new(4, (0..4).collect(), 4);
-            let mut rule = Paper::new(4, 4, 0.5, 0.1);
+            let mut policy = LinearPolicy::new(4, (0..4).collect(), 4);
+            let mut rule = PaperRule::new(4, 4, 0.5, 0.1);
             rule.step(&mut policy, &[1.0; 4], &NOISE, -1.0);
             let hash = policy.hash();
             assert_eq!(rule.step(&mut policy, &[1.0; 4], &[noise; 8], reward), 0.0);
@@ -148,8 +148,9 @@ mod tests {
 
     #[test]
     fn eight_outputs_learn_as_four_do() {
-        let (mut four, mut eight) = (Linear::new(4, (0..4).collect(), 4), Linear::new(4, (0..4).collect(), 8));
-        let (mut a, mut b) = (Paper::new(4, 4, 0.9, 0.1), Paper::new(4, 8, 0.9, 0.1));
+        let (mut four, mut eight) =
+            (LinearPolicy::new(4, (0..4).collect(), 4), LinearPolicy::new(4, (0..4).collect(), 8));
+        let (mut a, mut b) = (PaperRule::new(4, 4, 0.9, 0.1), PaperRule::new(4, 8, 0.9, 0.1));
         let mut noise = NOISE;
         noise[4..].copy_from_slice(&NOISE[..4]);
         for k in 0..5 {

@@ -1,9 +1,9 @@
 //! What holds for every rule: order on short runs, determinism, the presets' validity, and stopping at a bad number.
 
 use super::*;
-use crate::plant::Body;
+use crate::plant::SimulatedPlant;
 use crate::runtime::{Controller, InProcess, in_process};
-use crate::scenario::{LearnerTable, Scenario};
+use crate::scenario::{LearnerConfig, Scenario};
 use crate::wire::{Command, Observation, flag};
 
 const RULES: [Rule; 5] =
@@ -12,12 +12,12 @@ const RULES: [Rule; 5] =
 fn plan(rule: Rule, seed: u64, ticks: u64) -> Plan {
     let mut scenario = Scenario::find("paper").unwrap();
     (scenario.seed, scenario.ticks) = (seed, ticks);
-    scenario.learner = LearnerTable::preset(rule);
+    scenario.learner = LearnerConfig::preset(rule);
     scenario.plan().unwrap()
 }
 
 fn run(plan: &Plan) -> InProcess {
-    in_process(plan, Body::of(plan).unwrap(), |_, _| true)
+    in_process(plan, SimulatedPlant::of(plan).unwrap(), |_, _| true)
 }
 
 /// Mean loss of the last of the run's windows.
@@ -70,7 +70,7 @@ fn a_rule_that_halts_says_so_in_the_log_and_leaves_the_weights_alone() {
         observation.header.flags = if tick == 0 { flag::FIRST } else { 0 };
         observation.reward = reward;
         controller.respond(&observation, &mut command);
-        controller.settle(&observation);
+        controller.after_command(&observation);
         (controller.halted(), controller.policy().hash())
     };
     for tick in 0..5 {

@@ -3,8 +3,8 @@
 use std::io::{self, Write};
 
 use super::header::flag_words;
-use super::{CHANNELS, LogError, Record, RunLog};
-use crate::scenario::SignalTable;
+use super::{CHANNELS, LogError, LogRecord, RunLog};
+use crate::scenario::SignalConfig;
 use crate::wire::{Header, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, flag};
 
 /// The channels of a log.
@@ -36,7 +36,7 @@ const HEADER: &str = "tick,time (s),sequence,scheduled (ns),sensed (ns),publishe
 /// The outer error is that of writing to `out`, the inner one that of reading the log; what came before has been
 /// written.
 pub fn csv(log: &mut RunLog, channel: CsvChannel, out: &mut dyn Write) -> io::Result<Result<u64, LogError>> {
-    let names = Names::of(log);
+    let names = ColumnNames::of(log);
     let mut line = names.line(channel);
     let mut account = log.account();
     let mut rows = 0;
@@ -50,7 +50,7 @@ pub fn csv(log: &mut RunLog, channel: CsvChannel, out: &mut dyn Write) -> io::Re
         };
         let lost = account.take(&record);
         match (channel, &record) {
-            (CsvChannel::Observation, Record::Observation(s)) => {
+            (CsvChannel::Observation, LogRecord::Observation(s)) => {
                 line.header(&s.header, period_ns, lost);
                 line.floats(&s.inputs[..names.inputs.len()]);
                 line.floats(&s.applied[..names.outputs.len()]);
@@ -58,19 +58,19 @@ pub fn csv(log: &mut RunLog, channel: CsvChannel, out: &mut dyn Write) -> io::Re
                 line.put(&s.skipped.to_string());
                 line.floats(&s.measures[..names.measures.len()]);
             }
-            (CsvChannel::Command, Record::Command(s)) => {
+            (CsvChannel::Command, LogRecord::Command(s)) => {
                 line.header(&s.header, period_ns, lost);
                 line.floats(&s.mean[..names.outputs.len()]);
                 line.floats(&s.drawn[..names.outputs.len()]);
             }
-            (CsvChannel::Learning, Record::Learning(s)) => {
+            (CsvChannel::Learning, LogRecord::Learning(s)) => {
                 line.header(&s.header, period_ns, lost);
                 line.floats(&s.noise[..names.outputs.len()]);
                 line.floats(&[s.reward, s.step, s.weights_norm, s.trace_norm]);
                 let hashed = s.header.flags & flag::HASHED != 0;
                 line.put(&if hashed { format!("{:016x}", s.weights_hash) } else { String::new() });
             }
-            (CsvChannel::Gap, Record::Gap(s)) => {
+            (CsvChannel::Gap, LogRecord::Gap(s)) => {
                 let name = usize::try_from(s.channel).ok().and_then(|i| CHANNELS.get(i));
                 line.put(&name.map_or_else(|| s.channel.to_string(), |name| (*name).to_owned()));
                 [s.first, s.count, s.total].iter().for_each(|n| line.put(&n.to_string()));
@@ -94,17 +94,17 @@ pub fn csv(log: &mut RunLog, channel: CsvChannel, out: &mut dyn Write) -> io::Re
 }
 
 /// The scenario's names, as the log tells them.
-struct Names {
+struct ColumnNames {
     inputs: Vec<String>,
     outputs: Vec<String>,
     measures: Vec<String>,
 }
 
-impl Names {
+impl ColumnNames {
     fn of(log: &RunLog) -> Self {
         let signals = |key: &str, most: usize| {
-            let table: Option<Vec<SignalTable>> = log.run(key).and_then(|json| serde_json::from_str(json).ok());
-            let named = |s: SignalTable| if s.unit.is_empty() { s.name } else { format!("{} ({})", s.name, s.unit) };
+            let table: Option<Vec<SignalConfig>> = log.run(key).and_then(|json| serde_json::from_str(json).ok());
+            let named = |s: SignalConfig| if s.unit.is_empty() { s.name } else { format!("{} ({})", s.name, s.unit) };
             let mut names: Vec<String> = table.unwrap_or_default().into_iter().map(named).collect();
             names.truncate(most);
             names
@@ -116,9 +116,9 @@ impl Names {
     }
 
     /// The line of column names.
-    fn line(&self, channel: CsvChannel) -> Line {
-        let mut line = Line::default();
-        let outputs = |line: &mut Line, what: &str| {
+    fn line(&self, channel: CsvChannel) -> CsvRow {
+        let mut line = CsvRow::default();
+        let outputs = |line: &mut CsvRow, what: &str| {
             self.outputs.iter().for_each(|name| line.put(&format!("{what} {name}")));
         };
         if channel == CsvChannel::Gap {
@@ -149,12 +149,12 @@ impl Names {
 
 /// A line of comma-separated fields in the making.
 #[derive(Default)]
-struct Line {
+struct CsvRow {
     text: String,
     fields: usize,
 }
 
-impl Line {
+impl CsvRow {
     fn len(&self) -> usize {
         self.fields
     }
@@ -202,7 +202,7 @@ mod tests {
 
     #[test]
     fn fields_are_quoted_where_they_must_be() {
-        let (mut line, mut out) = (Line::default(), Vec::new());
+        let (mut line, mut out) = (CsvRow::default(), Vec::new());
         ["plain", "a,b", "say \"x\"", ""].iter().for_each(|field| line.put(field));
         line.floats(&[0.1, -0.0, 1e-30, f32::NAN, f32::INFINITY]);
         line.end(&mut out).unwrap();

@@ -1,26 +1,26 @@
 //! What stands at the start of a log: everything that a reader needs to interpret it without this program.
 
 use super::{CHANNELS, LogError};
-use crate::scenario::{ChannelsTable, Plan, SignalTable};
+use crate::scenario::{ChannelsConfig, Plan, SignalConfig};
 use crate::wire::{Command, Gap, Learning, Observation, Sample, flag, schema_hash};
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The clock whose instants the samples carry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Clock {
+pub enum LogClock {
     /// Lockstep: tick k happens at `k * period`, starting from 0.
     Virtual,
     /// Real time: the system's monotonic clock.
     Monotonic,
 }
 
-impl Clock {
+impl LogClock {
     /// The name in the log.
     pub const fn name(self) -> &'static str {
         match self {
-            Clock::Virtual => "virtual",
-            Clock::Monotonic => "CLOCK_MONOTONIC",
+            LogClock::Virtual => "virtual",
+            LogClock::Monotonic => "CLOCK_MONOTONIC",
         }
     }
 }
@@ -53,26 +53,26 @@ pub struct LogHeader {
     /// Identity of the build that writes.
     pub build: String,
     /// Inputs of an observation, in order, with units and ranges.
-    pub inputs: Vec<SignalTable>,
+    pub inputs: Vec<SignalConfig>,
     /// Outputs of a command, in order, with units and ranges.
-    pub outputs: Vec<SignalTable>,
+    pub outputs: Vec<SignalConfig>,
     /// Names of an observation's measures, in order.
     pub measures: Vec<String>,
     /// Names of the channels; a topic is `/` and the name.
-    pub channels: ChannelsTable,
+    pub channels: ChannelsConfig,
     /// What is known of the machine: kernel, processor, cores, host and whatever else.
     pub machine: BTreeMap<String, String>,
     /// Real time: what each process asked of the operating system, what holds and what was refused, as JSON by the
     /// process's name; `realtime.` goes before it. Of a process that was started anew, the first account.
     pub realtime: BTreeMap<String, String>,
     /// The clock of all instants.
-    pub clock: Clock,
+    pub clock: LogClock,
     /// Start of tick 0 on that clock, ns; 0 on the virtual clock.
     pub t0_ns: u64,
     /// Wall time at that instant, ns since 1970; 0 on the virtual clock.
     pub wall_at_t0_ns: u64,
     /// Which part of the run's log the file is, and what the parts before it hold.
-    pub segment: Segment,
+    pub segment: LogSegment,
 }
 
 /// A part of a run's log: a logger that was started anew leaves the files that are there as they are, and writes another.
@@ -81,7 +81,7 @@ pub struct LogHeader {
 /// `begins.<channel>` and `before.<channel>.written`, `.lost`, `.thinned` and `.duplicates`; `before.gap.written` too. A log
 /// without these keys is the first of its run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Segment {
+pub struct LogSegment {
     /// The logger's start number within the run; 0 for the first file.
     pub number: u32,
     /// Sequence number of the first sample that no earlier segment accounts for, written, stated to be lost, or left out on
@@ -97,7 +97,7 @@ pub struct Segment {
     pub duplicates: [u64; 3],
 }
 
-impl Segment {
+impl LogSegment {
     /// Sequence number of the run's first sample on channel `i`: not 0 where the run goes on with another one.
     pub fn first(&self, i: usize) -> u64 {
         self.begins[i].saturating_sub(self.written[i]).saturating_sub(self.lost[i]).saturating_sub(self.thinned[i])
@@ -117,11 +117,11 @@ impl Segment {
     }
 
     /// What `tectum.run` says; a key that is missing or holds something else counts as 0.
-    pub(super) fn from_map(map: &BTreeMap<String, String>) -> Segment {
+    pub(super) fn from_map(map: &BTreeMap<String, String>) -> LogSegment {
         let number = |key: &str| map.get(key).and_then(|value| value.parse::<u64>().ok()).unwrap_or(0);
         let each = |what: &str| CHANNELS.map(|name| number(&format!("before.{name}.{what}")));
         let [observation, command, learning] = each("written");
-        Segment {
+        LogSegment {
             number: u32::try_from(number("segment")).unwrap_or(0),
             begins: CHANNELS.map(|name| number(&format!("begins.{name}"))),
             written: [observation, command, learning, number("before.gap.written")],
@@ -156,10 +156,10 @@ impl LogHeader {
             channels: plan.scenario.channels.clone(),
             machine,
             realtime: BTreeMap::new(),
-            clock: Clock::Virtual,
+            clock: LogClock::Virtual,
             t0_ns: 0,
             wall_at_t0_ns: 0,
-            segment: Segment::default(),
+            segment: LogSegment::default(),
         }
     }
 
@@ -245,7 +245,8 @@ pub(super) mod tests {
 
     /// A header for tests, on the virtual clock.
     pub fn sample_header() -> LogHeader {
-        let signal = |name: &str, unit: &str| SignalTable { name: name.into(), unit: unit.into(), min: -1.0, max: 1.0 };
+        let signal =
+            |name: &str, unit: &str| SignalConfig { name: name.into(), unit: unit.into(), min: -1.0, max: 1.0 };
         LogHeader {
             scenario: "name = \"test\"\nticks = 9\n".into(),
             run: 0xabc,
@@ -261,13 +262,13 @@ pub(super) mod tests {
             inputs: vec![signal("target_x", "m")],
             outputs: vec![signal("rate_1", "rad/s")],
             measures: vec!["error".into()],
-            channels: ChannelsTable::default(),
+            channels: ChannelsConfig::default(),
             machine: BTreeMap::from([("kernel".into(), "Linux".into())]),
             realtime: BTreeMap::new(),
-            clock: Clock::Virtual,
+            clock: LogClock::Virtual,
             t0_ns: 0,
             wall_at_t0_ns: 0,
-            segment: Segment::default(),
+            segment: LogSegment::default(),
         }
     }
 
@@ -286,7 +287,7 @@ pub(super) mod tests {
 
     #[test]
     fn a_segment_survives_its_map() {
-        let segment = Segment {
+        let segment = LogSegment {
             number: 3,
             begins: [10, 11, 12],
             written: [7, 8, 9, 2],
@@ -296,9 +297,9 @@ pub(super) mod tests {
         };
         let map = LogHeader { segment, ..sample_header() }.to_map(Path::new("x")).unwrap();
         assert_eq!((map["segment"].as_str(), map["begins.command"].as_str()), ("3", "11"));
-        assert_eq!(Segment::from_map(&map), segment);
+        assert_eq!(LogSegment::from_map(&map), segment);
         // A log from before there were segments.
-        assert_eq!(Segment::from_map(&BTreeMap::new()), Segment::default());
+        assert_eq!(LogSegment::from_map(&BTreeMap::new()), LogSegment::default());
     }
 
     #[test]
@@ -325,7 +326,7 @@ pub(super) mod tests {
         let header = LogHeader::new(&plan, 3, "lockstep", BTreeMap::new());
         assert_eq!(toml::from_str::<crate::scenario::Scenario>(&header.scenario).unwrap(), plan.scenario);
         assert_eq!((header.run, header.seed, header.every, header.scenario_hash), (3, 1, 1, 5));
-        assert_eq!((header.clock, header.t0_ns, header.wall_at_t0_ns), (Clock::Virtual, 0, 0));
+        assert_eq!((header.clock, header.t0_ns, header.wall_at_t0_ns), (LogClock::Virtual, 0, 0));
         // A seed from elsewhere may be larger than what TOML promises for integers.
         plan.scenario.seed = u64::MAX;
         let header = LogHeader::new(&plan, 3, "lockstep", BTreeMap::new());

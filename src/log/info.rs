@@ -7,8 +7,8 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::{
-    Account, CHANNELS, Clock, HISTOGRAMS_METADATA, LogError, MISSING_METADATA, Percentiles, Record, RunLog, SegmentEnd,
-    TOTALS_METADATA, Timings, in_use,
+    CHANNELS, HISTOGRAMS_METADATA, LatencyHistograms, LogClock, LogError, LogRecord, MISSING_METADATA, MessageCounts,
+    Percentiles, RunLog, SegmentEnd, TOTALS_METADATA, in_use,
 };
 use crate::log::header::flag_words;
 use crate::wire::{Command, Observation, flag};
@@ -18,7 +18,7 @@ mod text;
 /// How a log ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum State {
+pub enum LogState {
     /// At the end that its logger wrote, and the checksums fit.
     Whole,
     /// Likewise, but it was torn once and made whole by [`repair`](super::repair()).
@@ -67,7 +67,7 @@ pub struct SegmentInfo {
     /// Its size, bytes.
     pub bytes: u64,
     /// How it ends.
-    pub state: State,
+    pub state: LogState,
     /// Where the last whole record of a torn segment ends, bytes from its start.
     pub torn_at: Option<u64>,
     /// The first tick of a sample in it.
@@ -80,13 +80,13 @@ pub struct SegmentInfo {
 
 /// A log at a glance.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Info {
+pub struct LogInfo {
     /// The file; for a log in several segments, their folder.
     pub log: PathBuf,
     /// Its size, all segments, bytes.
     pub bytes: u64,
     /// How its last segment ends.
-    pub state: State,
+    pub state: LogState,
     /// Where the last whole record of a torn log ends, bytes from the start of its last segment.
     pub torn_at: Option<u64>,
     /// Its segments.
@@ -121,7 +121,7 @@ pub struct Info {
     pub channels: Vec<ChannelInfo>,
     /// Statements of missing samples on the channel `/gap`.
     pub gaps: u64,
-    /// Real time: from a tick's scheduled instant to its sensing, us; see [`Timings`].
+    /// Real time: from a tick's scheduled instant to its sensing, us; see [`LatencyHistograms`].
     pub wake_up_lateness_us: Option<Percentiles>,
     /// Real time: from sensing to the sending of the command, us.
     pub observation_to_command_us: Option<Percentiles>,
@@ -133,13 +133,13 @@ pub struct Info {
     pub flags: BTreeMap<String, u64>,
 }
 
-impl Info {
+impl LogInfo {
     /// Reads the log in `segments`, of one run and in their order, to its end.
     ///
     /// # Errors
     ///
     /// As [`RunLog::open`] and its iterator: a torn log is none, a damaged one is.
-    pub fn of(segments: &[PathBuf]) -> Result<Info, LogError> {
+    pub fn of(segments: &[PathBuf]) -> Result<LogInfo, LogError> {
         Self::over(RunLog::open(segments)?)
     }
 
@@ -148,47 +148,49 @@ impl Info {
     /// # Errors
     ///
     /// As the log's iterator.
-    pub fn over(mut log: RunLog) -> Result<Info, LogError> {
+    pub fn over(mut log: RunLog) -> Result<LogInfo, LogError> {
         let mut account = log.account();
         let mut weights_hash = None;
         let number = |log: &RunLog, key: &str| log.run(key).and_then(|value| value.parse::<u64>().ok());
         let period_ns = number(&log, "period_ns").unwrap_or(0);
-        let mut timings = Timings::new(period_ns);
-        let mut parts = vec![Part::default()];
+        let mut timings = LatencyHistograms::new(period_ns);
+        let mut parts = vec![SegmentContents::default()];
         let mut flagged = [0; 32];
         while let Some(record) = log.next() {
             let record = record?;
             account.take(&record);
             timings.take(&record);
             // A segment may hold nothing.
-            parts.resize(log.begun(), Part::default());
+            parts.resize(log.begun(), SegmentContents::default());
             parts[log.begun() - 1].take(&record);
-            if let Record::Observation(Observation { header, .. }) | Record::Command(Command { header, .. }) = &record {
+            if let LogRecord::Observation(Observation { header, .. }) | LogRecord::Command(Command { header, .. }) =
+                &record
+            {
                 let flags = header.flags & !(flag::FIRST | flag::NEW_TARGET);
                 (0..32).for_each(|bit| flagged[bit] += u64::from(flags >> bit & 1));
             }
-            if let Record::Learning(s) = &record
+            if let LogRecord::Learning(s) = &record
                 && s.header.flags & flag::HASHED != 0
             {
                 weights_hash = Some((format!("{:016x}", s.weights_hash), s.header.tick));
             }
         }
-        parts.resize(log.begun(), Part::default());
+        parts.resize(log.begun(), SegmentContents::default());
         let segments: Vec<_> = parts.into_iter().zip(log.segments()).map(|(part, end)| part.info(end)).collect();
-        let last = segments.last().map_or((State::Torn, None), |last| (last.state, last.torn_at));
+        let last = segments.last().map_or((LogState::Torn, None), |last| (last.state, last.torn_at));
         let said = |name: &str| log.segment().metadata().get(name);
         // Whoever counts the totals of a torn log afterwards has not seen the run's end.
         let counted = said(TOTALS_METADATA).is_some_and(|totals| totals.contains_key("repaired"));
         // The logger counted what it did not write, too.
         let stored = said(HISTOGRAMS_METADATA).is_some_and(|map| timings.restore(map));
-        let real = log.run("clock") == Some(Clock::Monotonic.name());
+        let real = log.run("clock") == Some(LogClock::Monotonic.name());
         let [wake_up, answer, applied] = timings.percentiles().map(|percentiles| percentiles.filter(|_| real));
         let text = |key: &str| log.run(key).unwrap_or("unknown").to_owned();
         let ticks = account.lanes.iter().filter_map(|lane| lane.ticks);
         let span = ticks.reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
         let machine = log.description().iter();
         let machine = machine.filter_map(|(k, v)| Some((k.strip_prefix("machine.")?.to_owned(), v.clone())));
-        Ok(Info {
+        Ok(LogInfo {
             log: log.path().to_owned(),
             bytes: segments.iter().map(|segment| segment.bytes).sum(),
             state: last.0,
@@ -232,19 +234,19 @@ impl Info {
 
 /// What a segment holds.
 #[derive(Debug, Clone, Default)]
-struct Part {
+struct SegmentContents {
     ticks: Option<(u64, u64)>,
     missing_before: [u64; 3],
     begun: [bool; 3],
 }
 
-impl Part {
-    fn take(&mut self, record: &Record) {
+impl SegmentContents {
+    fn take(&mut self, record: &LogRecord) {
         let channel = match record {
-            Record::Observation(_) => 0,
-            Record::Command(_) => 1,
-            Record::Learning(_) => 2,
-            Record::Gap(gap) => {
+            LogRecord::Observation(_) => 0,
+            LogRecord::Command(_) => 1,
+            LogRecord::Learning(_) => 2,
+            LogRecord::Gap(gap) => {
                 if let Some(i) = usize::try_from(gap.channel).ok().filter(|&i| i < 3 && !self.begun[i]) {
                     self.missing_before[i] = self.missing_before[i].saturating_add(gap.count);
                 }
@@ -262,12 +264,12 @@ impl Part {
         let file = File::open(&end.path).ok();
         let bytes = file.as_ref().and_then(|file| file.metadata().ok()).map_or(end.position, |file| file.len());
         let state = match (end.finished, end.repaired) {
-            (true, false) => State::Whole,
-            (true, true) => State::Repaired,
-            (false, _) if file.is_some_and(|file| in_use(&file)) => State::Growing,
-            (false, _) => State::Torn,
+            (true, false) => LogState::Whole,
+            (true, true) => LogState::Repaired,
+            (false, _) if file.is_some_and(|file| in_use(&file)) => LogState::Growing,
+            (false, _) => LogState::Torn,
         };
-        let torn = matches!(state, State::Torn | State::Growing);
+        let torn = matches!(state, LogState::Torn | LogState::Growing);
         SegmentInfo {
             log: end.path,
             number: end.number,
@@ -287,7 +289,7 @@ fn why_missing(log: &RunLog) -> String {
     said.map_or_else(|| "an earlier segment says why".to_owned(), Clone::clone)
 }
 
-fn channel(log: &RunLog, account: &Account, i: usize) -> ChannelInfo {
+fn channel(log: &RunLog, account: &MessageCounts, i: usize) -> ChannelInfo {
     let lane = &account.lanes[i];
     let thinned = log.every() > 1;
     let (totals, before) = (log.totals(), log.begins());

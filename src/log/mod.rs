@@ -11,14 +11,14 @@
 //! 2. the metadata record `tectum.run`: see [`LogHeader`];
 //! 3. schemas and channels: `/observation`, `/command` and `/learning` (or the scenario's names for them), and `/gap`;
 //! 4. the messages: four bytes of encapsulation (`00 01 00 00`) and then the sample's own bytes;
-//! 5. if the logger came to its end, in real time the metadata record `tectum.histograms` (see [`Timings`]), then
-//!    `tectum.totals` (see [`Totals`]), MCAP's summary, and checksums; [`repair()`] gives them to a log that was torn, with
+//! 5. if the logger came to its end, in real time the metadata record `tectum.histograms` (see [`LatencyHistograms`]), then
+//!    `tectum.totals` (see [`LogTotals`]), MCAP's summary, and checksums; [`repair()`] gives them to a log that was torn, with
 //!    the metadata record `tectum.repair`.
 //!
 //! *Segments.* A logger that was started anew within its run leaves what it finds as it is, torn or not, and writes another
 //! file beside `log.mcap`: `log-1.mcap`, `log-2.mcap` and so on, numbered by its starts (a number is missing where it was killed
 //! before it could begin). Each is a log by itself; `tectum.run` says which segment it is and what those before it hold (see
-//! [`Segment`]). What reached none of them is stated by the messages on `/gap` at the beginning of the new one; totals and
+//! [`LogSegment`]). What reached none of them is stated by the messages on `/gap` at the beginning of the new one; totals and
 //! histograms are those of the run so far. [`RunLog`] reads all of them as one log.
 //!
 //! *A full disk.* The file is given room ahead of what is written, so that it can still be closed when there is no more. Then
@@ -29,33 +29,33 @@
 //! `log_time` and `publish_time` of a message are its `published_ns`, moved from the run's clock to wall time by the two
 //! instants in `tectum.run`. In lockstep both are 0, so that equal runs write equal messages.
 
-mod account;
 mod csv;
+mod disk_reserve;
 mod error;
 mod header;
 mod info;
+mod latency_histograms;
+mod log_file;
+mod message_counts;
 mod parse;
-mod past;
 mod reader;
+mod recovery;
 mod repair;
-mod room;
 mod segments;
-mod sink;
-mod timings;
 mod writer;
 
-pub use account::{Account, Lane};
 pub use csv::{CsvChannel, csv};
 pub use error::LogError;
 pub(crate) use header::flag_words;
-pub use header::{Clock, LogHeader, Segment};
-pub use info::{ChannelInfo, Info, SegmentInfo, State};
-pub use past::Past;
+pub use header::{LogClock, LogHeader, LogSegment};
+pub use info::{ChannelInfo, LogInfo, LogState, SegmentInfo};
+pub use latency_histograms::{LatencyHistograms, Percentiles, histogram};
+pub use message_counts::{ChannelCounts, MessageCounts};
 pub use reader::LogReader;
-pub use repair::{Mended, Repair, mend, repair};
+pub use recovery::LogRecovery;
+pub use repair::{Repair, TornContents, mend, repair};
 pub use segments::{RunLog, SegmentEnd, find, segment_path, segments};
-pub use timings::{Percentiles, Timings, histogram};
-pub use writer::{LogWriter, Summary};
+pub use writer::{LogSummary, LogWriter};
 
 use crate::wire::{Command, Gap, Header, Learning, Observation};
 use std::collections::BTreeMap;
@@ -89,7 +89,7 @@ const MESSAGE_OVERHEAD: usize = 9 + 22;
 
 /// One message of a log.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Record {
+pub enum LogRecord {
     /// From the plant.
     Observation(Observation),
     /// From the controller's policy.
@@ -100,14 +100,14 @@ pub enum Record {
     Gap(Gap),
 }
 
-impl Record {
+impl LogRecord {
     /// The sample's header; a gap has none.
     pub fn header(&self) -> Option<&Header> {
         match self {
-            Record::Observation(s) => Some(&s.header),
-            Record::Command(s) => Some(&s.header),
-            Record::Learning(s) => Some(&s.header),
-            Record::Gap(_) => None,
+            LogRecord::Observation(s) => Some(&s.header),
+            LogRecord::Command(s) => Some(&s.header),
+            LogRecord::Learning(s) => Some(&s.header),
+            LogRecord::Gap(_) => None,
         }
     }
 }
@@ -120,7 +120,7 @@ fn in_use(log: &File) -> bool {
 /// How a log ended, channel by channel: the run so far, with all segments before. The three channels stand in the order
 /// observation, command, learning. Every sequence number that the logger knows of is written, lost or thinned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Totals {
+pub struct LogTotals {
     /// Samples that were sent and never reached the log.
     pub lost: [u64; 3],
     /// Samples left out on purpose, because only every N-th tick is written.
@@ -136,10 +136,10 @@ pub struct Totals {
     pub complete: bool,
 }
 
-/// Names of the three channels in metadata, in the order of [`Totals`].
+/// Names of the three channels in metadata, in the order of [`LogTotals`].
 const CHANNELS: [&str; 3] = ["observation", "command", "learning"];
 
-impl Totals {
+impl LogTotals {
     fn to_map(self, written: [u64; 4]) -> BTreeMap<String, String> {
         let mut map = BTreeMap::new();
         for (i, name) in CHANNELS.iter().enumerate() {
@@ -158,8 +158,8 @@ impl Totals {
 
     /// `None` if a key is missing or does not hold what it should. What logs did not have before there were segments may be
     /// missing.
-    fn from_map(map: &BTreeMap<String, String>) -> Option<Totals> {
-        let mut totals = Totals::default();
+    fn from_map(map: &BTreeMap<String, String>) -> Option<LogTotals> {
+        let mut totals = LogTotals::default();
         for (i, name) in CHANNELS.iter().enumerate() {
             totals.lost[i] = map.get(&format!("{name}.lost"))?.parse().ok()?;
             totals.thinned[i] = map.get(&format!("{name}.thinned"))?.parse().ok()?;
@@ -188,7 +188,7 @@ mod tests {
 
     #[test]
     fn totals_survive_their_map() {
-        let totals = Totals {
+        let totals = LogTotals {
             lost: [1, 2, 3],
             thinned: [4, 5, 6],
             duplicates: [0, 1, 2],
@@ -196,16 +196,16 @@ mod tests {
             last_tick: Some(7),
             complete: true,
         };
-        assert_eq!(Totals::from_map(&totals.to_map([8; 4])), Some(totals));
-        let none = Totals::default();
-        assert_eq!(Totals::from_map(&none.to_map([0; 4])), Some(none));
+        assert_eq!(LogTotals::from_map(&totals.to_map([8; 4])), Some(totals));
+        let none = LogTotals::default();
+        assert_eq!(LogTotals::from_map(&none.to_map([0; 4])), Some(none));
         // As written before there were segments.
         let mut older = none.to_map([0; 4]);
         older.retain(|key, _| key != "missing_from" && !key.ends_with("duplicates"));
-        assert_eq!(Totals::from_map(&older), Some(none));
+        assert_eq!(LogTotals::from_map(&older), Some(none));
         let mut broken = totals.to_map([8; 4]);
         broken.insert("command.lost".into(), "some".into());
-        assert_eq!(Totals::from_map(&broken), None);
+        assert_eq!(LogTotals::from_map(&broken), None);
     }
 
     /// A decoder in another language found this the hard way.

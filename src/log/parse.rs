@@ -19,9 +19,9 @@ pub(super) mod op {
 }
 
 /// Reads little-endian fields off the front of a record's body.
-struct Fields<'a>(&'a [u8]);
+struct FieldReader<'a>(&'a [u8]);
 
-impl<'a> Fields<'a> {
+impl<'a> FieldReader<'a> {
     fn bytes(&mut self, n: usize) -> Option<&'a [u8]> {
         let (head, tail) = self.0.split_at_checked(n)?;
         self.0 = tail;
@@ -47,7 +47,7 @@ impl<'a> Fields<'a> {
 
     fn map(&mut self) -> Option<BTreeMap<String, String>> {
         let n = self.u32()?;
-        let mut inside = Fields(self.bytes(n as usize)?);
+        let mut inside = FieldReader(self.bytes(n as usize)?);
         let mut map = BTreeMap::new();
         while !inside.0.is_empty() {
             map.insert(inside.text()?.to_owned(), inside.text()?.to_owned());
@@ -58,13 +58,13 @@ impl<'a> Fields<'a> {
 
 /// A schema's id, name, encoding and text.
 pub(super) fn schema(body: &[u8]) -> Option<(u16, &str, &str, &[u8])> {
-    let mut f = Fields(body);
+    let mut f = FieldReader(body);
     let (id, name, encoding, n) = (f.u16()?, f.text()?, f.text()?, f.u32()?);
     Some((id, name, encoding, f.bytes(n as usize)?))
 }
 
 /// A channel.
-pub(super) struct Channel<'a> {
+pub(super) struct ChannelRecord<'a> {
     pub id: u16,
     pub schema: u16,
     pub topic: &'a str,
@@ -73,14 +73,14 @@ pub(super) struct Channel<'a> {
     pub metadata: BTreeMap<String, String>,
 }
 
-pub(super) fn channel(body: &[u8]) -> Option<Channel<'_>> {
-    let mut f = Fields(body);
-    Some(Channel { id: f.u16()?, schema: f.u16()?, topic: f.text()?, encoding: f.text()?, metadata: f.map()? })
+pub(super) fn channel(body: &[u8]) -> Option<ChannelRecord<'_>> {
+    let mut f = FieldReader(body);
+    Some(ChannelRecord { id: f.u16()?, schema: f.u16()?, topic: f.text()?, encoding: f.text()?, metadata: f.map()? })
 }
 
 /// A message. Its sequence number and times repeat what the sample's own header says.
 #[derive(Debug, PartialEq)]
-pub(super) struct Message<'a> {
+pub(super) struct MessageRecord<'a> {
     pub channel: u16,
     pub sequence: u32,
     pub log_time: u64,
@@ -88,27 +88,27 @@ pub(super) struct Message<'a> {
     pub data: &'a [u8],
 }
 
-pub(super) fn message(body: &[u8]) -> Option<Message<'_>> {
-    let mut f = Fields(body);
+pub(super) fn message(body: &[u8]) -> Option<MessageRecord<'_>> {
+    let mut f = FieldReader(body);
     let (channel, sequence, log_time, publish_time) = (f.u16()?, f.u32()?, f.u64()?, f.u64()?);
-    Some(Message { channel, sequence, log_time, publish_time, data: f.0 })
+    Some(MessageRecord { channel, sequence, log_time, publish_time, data: f.0 })
 }
 
 /// The profile and the library that the file's header names.
 pub(super) fn header(body: &[u8]) -> Option<(&str, &str)> {
-    let mut f = Fields(body);
+    let mut f = FieldReader(body);
     Some((f.text()?, f.text()?))
 }
 
 /// A metadata record's name and content.
 pub(super) fn metadata(body: &[u8]) -> Option<(&str, BTreeMap<String, String>)> {
-    let mut f = Fields(body);
+    let mut f = FieldReader(body);
     Some((f.text()?, f.map()?))
 }
 
 /// An attachment.
 #[derive(Debug, PartialEq)]
-pub(super) struct Attachment<'a> {
+pub(super) struct AttachmentRecord<'a> {
     pub log_time: u64,
     pub create_time: u64,
     pub name: &'a str,
@@ -116,13 +116,13 @@ pub(super) struct Attachment<'a> {
     pub data: &'a [u8],
 }
 
-pub(super) fn attachment(body: &[u8]) -> Option<Attachment<'_>> {
-    let mut f = Fields(body);
+pub(super) fn attachment(body: &[u8]) -> Option<AttachmentRecord<'_>> {
+    let mut f = FieldReader(body);
     let (log_time, create_time, name, media_type, n) = (f.u64()?, f.u64()?, f.text()?, f.text()?, f.u64()?);
     let data = f.bytes(usize::try_from(n).ok()?)?;
     // The checksum behind it is covered by that of the whole data section.
     f.u32()?;
-    Some(Attachment { log_time, create_time, name, media_type, data })
+    Some(AttachmentRecord { log_time, create_time, name, media_type, data })
 }
 
 #[cfg(test)]
@@ -138,7 +138,7 @@ mod tests {
         body.extend(*b"four");
         assert_eq!(metadata(&body), Some(("n", BTreeMap::from([("k".to_owned(), "four".to_owned())]))));
         assert_eq!(message(&[0; 21]), None);
-        let empty = Message { channel: 0, sequence: 0, log_time: 0, publish_time: 0, data: &[] };
+        let empty = MessageRecord { channel: 0, sequence: 0, log_time: 0, publish_time: 0, data: &[] };
         assert_eq!(message(&[0; 22]), Some(empty));
         assert_eq!(attachment(&[0; 20]), None);
     }

@@ -6,8 +6,8 @@
 
 use super::parse::{self, op};
 use super::{
-    Account, ENCAPSULATION, LogError, MISSING_METADATA, REPAIR_METADATA, RUN_METADATA, Record, SCENARIO_ATTACHMENT,
-    Segment, TOTALS_METADATA, Totals,
+    ENCAPSULATION, LogError, LogRecord, LogSegment, LogTotals, MISSING_METADATA, MessageCounts, REPAIR_METADATA,
+    RUN_METADATA, SCENARIO_ATTACHMENT, TOTALS_METADATA,
 };
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
 use mcap::McapError;
@@ -31,11 +31,11 @@ pub(super) const LARGEST_RECORD: usize = 16 * 1024 * 1024;
 pub struct LogReader {
     source: Box<dyn Read + Send>,
     linear: LinearReader,
-    contents: Contents,
+    contents: LogContents,
     /// Bytes up to the end of the last whole record.
     at: u64,
     /// The first message, met while looking for the run's description.
-    first: Option<Record>,
+    first: Option<LogRecord>,
     /// Nothing but zeros has come since the last whole record.
     zeros: bool,
     done: bool,
@@ -43,14 +43,14 @@ pub struct LogReader {
 }
 
 /// What the records so far have said.
-struct Contents {
+struct LogContents {
     path: PathBuf,
     metadata: BTreeMap<String, BTreeMap<String, String>>,
     scenario: String,
     /// Name and text of each schema.
     schemas: BTreeMap<u16, (String, Vec<u8>)>,
     /// What each channel carries; `None` for what is not ours.
-    channels: BTreeMap<u16, Option<Kind>>,
+    channels: BTreeMap<u16, Option<SampleKind>>,
     /// From the run's clock to wall time, ns; `None` where no run is described.
     shift_ns: Option<i128>,
     /// Log time of the last message, and the gaps so far: a gap's own time and number.
@@ -60,7 +60,7 @@ struct Contents {
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Kind {
+enum SampleKind {
     Observation,
     Command,
     Learning,
@@ -68,8 +68,8 @@ enum Kind {
 }
 
 /// What a record means to the iterator.
-enum Step {
-    Message(Record),
+enum ReadStep {
+    Message(LogRecord),
     Other,
 }
 
@@ -99,7 +99,7 @@ impl LogReader {
             .with_validate_data_section_crc(true)
             .with_validate_summary_section_crc(true)
             .with_record_length_limit(LARGEST_RECORD);
-        let contents = Contents {
+        let contents = LogContents {
             path: path.to_owned(),
             metadata: BTreeMap::new(),
             scenario: String::new(),
@@ -154,18 +154,18 @@ impl LogReader {
     }
 
     /// What the logger said at its end; `None` before the last message was read, and for a torn log.
-    pub fn totals(&self) -> Option<Totals> {
-        Totals::from_map(self.contents.metadata.get(TOTALS_METADATA)?)
+    pub fn totals(&self) -> Option<LogTotals> {
+        LogTotals::from_map(self.contents.metadata.get(TOTALS_METADATA)?)
     }
 
     /// Which part of the run's log the file is, and what the parts before it hold.
-    pub fn begins(&self) -> Segment {
-        self.contents.metadata.get(RUN_METADATA).map(Segment::from_map).unwrap_or_default()
+    pub fn begins(&self) -> LogSegment {
+        self.contents.metadata.get(RUN_METADATA).map(LogSegment::from_map).unwrap_or_default()
     }
 
     /// The count of messages that goes with the file.
-    pub fn account(&self) -> Account {
-        Account::after(&self.begins())
+    pub fn account(&self) -> MessageCounts {
+        MessageCounts::after(&self.begins())
     }
 
     /// The tick from which on samples are missing because there was no room for them; known with the last message.
@@ -195,11 +195,11 @@ impl LogReader {
     }
 
     /// The next message, or `None` at the end, whole or torn.
-    fn read_message(&mut self) -> Result<Option<Record>, LogError> {
+    fn read_message(&mut self) -> Result<Option<LogRecord>, LogError> {
         while !self.done {
             match self.read_record() {
-                Ok(Some(Step::Message(record))) => return Ok(Some(record)),
-                Ok(Some(Step::Other)) => {}
+                Ok(Some(ReadStep::Message(record))) => return Ok(Some(record)),
+                Ok(Some(ReadStep::Other)) => {}
                 Ok(None) => self.done = true,
                 Err(e) => {
                     self.done = true;
@@ -210,7 +210,7 @@ impl LogReader {
         Ok(None)
     }
 
-    fn read_record(&mut self) -> Result<Option<Step>, LogError> {
+    fn read_record(&mut self) -> Result<Option<ReadStep>, LogError> {
         loop {
             let event = match self.linear.next_event() {
                 None => {
@@ -256,15 +256,15 @@ impl LogReader {
     }
 }
 
-impl Contents {
+impl LogContents {
     fn run(&self, key: &str) -> Option<&str> {
         self.metadata.get(RUN_METADATA)?.get(key).map(String::as_str)
     }
 
-    fn take(&mut self, opcode: u8, body: &[u8], at: u64) -> Result<Step, LogError> {
+    fn take(&mut self, opcode: u8, body: &[u8], at: u64) -> Result<ReadStep, LogError> {
         // Behind the data stands MCAP's summary, which repeats schemas and channels.
         if self.data_over {
-            return Ok(Step::Other);
+            return Ok(ReadStep::Other);
         }
         let bad = |what: &str| damaged(&self.path, at, what);
         match opcode {
@@ -272,7 +272,7 @@ impl Contents {
                 let message = parse::message(body).ok_or_else(|| bad("a message is cut short"))?;
                 let kind = match self.channels.get(&message.channel) {
                     // Somebody else's channel in the same file is none of our business.
-                    Some(None) => return Ok(Step::Other),
+                    Some(None) => return Ok(ReadStep::Other),
                     Some(Some(kind)) => *kind,
                     None => return Err(bad("a message belongs to no channel")),
                 };
@@ -284,8 +284,8 @@ impl Contents {
                     return Err(bad("a message's sequence number or time is not that of the sample in it"));
                 }
                 self.last_ns = message.log_time;
-                self.gaps += u64::from(matches!(record, Record::Gap(_)));
-                return Ok(Step::Message(record));
+                self.gaps += u64::from(matches!(record, LogRecord::Gap(_)));
+                return Ok(ReadStep::Message(record));
             }
             op::SCHEMA => {
                 let (id, name, encoding, text) = parse::schema(body).ok_or_else(|| bad("a schema is cut short"))?;
@@ -323,20 +323,20 @@ impl Contents {
             op::DATA_END => self.data_over = true,
             _ => {}
         }
-        Ok(Step::Other)
+        Ok(ReadStep::Other)
     }
 
     /// The sequence number and the log time that belong to a record; no time where the run's clock is not known.
-    fn envelope(&self, record: &Record) -> (u64, Option<u64>) {
+    fn envelope(&self, record: &LogRecord) -> (u64, Option<u64>) {
         let Some(header) = record.header() else { return (self.gaps, Some(self.last_ns)) };
         let wall = |shift: i128| (i128::from(header.published_ns) + shift).clamp(0, i128::from(u64::MAX)) as u64;
         (header.sequence, self.shift_ns.map(wall))
     }
 
     /// Which of our samples a channel carries, if any.
-    fn kind(&self, channel: &parse::Channel) -> Result<Option<Kind>, LogError> {
+    fn kind(&self, channel: &parse::ChannelRecord) -> Result<Option<SampleKind>, LogError> {
         let Some((name, text)) = self.schemas.get(&channel.schema) else { return Ok(None) };
-        let check = |kind: Kind, expected: &'static str, ours: String| {
+        let check = |kind: SampleKind, expected: &'static str, ours: String| {
             let version = channel.metadata.get("sample").map_or("a sample without a version", String::as_str);
             if version == expected && channel.encoding == "cdr" && *text == ours.into_bytes() {
                 return Ok(Some(kind));
@@ -349,17 +349,17 @@ impl Contents {
             Err(LogError::Version { path: self.path.clone(), topic: channel.topic.to_owned(), found, expected, build })
         };
         match name.as_str() {
-            Observation::ROS_NAME => check(Kind::Observation, Observation::NAME, Observation::ros2msg()),
-            Command::ROS_NAME => check(Kind::Command, Command::NAME, Command::ros2msg()),
-            Learning::ROS_NAME => check(Kind::Learning, Learning::NAME, Learning::ros2msg()),
-            Gap::ROS_NAME => check(Kind::Gap, Gap::NAME, Gap::ros2msg()),
+            Observation::ROS_NAME => check(SampleKind::Observation, Observation::NAME, Observation::ros2msg()),
+            Command::ROS_NAME => check(SampleKind::Command, Command::NAME, Command::ros2msg()),
+            Learning::ROS_NAME => check(SampleKind::Learning, Learning::NAME, Learning::ros2msg()),
+            Gap::ROS_NAME => check(SampleKind::Gap, Gap::NAME, Gap::ros2msg()),
             _ => Ok(None),
         }
     }
 }
 
 impl Iterator for LogReader {
-    type Item = Result<Record, LogError>;
+    type Item = Result<LogRecord, LogError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         match self.first.take() {
@@ -369,15 +369,15 @@ impl Iterator for LogReader {
     }
 }
 
-impl Kind {
-    fn decode(self, data: &[u8]) -> Option<Record> {
+impl SampleKind {
+    fn decode(self, data: &[u8]) -> Option<LogRecord> {
         let body = data.strip_prefix(&ENCAPSULATION[..])?;
         // The sample lies anywhere in the file's bytes, so it is copied, not cast.
         Some(match self {
-            Kind::Observation => Record::Observation(bytemuck::try_pod_read_unaligned(body).ok()?),
-            Kind::Command => Record::Command(bytemuck::try_pod_read_unaligned(body).ok()?),
-            Kind::Learning => Record::Learning(bytemuck::try_pod_read_unaligned(body).ok()?),
-            Kind::Gap => Record::Gap(bytemuck::try_pod_read_unaligned(body).ok()?),
+            SampleKind::Observation => LogRecord::Observation(bytemuck::try_pod_read_unaligned(body).ok()?),
+            SampleKind::Command => LogRecord::Command(bytemuck::try_pod_read_unaligned(body).ok()?),
+            SampleKind::Learning => LogRecord::Learning(bytemuck::try_pod_read_unaligned(body).ok()?),
+            SampleKind::Gap => LogRecord::Gap(bytemuck::try_pod_read_unaligned(body).ok()?),
         })
     }
 }

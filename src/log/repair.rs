@@ -17,7 +17,7 @@ use serde::Serialize;
 
 use super::parse::{self, op};
 use super::reader::{LARGEST_RECORD, damaged};
-use super::{Account, LogError, LogReader, REPAIR_METADATA, TOTALS_METADATA, Totals, in_use};
+use super::{LogError, LogReader, LogTotals, MessageCounts, REPAIR_METADATA, TOTALS_METADATA, in_use};
 
 #[cfg(test)]
 mod tests;
@@ -28,7 +28,7 @@ pub struct Repair {
     /// The log that was given.
     pub log: PathBuf,
     /// What was done; null when the log was whole and left alone.
-    pub mended: Option<Mended>,
+    pub mended: Option<TornContents>,
     /// The log that is whole now.
     pub whole: PathBuf,
     /// Where the torn original is now.
@@ -37,7 +37,7 @@ pub struct Repair {
 
 /// What was found in a torn log.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Mended {
+pub struct TornContents {
     /// Where its last whole record ended, bytes from its start.
     pub torn_at: u64,
     /// Bytes behind that, of a record that was not whole, which were left out.
@@ -59,7 +59,7 @@ impl Repair {
         let Some(mended) = &self.mended else {
             return format!("{} is whole; it was left alone\n", self.log.display());
         };
-        let Mended { torn_at, left_out, messages: [observations, commands, learnings, gaps], last_tick } = mended;
+        let TornContents { torn_at, left_out, messages: [observations, commands, learnings, gaps], last_tick } = mended;
         let last = last_tick.map_or(String::new(), |tick| format!(", up to tick {tick}"));
         let mut text = format!(
             "{} was torn at byte {torn_at}; {} is whole\n{observations} observations, {commands} commands, {learnings} \
@@ -143,7 +143,7 @@ pub fn mend<W: Write + Seek>(
     path: &Path,
     mut open: impl FnMut() -> Result<Box<dyn Read + Send>, LogError>,
     sink: W,
-) -> Result<Option<Mended>, LogError> {
+) -> Result<Option<TornContents>, LogError> {
     let mut log = LogReader::over(path, open()?)?;
     let mut account = log.account();
     for record in log.by_ref() {
@@ -152,10 +152,10 @@ pub fn mend<W: Write + Seek>(
     if log.finished() {
         return Ok(None);
     }
-    let mut copy = Copy::begin(path, BufReader::new(open()?), sink, log.position())?;
+    let mut copy = RecordCopier::begin(path, BufReader::new(open()?), sink, log.position())?;
     while copy.record()? {}
     let [observation, command, learning] = account.lanes.each_ref().map(|lane| lane.messages);
-    let mended = Mended {
+    let mended = TornContents {
         torn_at: log.position(),
         left_out: copy.rest()?,
         messages: [observation, command, learning, account.gaps],
@@ -180,9 +180,9 @@ pub fn mend<W: Write + Seek>(
 }
 
 /// The totals of what is there, and of the segments before it. Whether the run came to its end, nobody saw.
-fn totals(log: &LogReader, account: &Account, mended: &Mended) -> BTreeMap<String, String> {
+fn totals(log: &LogReader, account: &MessageCounts, mended: &TornContents) -> BTreeMap<String, String> {
     let (thinned, before) = (log.every() > 1, log.begins());
-    let totals = Totals {
+    let totals = LogTotals {
         lost: account.lanes.each_ref().map(|lane| lane.stated),
         thinned: std::array::from_fn(|i| {
             before.thinned[i].saturating_add(if thinned { account.lanes[i].unexplained } else { 0 })
@@ -198,7 +198,7 @@ fn totals(log: &LogReader, account: &Account, mended: &Mended) -> BTreeMap<Strin
 }
 
 /// A log's records on their way into a new file.
-struct Copy<'a, R: Read, W: Write + Seek> {
+struct RecordCopier<'a, R: Read, W: Write + Seek> {
     path: &'a Path,
     source: R,
     mcap: mcap::Writer<W>,
@@ -208,7 +208,7 @@ struct Copy<'a, R: Read, W: Write + Seek> {
     body: Vec<u8>,
 }
 
-impl<'a, R: Read, W: Write + Seek> Copy<'a, R, W> {
+impl<'a, R: Read, W: Write + Seek> RecordCopier<'a, R, W> {
     fn begin(path: &'a Path, mut source: R, sink: W, end: u64) -> Result<Self, LogError> {
         let mut at = mcap::MAGIC.len() as u64;
         source.read_exact(&mut [0; mcap::MAGIC.len()]).map_err(|e| LogError::read(path, e))?;

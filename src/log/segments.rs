@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 
-use super::{Account, LOG_FILE, LogError, LogReader, RUN_METADATA, Record, Segment, Totals};
+use super::{LOG_FILE, LogError, LogReader, LogRecord, LogSegment, LogTotals, MessageCounts, RUN_METADATA};
 
 /// Finds a log: `given` itself, the one in the folder `given`, or that of the run called `given` under `runs/`. Gives its
 /// segments in their order; one, if `given` is a file.
@@ -145,13 +145,13 @@ impl RunLog {
     }
 
     /// What the log goes on from: the beginning, unless it is a later segment by itself.
-    pub fn begins(&self) -> Segment {
-        Segment::from_map(&self.run)
+    pub fn begins(&self) -> LogSegment {
+        LogSegment::from_map(&self.run)
     }
 
     /// The count of messages that goes with the log.
-    pub fn account(&self) -> Account {
-        Account::after(&self.begins())
+    pub fn account(&self) -> MessageCounts {
+        MessageCounts::after(&self.begins())
     }
 
     /// The segment that is being read.
@@ -170,7 +170,7 @@ impl RunLog {
     }
 
     /// What the last logger said at its end; `None` before the last message was read, and when it was torn.
-    pub fn totals(&self) -> Option<Totals> {
+    pub fn totals(&self) -> Option<LogTotals> {
         self.log.totals()
     }
 
@@ -209,7 +209,7 @@ impl RunLog {
 }
 
 impl Iterator for RunLog {
-    type Item = Result<Record, LogError>;
+    type Item = Result<LogRecord, LogError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {

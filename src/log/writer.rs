@@ -10,11 +10,11 @@
 //! A message costs no allocation: its bytes are put together in the writer, and `mcap` keeps what it needs once the
 //! checksum's batch buffer has grown to its 32 KiB.
 
-use super::room::{RESERVE, Room};
-use super::sink::{Sink, io_error};
+use super::disk_reserve::{DiskReserve, RESERVE};
+use super::log_file::{LogFile, io_error};
 use super::{
-    ENCAPSULATION, GAP_TOPIC, HISTOGRAMS_METADATA, LogError, LogHeader, MESSAGE_OVERHEAD, MISSING_METADATA,
-    RUN_METADATA, Record, SCENARIO_ATTACHMENT, Segment, TOTALS_METADATA, Timings, Totals,
+    ENCAPSULATION, GAP_TOPIC, HISTOGRAMS_METADATA, LatencyHistograms, LogError, LogHeader, LogRecord, LogSegment,
+    LogTotals, MESSAGE_OVERHEAD, MISSING_METADATA, RUN_METADATA, SCENARIO_ATTACHMENT, TOTALS_METADATA,
 };
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
 use mcap::records::MessageHeader;
@@ -43,11 +43,11 @@ pub struct LogWriter {
     /// Log time of the last message; a gap has no time of its own.
     last_ns: u64,
     /// What earlier segments hold.
-    before: Segment,
+    before: LogSegment,
     data: [u8; LARGEST],
 }
 
-type Mcap = mcap::Writer<BufWriter<Sink>>;
+type Mcap = mcap::Writer<BufWriter<LogFile>>;
 
 /// The file under its `mcap` writer, which takes nothing more after a failure.
 struct Output {
@@ -56,14 +56,14 @@ struct Output {
     mcap: Option<Mcap>,
     errno: Arc<AtomicI32>,
     failed: bool,
-    room: Room,
+    room: DiskReserve,
     /// Bytes written so far, of messages and what comes before them.
     at: u64,
 }
 
 /// What a finished log holds.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Summary {
+pub struct LogSummary {
     /// The file.
     pub path: PathBuf,
     /// Its size, bytes.
@@ -71,7 +71,7 @@ pub struct Summary {
     /// Messages written to it: observations, commands, learning records, gaps.
     pub written: [u64; 4],
     /// What the logger said at the end.
-    pub totals: Totals,
+    pub totals: LogTotals,
 }
 
 impl LogWriter {
@@ -91,8 +91,8 @@ impl LogWriter {
 
     fn over(file: File, path: &Path, header: &LogHeader, run: BTreeMap<String, String>) -> Result<LogWriter, LogError> {
         let errno = Arc::new(AtomicI32::new(0));
-        let room = Room::of(file.try_clone().map_err(|e| LogError::write(path, e))?);
-        let sink = BufWriter::with_capacity(64 * 1024, Sink { file, errno: errno.clone() });
+        let room = DiskReserve::of(file.try_clone().map_err(|e| LogError::write(path, e))?);
+        let sink = BufWriter::with_capacity(64 * 1024, LogFile { file, errno: errno.clone() });
         let library = format!("tectum {}", crate::BUILD);
         let options = mcap::WriteOptions::new().use_chunks(false).compression(None).profile("ros2").library(library);
         let mcap = options.create(sink).map_err(|e| LogError::write(path, io_error(e, &errno)))?;
@@ -145,7 +145,7 @@ impl LogWriter {
     ///
     /// As [`observation`](Self::observation).
     pub fn gap(&mut self, gap: &Gap) -> Result<(), LogError> {
-        self.append(&Record::Gap(*gap))?;
+        self.append(&LogRecord::Gap(*gap))?;
         self.flush()
     }
 
@@ -155,12 +155,12 @@ impl LogWriter {
     /// # Errors
     ///
     /// As [`observation`](Self::observation).
-    pub fn append(&mut self, record: &Record) -> Result<(), LogError> {
+    pub fn append(&mut self, record: &LogRecord) -> Result<(), LogError> {
         match record {
-            Record::Observation(s) => self.sample(0, s.header.sequence, s.header.published_ns, s),
-            Record::Command(s) => self.sample(1, s.header.sequence, s.header.published_ns, s),
-            Record::Learning(s) => self.sample(2, s.header.sequence, s.header.published_ns, s),
-            Record::Gap(gap) => self.message(3, self.written[3], self.last_ns, gap),
+            LogRecord::Observation(s) => self.sample(0, s.header.sequence, s.header.published_ns, s),
+            LogRecord::Command(s) => self.sample(1, s.header.sequence, s.header.published_ns, s),
+            LogRecord::Learning(s) => self.sample(2, s.header.sequence, s.header.published_ns, s),
+            LogRecord::Gap(gap) => self.message(3, self.written[3], self.last_ns, gap),
         }
     }
 
@@ -189,7 +189,7 @@ impl LogWriter {
     /// # Errors
     ///
     /// As [`observation`](Self::observation).
-    pub fn timings(&mut self, timings: &Timings) -> Result<(), LogError> {
+    pub fn timings(&mut self, timings: &LatencyHistograms) -> Result<(), LogError> {
         let map = timings.to_map();
         let size: usize = map.iter().map(|(key, value)| key.len() + value.len()).sum();
         if size as u64 > RESERVE / 2 && self.file.room.secure(self.file.at + size as u64).is_err() {
@@ -224,13 +224,13 @@ impl LogWriter {
     /// # Errors
     ///
     /// As [`observation`](Self::observation); the file is then torn, but readable.
-    pub fn finish(mut self, totals: &Totals) -> Result<Summary, LogError> {
+    pub fn finish(mut self, totals: &LogTotals) -> Result<LogSummary, LogError> {
         let written = std::array::from_fn(|i| self.before.written[i] + self.written[i]);
         self.metadata(TOTALS_METADATA, totals.to_map(written))?;
         self.file.run(mcap::Writer::finish)?;
         let path = self.file.path.clone();
         let bytes = self.file.sync().map_err(|e| LogError::write(&path, e))?;
-        Ok(Summary { path, bytes, written: self.written, totals: *totals })
+        Ok(LogSummary { path, bytes, written: self.written, totals: *totals })
     }
 
     fn sample<S: Sample>(&mut self, channel: usize, sequence: u64, published_ns: u64, s: &S) -> Result<(), LogError> {
@@ -365,7 +365,7 @@ mod tests {
         log.command(&Command::default()).unwrap();
         log.learning(&Learning::default()).unwrap();
         assert_eq!((size() - start) as f64, crate::log::bytes_per_tick(1));
-        log.append(&Record::Gap(Gap::default())).unwrap();
+        log.append(&LogRecord::Gap(Gap::default())).unwrap();
         assert_eq!((size() - start) as f64, crate::log::bytes_per_tick(1));
         log.flush().unwrap();
         assert_eq!(size() - start, 521 + 31 + 4 + 32);

@@ -4,9 +4,9 @@
 use rand_distr::{Distribution, StandardNormal};
 
 use super::{Outcome, Plant};
-use crate::scenario::{EyeTable, Retina};
+use crate::scenario::{EyeConfig, Retina};
 use crate::seed::{Rng, stream};
-use crate::state::{Ledger, Remember};
+use crate::state::{Persist, StateVisitor};
 use crate::wire::MAX_MEASURES;
 
 /// A target's position and its velocity a second.
@@ -41,7 +41,7 @@ fn eccentricity(rho: f32, distortion: f32) -> f32 {
 
 impl Eye {
     /// The eye of a validated table; stimuli come from the run's stream `targets`.
-    pub fn new(table: &EyeTable, seed: u64) -> Self {
+    pub fn new(table: &EyeConfig, seed: u64) -> Self {
         Self {
             retina: table.retina,
             distortion: table.distortion as f32,
@@ -94,11 +94,11 @@ impl Plant for Eye {
     }
 }
 
-impl Remember for Eye {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.part("rng", &mut self.rng);
-        ledger.numbers("position", &mut self.stimulus.position);
-        ledger.numbers("velocity", &mut self.stimulus.velocity);
+impl Persist for Eye {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("rng", &mut self.rng);
+        visitor.numbers("position", &mut self.stimulus.position);
+        visitor.numbers("velocity", &mut self.stimulus.velocity);
     }
 }
 
@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn a_perfect_saccade_earns_the_bonus() {
-        let mut eye = Eye::new(&EyeTable::default(), 1);
+        let mut eye = Eye::new(&EyeConfig::default(), 1);
         let mut inputs = [0.0; 4];
         assert!(eye.sense(0, &mut inputs));
         let Stimulus { position: p, velocity: v } = eye.stimulus;

@@ -11,7 +11,7 @@ pub use eye::{Eye, Stimulus, log_polar};
 
 use crate::policy::Outputs;
 use crate::scenario::Plan;
-use crate::state::{Ledger, Remember};
+use crate::state::{Persist, StateVisitor};
 use crate::wire::MAX_MEASURES;
 
 /// What came of one tick.
@@ -25,7 +25,7 @@ pub struct Outcome {
 
 /// A plant's joints at the beginning of a tick, for the gate's limits of position: one for each output, in their order.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Joints {
+pub struct JointState {
     /// Where they are, rad, as measured.
     pub position: Outputs,
     /// How far a command of 1 moves each in one tick, rad; negative where it turns the other way.
@@ -34,9 +34,9 @@ pub struct Joints {
 
 /// Anything that can be controlled.
 ///
-/// A plant lists to its ledger ([`Remember`]) what it must know to go on after its process was killed: a simulated body all
+/// A plant lists to its ledger ([`Persist`]) what it must know to go on after its process was killed: a simulated body all
 /// of its state, one of hardware next to nothing, since the body itself remembers.
-pub trait Plant: Remember {
+pub trait Plant: Persist {
     /// Senses at the beginning of `tick`: writes the inputs in the scenario's order and units, and says whether a new
     /// target (or trial) begins. Ticks only grow, but may jump when the plant was late.
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool;
@@ -63,21 +63,21 @@ pub trait Plant: Remember {
 
     /// The joints as they are, if the outputs move joints; asked before a tick is lived through. Without them there can be no
     /// limits of position (`positions` under `[gate]`).
-    fn joints(&self) -> Option<Joints> {
+    fn joints(&self) -> Option<JointState> {
         None
     }
 }
 
 /// The bodies of the simulator.
 #[derive(Debug, Clone)]
-pub enum Body {
+pub enum SimulatedPlant {
     /// The planar arm.
     Arm(Box<Arm>),
     /// The saccading eye.
     Eye(Eye),
 }
 
-impl Body {
+impl SimulatedPlant {
     /// The body that the scenario names, or `None` when it names another program's.
     pub fn of(plan: &Plan) -> Option<Self> {
         let (plant, seed) = (&plan.scenario.plant, plan.scenario.seed);
@@ -89,7 +89,7 @@ impl Body {
     }
 }
 
-impl Plant for Body {
+impl Plant for SimulatedPlant {
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
         match self {
             Self::Arm(arm) => arm.sense(tick, inputs),
@@ -104,7 +104,7 @@ impl Plant for Body {
         }
     }
 
-    fn joints(&self) -> Option<Joints> {
+    fn joints(&self) -> Option<JointState> {
         match self {
             Self::Arm(arm) => arm.joints(),
             Self::Eye(eye) => eye.joints(),
@@ -112,11 +112,11 @@ impl Plant for Body {
     }
 }
 
-impl Remember for Body {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
+impl Persist for SimulatedPlant {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         match self {
-            Self::Arm(arm) => arm.remember(ledger),
-            Self::Eye(eye) => eye.remember(ledger),
+            Self::Arm(arm) => arm.visit_state(visitor),
+            Self::Eye(eye) => eye.visit_state(visitor),
         }
     }
 }

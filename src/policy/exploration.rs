@@ -15,7 +15,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::Outputs;
 use crate::scenario::Noise;
 use crate::seed::{Rng, stream};
-use crate::state::{Ledger, Remember};
+use crate::state::{Persist, StateVisitor};
 use crate::wire::MAX_OUTPUTS;
 
 /// Noise of one standard deviation on every output, from the run's stream `exploration`.
@@ -65,9 +65,9 @@ impl Exploration {
     }
 }
 
-impl Remember for Exploration {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.part("rng", &mut self.rng);
+impl Persist for Exploration {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("rng", &mut self.rng);
     }
 }
 

@@ -7,38 +7,38 @@ mod exploration;
 mod tiles;
 
 pub use exploration::Exploration;
-pub use tiles::{Step, Tiles};
+pub use tiles::{Tiles, TraceStep};
 
 use xxhash_rust::xxh3::Xxh3;
 
-use crate::lanes::Path;
-use crate::state::{Ledger, Remember};
+use crate::simd::SimdPath;
+use crate::state::{Persist, StateVisitor};
 use crate::wire::MAX_OUTPUTS;
-use tiles::{Advance, Answer, ROWS};
+use tiles::{MeanKernel, ROWS, StepKernel};
 
 /// One value for each output that a command can carry; those beyond the plant's stay 0.
 pub type Outputs = [f32; MAX_OUTPUTS];
 
 /// The weights of a linear policy over encoded features.
 #[derive(Debug, Clone)]
-pub struct Linear {
+pub struct LinearPolicy {
     /// Features are in the encoder's (padded) layout.
     weights: Tiles,
     /// Where the true features stand in the padded layout.
     order: Vec<usize>,
     outputs: usize,
-    path: Path,
+    path: SimdPath,
 }
 
-impl Linear {
+impl LinearPolicy {
     /// All-zero weights from `len` (padded) features, of which the true ones stand at `order`, to `outputs` outputs.
     pub fn new(len: usize, order: Vec<usize>, outputs: usize) -> Self {
         debug_assert!((1..=MAX_OUTPUTS).contains(&outputs));
-        Self { weights: Tiles::zeroed(len, outputs), order, outputs, path: Path::best() }
+        Self { weights: Tiles::zeroed(len, outputs), order, outputs, path: SimdPath::best() }
     }
 
     /// The same policy on another path than the machine's best: the same numbers, bit for bit.
-    pub fn on(self, path: Path) -> Self {
+    pub fn on(self, path: SimdPath) -> Self {
         Self { path, ..self }
     }
 
@@ -51,28 +51,28 @@ impl Linear {
     pub fn mean(&self, features: &[f32]) -> Outputs {
         let mut mean = [0.0; MAX_OUTPUTS];
         for (weights, mean) in self.weights.groups.iter().zip(mean.as_chunks_mut::<ROWS>().0) {
-            self.path.run(Answer { weights, features, mean });
+            self.path.run(MeanKernel { weights, features, mean });
         }
         mean
     }
 
     /// Takes a step along `trace`, which is of the size of this policy.
-    pub fn step(&mut self, trace: &mut Tiles, step: Step) {
+    pub fn step(&mut self, trace: &mut Tiles, step: TraceStep) {
         self.advance::<false>(trace, step, &[], &mut [0.0; MAX_OUTPUTS]);
     }
 
     /// The same, and the mean output for the features `next` afterwards: [`mean`](Self::mean), to the bit, in the same pass.
     #[inline]
-    pub fn step_and_answer(&mut self, trace: &mut Tiles, step: Step, next: &[f32], mean: &mut Outputs) {
+    pub fn step_and_answer(&mut self, trace: &mut Tiles, step: TraceStep, next: &[f32], mean: &mut Outputs) {
         self.advance::<true>(trace, step, next, mean);
     }
 
     #[inline(always)]
-    fn advance<const ANSWER: bool>(&mut self, trace: &mut Tiles, step: Step, next: &[f32], mean: &mut Outputs) {
+    fn advance<const ANSWER: bool>(&mut self, trace: &mut Tiles, step: TraceStep, next: &[f32], mean: &mut Outputs) {
         let groups = self.weights.groups.iter_mut().zip(&mut trace.groups).zip(step.gain.chunks(ROWS));
         for (((weights, trace), gain), mean) in groups.zip(mean.as_chunks_mut::<ROWS>().0) {
-            let step = Step { gain, ..step };
-            self.path.run(Advance::<ANSWER> { weights, trace, step, next, mean });
+            let step = TraceStep { gain, ..step };
+            self.path.run(StepKernel::<ANSWER> { weights, trace, step, next, mean });
         }
     }
 
@@ -87,7 +87,7 @@ impl Linear {
     }
 
     /// The path that the policy is worked on with.
-    pub fn path(&self) -> Path {
+    pub fn path(&self) -> SimdPath {
         self.path
     }
 
@@ -119,9 +119,9 @@ impl Linear {
     }
 }
 
-impl Remember for Linear {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.part("weights", &mut self.weights);
+impl Persist for LinearPolicy {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("weights", &mut self.weights);
     }
 }
 
@@ -130,8 +130,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn policy(len: usize, outputs: usize, values: &[f32]) -> Linear {
-        let mut policy = Linear::new(len, (0..len).collect(), outputs);
+    fn policy(len: usize, outputs: usize, values: &[f32]) -> LinearPolicy {
+        let mut policy = LinearPolicy::new(len, (0..len).collect(), outputs);
         for (k, &v) in values.iter().enumerate().take(len * outputs) {
             *policy.weights.get_mut(k / len, k % len) = v;
         }
@@ -170,7 +170,7 @@ mod tests {
         *weight = f32::from_bits(weight.to_bits() ^ 1);
         assert_ne!(a.hash(), b.hash());
         // The same weights in a layout with three pads.
-        let mut padded = Linear::new(8, (0..5).collect(), 4);
+        let mut padded = LinearPolicy::new(8, (0..5).collect(), 4);
         for (output, i) in (0..4).flat_map(|output| (0..5).map(move |i| (output, i))) {
             *padded.weights.get_mut(output, i) = a.weights.get(output, i);
         }

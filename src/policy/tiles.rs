@@ -7,8 +7,8 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::lanes::{LANES, Lanes, Pass, Path, filled};
-use crate::state::{Ledger, Remember};
+use crate::simd::{F32x8, Kernel, LANES, SimdPath, filled};
+use crate::state::{Persist, StateVisitor};
 
 /// Outputs of a group.
 pub(super) const ROWS: usize = 4;
@@ -56,32 +56,32 @@ impl Tiles {
 
     /// Euclidean norm.
     pub fn norm(&self) -> f32 {
-        self.norm_on(Path::best())
+        self.norm_on(SimdPath::best())
     }
 
     /// The same on any path: the same bits.
-    pub fn norm_on(&self, path: Path) -> f32 {
-        path.run(Norm(&self.groups))
+    pub fn norm_on(&self, path: SimdPath) -> f32 {
+        path.run(NormKernel(&self.groups))
     }
 }
 
-impl Remember for Tiles {
+impl Persist for Tiles {
     /// In the order of memory: tile after tile, and in a tile output after output.
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         for group in &mut self.groups {
-            ledger.numbers::<f32>("tiles", bytemuck::cast_slice_mut(group));
+            visitor.numbers::<f32>("tiles", bytemuck::cast_slice_mut(group));
         }
     }
 }
 
 /// The Euclidean norm of all tiles: by output and lane, then outputs, and the lanes last.
-struct Norm<'a>(&'a [Vec<Tile>]);
+struct NormKernel<'a>(&'a [Vec<Tile>]);
 
-impl Pass for Norm<'_> {
+impl Kernel for NormKernel<'_> {
     type Output = f32;
 
     #[inline(always)]
-    fn run<L: Lanes>(self) -> f32 {
+    fn run<L: F32x8>(self) -> f32 {
         let mut sums = [L::splat(0.0); ROWS];
         for tile in self.0.iter().flatten() {
             for (sum, row) in sums.iter_mut().zip(&tile.0) {
@@ -96,7 +96,7 @@ impl Pass for Norm<'_> {
 
 /// What a learning rule with a trace does in a tick: `z = decay z + gain g^T`, and then `W += rate z`.
 #[derive(Debug, Clone, Copy)]
-pub struct Step<'a> {
+pub struct TraceStep<'a> {
     /// The features `g`, in the encoder's padded layout.
     pub features: &'a [f32],
     /// For each output.
@@ -109,21 +109,24 @@ pub struct Step<'a> {
 
 /// A step of one group, and the mean output for `next` in the same pass: what a tick costs is mostly the way of weights and
 /// trace through the cache, and so they make it once.
-pub(super) struct Advance<'a, const ANSWER: bool> {
+pub(super) struct StepKernel<'a, const ANSWER: bool> {
     pub weights: &'a mut [Tile],
     pub trace: &'a mut [Tile],
-    pub step: Step<'a>,
+    pub step: TraceStep<'a>,
     pub next: &'a [f32],
     pub mean: &'a mut [f32; ROWS],
 }
 
-impl<const ANSWER: bool> Pass for Advance<'_, ANSWER> {
+impl<const ANSWER: bool> Kernel for StepKernel<'_, ANSWER> {
     type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self) {
-        let mut known =
-            Known { gains: [L::splat(0.0); ROWS], decay: L::splat(self.step.decay), rate: L::splat(self.step.rate) };
+    fn run<L: F32x8>(self) {
+        let mut known = StepConstants {
+            gains: [L::splat(0.0); ROWS],
+            decay: L::splat(self.step.decay),
+            rate: L::splat(self.step.rate),
+        };
         for (to, gain) in known.gains.iter_mut().zip(self.step.gain) {
             *to = L::splat(*gain);
         }
@@ -144,13 +147,13 @@ impl<const ANSWER: bool> Pass for Advance<'_, ANSWER> {
 }
 
 /// What is the same for all tiles of a step.
-struct Known<L> {
+struct StepConstants<L> {
     gains: [L; ROWS],
     decay: L,
     rate: L,
 }
 
-impl<L: Lanes> Known<L> {
+impl<L: F32x8> StepConstants<L> {
     /// A step of one tile.
     #[inline(always)]
     fn advance<const ANSWER: bool>(
@@ -178,17 +181,17 @@ impl<L: Lanes> Known<L> {
 }
 
 /// The mean output of one group.
-pub(super) struct Answer<'a> {
+pub(super) struct MeanKernel<'a> {
     pub weights: &'a [Tile],
     pub features: &'a [f32],
     pub mean: &'a mut [f32; ROWS],
 }
 
-impl Pass for Answer<'_> {
+impl Kernel for MeanKernel<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self) {
+    fn run<L: F32x8>(self) {
         let mut sums = [L::splat(0.0); ROWS];
         let (whole, rest) = self.features.as_chunks();
         for (w, g) in self.weights.iter().zip(whole) {
@@ -203,7 +206,7 @@ impl Pass for Answer<'_> {
 
 /// Adds what one tile says to the features.
 #[inline(always)]
-fn answer<L: Lanes>(w: &Tile, g: &[f32; LANES], sums: &mut [L; ROWS]) {
+fn answer<L: F32x8>(w: &Tile, g: &[f32; LANES], sums: &mut [L; ROWS]) {
     let g = L::load(g);
     for (sum, row) in sums.iter_mut().zip(&w.0) {
         *sum = *sum + L::load(row) * g;

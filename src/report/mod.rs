@@ -1,6 +1,6 @@
 //! What a run's end shows: a figure and a table of how the controller learned.
 //!
-//! A [`Story`] is plain numbers, collected window by window by whoever watches the run, and handed on as JSON if that is
+//! A [`RunHistory`] is plain numbers, collected window by window by whoever watches the run, and handed on as JSON if that is
 //! another process. [`figure::draw`] makes one SVG of it, [`table`] a few lines of text. Both only see the story: they
 //! give the same bytes for the same numbers, on every machine.
 
@@ -47,7 +47,7 @@ pub struct Reach {
 /// How a run went.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Story {
+pub struct RunHistory {
     /// Title of the figure.
     pub title: String,
     /// Unit of errors and places, `m` for the arm; may be empty.
@@ -125,8 +125,8 @@ impl Window {
 }
 
 /// First and last window as text, one line each under a head with the units. `-` is a value that there is not.
-pub fn table(story: &Story) -> String {
-    let unit = match story.unit.as_str() {
+pub fn table(history: &RunHistory) -> String {
+    let unit = match history.unit.as_str() {
         "" => String::new(),
         unit => format!(" ({unit})"),
     };
@@ -137,8 +137,8 @@ pub fn table(story: &Story) -> String {
         format!("RMS error{unit}"),
         format!("error at a target's end{unit}"),
     ]];
-    let last = story.windows.len().saturating_sub(1);
-    for (_, w) in story.windows.iter().enumerate().filter(|(i, _)| *i == 0 || *i == last) {
+    let last = history.windows.len().saturating_sub(1);
+    for (_, w) in history.windows.iter().enumerate().filter(|(i, _)| *i == 0 || *i == last) {
         rows.push([
             format!("{} to {}", thousands(w.from), thousands(w.from.saturating_add(w.ticks).saturating_sub(1))),
             figures(Some(w.loss)),
@@ -147,7 +147,7 @@ pub fn table(story: &Story) -> String {
             figures(w.end_error),
         ]);
     }
-    if story.windows.is_empty() {
+    if history.windows.is_empty() {
         rows.push(std::array::from_fn(|_| "-".to_owned()));
     }
     columns(&rows)
@@ -206,7 +206,7 @@ pub(crate) mod tests {
     }
 
     /// The shape of the paper's run: 120 windows, a joint blocked at the 93rd.
-    pub fn arm_story() -> Story {
+    pub fn arm_history() -> RunHistory {
         let window = |i: u64| {
             let t = i as f64 / 20.0;
             let hurt = if i >= 93 { 0.012 * (-(i as f64 - 93.0) / 8.0).exp() + 0.004 } else { 0.0 };
@@ -222,7 +222,7 @@ pub(crate) mod tests {
                 ends: 1250,
             }
         };
-        Story {
+        RunHistory {
             title: "Closed-loop arm, the paper's rule, seed 1".into(),
             unit: "m".into(),
             period_s: 0.05,
@@ -253,9 +253,9 @@ pub(crate) mod tests {
 
     #[test]
     fn the_table_has_first_and_last_window_under_units() {
-        let mut story = arm_story();
-        story.windows.truncate(3);
-        story.windows[0] = Window {
+        let mut history = arm_history();
+        history.windows.truncate(3);
+        history.windows[0] = Window {
             from: 0,
             ticks: 1000,
             loss: 0.1655,
@@ -264,7 +264,7 @@ pub(crate) mod tests {
             end_error: Some(0.87654),
             ends: 12,
         };
-        story.windows[2] = Window {
+        history.windows[2] = Window {
             from: 2000,
             ticks: 500,
             loss: 0.0728,
@@ -278,11 +278,11 @@ ticks           loss a tick  without noise  RMS error (m)  error at a target's e
 0 to 999              0.166          0.130           1.10                        0.877
 2,000 to 2,499       0.0728         0.0373              -                            -
 ";
-        assert_eq!(table(&story), expected);
-        story.windows.truncate(1);
-        assert_eq!(table(&story).lines().count(), 2);
-        story.windows.clear();
-        assert!(table(&story).lines().last().unwrap().starts_with("-  "));
+        assert_eq!(table(&history), expected);
+        history.windows.truncate(1);
+        assert_eq!(table(&history).lines().count(), 2);
+        history.windows.clear();
+        assert!(table(&history).lines().last().unwrap().starts_with("-  "));
     }
 
     #[test]
@@ -293,16 +293,16 @@ ticks           loss a tick  without noise  RMS error (m)  error at a target's e
 
     #[test]
     fn a_story_travels_as_json() {
-        let story = arm_story();
-        let back: Story = serde_json::from_str(&serde_json::to_string(&story).unwrap()).unwrap();
-        assert!(back == story, "to the last bit");
-        let mut diverged = arm_story();
+        let history = arm_history();
+        let back: RunHistory = serde_json::from_str(&serde_json::to_string(&history).unwrap()).unwrap();
+        assert!(back == history, "to the last bit");
+        let mut diverged = arm_history();
         diverged.windows[7].loss = f64::NAN;
         diverged.windows[7].end_error = Some(f64::INFINITY);
         diverged.last_reach.as_mut().unwrap().postures[3][2] = [f64::NAN; 2];
-        let back: Story = serde_json::from_str(&serde_json::to_string(&diverged).unwrap()).unwrap();
+        let back: RunHistory = serde_json::from_str(&serde_json::to_string(&diverged).unwrap()).unwrap();
         assert!(back.windows[7].loss.is_nan() && back.windows[7].end_error.is_none());
         assert!(back.last_reach.unwrap().postures[3][2][0].is_nan());
-        assert!(table(&Story { windows: back.windows[7..8].to_vec(), ..story }).contains(" - "));
+        assert!(table(&RunHistory { windows: back.windows[7..8].to_vec(), ..history }).contains(" - "));
     }
 }

@@ -11,7 +11,7 @@ use super::reports::{Percentiles, histogram};
 
 /// What is left of a tick, us.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Slack {
+pub struct SlackPercentiles {
     /// Median.
     pub p50: f64,
     /// First percentile: 99 ticks in a hundred leave more.
@@ -37,12 +37,12 @@ pub struct TickBudget {
     /// late by the rest, and missed if that takes longer than a period.
     pub learner_overruns: u64,
     /// From the end of the controller's work, learning record and account included, to the next tick.
-    pub slack_us: Option<Slack>,
+    pub slack_us: Option<SlackPercentiles>,
 }
 
 /// The instants of one tick of the controller, ns.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Instants {
+pub(super) struct TickInstants {
     /// For which the tick was scheduled.
     pub scheduled: u64,
     /// The observation was there.
@@ -57,7 +57,7 @@ pub(super) struct Instants {
 
 /// Collects the budget tick by tick.
 #[derive(Debug)]
-pub(super) struct Meter {
+pub(super) struct BudgetMeter {
     period: u64,
     answer: Histogram<u64>,
     learner: Histogram<u64>,
@@ -67,14 +67,14 @@ pub(super) struct Meter {
     overruns: u64,
 }
 
-impl Meter {
+impl BudgetMeter {
     /// A meter for ticks of `period` ns.
     pub fn new(period: u64) -> Self {
         Self { period, answer: histogram(), learner: histogram(), slack: histogram(), learner_ns: 0, overruns: 0 }
     }
 
     /// Takes a tick into the account.
-    pub fn record(&mut self, at: Instants) {
+    pub fn record(&mut self, at: TickInstants) {
         let next = at.scheduled + self.period;
         let learner = at.improved.saturating_sub(at.answered);
         self.answer.saturating_record(at.answered.saturating_sub(at.seen));
@@ -95,7 +95,7 @@ impl Meter {
             learner_us: Percentiles::of(&self.learner),
             learner_share: self.learner_ns as f64 / (ticks as f64 * self.period as f64),
             learner_overruns: self.overruns,
-            slack_us: Some(Slack {
+            slack_us: Some(SlackPercentiles {
                 p50: us(self.slack.value_at_quantile(0.5)),
                 p1: us(self.slack.value_at_quantile(0.01)),
                 min: us(self.slack.min()),
@@ -140,13 +140,13 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    fn at(scheduled: u64, seen: u64, answered: u64, improved: u64, done: u64) -> Instants {
-        Instants { scheduled, seen, answered, improved, done }
+    fn at(scheduled: u64, seen: u64, answered: u64, improved: u64, done: u64) -> TickInstants {
+        TickInstants { scheduled, seen, answered, improved, done }
     }
 
     #[test]
     fn a_budget_adds_up() {
-        let mut meter = Meter::new(50 * MS);
+        let mut meter = BudgetMeter::new(50 * MS);
         assert_eq!(meter.finish(), None);
         for tick in 0..100 {
             let t = tick * 50 * MS;
@@ -173,7 +173,7 @@ mod tests {
 
     #[test]
     fn a_learner_that_is_still_at_work_when_the_next_tick_is_due_is_counted() {
-        let mut meter = Meter::new(50 * MS);
+        let mut meter = BudgetMeter::new(50 * MS);
         meter.record(at(0, MS, 2 * MS, 50 * MS, 51 * MS));
         assert_eq!(meter.finish().unwrap().learner_overruns, 0);
         meter.record(at(0, MS, 2 * MS, 50 * MS + 1, 51 * MS));

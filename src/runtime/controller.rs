@@ -1,12 +1,12 @@
 //! The controller's side of the tick: learn, encode, draw, answer.
 
-use super::{ControllerReport, Line, Tally};
+use super::{ControllerReport, FaultyChannel, RunStatistics};
 use crate::encoder::{Encoder, Features};
-use crate::lanes::Path;
-use crate::learner::{Learner, LearningRule, Tick};
-use crate::policy::{Exploration, Linear, Outputs};
+use crate::learner::{Learner, LearningRule, Transition};
+use crate::policy::{Exploration, LinearPolicy, Outputs};
 use crate::scenario::{Plan, limits::RANGE};
-use crate::state::{Ledger, Remember};
+use crate::simd::SimdPath;
+use crate::state::{Persist, StateVisitor};
 use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, flag};
 
 /// Encoder, policy and learner: the controller's half of every tick, without clock and transport.
@@ -33,9 +33,9 @@ use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, flag}
 #[derive(Debug, Clone)]
 pub struct Controller {
     /// The observations' way to here.
-    line: Line<Observation>,
+    line: FaultyChannel<Observation>,
     encoder: Encoder,
-    policy: Linear,
+    policy: LinearPolicy,
     exploration: Exploration,
     rule: Learner,
     inputs: usize,
@@ -57,7 +57,7 @@ pub struct Controller {
     /// What the learner did in this tick.
     flags: u32,
     step: f32,
-    tally: Tally,
+    statistics: RunStatistics,
     pub(super) report: ControllerReport,
 }
 
@@ -77,8 +77,8 @@ impl Controller {
         let encoder = plan.encoder();
         let (len, order) = (encoder.len(), encoder.positions().collect());
         Self {
-            line: Line::of(plan),
-            policy: Linear::new(len, order, outputs),
+            line: FaultyChannel::of(plan),
+            policy: LinearPolicy::new(len, order, outputs),
             exploration: Exploration::new(scenario.seed, scenario.policy.sigma as f32, outputs)
                 .distributed(scenario.policy.noise),
             rule: Learner::of(plan, &encoder),
@@ -96,7 +96,7 @@ impl Controller {
             off_policy: false,
             flags: 0,
             step: 0.0,
-            tally: Tally::new(plan),
+            statistics: RunStatistics::new(plan),
             report: ControllerReport::default(),
         }
     }
@@ -107,7 +107,7 @@ impl Controller {
     }
 
     /// The same controller with its inner loops on another path than the machine's best: the same numbers, bit for bit.
-    pub fn on(self, path: Path) -> Self {
+    pub fn on(self, path: SimdPath) -> Self {
         Self { encoder: self.encoder.on(path), policy: self.policy.on(path), ..self }
     }
 
@@ -221,7 +221,7 @@ impl Controller {
                     *noise = applied - mean;
                 }
             }
-            let tick = Tick {
+            let tick = Transition {
                 features: self.features.as_slice(),
                 inputs: &self.shown[..self.inputs],
                 noise: &self.exploration.score(&self.noise),
@@ -243,12 +243,12 @@ impl Controller {
     }
 
     /// What nobody waits for: lets the learner use the time, and brings the account up to date with the observation.
-    pub fn settle(&mut self, observation: &Observation) {
+    pub fn after_command(&mut self, observation: &Observation) {
         self.rule.improve(&mut self.policy);
         if self.rule.halted() {
             self.report.diverged_at.get_or_insert(observation.header.tick);
         }
-        self.tally.observe(observation);
+        self.statistics.observe(observation);
         self.report.ticks += 1;
     }
 
@@ -268,7 +268,7 @@ impl Controller {
     }
 
     /// The policy as it is now.
-    pub fn policy(&self) -> &Linear {
+    pub fn policy(&self) -> &LinearPolicy {
         &self.policy
     }
 
@@ -278,34 +278,34 @@ impl Controller {
     }
 
     /// The account as it is now.
-    pub fn tally(&self) -> &Tally {
-        &self.tally
+    pub fn statistics(&self) -> &RunStatistics {
+        &self.statistics
     }
 
     /// Ends the run: the account, with the hash of the final weights.
     pub fn finish(self) -> ControllerReport {
-        let (windows, first_switch, last_switch) = self.tally.finish();
+        let (windows, first_switch, last_switch) = self.statistics.finish();
         let weights_hash = format!("{:016x}", self.policy.hash());
         ControllerReport { weights_hash, windows, first_switch, last_switch, ..self.report }
     }
 }
 
-impl Remember for Controller {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.part("line", &mut self.line);
-        ledger.part("policy", &mut self.policy);
-        ledger.part("exploration", &mut self.exploration);
-        ledger.part("learner", &mut self.rule);
-        ledger.maybe("answered", &mut self.answered);
-        ledger.numbers("shown", &mut self.shown);
-        ledger.numbers("features", self.features.as_mut_slice());
-        ledger.numbers("mean", &mut self.mean);
-        ledger.numbers("noise", &mut self.noise);
-        ledger.numbers("before", &mut self.before);
-        ledger.number("flags", &mut self.flags);
-        ledger.number("step", &mut self.step);
-        ledger.part("tally", &mut self.tally);
-        ledger.part("report", &mut self.report);
+impl Persist for Controller {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("line", &mut self.line);
+        visitor.nested("policy", &mut self.policy);
+        visitor.nested("exploration", &mut self.exploration);
+        visitor.nested("learner", &mut self.rule);
+        visitor.optional("answered", &mut self.answered);
+        visitor.numbers("shown", &mut self.shown);
+        visitor.numbers("features", self.features.as_mut_slice());
+        visitor.numbers("mean", &mut self.mean);
+        visitor.numbers("noise", &mut self.noise);
+        visitor.numbers("before", &mut self.before);
+        visitor.number("flags", &mut self.flags);
+        visitor.number("step", &mut self.step);
+        visitor.nested("tally", &mut self.statistics);
+        visitor.nested("report", &mut self.report);
     }
 }
 

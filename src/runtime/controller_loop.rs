@@ -7,16 +7,16 @@
 
 use std::time::Duration;
 
-use super::budget::{Instants, Meter};
-use super::peer::Peer;
+use super::budget::{BudgetMeter, TickInstants};
+use super::peer_monitor::PeerMonitor;
 use super::stopwatch::Stopwatch;
-use super::{Controller, ControllerReport, RuntimeError, Seat, Session};
-use crate::channel::{ControllerPorts, Vault};
+use super::{Controller, ControllerReport, Participant, RuntimeError, Session};
+use crate::channel::{ControllerPorts, CrashStore};
 use crate::checkpoint;
 use crate::clock::{Backoff, TimeSource};
 use crate::scenario::Plan;
-use crate::state::{self, Ledger, Remember};
-use crate::wire::{Command, Header, Learning, Observation, Role, State};
+use crate::state::{self, Persist, StateVisitor};
+use crate::wire::{Command, Header, Learning, Observation, ProcessState, Role};
 
 /// Observations between two states that are kept.
 const KEEP: u64 = 64;
@@ -24,7 +24,7 @@ const KEEP: u64 = 64;
 const NOTED: usize = 4 * KEEP as usize;
 
 /// The controller and what it said last.
-struct Answers {
+struct ControllerLoopState {
     controller: Controller,
     command: Command,
     learning: Learning,
@@ -34,7 +34,7 @@ struct Answers {
     count: u64,
 }
 
-impl Answers {
+impl ControllerLoopState {
     fn new(plan: &Plan) -> Self {
         let (command, learning) = (Command::default(), Learning::default());
         Self { controller: Controller::new(plan), command, learning, seen: Header::default(), count: 0 }
@@ -54,8 +54,8 @@ impl Answers {
     }
 
     /// What nobody waits for, but for the learning record.
-    fn settle(&mut self, observation: &Observation) {
-        self.controller.settle(observation);
+    fn after_command(&mut self, observation: &Observation) {
+        self.controller.after_command(observation);
     }
 
     fn record(&mut self, observation: &Observation) {
@@ -67,22 +67,22 @@ impl Answers {
     /// Goes through an observation that was answered by the one before.
     fn relive(&mut self, observation: &Observation) {
         self.respond(observation);
-        self.settle(observation);
+        self.after_command(observation);
         self.record(observation);
     }
 
     /// Takes up what the vault holds, or the checkpoint that the run begins with. True if it was the vault.
-    fn take_up(&mut self, vault: &mut Vault, seat: &Seat) -> Result<bool, RuntimeError> {
-        if let Some((_, bytes)) = vault.newest() {
+    fn reopen(&mut self, crash_store: &mut CrashStore, participant: &Participant) -> Result<bool, RuntimeError> {
+        if let Some((_, bytes)) = crash_store.newest() {
             if !state::load(self, bytes) {
                 return Err(RuntimeError::Memory(Role::Controller.name()));
             }
         } else {
-            seat.resume(self)?;
+            participant.resume(self)?;
         }
-        let before = (vault.newest().is_some(), self.count);
-        vault.take_up();
-        while let Some(bytes) = vault.entry(self.count) {
+        let before = (crash_store.newest().is_some(), self.count);
+        crash_store.reopen();
+        while let Some(bytes) = crash_store.entry(self.count) {
             let observation = bytemuck::pod_read_unaligned(bytes);
             self.relive(&observation);
         }
@@ -97,8 +97,8 @@ impl Answers {
     }
 
     /// The state as a checkpoint, as of when `tick` begins.
-    fn checkpoint(&mut self, tick: u64, seat: &Seat) -> Vec<u8> {
-        let facts = seat.facts(tick, self.count);
+    fn checkpoint(&mut self, tick: u64, participant: &Participant) -> Vec<u8> {
+        let facts = participant.facts(tick, self.count);
         let policy = self.controller.policy().clone();
         checkpoint::encode(&facts, self, Some(&policy))
     }
@@ -109,40 +109,40 @@ impl Answers {
     }
 
     /// Shows how far the controller is.
-    fn show(&self, session: &mut Session) {
+    fn publish_status(&self, session: &mut Session) {
         let status = &mut session.status;
         status.ticks = self.seen.tick + 1;
         status.sent = self.count;
         status.lost = self.controller.report.unseen;
-        (status.loss, status.end_error) = self.controller.tally().now();
-        session.show();
+        (status.loss, status.end_error) = self.controller.statistics().now();
+        session.publish_status();
     }
 
     /// Says the last answer, again.
-    fn say(&self, ports: &ControllerPorts) -> Result<(), RuntimeError> {
+    fn send(&self, ports: &ControllerPorts) -> Result<(), RuntimeError> {
         ports.command.send(&self.command)?;
         ports.learning.send(&self.learning)?;
         Ok(())
     }
 }
 
-impl Remember for Answers {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.part("controller", &mut self.controller);
-        ledger.sample("command", &mut self.command);
-        ledger.sample("learning", &mut self.learning);
-        ledger.sample("seen", &mut self.seen);
-        ledger.number("count", &mut self.count);
+impl Persist for ControllerLoopState {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("controller", &mut self.controller);
+        visitor.sample("command", &mut self.command);
+        visitor.sample("learning", &mut self.learning);
+        visitor.sample("seen", &mut self.seen);
+        visitor.number("count", &mut self.count);
     }
 }
 
 /// Longest sleep while waiting for an observation in real time: how soon the end of a run is noticed.
-const EAR_TIMEOUT: Duration = Duration::from_millis(100);
+const WAKE_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// Waits for the next observation; in real time for the newest. `None` when there will be none.
 fn await_observation(
     ports: &mut ControllerPorts,
-    plant: &mut Peer,
+    plant: &mut PeerMonitor,
     session: &Session,
     real: bool,
 ) -> Result<Option<Observation>, RuntimeError> {
@@ -150,7 +150,7 @@ fn await_observation(
     loop {
         // Asked before the channel is: what the plant sent before it finished is still received. A plant that failed may
         // come back; whether it does, the launcher says.
-        let over = ports.plant.get().state() == State::Finished;
+        let over = ports.plant.get().state() == ProcessState::Finished;
         if let Some(mut newest) = ports.observation.receive()? {
             // After a stall only the present counts; what was passed by shows in the sequence numbers.
             while let Some(newer) = if real { ports.observation.receive()? } else { None } {
@@ -162,12 +162,12 @@ fn await_observation(
             return Ok(None);
         }
         if real {
-            ports.ear.listen(EAR_TIMEOUT);
+            ports.wake.wait(WAKE_TIMEOUT);
             session.check()?;
-            plant.look(&mut ports.plant, session)?;
+            plant.check(&mut ports.plant, session)?;
         } else if backoff.pause() {
             session.check()?;
-            plant.look(&mut ports.plant, session)?;
+            plant.check(&mut ports.plant, session)?;
         }
     }
 }
@@ -176,36 +176,36 @@ fn await_observation(
 ///
 /// # Errors
 /// When the process does not fit the run, or the run ends in disorder.
-pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
-    let mut answers = Answers::new(&seat.plan);
-    let (mut ports, desk) = seat.open(ControllerPorts::open)?;
-    let mut vault = seat.vault(state::size(&mut answers), [NOTED, size_of::<Observation>()])?;
-    let came_back = answers.take_up(&mut vault, &seat)?;
-    let writer = seat.writer()?;
+pub fn run_controller(participant: Participant) -> Result<ControllerReport, RuntimeError> {
+    let mut loop_state = ControllerLoopState::new(&participant.plan);
+    let (mut ports, status_board) = participant.open(ControllerPorts::open)?;
+    let mut crash_store = participant.crash_store(state::size(&mut loop_state), [NOTED, size_of::<Observation>()])?;
+    let returned = loop_state.reopen(&mut crash_store, &participant)?;
+    let writer = participant.writer()?;
     // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the logger.
-    let (mut session, mut time) = seat.begin(desk, || {
+    let (mut session, mut time) = participant.begin(status_board, || {
         Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 2 && ports.learning.connect()? >= 1)
     })?;
-    let mut plant = Peer::new(Role::Plant);
+    let mut plant = PeerMonitor::new(Role::Plant);
     let real = time.is_real();
-    answers.introduce(session.seat.card.run_id(), session.incarnation());
-    if came_back {
-        time.step_to(answers.seen.tick);
-        answers.stamp(&time);
-        answers.say(&ports)?;
-        answers.show(&mut session);
+    loop_state.introduce(session.participant.manifest.run_id(), session.incarnation());
+    if returned {
+        time.step_to(loop_state.seen.tick);
+        loop_state.stamp(&time);
+        loop_state.send(&ports)?;
+        loop_state.publish_status(&mut session);
     }
-    let mut watch = Stopwatch::of(&session.seat);
-    let mut meter = real.then(|| Meter::new(session.seat.plan.period_ns));
+    let mut watch = Stopwatch::of(&session.participant);
+    let mut meter = real.then(|| BudgetMeter::new(session.participant.plan.period_ns));
 
     while let Some(observation) = await_observation(&mut ports, &mut plant, &session, real)? {
         let seen = &observation.header;
         if session.interrupted() {
             session.check()?;
         }
-        if seen.sequence < answers.expected() {
+        if seen.sequence < loop_state.expected() {
             // A plant that has come back says its last word again, and may not have heard the answer.
-            answers.say(&ports)?;
+            loop_state.send(&ports)?;
             continue;
         }
         // Looked at while the plant waits: it announces its next checkpoint with the observation before it.
@@ -213,42 +213,44 @@ pub fn run_controller(seat: Seat) -> Result<ControllerReport, RuntimeError> {
         time.step_to(seen.tick);
         let arrived = time.now();
         watch.begin();
-        vault.note(answers.count, bytemuck::bytes_of(&observation));
-        answers.respond(&observation);
-        stamp(&mut answers.command.header, seen, &time);
+        crash_store.append(loop_state.count, bytemuck::bytes_of(&observation));
+        loop_state.respond(&observation);
+        stamp(&mut loop_state.command.header, seen, &time);
         watch.end();
-        ports.command.send(&answers.command)?;
+        ports.command.send(&loop_state.command)?;
 
         // From here on nobody waits.
         let answered = time.now();
-        answers.settle(&observation);
+        loop_state.after_command(&observation);
         let improved = time.now();
-        answers.record(&observation);
-        stamp(&mut answers.learning.header, seen, &time);
-        ports.learning.send(&answers.learning)?;
+        loop_state.record(&observation);
+        stamp(&mut loop_state.learning.header, seen, &time);
+        ports.learning.send(&loop_state.learning)?;
 
         if cut {
-            writer.write(seen.tick + 1, answers.checkpoint(seen.tick + 1, &session.seat));
+            writer.write(seen.tick + 1, loop_state.checkpoint(seen.tick + 1, &session.participant));
         }
-        if answers.count.is_multiple_of(KEEP) && !vault.keep(answers.count, |to| state::save(&mut answers, to)) {
+        if loop_state.count.is_multiple_of(KEEP)
+            && !crash_store.store(loop_state.count, |to| state::save(&mut loop_state, to))
+        {
             return Err(RuntimeError::Memory(Role::Controller.name()));
         }
         if let Some(meter) = &mut meter {
             let (scheduled, done) = (seen.scheduled_ns, time.now());
-            meter.record(Instants { scheduled, seen: arrived, answered, improved, done });
+            meter.record(TickInstants { scheduled, seen: arrived, answered, improved, done });
             session.status.learner_ns = meter.learner_ns;
         }
-        answers.show(&mut session);
+        loop_state.publish_status(&mut session);
     }
-    let end = answers.seen.tick + u64::from(answers.count > 0);
-    writer.write_last(end, answers.checkpoint(end, &session.seat), session.stopping());
-    let report = &mut answers.controller.report;
+    let end = loop_state.seen.tick + u64::from(loop_state.count > 0);
+    writer.write_last(end, loop_state.checkpoint(end, &session.participant), session.stopping());
+    let report = &mut loop_state.controller.report;
     match writer.finish() {
         Ok(written) => report.checkpoints = written,
         Err(cause) => report.checkpoint_failure = Some(cause),
     }
-    answers.controller.report.tick_budget = meter.and_then(|meter| meter.finish());
-    let report = answers.controller.finish();
+    loop_state.controller.report.tick_budget = meter.and_then(|meter| meter.finish());
+    let report = loop_state.controller.finish();
     watch.leave()?;
     session.finish(&report)?;
     Ok(report)

@@ -1,6 +1,6 @@
 //! Faults of channels, on demand: what is sent is not what is read, the same every time.
 //!
-//! A [`Line`] stands where samples are read: the controller's for observations, the plant's for commands. In each tick one
+//! A [`FaultyChannel`] stands where samples are read: the controller's for observations, the plant's for commands. In each tick one
 //! sample goes in, or none, and what comes out are none, one or more. The transport beneath stays whole, so that lockstep is
 //! kept, the log has what was sent, and a run in one process has the same faults as one of three, and as its replay. What
 //! each sample's tick is stands in its header; who reads must find out from there what is late.
@@ -11,7 +11,7 @@
 use xxhash_rust::xxh3::xxh3_64_with_seed;
 
 use crate::scenario::{ChannelFault, FaultChannel, FaultKind, FaultValue, Plan};
-use crate::state::{Ledger, Remember};
+use crate::state::{Persist, StateVisitor};
 use crate::wire::{Command, Header, Learning, Observation, Sample};
 
 /// Most samples under way in a line; with more, the one that has been under way for longest is lost. One fault keeps at
@@ -19,7 +19,7 @@ use crate::wire::{Command, Header, Learning, Observation, Sample};
 const UNDER_WAY: usize = 32;
 
 /// What a line carries.
-pub trait Carried: Sample + Default {
+pub trait Faultable: Sample + Default {
     /// The channel.
     const CHANNEL: FaultChannel;
 
@@ -27,62 +27,62 @@ pub trait Carried: Sample + Default {
     fn header(&self) -> &Header;
 
     /// The values that corruption writes over, those of the scenario's signals.
-    fn values(&mut self, plan: Signals) -> &mut [f32];
+    fn values(&mut self, plan: SignalCounts) -> &mut [f32];
 }
 
 /// How many inputs and outputs the scenario has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Signals {
+pub struct SignalCounts {
     inputs: usize,
     outputs: usize,
 }
 
-impl Carried for Observation {
+impl Faultable for Observation {
     const CHANNEL: FaultChannel = FaultChannel::Observation;
 
     fn header(&self) -> &Header {
         &self.header
     }
 
-    fn values(&mut self, signals: Signals) -> &mut [f32] {
+    fn values(&mut self, signals: SignalCounts) -> &mut [f32] {
         &mut self.inputs[..signals.inputs]
     }
 }
 
-impl Carried for Command {
+impl Faultable for Command {
     const CHANNEL: FaultChannel = FaultChannel::Command;
 
     fn header(&self) -> &Header {
         &self.header
     }
 
-    fn values(&mut self, signals: Signals) -> &mut [f32] {
+    fn values(&mut self, signals: SignalCounts) -> &mut [f32] {
         &mut self.drawn[..signals.outputs]
     }
 }
 
-impl Carried for Learning {
+impl Faultable for Learning {
     const CHANNEL: FaultChannel = FaultChannel::Learning;
 
     fn header(&self) -> &Header {
         &self.header
     }
 
-    fn values(&mut self, signals: Signals) -> &mut [f32] {
+    fn values(&mut self, signals: SignalCounts) -> &mut [f32] {
         &mut self.noise[..signals.outputs]
     }
 }
 
 /// A fault with its place in the scenario's list.
 #[derive(Debug, Clone, PartialEq)]
-struct Fault {
+struct ActiveFault {
     place: u64,
     table: ChannelFault,
 }
 
 /// A sample under way.
 #[derive(Debug, Clone, Copy)]
-struct Waiting<T> {
+struct DelayedSample<T> {
     sample: T,
     /// The tick in which it comes out.
     due: u64,
@@ -92,12 +92,12 @@ struct Waiting<T> {
 
 /// A channel's end with the scenario's faults.
 #[derive(Debug, Clone)]
-pub struct Line<T> {
-    faults: Vec<Fault>,
+pub struct FaultyChannel<T> {
+    faults: Vec<ActiveFault>,
     seed: u64,
-    signals: Signals,
+    signals: SignalCounts,
     /// In the order in which they went in; the first `waiting` are in use.
-    under_way: [Waiting<T>; UNDER_WAY],
+    under_way: [DelayedSample<T>; UNDER_WAY],
     waiting: usize,
     /// What came out last, if anything did.
     last: Option<T>,
@@ -105,16 +105,16 @@ pub struct Line<T> {
     frozen_until: u64,
 }
 
-impl<T: Carried> Line<T> {
+impl<T: Faultable> FaultyChannel<T> {
     /// The line of the run of `plan`.
     pub fn of(plan: &Plan) -> Self {
         let list = (0..).zip(&plan.scenario.faults.channel);
         let ours = list.filter(|(_, table)| table.channel == T::CHANNEL);
         Self {
-            faults: ours.map(|(place, table)| Fault { place, table: table.clone() }).collect(),
+            faults: ours.map(|(place, table)| ActiveFault { place, table: table.clone() }).collect(),
             seed: xxh3_64_with_seed(b"faults", plan.scenario.seed),
-            signals: Signals { inputs: plan.inputs.len(), outputs: plan.outputs.len() },
-            under_way: [Waiting { sample: T::default(), due: 0, behind: false }; UNDER_WAY],
+            signals: SignalCounts { inputs: plan.inputs.len(), outputs: plan.outputs.len() },
+            under_way: [DelayedSample { sample: T::default(), due: 0, behind: false }; UNDER_WAY],
             waiting: 0,
             last: None,
             frozen_until: 0,
@@ -135,7 +135,7 @@ impl<T: Carried> Line<T> {
         let mut present = sample.copied();
         let (mut delay, mut behind) = (0, false);
         for i in 0..self.faults.len() {
-            let Fault { place, table } = &self.faults[i];
+            let ActiveFault { place, table } = &self.faults[i];
             if !happens(self.seed, *place, table, tick) {
                 continue;
             }
@@ -147,7 +147,7 @@ impl<T: Carried> Line<T> {
                 (FaultKind::Reorder, Some(_)) => behind = true,
                 (FaultKind::Duplicate, Some(sample)) => {
                     let sample = *sample;
-                    self.keep(Waiting { sample, due: tick + ticks, behind: false });
+                    self.keep(DelayedSample { sample, due: tick + ticks, behind: false });
                 }
                 (FaultKind::Corrupt, Some(sample)) => {
                     let value = if table.value == Some(FaultValue::Huge) { HUGE } else { f32::NAN };
@@ -162,13 +162,13 @@ impl<T: Carried> Line<T> {
             return;
         }
         if let Some(sample) = present.take_if(|_| delay > 0 || behind) {
-            self.keep(Waiting { sample, due: tick + delay.max(1), behind });
+            self.keep(DelayedSample { sample, due: tick + delay.max(1), behind });
         }
         let mut give = |sample: &T| {
             self.last = Some(*sample);
             read(sample);
         };
-        let due = |w: &Waiting<T>, behind: bool| w.due <= tick && w.behind == behind;
+        let due = |w: &DelayedSample<T>, behind: bool| w.due <= tick && w.behind == behind;
         let under_way = &self.under_way[..self.waiting];
         under_way.iter().filter(|w| due(w, false)).for_each(|w| give(&w.sample));
         present.iter().for_each(&mut give);
@@ -183,7 +183,7 @@ impl<T: Carried> Line<T> {
         self.waiting = left;
     }
 
-    fn keep(&mut self, waiting: Waiting<T>) {
+    fn keep(&mut self, waiting: DelayedSample<T>) {
         if self.waiting == UNDER_WAY {
             self.under_way.rotate_left(1);
             self.waiting -= 1;
@@ -209,27 +209,27 @@ fn happens(seed: u64, place: u64, table: &ChannelFault, tick: u64) -> bool {
     ((xxh3_64_with_seed(&bytes, seed) >> 11) as f64) < probability * (1_u64 << 53) as f64
 }
 
-impl<T: Carried> Remember for Line<T> {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
+impl<T: Faultable> Persist for FaultyChannel<T> {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         if self.is_clean() {
             return;
         }
         let waiting = self.waiting;
         let mut counts = [waiting as u64, u64::from(self.last.is_some()), self.frozen_until];
-        ledger.numbers("line", &mut counts);
+        visitor.numbers("line", &mut counts);
         [_, _, self.frozen_until] = counts;
         self.waiting = (counts[0] as usize).min(UNDER_WAY);
         let mut last = self.last.unwrap_or_default();
-        ledger.sample("last", &mut last);
+        visitor.sample("last", &mut last);
         self.last = (counts[1] != 0).then_some(last);
         // All of them, so that what is to be remembered always has the same size.
         for (i, w) in self.under_way.iter_mut().enumerate() {
             if i >= self.waiting {
-                *w = Waiting { sample: T::default(), due: 0, behind: false };
+                *w = DelayedSample { sample: T::default(), due: 0, behind: false };
             }
             let mut when = [w.due, u64::from(w.behind)];
-            ledger.numbers("due", &mut when);
-            ledger.sample("under_way", &mut w.sample);
+            visitor.numbers("due", &mut when);
+            visitor.sample("under_way", &mut w.sample);
             (w.due, w.behind) = (when[0], when[1] != 0);
         }
     }
@@ -242,10 +242,10 @@ mod tests {
     use crate::state::{load, save, size};
     use proptest::prelude::*;
 
-    fn line(faults: &str) -> Line<Command> {
+    fn line(faults: &str) -> FaultyChannel<Command> {
         let mut scenario = Scenario::find("paper").unwrap();
         scenario.faults = toml::from_str(faults).unwrap();
-        Line::of(&scenario.plan().unwrap())
+        FaultyChannel::of(&scenario.plan().unwrap())
     }
 
     fn fault(kind: &str, more: &str) -> String {
@@ -259,7 +259,7 @@ mod tests {
     }
 
     /// The ticks of what comes out in each of the ticks.
-    fn ticks(line: &mut Line<Command>, ticks: std::ops::Range<u64>) -> Vec<Vec<u64>> {
+    fn ticks(line: &mut FaultyChannel<Command>, ticks: std::ops::Range<u64>) -> Vec<Vec<u64>> {
         let one = |tick| {
             let mut out = Vec::new();
             line.pass(tick, Some(&command(tick)), |c| out.push(c.header.tick));
@@ -297,7 +297,7 @@ mod tests {
         sorted.sort_unstable();
         assert_eq!(sorted, (0..130).collect::<Vec<_>>());
         assert_eq!(out[0], 0);
-        assert_eq!(ticks(&mut Line::<Command>::clone(&line), 200..201), [[200]]);
+        assert_eq!(ticks(&mut FaultyChannel::<Command>::clone(&line), 200..201), [[200]]);
     }
 
     #[test]
@@ -328,7 +328,7 @@ mod tests {
         let drops = |faults: &str, seed: u64| {
             let mut scenario = Scenario::find("paper").unwrap();
             (scenario.faults, scenario.seed) = (toml::from_str(faults).unwrap(), seed);
-            let mut line = Line::<Command>::of(&scenario.plan().unwrap());
+            let mut line = FaultyChannel::<Command>::of(&scenario.plan().unwrap());
             let out = ticks(&mut line, 0..20_000);
             (0..20_000).filter(|&tick| !out[tick as usize].contains(&tick)).collect::<Vec<_>>()
         };

@@ -19,10 +19,10 @@
 //! *What is learned from a limited command* is [documented](super::Controller#credit-for-a-limited-command) where it is
 //! learned.
 
-use crate::plant::Joints;
+use crate::plant::JointState;
 use crate::policy::Outputs;
-use crate::scenario::GateTable;
-use crate::state::{Ledger, Remember};
+use crate::scenario::GateConfig;
+use crate::state::{Persist, StateVisitor};
 use crate::wire::{MAX_OUTPUTS, flag};
 
 /// What the gate lets through in one tick.
@@ -57,14 +57,14 @@ pub struct Gate {
 }
 
 /// The commands, from the first to the second, that a limit leaves to an output; 0 is among them.
-pub type Span = [f32; 2];
+pub type CommandRange = [f32; 2];
 
 /// The commands that limits of position leave to each output.
-pub type Spans = [Span; MAX_OUTPUTS];
+pub type CommandRanges = [CommandRange; MAX_OUTPUTS];
 
 impl Gate {
     /// The gate of a validated table, for `outputs` outputs. Before the first command it stands at zero.
-    pub fn new(table: &GateTable, outputs: usize) -> Self {
+    pub fn new(table: &GateConfig, outputs: usize) -> Self {
         let mut positions = [[0.0; 2]; MAX_OUTPUTS];
         for (to, from) in positions.iter_mut().zip(&table.positions) {
             *to = *from;
@@ -86,15 +86,15 @@ impl Gate {
 
     /// What the limits of position leave with the joints as they are, which `joints` tells; `None` without such limits, for
     /// which nobody is asked. Of a plant that does not tell, nothing moves.
-    pub fn spans(&self, joints: impl FnOnce() -> Option<Joints>) -> Option<Spans> {
+    pub fn spans(&self, joints: impl FnOnce() -> Option<JointState>) -> Option<CommandRanges> {
         let positions = self.positions.as_ref()?;
-        let spans = |joints: Joints| std::array::from_fn(|output| joints.span(output, positions[output]));
+        let spans = |joints: JointState| std::array::from_fn(|output| joints.span(output, positions[output]));
         Some(joints().map_or([[0.0; 2]; MAX_OUTPUTS], spans))
     }
 
     /// One tick: the command that arrived for it, or `None`, and what the limits of position leave ([`Gate::spans`]). A command
     /// with a value that is not a number counts as none.
-    pub fn pass(&mut self, command: Option<&Outputs>, spans: Option<&Spans>) -> Applied {
+    pub fn pass(&mut self, command: Option<&Outputs>, spans: Option<&CommandRanges>) -> Applied {
         let numbers = |command: &&Outputs| command[..self.outputs].iter().all(|u| u.is_finite());
         let came = command.filter(numbers);
         let (wanted, mut flags) = match came {
@@ -160,14 +160,14 @@ impl Gate {
 }
 
 /// Brings `u` into `span`; says `reason` where that changes it.
-fn narrow(u: &mut f32, [low, high]: Span, reason: u32) -> u32 {
+fn narrow(u: &mut f32, [low, high]: CommandRange, reason: u32) -> u32 {
     let before = *u;
     *u = u.clamp(low, high);
     if *u == before { 0 } else { flag::CLAMPED | reason }
 }
 
 /// The numbers that are no further than `by` from `from`, whatever rounding makes of the sums.
-fn reach(from: f32, by: f32) -> Span {
+fn reach(from: f32, by: f32) -> CommandRange {
     let (mut low, mut high) = (from - by, from + by);
     if f64::from(from) - f64::from(low) > f64::from(by) {
         low = low.next_up();
@@ -178,13 +178,13 @@ fn reach(from: f32, by: f32) -> Span {
     [low, high]
 }
 
-impl Joints {
+impl JointState {
     /// The commands that do not carry joint `output` over `limits`, rad; 0 is always among them.
     ///
     /// With the position `p` and the travel `k`, the joint comes to `p + k u`. That has to lie between the limits, or, for a
     /// joint outside, between where it is and the limit beyond. A hair's breadth of margin, 1e-6 of the largest angle at
     /// hand, takes care of what single precision makes of the sum in the plant.
-    fn span(&self, output: usize, [low, high]: [f64; 2]) -> Span {
+    fn span(&self, output: usize, [low, high]: [f64; 2]) -> CommandRange {
         let (p, k) = (f64::from(self.position[output]), f64::from(self.travel[output]));
         if !(p.is_finite() && k.is_finite()) {
             return [0.0; 2];
@@ -211,12 +211,12 @@ fn toward_zero(x: f64) -> f32 {
     }
 }
 
-impl Remember for Gate {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.numbers("last", &mut self.last);
-        ledger.number("missing", &mut self.missing);
-        ledger.numbers("applied", &mut self.applied);
-        ledger.number("joined", &mut self.joined);
+impl Persist for Gate {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.numbers("last", &mut self.last);
+        visitor.number("missing", &mut self.missing);
+        visitor.numbers("applied", &mut self.applied);
+        visitor.number("joined", &mut self.joined);
     }
 }
 

@@ -1,6 +1,6 @@
 //! Plant and controller in one process, without transport and log: the third way to run a tick, for studies.
 
-use super::{Controller, ControllerReport, PlantReport, PlantSide, Tally};
+use super::{Controller, ControllerReport, PlantReport, PlantSide, RunStatistics};
 use crate::plant::Plant;
 use crate::scenario::Plan;
 use crate::wire::{Command, Observation};
@@ -16,10 +16,10 @@ pub struct InProcess {
 
 /// Runs `plan` with `body`: the same ticks, in the same order, as three processes in lockstep. `watch` is called with
 /// the ticks done and the account so far, every 4096 ticks; when it says false the run ends there.
-pub fn in_process<P: Plant>(plan: &Plan, body: P, mut watch: impl FnMut(u64, &Tally) -> bool) -> InProcess {
+pub fn in_process<P: Plant>(plan: &Plan, body: P, mut watch: impl FnMut(u64, &RunStatistics) -> bool) -> InProcess {
     in_process_seen(plan, body, |observation, controller| {
         let tick = observation.header.tick;
-        !tick.is_multiple_of(4096) || watch(tick, controller.tally())
+        !tick.is_multiple_of(4096) || watch(tick, controller.statistics())
     })
 }
 
@@ -39,8 +39,8 @@ pub fn in_process_seen<P: Plant>(
             break;
         }
         controller.respond(&observation, &mut command);
-        controller.settle(&observation);
-        side.live(tick, Some(&command));
+        controller.after_command(&observation);
+        side.step(tick, Some(&command));
     }
     InProcess { plant: side.report, controller: controller.finish() }
 }

@@ -4,27 +4,27 @@
 //! what is missing between that and the first sample that it receives. When the disk is full, it goes on receiving, so that
 //! nobody waits for it in vain, and closes the log with what it could not hold.
 
-use super::faults::Line;
-use super::merge::{Closed, Merge};
-use super::{LoggerReport, Mode, Resumed, RuntimeError, Seat, Session, read_realtime};
+use super::faults::FaultyChannel;
+use super::merge::{LogMerger, MergeOutcome};
+use super::{LoggerReport, Mode, Participant, ResumePoint, RuntimeError, Session, read_realtime};
 use crate::channel::{ChannelError, LoggerPorts, Receiver};
 use crate::clock::{TimeSource, facts, monotonic_ns, pause, wall_ns};
-use crate::log::{Clock, LogHeader, LogWriter, Past, Record, Segment, segment_path};
+use crate::log::{LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWriter, segment_path};
 use crate::scenario::FaultChannel;
-use crate::wire::{Learning, Role, State, Status};
+use crate::wire::{Learning, ProcessState, Role, Status};
 
 /// How far the senders are, by their boards, whichever of their incarnations has them.
-struct Senders {
+struct SenderProgress {
     boards: [Status; 2],
     /// Samples sent on observation, command and learning.
     sent: [u64; 3],
 }
 
-impl Senders {
+impl SenderProgress {
     /// Looks at the boards, at the pages of those who have, or will have, the places now.
-    fn look(&mut self, ports: &mut LoggerPorts, session: &Session) -> Result<(), RuntimeError> {
-        ports.plant.turn_to(session.incarnation_of(Role::Plant))?;
-        ports.controller.turn_to(session.incarnation_of(Role::Controller))?;
+    fn update(&mut self, ports: &mut LoggerPorts, session: &Session) -> Result<(), RuntimeError> {
+        ports.plant.set_incarnation(session.incarnation_of(Role::Plant))?;
+        ports.controller.set_incarnation(session.incarnation_of(Role::Controller))?;
         self.boards = [ports.plant.get(), ports.controller.get()];
         // The board of a process that comes back is empty at first.
         let [plant, controller] = self.boards.map(|board| board.sent);
@@ -35,7 +35,7 @@ impl Senders {
     }
 
     fn finished(&self) -> bool {
-        self.boards.iter().all(|board| board.state() == State::Finished)
+        self.boards.iter().all(|board| board.state() == ProcessState::Finished)
     }
 }
 
@@ -44,33 +44,35 @@ impl Senders {
 /// # Errors
 /// When the process does not fit the run, the log cannot be begun, or the run ends in disorder; the log is closed in every
 /// case in which that is possible. A log that cannot be written any more is no error of the loop, but told in the report.
-pub fn run_logger(seat: Seat) -> Result<LoggerReport, RuntimeError> {
-    let (mut ports, desk) = seat.open(LoggerPorts::open)?;
-    let (mut session, time) = seat.begin(desk, || {
+pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError> {
+    let (mut ports, status_board) = participant.open(LoggerPorts::open)?;
+    let (mut session, time) = participant.begin(status_board, || {
         let channels = [ports.observation.connect()?, ports.command.connect()?, ports.learning.connect()?];
         Ok(channels.iter().all(|&writers| writers >= 1))
     })?;
-    let (folder, period_ns) = (session.seat.folder.clone(), session.seat.plan.period_ns);
+    let (folder, period_ns) = (session.participant.folder.clone(), session.participant.plan.period_ns);
     let incarnation = session.incarnation();
-    let past = match &session.seat.card.resumed {
-        Some(Resumed { tick, sequences: [observation, answer], .. }) => {
-            Past::none(period_ns, [*observation, *answer, *answer], *tick)
+    let past = match &session.participant.manifest.resumed {
+        Some(ResumePoint { tick, sequences: [observation, answer], .. }) => {
+            LogRecovery::none(period_ns, [*observation, *answer, *answer], *tick)
         }
-        None => Past::none(period_ns, [0; 3], 0),
+        None => LogRecovery::none(period_ns, [0; 3], 0),
     };
-    let past = if incarnation > 0 { past.with(&folder, || session.show()) } else { past };
+    let past = if incarnation > 0 { past.with(&folder, || session.publish_status()) } else { past };
     let header = header(&session, &time, &past);
     let log = LogWriter::create(&segment_path(&folder, incarnation), &header);
     let mut merge = match log {
         // There was a log before; nobody shall wait for one who cannot make another.
-        Err(error) if incarnation > 0 && error.is_full() => Merge::new(Err(error), &past, header.every, time.is_real()),
-        log => Merge::new(Ok(log?), &past, header.every, time.is_real()),
+        Err(error) if incarnation > 0 && error.is_full() => {
+            LogMerger::new(Err(error), &past, header.every, time.is_real())
+        }
+        log => LogMerger::new(Ok(log?), &past, header.every, time.is_real()),
     };
-    let mut senders = Senders { boards: Default::default(), sent: [0; 3] };
+    let mut senders = SenderProgress { boards: Default::default(), sent: [0; 3] };
 
     let ended = follow(&mut merge, &mut ports, &mut senders, &mut session, &time);
-    let complete = senders.boards[Role::Plant as usize].ticks >= session.seat.plan.scenario.ticks;
-    let Closed { totals, written, failure, timings } = merge.close(senders.sent, complete);
+    let complete = senders.boards[Role::Plant as usize].ticks >= session.participant.plan.scenario.ticks;
+    let MergeOutcome { totals, written, failure, timings } = merge.close(senders.sent, complete);
     ended?;
     let [wake_up_lateness, observation_to_command, command_to_applied] =
         timings.map_or([None; 3], |timings| timings.percentiles());
@@ -90,7 +92,8 @@ pub fn run_logger(seat: Seat) -> Result<LoggerReport, RuntimeError> {
     // In lockstep the plant waits for the logger: a loss there is a fault of this program, unless somebody was away, there
     // was no room, or the scenario wants it.
     let returned = Role::ALL.iter().any(|&role| session.incarnation_of(role) > 0);
-    let faulty = session.seat.plan.scenario.faults.channel.iter().any(|fault| fault.channel == FaultChannel::Learning);
+    let faulty =
+        session.participant.plan.scenario.faults.channel.iter().any(|fault| fault.channel == FaultChannel::Learning);
     let excused = time.is_real() || returned || faulty || report.failure.is_some();
     if let (false, Some(i)) = (excused, report.lost.iter().position(|&lost| lost > 0)) {
         let channel = ["observation", "command", "learning"][i].to_owned();
@@ -101,22 +104,22 @@ pub fn run_logger(seat: Seat) -> Result<LoggerReport, RuntimeError> {
 
 /// Writes until both senders have finished and everything is written.
 fn follow(
-    merge: &mut Merge,
+    merge: &mut LogMerger,
     ports: &mut LoggerPorts,
-    senders: &mut Senders,
+    senders: &mut SenderProgress,
     session: &mut Session,
     time: &TimeSource,
 ) -> Result<(), RuntimeError> {
     // Nobody waits for the logger, so it looks in now and then instead of being woken: often enough to keep far from its
     // buffer's end, seldom enough to cost nothing.
     let real = time.is_real();
-    let nap = if real { session.seat.plan.period_ns.clamp(200_000, 50_000_000) } else { 200_000 };
+    let nap = if real { session.participant.plan.period_ns.clamp(200_000, 50_000_000) } else { 200_000 };
     // In real time a sample may never come; two periods later its tick is written without it.
-    let patience = (2 * session.seat.plan.period_ns / nap).max(8);
+    let patience = (2 * session.participant.plan.period_ns / nap).max(8);
     let mut naps = 0;
-    let mut line = Line::of(&session.seat.plan);
+    let mut line = FaultyChannel::of(&session.participant.plan);
     loop {
-        senders.look(ports, session)?;
+        senders.update(ports, session)?;
         let ended = session.check();
         let last = senders.finished() || ended.is_err();
         let force = last || (real && naps >= patience);
@@ -126,7 +129,7 @@ fn follow(
         session.status.consumed = merge.consumed();
         session.status.ticks = session.status.consumed;
         session.status.lost = merge.lanes.iter().map(|lane| lane.lost).sum();
-        session.show();
+        session.publish_status();
         if last {
             return ended;
         }
@@ -137,16 +140,16 @@ fn follow(
 
 /// Writes all that has come, beyond the reach of a kill before anybody is told. False when nothing had.
 fn drain(
-    merge: &mut Merge,
+    merge: &mut LogMerger,
     ports: &LoggerPorts,
-    line: &mut Line<Learning>,
+    line: &mut FaultyChannel<Learning>,
     known: [u64; 3],
     force: bool,
 ) -> Result<bool, RuntimeError> {
     let mut any = false;
     loop {
-        merge.fill(0, known[0], || ports.observation.receive().map(|sample| sample.map(Record::Observation)))?;
-        merge.fill(1, known[1], || ports.command.receive().map(|sample| sample.map(Record::Command)))?;
+        merge.fill(0, known[0], || ports.observation.receive().map(|sample| sample.map(LogRecord::Observation)))?;
+        merge.fill(1, known[1], || ports.command.receive().map(|sample| sample.map(LogRecord::Command)))?;
         merge.fill(2, known[2], || read_learning(&ports.learning, line))?;
         if !merge.write_first(force) {
             break;
@@ -159,7 +162,10 @@ fn drain(
 
 /// The next learning record that the scenario's faults let through. One that comes out in another tick than its own is not
 /// waited for: the log is in the order of ticks.
-fn read_learning(channel: &Receiver<Learning>, line: &mut Line<Learning>) -> Result<Option<Record>, ChannelError> {
+fn read_learning(
+    channel: &Receiver<Learning>,
+    line: &mut FaultyChannel<Learning>,
+) -> Result<Option<LogRecord>, ChannelError> {
     while let Some(sample) = channel.receive()? {
         let (tick, mut read) = (sample.header.tick, None);
         line.pass(tick, Some(&sample), |out| {
@@ -168,23 +174,23 @@ fn read_learning(channel: &Receiver<Learning>, line: &mut Line<Learning>) -> Res
             }
         });
         if let Some(sample) = read {
-            return Ok(Some(Record::Learning(sample)));
+            return Ok(Some(LogRecord::Learning(sample)));
         }
     }
     Ok(None)
 }
 
-fn header(session: &Session, time: &TimeSource, past: &Past) -> LogHeader {
-    let seat = &session.seat;
-    let (plan, card) = (&seat.plan, &seat.card);
-    let mut header = LogHeader::new(plan, card.run_id(), card.mode.name(), facts());
-    header.segment = Segment { number: session.incarnation(), ..past.segment };
-    if card.mode == Mode::Realtime {
-        header.clock = Clock::Monotonic;
+fn header(session: &Session, time: &TimeSource, past: &LogRecovery) -> LogHeader {
+    let participant = &session.participant;
+    let (plan, manifest) = (&participant.plan, &participant.manifest);
+    let mut header = LogHeader::new(plan, manifest.run_id(), manifest.mode.name(), facts());
+    header.segment = LogSegment { number: session.incarnation(), ..past.segment };
+    if manifest.mode == Mode::Realtime {
+        header.clock = LogClock::Monotonic;
         header.t0_ns = time.scheduled(0);
         header.wall_at_t0_ns = (wall_ns() + header.t0_ns).saturating_sub(monotonic_ns());
         // Every process has left its account before it was ready.
-        let accounts = Role::ALL.map(|role| (role, read_realtime(&seat.folder, role)));
+        let accounts = Role::ALL.map(|role| (role, read_realtime(&participant.folder, role)));
         let text = |report| serde_json::to_string(&report).unwrap_or_default();
         header.realtime =
             accounts.into_iter().filter_map(|(role, report)| Some((role.name().to_owned(), text(report?)))).collect();

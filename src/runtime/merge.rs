@@ -1,18 +1,18 @@
 //! Three channels on their way into one log: merged by tick, each sample once, and what is missing stated.
 //!
 //! Without channels and clock: the logger's loop hands in what it receives. A logger that comes back goes on from what the log
-//! holds ([`Past`]); a log that takes nothing more (its disk is full) does not hold up those whose samples it would have held.
+//! holds ([`LogRecovery`]); a log that takes nothing more (its disk is full) does not hold up those whose samples it would have held.
 
-use crate::log::{LogError, LogWriter, Past, Record, Timings, Totals};
+use crate::log::{LatencyHistograms, LogError, LogRecord, LogRecovery, LogTotals, LogWriter};
 use crate::wire::{Gap, Header};
 
 /// One channel on its way into the log.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Lane {
+pub(super) struct MergeInput {
     /// 0 observation, 1 command, 2 learning.
     channel: u64,
     /// Received and not yet written.
-    head: Option<Record>,
+    head: Option<LogRecord>,
     /// Sequence number of the run's first sample.
     first: u64,
     /// Sequence number of the next one.
@@ -28,8 +28,8 @@ pub(super) struct Lane {
     pub duplicates: u64,
 }
 
-impl Lane {
-    fn after(past: &Past, i: usize) -> Self {
+impl MergeInput {
+    fn after(past: &LogRecovery, i: usize) -> Self {
         Self {
             channel: i as u64,
             first: past.segment.first(i),
@@ -45,7 +45,7 @@ impl Lane {
 
     /// Takes a sample into the empty head; gives what is to be stated before it. A sample that the channel has had, or a later
     /// one, is dropped: a process that was started anew says again what it had said last.
-    fn accept(&mut self, header: &Header, record: &Record) -> Option<Gap> {
+    fn accept(&mut self, header: &Header, record: &LogRecord) -> Option<Gap> {
         if header.sequence < self.expected {
             self.duplicates += 1;
             return None;
@@ -72,7 +72,7 @@ impl Lane {
 
     /// From here on, nothing is written.
     fn close(&mut self) {
-        let waiting = self.head.as_ref().and_then(Record::header).map(|header| header.sequence);
+        let waiting = self.head.as_ref().and_then(LogRecord::header).map(|header| header.sequence);
         self.missing_since = Some(waiting.unwrap_or(self.expected));
     }
 
@@ -92,29 +92,29 @@ impl Lane {
 
 /// The head that comes first by (tick, channel).
 #[derive(Debug, PartialEq)]
-struct First {
+struct NextHead {
     tick: u64,
     lane: usize,
     /// No sample that belongs before it can still come: every other lane has a later head, or has had the tick.
     settled: bool,
 }
 
-fn first(lanes: &[Lane; 3]) -> Option<First> {
-    let tick_of = |lane: &Lane| Some(lane.head.as_ref()?.header()?.tick);
+fn first(lanes: &[MergeInput; 3]) -> Option<NextHead> {
+    let tick_of = |lane: &MergeInput| Some(lane.head.as_ref()?.header()?.tick);
     let heads = lanes.iter().enumerate().filter_map(|(i, lane)| Some((tick_of(lane)?, i)));
     let (tick, lane) = heads.min()?;
     let settled = lanes.iter().all(|lane| lane.head.is_some() || lane.through.is_some_and(|through| through >= tick));
-    Some(First { tick, lane, settled })
+    Some(NextHead { tick, lane, settled })
 }
 
 /// The three lanes and the log.
-pub(super) struct Merge {
-    pub lanes: [Lane; 3],
+pub(super) struct LogMerger {
+    pub lanes: [MergeInput; 3],
     /// `None` once it could not be written any more, or could not be made for want of room.
     log: Option<LogWriter>,
     every: u64,
     /// Real time: the durations of the ticks.
-    timings: Option<Timings>,
+    timings: Option<LatencyHistograms>,
     /// The tick from which on samples are missing because the log did not take them.
     missing_from: Option<u64>,
     /// Why it did not.
@@ -123,20 +123,20 @@ pub(super) struct Merge {
 
 /// What came of a log.
 #[derive(Debug, Clone)]
-pub(super) struct Closed {
+pub(super) struct MergeOutcome {
     /// The run's, with all segments.
-    pub totals: Totals,
+    pub totals: LogTotals,
     /// Samples written, with all segments.
     pub written: [u64; 3],
     pub failure: Option<String>,
-    pub timings: Option<Timings>,
+    pub timings: Option<LatencyHistograms>,
 }
 
-impl Merge {
+impl LogMerger {
     /// Goes on from `past`, into `log`; without one, for the reason given, everything from now on is missing.
-    pub fn new(log: Result<LogWriter, LogError>, past: &Past, every: u64, real: bool) -> Self {
+    pub fn new(log: Result<LogWriter, LogError>, past: &LogRecovery, every: u64, real: bool) -> Self {
         let mut merge = Self {
-            lanes: [0, 1, 2].map(|i| Lane::after(past, i)),
+            lanes: [0, 1, 2].map(|i| MergeInput::after(past, i)),
             log: None,
             every,
             timings: real.then(|| past.timings.clone()),
@@ -156,7 +156,7 @@ impl Merge {
         &mut self,
         i: usize,
         known: u64,
-        mut receive: impl FnMut() -> Result<Option<Record>, E>,
+        mut receive: impl FnMut() -> Result<Option<LogRecord>, E>,
     ) -> Result<(), E> {
         let lane = &mut self.lanes[i];
         while lane.head.is_none() {
@@ -179,7 +179,7 @@ impl Merge {
     /// Writes the head that comes first, if no earlier sample can still come; with `force` in any case. False when there
     /// was nothing to write.
     pub fn write_first(&mut self, force: bool) -> bool {
-        let Some(First { tick, lane: first, settled }) = first(&self.lanes) else { return false };
+        let Some(NextHead { tick, lane: first, settled }) = first(&self.lanes) else { return false };
         if !settled && !force {
             return false;
         }
@@ -209,7 +209,7 @@ impl Merge {
     /// The log takes nothing more from `tick` on. Those who are waited for go on all the same.
     fn give_up(&mut self, tick: u64, error: &LogError) {
         self.failure.get_or_insert_with(|| error.to_string());
-        self.lanes.iter_mut().filter(|lane| lane.missing_since.is_none()).for_each(Lane::close);
+        self.lanes.iter_mut().filter(|lane| lane.missing_since.is_none()).for_each(MergeInput::close);
         let from = *self.missing_from.get_or_insert(tick);
         let Some(log) = &mut self.log else { return };
         if log.broken() || log.missing_from(from, error).is_err() {
@@ -222,7 +222,7 @@ impl Merge {
         let Some(log) = self.log.take() else { return };
         let path = log.path().to_owned();
         drop(log);
-        let Ok(held) = Past::of_torn(&path) else { return };
+        let Ok(held) = LogRecovery::of_torn(&path) else { return };
         for (i, lane) in self.lanes.iter_mut().enumerate() {
             (lane.missing_since, lane.lost) = (Some(held.segment.begins[i]), held.segment.lost[i]);
             lane.thinned = held.segment.thinned[i];
@@ -233,14 +233,14 @@ impl Merge {
 
     /// Every lane has received, or need not wait for, the ticks up to but without this one.
     pub fn consumed(&self) -> u64 {
-        self.lanes.iter().map(Lane::consumed).min().unwrap_or(0)
+        self.lanes.iter().map(MergeInput::consumed).min().unwrap_or(0)
     }
 
     /// States what was sent and never came, by the senders' own account, and closes the log.
-    pub fn close(mut self, sent: [u64; 3], complete: bool) -> Closed {
+    pub fn close(mut self, sent: [u64; 3], complete: bool) -> MergeOutcome {
         let gaps: Vec<Gap> = self.lanes.iter_mut().zip(sent).filter_map(|(lane, sent)| lane.end(sent)).collect();
         let lanes = &self.lanes;
-        let totals = Totals {
+        let totals = LogTotals {
             lost: lanes.each_ref().map(|lane| lane.lost),
             thinned: lanes.each_ref().map(|lane| lane.thinned),
             duplicates: lanes.each_ref().map(|lane| lane.duplicates),
@@ -249,11 +249,11 @@ impl Merge {
             complete,
         };
         let written = lanes.each_ref().map(|lane| lane.expected.saturating_sub(lane.first + lane.lost + lane.thinned));
-        let mut closed = Closed { totals, written, failure: self.failure, timings: self.timings };
+        let mut closed = MergeOutcome { totals, written, failure: self.failure, timings: self.timings };
         let Some(mut log) = self.log else { return closed };
         let ended = gaps
             .iter()
-            .try_for_each(|gap| log.append(&Record::Gap(*gap)))
+            .try_for_each(|gap| log.append(&LogRecord::Gap(*gap)))
             .and_then(|()| closed.timings.as_ref().map_or(Ok(()), |timings| log.timings(timings)))
             .and_then(|()| log.finish(&totals));
         if let Err(error) = ended {

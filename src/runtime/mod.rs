@@ -13,36 +13,36 @@ mod controller;
 mod controller_loop;
 mod error;
 mod faults;
-mod foreign;
 mod gate;
 mod in_process;
 mod logger;
 mod merge;
-mod peer;
+mod participant;
+mod peer_monitor;
 mod plant;
 mod plant_loop;
 mod reports;
-mod seat;
+mod statistics;
 mod stopwatch;
-mod tally;
 mod tracker;
+mod wire_manifest;
 
-pub use budget::{Slack, TickBudget};
+pub use budget::{SlackPercentiles, TickBudget};
 pub use controller::Controller;
 pub use controller_loop::run_controller;
 pub use error::{RuntimeError, exit};
-pub use faults::{Carried, Line, Signals};
-pub use foreign::{Foreign, Services};
-pub use gate::{Applied, Gate, Span, Spans};
+pub use faults::{Faultable, FaultyChannel, SignalCounts};
+pub use gate::{Applied, CommandRange, CommandRanges, Gate};
 pub use in_process::{InProcess, in_process, in_process_seen};
 pub use logger::run_logger;
+pub use participant::{EndReason, Mode, Participant, ResumePoint, RunManifest, Session, identity};
 pub use plant::PlantSide;
 pub use plant_loop::run_plant;
 pub use reports::{
     ControllerReport, LoggerReport, Percentiles, PlantReport, read as read_report, read_realtime, realtime_path,
     sweep_drafts,
 };
-pub use seat::{Card, End, Mode, Resumed, Seat, Session, identity};
-pub use stopwatch::laps;
-pub use tally::{Snapshot, Switch, Tally};
+pub use statistics::{RunStatistics, Snapshot, Switch};
+pub use stopwatch::tick_times;
 pub use tracker::Tracker;
+pub use wire_manifest::{Services, WireManifest};

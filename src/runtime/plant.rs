@@ -1,10 +1,10 @@
 //! The plant's side of the tick: a body behind its gate.
 
-use super::{Gate, Line, PlantReport, Spans};
+use super::{CommandRanges, FaultyChannel, Gate, PlantReport};
 use crate::plant::{Outcome, Plant};
 use crate::policy::Outputs;
 use crate::scenario::Plan;
-use crate::state::{Ledger, Remember, save, size};
+use crate::state::{Persist, StateVisitor, save, size};
 use crate::wire::{Command, MAX_OUTPUTS, Observation, flag};
 
 /// A body behind its gate: the plant's half of every tick, without clock and transport.
@@ -13,9 +13,9 @@ pub struct PlantSide<P> {
     body: P,
     gate: Gate,
     /// The commands' way to here.
-    line: Line<Command>,
+    line: FaultyChannel<Command>,
     /// What is left by limits of position, where the body cannot say and somebody else can.
-    told: Option<Spans>,
+    told: Option<CommandRanges>,
     outputs: usize,
     outcome: Outcome,
     applied: Outputs,
@@ -31,7 +31,7 @@ impl<P: Plant> PlantSide<P> {
         Self {
             body,
             gate: Gate::new(&plan.scenario.gate, outputs),
-            line: Line::of(plan),
+            line: FaultyChannel::of(plan),
             told: None,
             outputs,
             outcome: Outcome::default(),
@@ -47,7 +47,7 @@ impl<P: Plant> PlantSide<P> {
     }
 
     /// Tells what limits of position leave, for the ticks that follow: nobody is asked where the joints are.
-    pub(crate) fn tell(&mut self, spans: Spans) {
+    pub(crate) fn tell(&mut self, spans: CommandRanges) {
         self.told = Some(spans);
     }
 
@@ -66,7 +66,7 @@ impl<P: Plant> PlantSide<P> {
 
     /// All that decides how it goes on, as bytes.
     pub(crate) fn standing(&mut self) -> Vec<u8> {
-        [&mut self.body as &mut dyn Remember, &mut self.gate, &mut self.line]
+        [&mut self.body as &mut dyn Persist, &mut self.gate, &mut self.line]
             .into_iter()
             .flat_map(|part| {
                 let mut bytes = vec![0; size(part)];
@@ -88,13 +88,13 @@ impl<P: Plant> PlantSide<P> {
 
     /// Lives through `tick` with the command that arrived for it; `None` if it was missed. One that stands for silence is
     /// none. What the scenario's faults make of it is between here and the gate.
-    pub fn live(&mut self, tick: u64, command: Option<&Command>) {
-        self.decide(tick, command, true);
-        self.conclude(tick);
+    pub fn step(&mut self, tick: u64, command: Option<&Command>) {
+        self.apply(tick, command, true);
+        self.finish_step(tick);
     }
 
     /// The first half of [`live`](Self::live): what is applied in `tick`; with `act` the body is told, if it acts at once.
-    pub fn decide(&mut self, tick: u64, command: Option<&Command>, act: bool) {
+    pub fn apply(&mut self, tick: u64, command: Option<&Command>, act: bool) {
         let command = command.filter(|c| c.header.flags & flag::UNHEARD == 0);
         let (mut found, mut late) = (None, 0);
         if self.line.is_clean() {
@@ -130,7 +130,7 @@ impl<P: Plant> PlantSide<P> {
     }
 
     /// The second half: the tick is over, and something came of it.
-    pub fn conclude(&mut self, tick: u64) {
+    pub fn finish_step(&mut self, tick: u64) {
         self.outcome = self.body.advance(tick, &self.applied[..self.outputs]);
     }
 
@@ -144,14 +144,14 @@ impl<P: Plant> PlantSide<P> {
         if self.body.acts_within().is_some() {
             // What is real has lived through all of them at once.
             for tick in tick..until {
-                self.decide(tick, None, tick + 1 == until);
+                self.apply(tick, None, tick + 1 == until);
             }
             if tick < until {
-                self.conclude(until - 1);
+                self.finish_step(until - 1);
             }
         } else {
             for tick in tick..until {
-                self.live(tick, None);
+                self.step(tick, None);
             }
         }
         self.report.skipped += until - tick;
@@ -172,15 +172,15 @@ impl<P: Plant> PlantSide<P> {
     }
 }
 
-impl<P: Plant> Remember for PlantSide<P> {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.part("body", &mut self.body);
-        ledger.part("gate", &mut self.gate);
-        ledger.part("line", &mut self.line);
-        ledger.number("reward", &mut self.outcome.reward);
-        ledger.numbers("measures", &mut self.outcome.measures);
-        ledger.numbers("applied", &mut self.applied);
-        ledger.number("flags", &mut self.flags);
-        ledger.part("report", &mut self.report);
+impl<P: Plant> Persist for PlantSide<P> {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("body", &mut self.body);
+        visitor.nested("gate", &mut self.gate);
+        visitor.nested("line", &mut self.line);
+        visitor.number("reward", &mut self.outcome.reward);
+        visitor.numbers("measures", &mut self.outcome.measures);
+        visitor.numbers("applied", &mut self.applied);
+        visitor.number("flags", &mut self.flags);
+        visitor.nested("report", &mut self.report);
     }
 }

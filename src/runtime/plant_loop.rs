@@ -6,19 +6,19 @@
 
 use hdrhistogram::Histogram;
 
-use super::peer::Peer;
+use super::peer_monitor::PeerMonitor;
 use super::reports::{Percentiles, histogram};
 use super::stopwatch::Stopwatch;
-use super::{PlantReport, PlantSide, RuntimeError, Seat, Session};
+use super::{Participant, PlantReport, PlantSide, RuntimeError, Session};
 use crate::channel::{BoardReader, ChannelError, LOG_BUFFER, PlantPorts, Receiver};
 use crate::checkpoint;
-use crate::clock::{Backoff, Wake, pause, precise_timers};
+use crate::clock::{Backoff, WakeReason, pause, precise_timers};
 use crate::plant::Plant;
-use crate::state::{self, Ledger, Remember};
+use crate::state::{self, Persist, StateVisitor};
 use crate::wire::{Command, Observation, Role, Status, flag};
 
 /// Takes commands off the channel and sorts them by tick.
-struct Inbox<'a> {
+struct CommandInbox<'a> {
     channel: &'a Receiver<Command>,
     /// The sequence number of the next command, if none is lost.
     expected: u64,
@@ -30,7 +30,7 @@ struct Inbox<'a> {
     real: bool,
 }
 
-impl Inbox<'_> {
+impl CommandInbox<'_> {
     /// Whether the command of `tick` is there. Older ones are counted as late and dropped. In lockstep nothing can lie behind it
     /// that is not of a later tick or said twice, so the channel is not asked again.
     fn look_for(&mut self, tick: u64) -> bool {
@@ -71,28 +71,28 @@ const CREDIT: u64 = LOG_BUFFER as u64 / 4;
 const NAP_NS: u64 = 100_000;
 
 /// The plant and what it said last.
-struct Voice<P> {
+struct PlantLoopState<P> {
     side: PlantSide<P>,
     observation: Observation,
     /// Observations said or about to be.
-    said: u64,
+    sent_count: u64,
     /// The sequence number of the next command, if none is lost.
     expected: u64,
 }
 
-impl<P: Plant> Remember for Voice<P> {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.part("plant", &mut self.side);
-        ledger.sample("observation", &mut self.observation);
-        ledger.number("said", &mut self.said);
-        ledger.number("expected", &mut self.expected);
+impl<P: Plant> Persist for PlantLoopState<P> {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("plant", &mut self.side);
+        visitor.sample("observation", &mut self.observation);
+        visitor.number("said", &mut self.sent_count);
+        visitor.number("expected", &mut self.expected);
     }
 }
 
-impl<P: Plant> Voice<P> {
+impl<P: Plant> PlantLoopState<P> {
     /// The state as a checkpoint, as of when `tick` begins.
-    fn checkpoint(&mut self, tick: u64, seat: &Seat) -> Vec<u8> {
-        checkpoint::encode(&seat.facts(tick, self.said), self, None)
+    fn checkpoint(&mut self, tick: u64, participant: &Participant) -> Vec<u8> {
+        checkpoint::encode(&participant.facts(tick, self.sent_count), self, None)
     }
 }
 
@@ -101,76 +101,83 @@ impl<P: Plant> Voice<P> {
 /// # Errors
 /// When the process does not fit the run, the run ends in disorder, or the plant gives up on its deadlines
 /// ([`RuntimeError::Overrun`]); what is said of such a run is complete all the same.
-pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeError> {
-    if !seat.plan.scenario.gate.positions.is_empty() && body.joints().is_none() {
-        return Err(RuntimeError::NoJoints(seat.plan.scenario.plant.program.clone()));
+pub fn run_plant<P: Plant>(participant: Participant, body: P) -> Result<PlantReport, RuntimeError> {
+    if !participant.plan.scenario.gate.positions.is_empty() && body.joints().is_none() {
+        return Err(RuntimeError::NoJoints(participant.plan.scenario.plant.program.clone()));
     }
-    let (mut ports, desk) = seat.open(PlantPorts::open)?;
-    let mut voice =
-        Voice { side: PlantSide::new(body, &seat.plan), observation: Observation::default(), said: 0, expected: 0 };
-    let mut vault = seat.vault(state::size(&mut voice), [0, 0])?;
-    let came_back = vault.newest().is_some();
-    if let Some((_, bytes)) = vault.newest() {
-        if !state::load(&mut voice, bytes) {
+    let (mut ports, status_board) = participant.open(PlantPorts::open)?;
+    let mut loop_state = PlantLoopState {
+        side: PlantSide::new(body, &participant.plan),
+        observation: Observation::default(),
+        sent_count: 0,
+        expected: 0,
+    };
+    let mut crash_store = participant.crash_store(state::size(&mut loop_state), [0, 0])?;
+    let returned = crash_store.newest().is_some();
+    if let Some((_, bytes)) = crash_store.newest() {
+        if !state::load(&mut loop_state, bytes) {
             return Err(RuntimeError::Memory(Role::Plant.name()));
         }
     } else {
-        seat.resume(&mut voice)?;
+        participant.resume(&mut loop_state)?;
     }
-    vault.take_up();
-    let writer = seat.writer()?;
+    crash_store.reopen();
+    let writer = participant.writer()?;
     // Readers of the observation: controller and logger. Writer of the command: the controller.
     let connected = || Ok(ports.observation.connect()? >= 2 && ports.command.connect()? >= 1);
-    let (mut session, mut time) = seat.begin(desk, connected)?;
+    let (mut session, mut time) = participant.begin(status_board, connected)?;
     precise_timers();
 
     let real = time.is_real();
-    let ticks = session.seat.plan.scenario.ticks;
+    let ticks = session.participant.plan.scenario.ticks;
     let (mut wake_up, mut answered, mut work) = (histogram(), histogram(), histogram());
-    let mut inbox = Inbox {
+    let mut inbox = CommandInbox {
         channel: &ports.command,
-        expected: voice.expected,
+        expected: loop_state.expected,
         found: None,
         late: 0,
         failure: None,
         answered: &mut answered,
         real,
     };
-    voice.observation.header.run = session.seat.card.run_id();
-    voice.observation.header.incarnation = session.incarnation();
-    let (mut controller, mut logger) = (Peer::new(Role::Controller), Peer::new(Role::Logger));
+    loop_state.observation.header.run = session.participant.manifest.run_id();
+    loop_state.observation.header.incarnation = session.incarnation();
+    let (mut controller, mut logger) = (PeerMonitor::new(Role::Controller), PeerMonitor::new(Role::Logger));
 
-    let (most, period_ms) = (session.seat.plan.scenario.overrun.max_consecutive, session.seat.plan.scenario.period_ms);
+    let (most, period_ms) =
+        (session.participant.plan.scenario.overrun.max_consecutive, session.participant.plan.scenario.period_ms);
     // The time that a plant was away is no overrun of the one that has come back.
-    let (mut overruns, mut given_up, mut back) = (0, None, came_back);
-    let card = session.seat.card.clone();
-    let mut watch = Stopwatch::of(&session.seat);
+    let (mut overruns, mut given_up, mut back) = (0, None, returned);
+    let manifest = session.participant.manifest.clone();
+    let mut watch = Stopwatch::of(&session.participant);
     let mut asked = session.checkpoints_asked();
-    let mut tick = card.resumed.as_ref().map_or(0, |resumed| resumed.tick);
+    let mut tick = manifest.resumed.as_ref().map_or(0, |resumed| resumed.tick);
     // Whether all ticks before this one are lived through.
-    let mut lived = true;
+    let mut stepped = true;
     // Whether the command of the tick in progress has been passed on to a body that acts at once.
     let mut decided = false;
-    session.status.sent = voice.said;
-    if came_back {
-        (tick, lived) = (voice.observation.header.tick + 1, false);
-        time.step_to(voice.observation.header.tick);
-        ports.observation.send(&voice.observation)?;
-        ports.bell.ring();
+    session.status.sent = loop_state.sent_count;
+    if returned {
+        (tick, stepped) = (loop_state.observation.header.tick + 1, false);
+        time.step_to(loop_state.observation.header.tick);
+        ports.observation.send(&loop_state.observation)?;
+        ports.wake.notify();
     }
     loop {
         let mut failure = None;
         let wake = time.await_tick(
             tick,
-            || lived || inbox.look_for(tick - 1),
+            || stepped || inbox.look_for(tick - 1),
             || {
                 if real {
                     // A tick may be a second away.
-                    return session.end().is_some();
+                    return session.end_reason().is_some();
                 }
                 // The answer is under way, unless whoever should give it was killed before hearing the question.
-                failure = match controller.look(&mut ports.controller, &session) {
-                    Ok(true) if !lived => ports.observation.send(&voice.observation).err().map(RuntimeError::from),
+                failure = match controller.check(&mut ports.controller, &session) {
+                    Ok(true) if !stepped => {
+                        ports.observation.send(&loop_state.observation).err().map(RuntimeError::from)
+                    }
                     looked => looked.err(),
                 };
                 failure.is_some() || session.must_end()
@@ -179,12 +186,12 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
         if let Some(error) = failure {
             return Err(error);
         }
-        if wake == Wake::Cancelled {
+        if wake == WakeReason::Cancelled {
             break;
         }
         let woken = time.now();
-        let late_before = voice.side.report.late;
-        if !lived {
+        let late_before = loop_state.side.report.late;
+        if !stepped {
             inbox.look_for(tick - 1);
             if let Some(error) = inbox.failure.take() {
                 return Err(error.into());
@@ -193,11 +200,11 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
             if decided {
                 // Whatever came since has come after it was decided on.
                 inbox.late += u64::from(inbox.found.take().is_some());
-                voice.side.conclude(tick - 1);
+                loop_state.side.finish_step(tick - 1);
             } else {
-                voice.side.live(tick - 1, inbox.found.take().as_ref());
+                loop_state.side.step(tick - 1, inbox.found.take().as_ref());
             }
-            voice.side.report.late += std::mem::take(&mut inbox.late);
+            loop_state.side.report.late += std::mem::take(&mut inbox.late);
         }
         // Whoever wakes up a period late or more passes ticks over; never makes them up in a burst.
         let due = time.due().min(ticks).max(tick);
@@ -207,15 +214,15 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
                 wake_up.saturating_record(now.saturating_sub(time.scheduled(tick)));
             }
         }
-        voice.side.skip(tick, due);
+        loop_state.side.skip(tick, due);
         let skipped = due - tick;
         tick = due;
-        let report = &voice.side.report;
+        let report = &loop_state.side.report;
         session.status.ticks = tick;
         session.status.missed = report.missed;
         session.status.late = report.late;
         session.status.lost = report.skipped;
-        session.show();
+        session.publish_status();
         overruns = if skipped == 0 || back { 0 } else { overruns + skipped };
         back = false;
         if real && most > 0 && overruns > most {
@@ -231,36 +238,36 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
 
         let late = if report.late > late_before { flag::LATE } else { 0 };
         if session.status.checkpoint == tick + 1 {
-            voice.expected = inbox.expected;
-            writer.write(tick, voice.checkpoint(tick, &session.seat));
+            loop_state.expected = inbox.expected;
+            writer.write(tick, loop_state.checkpoint(tick, &session.participant));
         }
         // Announced a tick ahead, before the observation goes out: the controller then cuts its own after its command.
         let wanted = session.checkpoints_asked();
-        if wanted != asked || card.checkpoint_every > 0 && (tick + 1).is_multiple_of(card.checkpoint_every) {
+        if wanted != asked || manifest.checkpoint_every > 0 && (tick + 1).is_multiple_of(manifest.checkpoint_every) {
             asked = wanted;
             session.status.checkpoint = tick + 2;
-            session.show();
+            session.publish_status();
         }
-        voice.side.observe(tick, late, u32::try_from(skipped).unwrap_or(u32::MAX), &mut voice.observation);
-        let header = &mut voice.observation.header;
-        header.sequence = voice.said;
+        loop_state.side.observe(tick, late, u32::try_from(skipped).unwrap_or(u32::MAX), &mut loop_state.observation);
+        let header = &mut loop_state.observation.header;
+        header.sequence = loop_state.sent_count;
         header.scheduled_ns = time.scheduled(tick);
         header.sensed_ns = time.now();
         watch.begin();
-        voice.said += 1;
-        voice.expected = inbox.expected;
-        voice.observation.header.published_ns = time.now();
-        if !vault.keep(voice.said, |to| state::save(&mut voice, to)) {
+        loop_state.sent_count += 1;
+        loop_state.expected = inbox.expected;
+        loop_state.observation.header.published_ns = time.now();
+        if !crash_store.store(loop_state.sent_count, |to| state::save(&mut loop_state, to)) {
             return Err(RuntimeError::Memory(Role::Plant.name()));
         }
-        ports.observation.send(&voice.observation)?;
+        ports.observation.send(&loop_state.observation)?;
         if real {
-            ports.bell.ring();
+            ports.wake.notify();
             work.saturating_record(time.now().saturating_sub(woken));
         }
-        session.status.sent = voice.said;
+        session.status.sent = loop_state.sent_count;
         decided = false;
-        if let Some(within) = voice.side.acts_within() {
+        if let Some(within) = loop_state.side.acts_within() {
             let until = time.scheduled(tick) + within;
             while !inbox.look_for(tick) && time.now() < until && !session.stopping() {
                 pause(NAP_NS);
@@ -268,17 +275,17 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
             if let Some(error) = inbox.failure.take() {
                 return Err(error.into());
             }
-            voice.side.decide(tick, inbox.found.take().as_ref(), true);
+            loop_state.side.apply(tick, inbox.found.take().as_ref(), true);
             decided = true;
         }
         tick += 1;
-        lived = false;
+        stepped = false;
     }
-    session.show();
+    session.publish_status();
     session.check()?;
-    voice.expected = inbox.expected;
-    writer.write_last(tick, voice.checkpoint(tick, &session.seat), session.stopping());
-    let mut report = voice.side.report;
+    loop_state.expected = inbox.expected;
+    writer.write_last(tick, loop_state.checkpoint(tick, &session.participant), session.stopping());
+    let mut report = loop_state.side.report;
     match writer.finish() {
         Ok(written) => report.checkpoints = written,
         Err(cause) => report.checkpoint_failure = Some(cause),
@@ -291,22 +298,22 @@ pub fn run_plant<P: Plant>(seat: Seat, body: P) -> Result<PlantReport, RuntimeEr
     watch.leave()?;
     session.finish(&report)?;
     // Whoever listens for another observation finds that there is none.
-    ports.bell.ring();
+    ports.wake.notify();
     given_up.map_or(Ok(report), Err)
 }
 
 /// Waits until the logger has room for the next [`CREDIT`] ticks. False when the run is to end first.
 fn await_credit(
     board: &mut BoardReader<Status>,
-    logger: &mut Peer,
+    logger: &mut PeerMonitor,
     session: &Session,
     tick: u64,
 ) -> Result<bool, RuntimeError> {
     let mut backoff = Backoff::default();
     while board.get().consumed + (LOG_BUFFER as u64) < tick + CREDIT {
         if backoff.pause() {
-            logger.look(board, session)?;
-            if session.end().is_some() {
+            logger.check(board, session)?;
+            if session.end_reason().is_some() {
                 return Ok(false);
             }
         }

@@ -11,7 +11,7 @@ use super::{RuntimeError, Snapshot, TickBudget};
 use crate::clock::RealtimeReport;
 pub use crate::log::Percentiles;
 use crate::report::Window;
-use crate::state::{Ledger, Remember};
+use crate::state::{Persist, StateVisitor};
 use crate::wire::Role;
 
 /// A minute in nanoseconds, to three significant digits; longer waits count as a minute.
@@ -52,9 +52,9 @@ pub struct PlantReport {
     pub work: Option<Percentiles>,
 }
 
-impl Remember for PlantReport {
+impl Persist for PlantReport {
     /// Percentiles are made at the end.
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         for (name, count) in [
             ("ticks", &mut self.ticks),
             ("missed", &mut self.missed),
@@ -66,7 +66,7 @@ impl Remember for PlantReport {
             ("ramped", &mut self.ramped),
             ("non_finite", &mut self.non_finite),
         ] {
-            ledger.number(name, count);
+            visitor.number(name, count);
         }
     }
 }
@@ -106,9 +106,9 @@ pub struct ControllerReport {
     pub last_switch: Vec<Snapshot>,
 }
 
-impl Remember for ControllerReport {
+impl Persist for ControllerReport {
     /// What is made at the end is not in it.
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         for (name, count) in [
             ("ticks", &mut self.ticks),
             ("unseen", &mut self.unseen),
@@ -118,9 +118,9 @@ impl Remember for ControllerReport {
             ("cuts", &mut self.cuts),
             ("invalid", &mut self.invalid),
         ] {
-            ledger.number(name, count);
+            visitor.number(name, count);
         }
-        ledger.maybe("diverged_at", &mut self.diverged_at);
+        visitor.optional("diverged_at", &mut self.diverged_at);
     }
 }
 
@@ -142,7 +142,7 @@ pub struct LoggerReport {
     pub failure: Option<String>,
     /// Size of the log, all segments, bytes.
     pub bytes: u64,
-    /// Real time: from a tick's scheduled instant to its sensing; see [`Timings`](crate::log::Timings).
+    /// Real time: from a tick's scheduled instant to its sensing; see [`LatencyHistograms`](crate::log::Timings).
     pub wake_up_lateness: Option<Percentiles>,
     /// Real time: from the sensing of an observation to the sending of the command that answers it.
     pub observation_to_command: Option<Percentiles>,

@@ -5,9 +5,9 @@
 
 use std::path::Path;
 
-use super::{Card, RuntimeError, identity};
+use super::{RunManifest, RuntimeError, identity};
 use crate::channel::TrackerPorts;
-use crate::clock::{Life, monotonic_ns};
+use crate::clock::{ProcessHandle, monotonic_ns};
 use crate::scenario::{Plan, Scenario};
 use crate::wire::{Header, Observation, Phase, Vision};
 
@@ -16,7 +16,7 @@ pub struct Tracker {
     /// The run's scenario.
     pub plan: Plan,
     ports: TrackerPorts,
-    launcher: Life,
+    launcher: ProcessHandle,
     header: Header,
 }
 
@@ -27,14 +27,14 @@ impl Tracker {
     /// [`RuntimeError::NoRun`] when there is no such run, it is over, or nobody is asked to look in it; otherwise as for
     /// [`TrackerPorts::open`].
     pub fn join(run: &Path) -> Result<Self, RuntimeError> {
-        let (folder, card, launcher) = Card::find(run)?;
-        let plan = Scenario::load(&Card::scenario_path(&folder))?.plan()?;
+        let (folder, manifest, launcher) = RunManifest::find(run)?;
+        let plan = Scenario::load(&RunManifest::scenario_path(&folder))?.plan()?;
         if plan.scenario.vision().is_none() {
             let cause = "its scenario has no plant.servos.sight = \"vision\"".to_owned();
             return Err(RuntimeError::NoRun { path: folder.display().to_string(), cause });
         }
-        let ports = TrackerPorts::open(&card.domain, &identity(&plan), &plan.scenario.channels)?;
-        let header = Header { run: card.run_id(), ..Header::default() };
+        let ports = TrackerPorts::open(&manifest.domain, &identity(&plan), &plan.scenario.channels)?;
+        let header = Header { run: manifest.run_id(), ..Header::default() };
         Ok(Self { plan, ports, launcher, header })
     }
 

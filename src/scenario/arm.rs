@@ -7,7 +7,7 @@ use super::file::{pair, pairs};
 /// `[plant.arm]`: the planar arm of section 4.2.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct ArmTable {
+pub struct ArmConfig {
     /// Lengths of the segments, m; 1 to 8 of them.
     pub lengths: Vec<f64>,
     /// Position of the first joint, m.
@@ -33,16 +33,16 @@ pub struct ArmTable {
     #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
     pub targets: Vec<[f64; 2]>,
     /// What a tick costs.
-    pub reward: ArmRewardTable,
+    pub reward: ArmRewardConfig,
     /// Joints that block during the run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub block: Vec<BlockTable>,
+    pub block: Vec<BlockConfig>,
     /// Segments that change their length during the run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub shorten: Vec<ShortenTable>,
+    pub shorten: Vec<ShortenConfig>,
     /// Axes along which targets are reported the wrong way round.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub mirror: Vec<MirrorTable>,
+    pub mirror: Vec<MirrorConfig>,
 }
 
 /// What a joint's angle is measured from.
@@ -59,7 +59,7 @@ pub enum Angles {
 /// pairs of segments that cross. With `near`, the error's term `-|e|^2` is `max(0, near^2 - |e|^2)` instead.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct ArmRewardTable {
+pub struct ArmRewardConfig {
     /// Factor of the whole.
     pub scale: f64,
     /// Weight of the squared angular rates.
@@ -76,7 +76,7 @@ pub struct ArmRewardTable {
 /// `[[plant.arm.block]]`: from a tick on, a joint stands still at an angle whatever is commanded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct BlockTable {
+pub struct BlockConfig {
     /// Joint, counted from 1 at the base.
     pub joint: usize,
     /// First tick of the block.
@@ -89,7 +89,7 @@ pub struct BlockTable {
 /// `[[plant.arm.shorten]]`: from a tick on, a segment has another length.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ShortenTable {
+pub struct ShortenConfig {
     /// Segment, counted from 1 at the base.
     pub segment: usize,
     /// First tick with the new length.
@@ -102,7 +102,7 @@ pub struct ShortenTable {
 /// and with it reward and error, stays where it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct MirrorTable {
+pub struct MirrorConfig {
     /// The coordinate.
     pub axis: MirrorAxis,
     /// First tick with the other sign; a second one for the same axis turns the sign back.
@@ -119,7 +119,7 @@ pub enum MirrorAxis {
     Y,
 }
 
-impl ArmTable {
+impl ArmConfig {
     /// The length of `segment`, from 0, in `tick`, m.
     pub fn length(&self, segment: usize, tick: u64) -> f64 {
         let changes = self.shorten.iter().filter(|s| s.segment == segment + 1 && s.tick <= tick);
@@ -139,7 +139,7 @@ impl ArmTable {
     }
 }
 
-impl Default for ArmTable {
+impl Default for ArmConfig {
     fn default() -> Self {
         Self {
             lengths: vec![0.5; 4],
@@ -151,7 +151,7 @@ impl Default for ArmTable {
             arena: [-1.0, 1.0],
             target_every: 80,
             targets: Vec::new(),
-            reward: ArmRewardTable::default(),
+            reward: ArmRewardConfig::default(),
             block: Vec::new(),
             shorten: Vec::new(),
             mirror: Vec::new(),
@@ -159,7 +159,7 @@ impl Default for ArmTable {
     }
 }
 
-impl Default for ArmRewardTable {
+impl Default for ArmRewardConfig {
     fn default() -> Self {
         Self { scale: 0.1, speed: 0.025, angle: 0.01, collision: 0.0, near: None }
     }

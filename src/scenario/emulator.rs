@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::error::{Problem, quoted};
+use super::error::{Violation, quoted};
 use super::limits;
 use super::validate::{number, show};
 use crate::servo::model::MODELS;
@@ -11,7 +11,7 @@ use crate::servo::model::MODELS;
 /// `[plant.emulator]`: an emulated chain of servos.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct EmulatorTable {
+pub struct EmulatorConfig {
     /// The model of all servos, as its maker writes it; left out, XL330-M288 or STS3215, as the protocol says.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
@@ -85,13 +85,13 @@ impl ServoFaultKind {
 }
 
 /// Checks what the types cannot say.
-pub(super) fn check(emulator: &EmulatorTable) -> Result<(), Problem> {
+pub(super) fn check(emulator: &EmulatorConfig) -> Result<(), Violation> {
     let key = |name: &str| format!("plant.emulator.{name}");
     if let Some(name) = &emulator.model
         && !MODELS.iter().any(|model| model.name == name)
     {
         let known: Vec<_> = MODELS.iter().map(|model| model.name).collect();
-        return Err(Problem::value(key("model"), quoted(name), format!("give one of {}", known.join(", "))));
+        return Err(Violation::value(key("model"), quoted(name), format!("give one of {}", known.join(", "))));
     }
     for (name, value) in [("speed", emulator.speed), ("acceleration", emulator.acceleration)] {
         if let Some(value) = value {
@@ -104,7 +104,7 @@ pub(super) fn check(emulator: &EmulatorTable) -> Result<(), Problem> {
     }
     number(key("noise"), emulator.noise, limits::SERVO_NOISE, "give 0 to 1000 steps")?;
     if emulator.faults.len() > limits::MAX_FAULTS {
-        return Err(Problem::new(
+        return Err(Violation::new(
             key("faults"),
             format_args!("has {} entries; give at most 16", emulator.faults.len()),
         ));
@@ -112,20 +112,24 @@ pub(super) fn check(emulator: &EmulatorTable) -> Result<(), Problem> {
     emulator.faults.iter().enumerate().try_for_each(|(i, one)| fault(&key(&format!("faults[{i}]")), one))
 }
 
-fn fault(key: &str, fault: &ServoFault) -> Result<(), Problem> {
+fn fault(key: &str, fault: &ServoFault) -> Result<(), Violation> {
     if fault.probability.is_none() && fault.from_s.is_none() && fault.until_s.is_none() {
         let text = "says neither how likely it is nor when; give probability, or from_s and until_s, or all of them";
-        return Err(Problem::new(key, text));
+        return Err(Violation::new(key, text));
     }
     if let Some(id) = fault.servo
         && id > 253
     {
-        return Err(Problem::value(format_args!("{key}.servo"), id, "ids are 0 to 253"));
+        return Err(Violation::value(format_args!("{key}.servo"), id, "ids are 0 to 253"));
     }
     if let Some(probability) = fault.probability
         && !(probability > 0.0 && probability <= 1.0)
     {
-        return Err(Problem::value(format_args!("{key}.probability"), show(probability), "give more than 0, up to 1"));
+        return Err(Violation::value(
+            format_args!("{key}.probability"),
+            show(probability),
+            "give more than 0, up to 1",
+        ));
     }
     let from = fault.from_s.unwrap_or(0.0);
     number(format_args!("{key}.from_s"), from, limits::SERVO_SECONDS, "give 0 to 1e9 s")?;
@@ -133,12 +137,12 @@ fn fault(key: &str, fault: &ServoFault) -> Result<(), Problem> {
         number(format_args!("{key}.until_s"), until, limits::SERVO_SECONDS, "give 0 to 1e9 s")?;
         if until <= from {
             let remedy = format!("give more than from_s, which is {}", show(from));
-            return Err(Problem::value(format_args!("{key}.until_s"), show(until), remedy));
+            return Err(Violation::value(format_args!("{key}.until_s"), show(until), remedy));
         }
     }
     match fault.delay_ms {
         Some(_) if fault.kind != ServoFaultKind::Slow => {
-            Err(Problem::new(format_args!("{key}.delay_ms"), "is given and belongs to slow alone; take it out"))
+            Err(Violation::new(format_args!("{key}.delay_ms"), "is given and belongs to slow alone; take it out"))
         }
         Some(ms) => number(format_args!("{key}.delay_ms"), ms, limits::SERVO_DELAY_MS, "give 0.001 to 60000 ms"),
         None => Ok(()),
@@ -150,7 +154,7 @@ mod tests {
     use super::*;
 
     fn refused(text: &str) -> String {
-        let table: EmulatorTable = toml::from_str(text).expect("a table");
+        let table: EmulatorConfig = toml::from_str(text).expect("a table");
         let problem = check(&table).expect_err("a problem");
         format!("{problem:?}")
     }
@@ -173,7 +177,7 @@ mod tests {
         ] {
             assert!(text.contains(said), "{said}: {text}");
         }
-        assert!(toml::from_str::<EmulatorTable>("latency = 1.0").is_err());
+        assert!(toml::from_str::<EmulatorConfig>("latency = 1.0").is_err());
         let good = "speed = 5.0\nnoise = 0.5\n[[faults]]\nkind = \"cable-out\"\nservo = 3\nfrom_s = 1.0\nuntil_s = 2.0";
         check(&toml::from_str(good).expect("a table")).expect("no problem");
     }

@@ -9,7 +9,7 @@ use toml::de::DeTable;
 
 use super::{
     Scenario,
-    source::{Source, key_at, line_at, list_for_table},
+    source::{ScenarioSource, key_at, line_at, list_for_table},
 };
 
 /// Why a scenario cannot be used.
@@ -54,13 +54,13 @@ pub enum ScenarioError {
     #[error("{place}: the text is not UTF-8 here; save the file as UTF-8")]
     NotUtf8 {
         /// The file and the line of the first wrong byte.
-        place: Place,
+        place: FilePosition,
     },
     /// The text is not TOML.
     #[error("{place}: this is not valid TOML ({reason}); correct it here")]
     Syntax {
         /// The file and the line.
-        place: Place,
+        place: FilePosition,
         /// What the TOML parser says.
         reason: String,
     },
@@ -68,7 +68,7 @@ pub enum ScenarioError {
     #[error("{place}: unknown key {}; {remedy}", quoted(.key))]
     UnknownKey {
         /// The file and the line.
-        place: Place,
+        place: FilePosition,
         /// The key with its table, such as `plant.arm.lenghts`.
         key: String,
         /// The nearest known key, or all of them.
@@ -78,7 +78,7 @@ pub enum ScenarioError {
     #[error("{place}: {key} is missing; {remedy}")]
     MissingKey {
         /// The file and the line of the table.
-        place: Place,
+        place: FilePosition,
         /// The key with its table.
         key: String,
         /// What to do.
@@ -88,7 +88,7 @@ pub enum ScenarioError {
     #[error("{place}: {key} is {value}; give {expected}")]
     WrongType {
         /// The file and the line.
-        place: Place,
+        place: FilePosition,
         /// The key with its table.
         key: String,
         /// The value, or what kind of value it is.
@@ -100,7 +100,7 @@ pub enum ScenarioError {
     #[error("{place}: {key} {problem}")]
     Invalid {
         /// The file, and the line where the key or its table stands.
-        place: Place,
+        place: FilePosition,
         /// The key with its table, such as `encoder.maps[0].units[1]`.
         key: String,
         /// What is wrong with it, and the remedy.
@@ -110,14 +110,14 @@ pub enum ScenarioError {
 
 /// A place in a scenario file.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Place {
+pub struct FilePosition {
     /// The file as it was named.
     pub file: String,
     /// The line, from 1, where it is known.
     pub line: Option<usize>,
 }
 
-impl Display for Place {
+impl Display for FilePosition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.line {
             Some(line) => write!(f, "{}:{line}", self.file),
@@ -128,12 +128,12 @@ impl Display for Place {
 
 /// What a check found: the key, and the rest of the sentence.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Problem {
+pub(super) struct Violation {
     pub(super) key: String,
     pub(super) text: String,
 }
 
-impl Problem {
+impl Violation {
     /// `{key} {text}`
     pub(super) fn new(key: impl Display, text: impl Display) -> Self {
         Self { key: key.to_string(), text: text.to_string() }
@@ -163,8 +163,9 @@ fn one_line(message: &str) -> String {
 }
 
 /// Reads the tables out of a text.
-pub(super) fn tables(source: &Source) -> Result<Scenario, ScenarioError> {
-    let place = |offset: usize| Place { file: source.name().to_owned(), line: Some(line_at(source.text(), offset)) };
+pub(super) fn tables(source: &ScenarioSource) -> Result<Scenario, ScenarioError> {
+    let place =
+        |offset: usize| FilePosition { file: source.name().to_owned(), line: Some(line_at(source.text(), offset)) };
     let document = DeTable::parse(source.text()).map_err(|error| {
         let reason = error.message();
         let reason = one_line(reason.strip_suffix(", expected nothing").unwrap_or(reason));
@@ -182,7 +183,7 @@ pub(super) fn tables(source: &Source) -> Result<Scenario, ScenarioError> {
 }
 
 /// Puts what serde says about the value at a key into our words.
-fn refused(message: &str, place: Place, key: String) -> ScenarioError {
+fn refused(message: &str, place: FilePosition, key: String) -> ScenarioError {
     if let Some((unknown, known)) = between(message, "unknown field `", "`, expected ") {
         // The name may hold dots of its own, so that the table is what is left of the path without it.
         let table = key.strip_suffix(unknown).map_or("", |table| table.trim_end_matches('.'));
@@ -191,7 +192,7 @@ fn refused(message: &str, place: Place, key: String) -> ScenarioError {
     }
     if let Some(missing) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
         // The root has no line of its own.
-        let place = if key.is_empty() { Place { line: None, ..place } } else { place };
+        let place = if key.is_empty() { FilePosition { line: None, ..place } } else { place };
         let remedy = "this key has no default, so add it".to_owned();
         return ScenarioError::MissingKey { place, key: joined(&key, missing), remedy };
     }

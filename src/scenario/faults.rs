@@ -1,11 +1,11 @@
 //! `[faults]`: what is made to go wrong in a run, on purpose and the same every time, and the checks of it.
 //!
-//! Faults of channels are injected where a sample is read ([`Line`](crate::runtime::Line)); those of processes are carried
+//! Faults of channels are injected where a sample is read ([`FaultyChannel`](crate::runtime::Line)); those of processes are carried
 //! out by the run's launcher.
 
 use serde::{Deserialize, Serialize};
 
-use super::error::Problem;
+use super::error::Violation;
 use super::limits;
 use super::validate::{number, show, ticks};
 use crate::wire::Role;
@@ -13,7 +13,7 @@ use crate::wire::Role;
 /// `[faults]`: what goes wrong.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct FaultsTable {
+pub struct FaultsConfig {
     /// Faults of channels. Each is decided for every tick by itself, by its place in the list, the seed and the tick.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub channel: Vec<ChannelFault>,
@@ -96,7 +96,7 @@ pub struct ProcessFault {
     pub process: FaultProcess,
     /// What happens to it.
     #[serde(rename = "do")]
-    pub act: ProcessAct,
+    pub act: ProcessFaultKind,
     /// The ticks, in rising order, as the plant's board shows them.
     pub at: Vec<u64>,
     /// How long it is stopped, ms.
@@ -119,7 +119,7 @@ pub enum FaultProcess {
 /// What can happen to a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum ProcessAct {
+pub enum ProcessFaultKind {
     /// SIGKILL.
     Kill,
     /// SIGSTOP, and SIGCONT after `for_ms`.
@@ -128,7 +128,7 @@ pub enum ProcessAct {
     Restart,
 }
 
-impl FaultsTable {
+impl FaultsConfig {
     /// Whether nothing is made to go wrong.
     pub fn is_nothing(&self) -> bool {
         self.channel.is_empty() && self.process.is_empty()
@@ -199,10 +199,10 @@ fn word<T: Serialize>(value: &T) -> String {
 }
 
 /// Checks what the types cannot say.
-pub(super) fn check(faults: &FaultsTable) -> Result<(), Problem> {
+pub(super) fn check(faults: &FaultsConfig) -> Result<(), Violation> {
     for (key, n) in [("faults.channel", faults.channel.len()), ("faults.process", faults.process.len())] {
         if n > limits::MAX_FAULTS {
-            return Err(Problem::new(key, format_args!("has {n} entries; give at most 16")));
+            return Err(Violation::new(key, format_args!("has {n} entries; give at most 16")));
         }
     }
     for (i, fault) in faults.channel.iter().enumerate() {
@@ -214,17 +214,17 @@ pub(super) fn check(faults: &FaultsTable) -> Result<(), Problem> {
     Ok(())
 }
 
-fn channel(key: &str, fault: &ChannelFault) -> Result<(), Problem> {
+fn channel(key: &str, fault: &ChannelFault) -> Result<(), Violation> {
     let kind = word(&fault.kind);
     if fault.probability.is_none() && fault.from.is_none() && fault.until.is_none() {
         let text = "says neither how likely it is nor when; give probability, or from and until, or all of them";
-        return Err(Problem::new(key, text));
+        return Err(Violation::new(key, text));
     }
     if let Some(probability) = fault.probability
         && !(probability > 0.0 && probability <= 1.0)
     {
         let remedy = "give more than 0, up to 1";
-        return Err(Problem::value(format_args!("{key}.probability"), show(probability), remedy));
+        return Err(Violation::value(format_args!("{key}.probability"), show(probability), remedy));
     }
     for (name, tick) in [("from", fault.from), ("until", fault.until)] {
         ticks(format_args!("{key}.{name}"), tick.unwrap_or(0), 0)?;
@@ -234,32 +234,32 @@ fn channel(key: &str, fault: &ChannelFault) -> Result<(), Problem> {
         && until <= from
     {
         let remedy = format!("give more than from, which is {from}: it is the first tick without the fault");
-        return Err(Problem::value(format_args!("{key}.until"), until, remedy));
+        return Err(Violation::value(format_args!("{key}.until"), until, remedy));
     }
     if (fault.channel, fault.kind) == (FaultChannel::Learning, FaultKind::Corrupt) {
         let text =
             "is corrupt, on the channel learning; only the log hears that, and must hold what was learned or nothing";
-        return Err(Problem::new(format_args!("{key}.kind"), text));
+        return Err(Violation::new(format_args!("{key}.kind"), text));
     }
     match (fault.ticks, fault.kind) {
         (Some(_), other) if !other.takes_ticks() => {
             let text = format!("is given, and {kind} takes none; it belongs to delay, duplicate and freeze");
-            return Err(Problem::new(format_args!("{key}.ticks"), text));
+            return Err(Violation::new(format_args!("{key}.ticks"), text));
         }
         (Some(n), FaultKind::Freeze) if !(1..=limits::MAX_FREEZE).contains(&n) => {
-            return Err(Problem::value(format_args!("{key}.ticks"), n, "give 1 to 1000000 ticks"));
+            return Err(Violation::value(format_args!("{key}.ticks"), n, "give 1 to 1000000 ticks"));
         }
         (Some(n), FaultKind::Delay | FaultKind::Duplicate) if !(1..=limits::MAX_DELAY).contains(&n) => {
-            return Err(Problem::value(format_args!("{key}.ticks"), n, "give 1 to 16 ticks"));
+            return Err(Violation::value(format_args!("{key}.ticks"), n, "give 1 to 16 ticks"));
         }
         _ => {}
     }
     match (fault.value, fault.kind) {
-        (None, FaultKind::Corrupt) => Err(Problem::new(
+        (None, FaultKind::Corrupt) => Err(Violation::new(
             key,
             "does not say what corrupt puts in place of a value; give value = \"nan\" or \"huge\"",
         )),
-        (Some(_), other) if other != FaultKind::Corrupt => Err(Problem::new(
+        (Some(_), other) if other != FaultKind::Corrupt => Err(Violation::new(
             format_args!("{key}.value"),
             format!("is given, and {kind} takes none; it belongs to corrupt"),
         )),
@@ -267,28 +267,28 @@ fn channel(key: &str, fault: &ChannelFault) -> Result<(), Problem> {
     }
 }
 
-fn process(key: &str, fault: &ProcessFault) -> Result<(), Problem> {
+fn process(key: &str, fault: &ProcessFault) -> Result<(), Violation> {
     if fault.at.is_empty() || fault.at.len() > limits::MAX_STRIKES {
         let text = format!("has {} entries; give 1 to 1000 ticks", fault.at.len());
-        return Err(Problem::new(format_args!("{key}.at"), text));
+        return Err(Violation::new(format_args!("{key}.at"), text));
     }
     for (i, &tick) in fault.at.iter().enumerate() {
         ticks(format_args!("{key}.at[{i}]"), tick, 0)?;
         if i > 0 && tick <= fault.at[i - 1] {
             let remedy = format!("give ticks in rising order; the one before is {}", fault.at[i - 1]);
-            return Err(Problem::value(format_args!("{key}.at[{i}]"), tick, remedy));
+            return Err(Violation::value(format_args!("{key}.at[{i}]"), tick, remedy));
         }
     }
     match (fault.act, fault.for_ms) {
-        (ProcessAct::Stop, None) => {
-            Err(Problem::new(key, "does not say for how long the process is stopped; give for_ms, 1 to 60000"))
+        (ProcessFaultKind::Stop, None) => {
+            Err(Violation::new(key, "does not say for how long the process is stopped; give for_ms, 1 to 60000"))
         }
-        (ProcessAct::Stop, Some(ms)) => {
+        (ProcessFaultKind::Stop, Some(ms)) => {
             number(format_args!("{key}.for_ms"), ms, limits::STOPPED_MS, "give 1 to 60000 ms")
         }
         (act, Some(_)) => {
             let text = format!("is given, and {} takes no time; it belongs to stop", word(&act));
-            Err(Problem::new(format_args!("{key}.for_ms"), text))
+            Err(Violation::new(format_args!("{key}.for_ms"), text))
         }
         (_, None) => Ok(()),
     }

@@ -11,8 +11,8 @@ use serde::{
 };
 
 use super::{
-    ArmTable, EmulatorTable, FaultsTable, GateTable, LearnerTable, OverrunTable, RealtimeTable, RestartTable,
-    ServosTable, Source,
+    ArmConfig, EmulatorConfig, FaultsConfig, GateConfig, LearnerConfig, OverrunConfig, RealtimeConfig, RestartConfig,
+    ScenarioSource, ServosConfig,
 };
 
 /// A whole scenario file.
@@ -30,45 +30,45 @@ pub struct Scenario {
     /// Ticks of a run; at least 2.
     pub ticks: u64,
     /// What is controlled.
-    pub plant: PlantTable,
+    pub plant: PlantConfig,
     /// How inputs become features.
-    pub encoder: EncoderTable,
+    pub encoder: EncoderConfig,
     /// How features become commands.
     #[serde(default)]
-    pub policy: PolicyTable,
+    pub policy: PolicyConfig,
     /// How rewards become weights.
     #[serde(default)]
-    pub learner: LearnerTable,
+    pub learner: LearnerConfig,
     /// What the plant does with commands that are late, missing or out of range.
     #[serde(default)]
-    pub gate: GateTable,
+    pub gate: GateConfig,
     /// What is written down.
     #[serde(default)]
-    pub log: LogTable,
+    pub log: LogConfig,
     /// The names of the channels.
     #[serde(default)]
-    pub channels: ChannelsTable,
+    pub channels: ChannelsConfig,
     /// What happens when a process dies or hangs.
-    #[serde(default, skip_serializing_if = "RestartTable::is_usual")]
-    pub restart: RestartTable,
+    #[serde(default, skip_serializing_if = "RestartConfig::is_usual")]
+    pub restart: RestartConfig,
     /// What each process asks of the operating system in real time.
-    #[serde(default, skip_serializing_if = "RealtimeTable::is_nothing")]
-    pub realtime: RealtimeTable,
+    #[serde(default, skip_serializing_if = "RealtimeConfig::is_nothing")]
+    pub realtime: RealtimeConfig,
     /// What the plant does when it cannot keep its own deadlines.
-    #[serde(default, skip_serializing_if = "OverrunTable::is_nothing")]
-    pub overrun: OverrunTable,
+    #[serde(default, skip_serializing_if = "OverrunConfig::is_nothing")]
+    pub overrun: OverrunConfig,
     /// What is made to go wrong, on purpose.
-    #[serde(default, skip_serializing_if = "FaultsTable::is_nothing")]
-    pub faults: FaultsTable,
+    #[serde(default, skip_serializing_if = "FaultsConfig::is_nothing")]
+    pub faults: FaultsConfig,
     /// Where the scenario came from, for messages; not a key of the file, not compared and not hashed.
     #[serde(skip)]
-    pub source: Source,
+    pub source: ScenarioSource,
 }
 
 /// `[plant]`: the program in the plant's place, and what it says and takes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct PlantTable {
+pub struct PlantConfig {
     /// The program: a name is looked up beside `tectum` and then in `PATH`, a path is taken as it is.
     #[serde(default = "simulator")]
     pub program: String,
@@ -77,31 +77,31 @@ pub struct PlantTable {
     pub args: Vec<String>,
     /// The inputs of an observation. Left out for `arm` and `eye`, which know theirs.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub inputs: Vec<SignalTable>,
+    pub inputs: Vec<SignalConfig>,
     /// The outputs of a command. Left out for `arm` and `eye`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub outputs: Vec<SignalTable>,
+    pub outputs: Vec<SignalConfig>,
     /// Names of the measures, at most 6; one called `error` is reported as the error at the end of a target.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub measures: Vec<String>,
     /// The simulator's arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub arm: Option<ArmTable>,
+    pub arm: Option<ArmConfig>,
     /// The simulator's eye.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub eye: Option<EyeTable>,
+    pub eye: Option<EyeConfig>,
     /// The servos of `tectum-bridge`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub servos: Option<ServosTable>,
+    pub servos: Option<ServosConfig>,
     /// An emulated chain of servos.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub emulator: Option<EmulatorTable>,
+    pub emulator: Option<EmulatorConfig>,
 }
 
 /// One input or output: its name, unit and range.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct SignalTable {
+pub struct SignalConfig {
     /// Name, as maps refer to it.
     pub name: String,
     /// Unit, for people and logs.
@@ -116,7 +116,7 @@ pub struct SignalTable {
 /// `[plant.eye]`: the saccades of section 4.1, one tick one saccade.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct EyeTable {
+pub struct EyeConfig {
     /// How the retina reports position and velocity.
     pub retina: Retina,
     /// The log-polar distortion B.
@@ -140,7 +140,7 @@ pub enum Retina {
 /// `[encoder]`: topographic maps, concatenated (section 3.3).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct EncoderTable {
+pub struct EncoderConfig {
     /// Scale the concatenated features to unit Euclidean norm.
     #[serde(default = "yes")]
     pub normalise: bool,
@@ -148,13 +148,13 @@ pub struct EncoderTable {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub scalars: Vec<String>,
     /// The maps; at most 64, with at most 65,536 units together; none only beside scalars.
-    pub maps: Vec<MapTable>,
+    pub maps: Vec<MapConfig>,
 }
 
 /// `[[encoder.maps]]`: one map over one or two inputs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct MapTable {
+pub struct MapConfig {
     /// One or two inputs by name.
     pub inputs: Vec<String>,
     /// Units along each input; 2 to 4096. Default 16 each.
@@ -170,7 +170,7 @@ pub struct MapTable {
 /// `[policy]`: `u = W g + noise` (section 3.2).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct PolicyTable {
+pub struct PolicyConfig {
     /// Standard deviation of the exploration noise, in units of the command.
     pub sigma: f64,
     /// How the noise is distributed.
@@ -190,7 +190,7 @@ pub enum Noise {
 /// `[log]`: what is written down.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct LogTable {
+pub struct LogConfig {
     /// Write every N-th tick; 1 writes all.
     pub every: u64,
     /// Hash the weights every N-th tick.
@@ -200,7 +200,7 @@ pub struct LogTable {
 /// `[channels]`: names, in case another program shares the domain's names.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct ChannelsTable {
+pub struct ChannelsConfig {
     /// Plant to controller and logger.
     pub observation: String,
     /// Controller to plant and logger.
@@ -225,19 +225,19 @@ impl Scenario {
 }
 
 /// Two numbers, and no third: serde's own reader of arrays passes over what follows them.
-struct Pair([f64; 2]);
+struct ExactPair([f64; 2]);
 
-impl<'de> Deserialize<'de> for Pair {
+impl<'de> Deserialize<'de> for ExactPair {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Two;
-        impl<'de> Visitor<'de> for Two {
-            type Value = Pair;
+        struct PairVisitor;
+        impl<'de> Visitor<'de> for PairVisitor {
+            type Value = ExactPair;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
                 f.write_str("an array of length 2")
             }
 
-            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Pair, A::Error> {
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<ExactPair, A::Error> {
                 let mut pair = [0.0; 2];
                 for (i, number) in pair.iter_mut().enumerate() {
                     *number = list.next_element()?.ok_or_else(|| A::Error::invalid_length(i, &self))?;
@@ -246,19 +246,19 @@ impl<'de> Deserialize<'de> for Pair {
                 while list.next_element::<IgnoredAny>()?.is_some() {
                     length += 1;
                 }
-                if length == 2 { Ok(Pair(pair)) } else { Err(A::Error::invalid_length(length, &self)) }
+                if length == 2 { Ok(ExactPair(pair)) } else { Err(A::Error::invalid_length(length, &self)) }
             }
         }
-        deserializer.deserialize_seq(Two)
+        deserializer.deserialize_seq(PairVisitor)
     }
 }
 
 pub(super) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
-    Pair::deserialize(deserializer).map(|Pair(pair)| pair)
+    ExactPair::deserialize(deserializer).map(|ExactPair(pair)| pair)
 }
 
 pub(super) fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f64; 2]>, D::Error> {
-    Vec::<Pair>::deserialize(deserializer).map(|pairs| pairs.into_iter().map(|Pair(pair)| pair).collect())
+    Vec::<ExactPair>::deserialize(deserializer).map(|pairs| pairs.into_iter().map(|ExactPair(pair)| pair).collect())
 }
 
 fn one() -> u64 {
@@ -277,25 +277,25 @@ fn simulator() -> String {
     "tectum-simulator".to_owned()
 }
 
-impl Default for EyeTable {
+impl Default for EyeConfig {
     fn default() -> Self {
         Self { retina: Retina::LogPolar, distortion: 4.0, spread: 0.3, bonus: 0.5 }
     }
 }
 
-impl Default for PolicyTable {
+impl Default for PolicyConfig {
     fn default() -> Self {
         Self { sigma: 0.003, noise: Noise::Gaussian }
     }
 }
 
-impl Default for LogTable {
+impl Default for LogConfig {
     fn default() -> Self {
         Self { every: 1, hash_every: 1000 }
     }
 }
 
-impl Default for ChannelsTable {
+impl Default for ChannelsConfig {
     fn default() -> Self {
         Self {
             observation: "observation".into(),

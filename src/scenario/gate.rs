@@ -8,16 +8,16 @@ use std::fmt;
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::error::Problem;
+use super::error::Violation;
 use super::file::pairs;
 use super::validate::{number, show};
-use super::{PlantTable, SignalTable, limits};
+use super::{PlantConfig, SignalConfig, limits};
 use crate::wire::MAX_OUTPUTS;
 
 /// `[gate]`: between a command and the actuators.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct GateTable {
+pub struct GateConfig {
     /// Largest command in magnitude.
     pub max_command: PerOutput,
     /// Largest change of the applied command from tick to tick; left out, any.
@@ -38,7 +38,7 @@ pub struct GateTable {
 /// `[overrun]`: what the plant does when it cannot keep its own deadlines, in real time.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct OverrunTable {
+pub struct OverrunConfig {
     /// Most ticks passed over in a row, without one begun in time between them; with more the plant ends the run. 0: it
     /// never does.
     pub max_consecutive: u64,
@@ -85,8 +85,8 @@ impl PerOutput {
 
 impl<'de> Deserialize<'de> for PerOutput {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct OneOrMore;
-        impl<'de> Visitor<'de> for OneOrMore {
+        struct PerOutputVisitor;
+        impl<'de> Visitor<'de> for PerOutputVisitor {
             type Value = PerOutput;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -113,11 +113,11 @@ impl<'de> Deserialize<'de> for PerOutput {
                 Ok(PerOutput::Each(numbers))
             }
         }
-        deserializer.deserialize_any(OneOrMore)
+        deserializer.deserialize_any(PerOutputVisitor)
     }
 }
 
-impl Default for GateTable {
+impl Default for GateConfig {
     fn default() -> Self {
         Self {
             max_command: PerOutput::All(0.05),
@@ -130,7 +130,7 @@ impl Default for GateTable {
     }
 }
 
-impl OverrunTable {
+impl OverrunConfig {
     pub(super) fn is_nothing(&self) -> bool {
         *self == Self::default()
     }
@@ -141,7 +141,7 @@ fn is_zero(ticks: &u32) -> bool {
 }
 
 /// Checks what can be checked without knowing the outputs.
-pub(super) fn check(gate: &GateTable, overrun: &OverrunTable) -> Result<(), Problem> {
+pub(super) fn check(gate: &GateConfig, overrun: &OverrunConfig) -> Result<(), Violation> {
     let remedy = "give more than 0 (1e-9 or more), up to 1e6";
     let steps = gate.max_step.iter().flat_map(|step| step.entries("gate.max_step"));
     for (key, value) in gate.max_command.entries("gate.max_command").into_iter().chain(steps) {
@@ -152,7 +152,7 @@ pub(super) fn check(gate: &GateTable, overrun: &OverrunTable) -> Result<(), Prob
         if !(range.contains(&low) && range.contains(&high) && high - low >= limits::LEAST_COURSE) {
             let value = format!("[{}, {}]", show(low), show(high));
             let remedy = "give the least and then the greatest angle, from -1000 to 1000 rad and at least 0.001 apart";
-            return Err(Problem::value(format_args!("gate.positions[{i}]"), value, remedy));
+            return Err(Violation::value(format_args!("gate.positions[{i}]"), value, remedy));
         }
     }
     for (key, value) in [
@@ -161,22 +161,22 @@ pub(super) fn check(gate: &GateTable, overrun: &OverrunTable) -> Result<(), Prob
         ("gate.ramp_ticks", gate.ramp_ticks),
     ] {
         if value > limits::MAX_HOLD {
-            return Err(Problem::value(key, value, "give 0 to 1000000 ticks"));
+            return Err(Violation::value(key, value, "give 0 to 1000000 ticks"));
         }
     }
     if overrun.max_consecutive > limits::MAX_TICK {
         let remedy = "give 0 to 1000000000000 ticks; 0 never ends a run";
-        return Err(Problem::value("overrun.max_consecutive", overrun.max_consecutive, remedy));
+        return Err(Violation::value("overrun.max_consecutive", overrun.max_consecutive, remedy));
     }
     Ok(())
 }
 
 /// Checks the lists against the plant's outputs. Of a plant that is not ours only the plant itself knows whether it has
 /// joints; it is asked when it takes its place.
-pub(super) fn check_outputs(gate: &GateTable, plant: &PlantTable, outputs: &[SignalTable]) -> Result<(), Problem> {
+pub(super) fn check_outputs(gate: &GateConfig, plant: &PlantConfig, outputs: &[SignalConfig]) -> Result<(), Violation> {
     if plant.eye.is_some() && !gate.positions.is_empty() {
         let text = "is given, and the eye has no joints whose positions could be limited; take it out";
-        return Err(Problem::new("gate.positions", text));
+        return Err(Violation::new("gate.positions", text));
     }
     let length = |numbers: &PerOutput| match numbers {
         PerOutput::All(_) => outputs.len(),
@@ -191,7 +191,7 @@ pub(super) fn check_outputs(gate: &GateTable, plant: &PlantTable, outputs: &[Sig
         if length != outputs.len() {
             let names: Vec<_> = outputs.iter().map(|output| output.name.as_str()).collect();
             let text = format!("has {length} entries; give one for each output: {}", names.join(", "));
-            return Err(Problem::new(key, text));
+            return Err(Violation::new(key, text));
         }
     }
     Ok(())

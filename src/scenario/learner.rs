@@ -7,7 +7,7 @@ use super::merge;
 /// `[learner]`: the rule and its constants. What a file leaves out is as in the rule's [preset](LearnerTable::preset).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct LearnerTable {
+pub struct LearnerConfig {
     /// The learning rule.
     pub rule: Rule,
     /// Decay of the eligibility trace a tick, in [0, 1).
@@ -16,14 +16,14 @@ pub struct LearnerTable {
     pub alpha_over_variance: f64,
     /// Rule `baseline`: the running mean.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub baseline: Option<BaselineTable>,
+    pub baseline: Option<BaselineConfig>,
     /// Rules `actor-critic` and `natural-actor-critic`: the critic.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub critic: Option<CriticTable>,
+    pub critic: Option<CriticConfig>,
     /// Rule `learned-reward`: the model, and how the policy is improved through it. `beta` and `alpha_over_variance` are
     /// of no use to this rule.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub model: Option<ModelTable>,
+    pub model: Option<ModelConfig>,
 }
 
 /// The learning rules.
@@ -45,7 +45,7 @@ pub enum Rule {
 /// `[learner.baseline]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct BaselineTable {
+pub struct BaselineConfig {
     /// Time constant of the running mean, ticks.
     pub ticks: f64,
 }
@@ -53,7 +53,7 @@ pub struct BaselineTable {
 /// What a critic's features are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum CriticSight {
+pub enum CriticFeatures {
     /// 8 x 8 topographic maps over all pairs of inputs.
     Pairs,
     /// The policy's features.
@@ -63,9 +63,9 @@ pub enum CriticSight {
 /// `[learner.critic]`: the linear critic and the size of steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct CriticTable {
+pub struct CriticConfig {
     /// What the critic sees.
-    pub sees: CriticSight,
+    pub sees: CriticFeatures,
     /// Step of the critic's weights; where it would overshoot the error, less is taken.
     pub step: f64,
     /// Discount of later rewards a tick, in [0, 1).
@@ -91,7 +91,7 @@ pub struct CriticTable {
 /// `[learner.model]`: the learned-reward rule.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct ModelTable {
+pub struct ModelConfig {
     /// What the model of the reward is made of.
     pub basis: ModelBasis,
     /// Prior standard deviation of the model's weights of first order.
@@ -163,7 +163,7 @@ impl ModelBasis {
     }
 }
 
-impl LearnerTable {
+impl LearnerConfig {
     /// The rule as we would use it on the arm.
     pub fn preset(rule: Rule) -> Self {
         let table = Self { rule, ..Self::default() };
@@ -175,13 +175,13 @@ impl LearnerTable {
             Rule::NaturalActorCritic => Self {
                 beta: 0.72,
                 alpha_over_variance: 3.0,
-                critic: Some(CriticTable {
-                    sees: CriticSight::Policy,
+                critic: Some(CriticConfig {
+                    sees: CriticFeatures::Policy,
                     reward_feature: 1.0,
                     half_life: 20_000.0,
                     floor: 0.1,
                     noise_step: 0.0,
-                    ..CriticTable::default()
+                    ..CriticConfig::default()
                 }),
                 ..table
             },
@@ -209,22 +209,22 @@ impl LearnerTable {
     }
 }
 
-impl Default for LearnerTable {
+impl Default for LearnerConfig {
     fn default() -> Self {
         Self { rule: Rule::Paper, beta: 0.9, alpha_over_variance: 0.01, baseline: None, critic: None, model: None }
     }
 }
 
-impl Default for BaselineTable {
+impl Default for BaselineConfig {
     fn default() -> Self {
         Self { ticks: 1000.0 }
     }
 }
 
-impl Default for CriticTable {
+impl Default for CriticConfig {
     fn default() -> Self {
         Self {
-            sees: CriticSight::Pairs,
+            sees: CriticFeatures::Pairs,
             step: 0.3,
             discount: 0.9,
             decay: 0.8,
@@ -239,7 +239,7 @@ impl Default for CriticTable {
     }
 }
 
-impl Default for ModelTable {
+impl Default for ModelConfig {
     fn default() -> Self {
         Self {
             basis: ModelBasis::Smooth,

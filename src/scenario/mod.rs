@@ -14,11 +14,11 @@ mod file;
 mod gate;
 mod learner;
 pub mod limits;
+mod plant_signals;
 mod presets;
 mod realtime;
 mod restart;
 mod servos;
-mod signals;
 mod source;
 mod steps;
 mod validate;
@@ -29,27 +29,27 @@ mod validate_plant;
 mod tests;
 
 pub use arm::*;
-pub use emulator::{EmulatorTable, ServoFault, ServoFaultKind};
-pub use error::{Place, ScenarioError};
+pub use emulator::{EmulatorConfig, ServoFault, ServoFaultKind};
+pub use error::{FilePosition, ScenarioError};
 pub use faults::{
-    ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsTable, ProcessAct, ProcessFault,
+    ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsConfig, ProcessFault, ProcessFaultKind,
 };
 pub use file::*;
-pub use gate::{GateTable, OverrunTable, PerOutput};
+pub use gate::{GateConfig, OverrunConfig, PerOutput};
 pub use learner::*;
 pub use presets::{Preset, presets};
-pub use realtime::{RealtimeProcess, RealtimeTable};
-pub use restart::{Restart, RestartTable};
-pub use servos::{Goal, JointTable, ServosTable, Sight, check_joints};
-pub use source::Source;
+pub use realtime::{RealtimeConfig, RealtimeProcess};
+pub use restart::{RestartConfig, RestartPolicy};
+pub use servos::{JointConfig, PoseSource, ServoGoal, ServosConfig, check_joints};
+pub use source::ScenarioSource;
 
 use std::{fs::File, io::Read, path::Path};
 
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::encoder::{Axis, Encoder, Map};
-use error::{Problem, tables};
-use signals::signals;
+use error::{Violation, tables};
+use plant_signals::signals;
 
 /// Largest scenario file, bytes.
 pub const MAX_FILE_BYTES: u64 = 1 << 20;
@@ -62,9 +62,9 @@ pub struct Plan {
     /// Period of the tick, ns.
     pub period_ns: u64,
     /// The observation's inputs, in order; at most [`crate::wire::MAX_INPUTS`].
-    pub inputs: Vec<SignalTable>,
+    pub inputs: Vec<SignalConfig>,
     /// The command's outputs, in order; at most [`crate::wire::MAX_OUTPUTS`].
-    pub outputs: Vec<SignalTable>,
+    pub outputs: Vec<SignalConfig>,
     /// Names of the observation's measures, in order; at most [`crate::wire::MAX_MEASURES`].
     pub measures: Vec<String>,
     /// The encoder's maps, in order, ranges and units resolved.
@@ -112,7 +112,7 @@ impl Scenario {
             Ok(text) => Self::parse(text, &file),
             Err(error) => {
                 let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
-                Err(ScenarioError::NotUtf8 { place: Place { file, line: Some(line) } })
+                Err(ScenarioError::NotUtf8 { place: FilePosition { file, line: Some(line) } })
             }
         }
     }
@@ -123,7 +123,7 @@ impl Scenario {
     ///
     /// If the text is not TOML, has an unknown key, lacks one that has no default, or has a value of the wrong type.
     pub fn parse(text: &str, source_name: &str) -> Result<Self, ScenarioError> {
-        let source = Source::new(source_name, text);
+        let source = ScenarioSource::new(source_name, text);
         let mut scenario = tables(&source)?;
         // What a file leaves out of a rule's settings is the rule's own, not the paper's.
         let given = text.parse::<toml::Table>().ok().and_then(|mut file| file.remove("learner"));
@@ -139,8 +139,8 @@ impl Scenario {
     ///
     /// [`ScenarioError::Invalid`] for the first value that is out of range or does not fit the others.
     pub fn plan(self) -> Result<Plan, ScenarioError> {
-        let refused = |Problem { key, text }| {
-            let place = Place { file: self.source.name().to_owned(), line: self.line_of(&key) };
+        let refused = |Violation { key, text }| {
+            let place = FilePosition { file: self.source.name().to_owned(), line: self.line_of(&key) };
             ScenarioError::Invalid { place, key, problem: text }
         };
         validate::check(&self).map_err(refused)?;
@@ -211,12 +211,12 @@ pub fn merge(into: &mut toml::Table, over: toml::Table) {
 }
 
 /// The index of the input with this name.
-fn find(inputs: &[SignalTable], name: &str) -> Option<usize> {
+fn find(inputs: &[SignalConfig], name: &str) -> Option<usize> {
     inputs.iter().position(|input| input.name == name)
 }
 
 /// The encoder's map for a table whose units and ranges are resolved; `None` only for one that `check` refuses.
-fn built(map: &MapTable, inputs: &[SignalTable]) -> Option<Map> {
+fn built(map: &MapConfig, inputs: &[SignalConfig]) -> Option<Map> {
     let axis = |i: usize| {
         let [min, max] = *map.ranges.get(i)?;
         Some(Axis { input: find(inputs, map.inputs.get(i)?)?, units: *map.units.get(i)?, min, max, radius: map.radius })

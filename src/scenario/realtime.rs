@@ -7,14 +7,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::error::Problem;
+use super::error::Violation;
 use super::limits;
 use crate::wire::Role;
 
 /// `[realtime]`: a table for each process.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct RealtimeTable {
+pub struct RealtimeConfig {
     /// What the plant asks for.
     #[serde(skip_serializing_if = "RealtimeProcess::is_nothing")]
     pub plant: RealtimeProcess,
@@ -42,7 +42,7 @@ pub struct RealtimeProcess {
     pub prefault_stack_kib: u32,
 }
 
-impl RealtimeTable {
+impl RealtimeConfig {
     /// What the process in the place of `role` asks for.
     pub fn of(&self, role: Role) -> &RealtimeProcess {
         match role {
@@ -65,7 +65,7 @@ impl RealtimeProcess {
 }
 
 /// Checks what the types cannot say.
-pub(super) fn check(realtime: &RealtimeTable) -> Result<(), Problem> {
+pub(super) fn check(realtime: &RealtimeConfig) -> Result<(), Violation> {
     for role in Role::ALL {
         let process = realtime.of(role);
         let key = |key: &str| format!("realtime.{}.{key}", role.name());
@@ -73,21 +73,21 @@ pub(super) fn check(realtime: &RealtimeTable) -> Result<(), Problem> {
             && !limits::PRIORITY.contains(&priority)
         {
             let remedy = "give 1 to 99, or leave it out for the ordinary scheduler";
-            return Err(Problem::value(key("priority"), priority, remedy));
+            return Err(Violation::value(key("priority"), priority, remedy));
         }
         for (i, core) in process.cores.iter().enumerate() {
             let key = key(&format!("cores[{i}]"));
             if *core > limits::MAX_CORE {
-                return Err(Problem::value(key, core, "give 0 to 1023; cores are counted from 0"));
+                return Err(Violation::value(key, core, "give 0 to 1023; cores are counted from 0"));
             }
             if process.cores[..i].contains(core) {
                 let remedy = "this core is in the list already, and each may occur once";
-                return Err(Problem::value(key, core, remedy));
+                return Err(Violation::value(key, core, remedy));
             }
         }
         if process.prefault_stack_kib > limits::MAX_STACK_KIB {
             let remedy = "give 0 to 4096 KiB, so that it fits into the usual stack of 8 MiB";
-            return Err(Problem::value(key("prefault_stack_kib"), process.prefault_stack_kib, remedy));
+            return Err(Violation::value(key("prefault_stack_kib"), process.prefault_stack_kib, remedy));
         }
     }
     Ok(())

@@ -2,14 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::error::Problem;
+use super::error::Violation;
 use super::validate::{number, show};
 use crate::wire::Role;
 
 /// When a process that has ended is started again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Restart {
+pub enum RestartPolicy {
     /// Never: its end is the end of the run.
     Never,
     /// When it was killed, hung, or ended with an error that another start may not meet.
@@ -21,13 +21,13 @@ pub enum Restart {
 /// `[restart]`: policies, and how patient the launcher is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct RestartTable {
+pub struct RestartConfig {
     /// For the plant.
-    pub plant: Restart,
+    pub plant: RestartPolicy,
     /// For the controller.
-    pub controller: Restart,
+    pub controller: RestartPolicy,
     /// For the logger.
-    pub logger: Restart,
+    pub logger: RestartPolicy,
     /// Wait before the first start after a healthy while, ms; it doubles with each further one,
     pub backoff_ms: f64,
     /// up to this, ms.
@@ -40,12 +40,12 @@ pub struct RestartTable {
     pub hang_s: f64,
 }
 
-impl Default for RestartTable {
+impl Default for RestartConfig {
     fn default() -> Self {
         Self {
-            plant: Restart::OnFailure,
-            controller: Restart::OnFailure,
-            logger: Restart::OnFailure,
+            plant: RestartPolicy::OnFailure,
+            controller: RestartPolicy::OnFailure,
+            logger: RestartPolicy::OnFailure,
             backoff_ms: 100.0,
             backoff_cap_ms: 5000.0,
             healthy_s: 10.0,
@@ -55,9 +55,9 @@ impl Default for RestartTable {
     }
 }
 
-impl RestartTable {
+impl RestartConfig {
     /// The policy for the process in the place of `role`.
-    pub fn of(&self, role: Role) -> Restart {
+    pub fn of(&self, role: Role) -> RestartPolicy {
         match role {
             Role::Plant => self.plant,
             Role::Controller => self.controller,
@@ -71,15 +71,15 @@ impl RestartTable {
 }
 
 /// Checks what the types cannot say.
-pub(super) fn check(table: &RestartTable) -> Result<(), Problem> {
+pub(super) fn check(table: &RestartConfig) -> Result<(), Violation> {
     number("restart.backoff_ms", table.backoff_ms, 0.0..=3.6e6, "give 0 to 3600000 ms")?;
     if !(table.backoff_ms..=3.6e6).contains(&table.backoff_cap_ms) {
         let remedy = format!("give restart.backoff_ms, which is {}, or more, up to 3600000 ms", show(table.backoff_ms));
-        return Err(Problem::value("restart.backoff_cap_ms", show(table.backoff_cap_ms), remedy));
+        return Err(Violation::value("restart.backoff_cap_ms", show(table.backoff_cap_ms), remedy));
     }
     number("restart.healthy_s", table.healthy_s, 0.0..=86400.0, "give 0 to 86400 s")?;
     if table.give_up_after > 255 {
-        return Err(Problem::value("restart.give_up_after", table.give_up_after, "give 0 to 255 starts"));
+        return Err(Violation::value("restart.give_up_after", table.give_up_after, "give 0 to 255 starts"));
     }
     if table.hang_s != 0.0 {
         number("restart.hang_s", table.hang_s, 0.5..=86400.0, "give 0.5 to 86400 s, or 0 to wait for ever")?;

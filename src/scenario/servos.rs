@@ -2,15 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::error::{Problem, quoted};
+use super::error::{Violation, quoted};
 use super::validate::{number, show};
-use super::{ArmTable, PlantTable, limits};
+use super::{ArmConfig, PlantConfig, limits};
 use crate::servo::model::Protocol;
 
 /// `[plant.servos]`: the bus, the joints on it, and when torque goes off.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ServosTable {
+pub struct ServosConfig {
     /// The serial port, such as `/dev/ttyUSB0`; `emulator` is a chain that the bridge starts itself, as `[plant.emulator]` says.
     pub port: String,
     /// What the servos speak.
@@ -20,7 +20,7 @@ pub struct ServosTable {
     pub baud: u32,
     /// What a rate command becomes.
     #[serde(default)]
-    pub goal: Goal,
+    pub goal: ServoGoal,
     /// Whether torque may go on without anybody's asking for it.
     #[serde(default)]
     pub armed: bool,
@@ -40,8 +40,8 @@ pub struct ServosTable {
     #[serde(default)]
     pub min_voltage: f64,
     /// Who says where target and end-effector are.
-    #[serde(default, skip_serializing_if = "Sight::is_model")]
-    pub sight: Sight,
+    #[serde(default, skip_serializing_if = "PoseSource::is_model")]
+    pub sight: PoseSource,
     /// With `sight = "vision"`: how old the newest sample may be when a tick begins, ms; default 100.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision_age_ms: Option<f64>,
@@ -50,13 +50,13 @@ pub struct ServosTable {
     pub vision_jump: Option<f64>,
     /// The joints, from the base on; with one motor for each segment of `[plant.arm]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub joints: Vec<JointTable>,
+    pub joints: Vec<JointConfig>,
 }
 
 /// `[[plant.servos.joints]]`: one motor, which turns a segment against the one before it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct JointTable {
+pub struct JointConfig {
     /// Its id on the bus.
     pub id: u8,
     /// 1 where positions grow with the angle, -1 where they shrink.
@@ -76,7 +76,7 @@ pub struct JointTable {
 /// What a rate command becomes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Goal {
+pub enum ServoGoal {
     /// A goal speed: the servo goes on at it until it hears another, or its watchdog stops it.
     #[default]
     Speed,
@@ -87,7 +87,7 @@ pub enum Goal {
 /// Who says where target and end-effector are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Sight {
+pub enum PoseSource {
     /// Targets are drawn as in the simulator, and the end-effector is where the model of the arm has it.
     #[default]
     Model,
@@ -95,14 +95,14 @@ pub enum Sight {
     Vision,
 }
 
-impl Sight {
+impl PoseSource {
     /// Whether nobody looks.
     pub fn is_model(&self) -> bool {
         *self == Self::Model
     }
 }
 
-impl ServosTable {
+impl ServosConfig {
     /// How old the newest sample of a tracker may be when a tick begins, ns.
     pub fn vision_age_ns(&self) -> u64 {
         (self.vision_age_ms.unwrap_or(100.0) * 1e6) as u64
@@ -142,7 +142,7 @@ fn six() -> f64 {
     6.0
 }
 
-impl JointTable {
+impl JointConfig {
     /// Whether the joint turns freely: its range is a full turn or more.
     pub fn is_free(&self) -> bool {
         self.range[1] - self.range[0] >= std::f64::consts::TAU - 1e-9
@@ -150,32 +150,32 @@ impl JointTable {
 }
 
 /// Checks the table of a plant that has one.
-pub(super) fn check(plant: &PlantTable, period_ms: f64) -> Result<(), Problem> {
+pub(super) fn check(plant: &PlantConfig, period_ms: f64) -> Result<(), Violation> {
     let Some(servos) = &plant.servos else { return Ok(()) };
-    if super::signals::is_simulator(&plant.program) {
+    if super::plant_signals::is_simulator(&plant.program) {
         let text = "belongs to tectum-bridge and plant.program is the simulator; take it out, or give tectum-bridge";
-        return Err(Problem::new("plant.servos", text));
+        return Err(Violation::new("plant.servos", text));
     }
     let Some(arm) = &plant.arm else {
         let text = "needs [plant.arm], the model of the arm that its servos move; add it";
-        return Err(Problem::new("plant.servos", text));
+        return Err(Violation::new("plant.servos", text));
     };
     if arm.open_loop || !arm.block.is_empty() {
         let key = if arm.open_loop { "plant.arm.open_loop" } else { "plant.arm.block" };
-        return Err(Problem::new(key, "is the simulator's, and servos cannot do it; take it out"));
+        return Err(Violation::new(key, "is the simulator's, and servos cannot do it; take it out"));
     }
     if servos.port.trim().is_empty() || servos.port.contains('\0') {
-        return Err(Problem::value("plant.servos.port", quoted(&servos.port), "give a device, or \"emulator\""));
+        return Err(Violation::value("plant.servos.port", quoted(&servos.port), "give a device, or \"emulator\""));
     }
     if let Err(known) = servos.protocol.series().check_baud(servos.baud) {
-        return Err(Problem::value("plant.servos.baud", servos.baud, format!("this series knows {known}")));
+        return Err(Violation::value("plant.servos.baud", servos.baud, format!("this series knows {known}")));
     }
     if let Some(within) = servos.command_within_ms {
         let remedy = "give more than 0 ms and at most 0.8 of the period, so that there is time for the bus";
         number("plant.servos.command_within_ms", within, 0.1..=0.8 * period_ms, remedy)?;
     }
     if !(1..=1000).contains(&servos.lost_after) {
-        return Err(Problem::value("plant.servos.lost_after", servos.lost_after, "give 1 to 1000 ticks"));
+        return Err(Violation::value("plant.servos.lost_after", servos.lost_after, "give 1 to 1000 ticks"));
     }
     number("plant.servos.max_temperature", servos.max_temperature, 20.0..=100.0, "give 20 to 100 degrees")?;
     number("plant.servos.min_voltage", servos.min_voltage, 0.0..=50.0, "give 0 to 50 V")?;
@@ -183,10 +183,10 @@ pub(super) fn check(plant: &PlantTable, period_ms: f64) -> Result<(), Problem> {
     match (&servos.calibration, servos.joints.is_empty()) {
         (None, true) => {
             let text = "has neither joints nor a calibration; add [[plant.servos.joints]], or the file that `tectum-bridge calibrate` writes";
-            Err(Problem::new("plant.servos", text))
+            Err(Violation::new("plant.servos", text))
         }
         (Some(_), false) => {
-            Err(Problem::new("plant.servos.calibration", "stands beside plant.servos.joints; keep one of the two"))
+            Err(Violation::new("plant.servos.calibration", "stands beside plant.servos.joints; keep one of the two"))
         }
         (Some(_), true) => Ok(()),
         (None, false) => joints(&servos.joints, arm.lengths.len(), servos.protocol, servos.goal),
@@ -194,13 +194,13 @@ pub(super) fn check(plant: &PlantTable, period_ms: f64) -> Result<(), Problem> {
 }
 
 /// Checks the keys of what is seen.
-fn sight(servos: &ServosTable, arm: &ArmTable) -> Result<(), Problem> {
+fn sight(servos: &ServosConfig, arm: &ArmConfig) -> Result<(), Violation> {
     if servos.sight.is_model() {
         let given = [("vision_age_ms", servos.vision_age_ms), ("vision_jump", servos.vision_jump)];
         return match given.iter().find(|(_, value)| value.is_some()) {
             Some((key, _)) => {
                 let text = "says what is done with a tracker's samples, and plant.servos.sight is \"model\"; take it out, or give sight = \"vision\"";
-                Err(Problem::new(format_args!("plant.servos.{key}"), text))
+                Err(Violation::new(format_args!("plant.servos.{key}"), text))
             }
             None => Ok(()),
         };
@@ -213,43 +213,43 @@ fn sight(servos: &ServosTable, arm: &ArmTable) -> Result<(), Problem> {
     }
     if !arm.targets.is_empty() {
         let text = "are given, and with plant.servos.sight = \"vision\" a tracker says where the target is; take one of the two out";
-        return Err(Problem::new("plant.arm.targets", text));
+        return Err(Violation::new("plant.arm.targets", text));
     }
     Ok(())
 }
 
 /// Checks a table of joints, from a scenario or from a calibration.
-fn joints(joints: &[JointTable], segments: usize, protocol: Protocol, goal: Goal) -> Result<(), Problem> {
+fn joints(joints: &[JointConfig], segments: usize, protocol: Protocol, goal: ServoGoal) -> Result<(), Violation> {
     if joints.len() != segments {
         let text = format!("has {} entries and plant.arm has {segments} segments; give one for each", joints.len());
-        return Err(Problem::new("plant.servos.joints", text));
+        return Err(Violation::new("plant.servos.joints", text));
     }
     for (i, joint) in joints.iter().enumerate() {
         let key = |name: &str| format!("plant.servos.joints[{i}].{name}");
         let most = protocol.series().max_id;
         if joint.id > most {
-            return Err(Problem::value(key("id"), joint.id, format!("give 0 to {most}")));
+            return Err(Violation::value(key("id"), joint.id, format!("give 0 to {most}")));
         }
         if joints[..i].iter().any(|other| other.id == joint.id) {
-            return Err(Problem::value(key("id"), joint.id, "another joint has it already; each servo has its own"));
+            return Err(Violation::value(key("id"), joint.id, "another joint has it already; each servo has its own"));
         }
         if joint.direction.abs() != 1 {
-            return Err(Problem::value(key("direction"), joint.direction, "give 1 or -1"));
+            return Err(Violation::value(key("direction"), joint.direction, "give 1 or -1"));
         }
         if !(0..4096).contains(&joint.zero) {
-            return Err(Problem::value(key("zero"), joint.zero, "give 0 to 4095 steps"));
+            return Err(Violation::value(key("zero"), joint.zero, "give 0 to 4095 steps"));
         }
         let [low, high] = joint.range;
         let turn = -limits::LIMITED_TURN..=limits::LIMITED_TURN;
         if !(turn.contains(&low) && turn.contains(&high) && low < high && (low..=high).contains(&0.0)) {
             let value = format!("[{}, {}]", show(low), show(high));
             let remedy = "give the least and then the greatest angle, rad, with 0 between them";
-            return Err(Problem::value(key("range"), value, remedy));
+            return Err(Violation::value(key("range"), value, remedy));
         }
-        if goal == Goal::Position && joint.is_free() {
+        if goal == ServoGoal::Position && joint.is_free() {
             let value = format!("[{}, {}]", show(low), show(high));
             let remedy = "with goal = \"position\" a joint has less than a full turn; give its range";
-            return Err(Problem::value(key("range"), value, remedy));
+            return Err(Violation::value(key("range"), value, remedy));
         }
         number(key("max_speed"), joint.max_speed, 0.01..=100.0, "give 0.01 to 100 rad/s")?;
     }
@@ -260,7 +260,7 @@ fn joints(joints: &[JointTable], segments: usize, protocol: Protocol, goal: Goal
 ///
 /// # Errors
 /// As for the scenario's own table.
-pub fn check_joints(table: &[JointTable], segments: usize, protocol: Protocol, goal: Goal) -> Result<(), String> {
+pub fn check_joints(table: &[JointConfig], segments: usize, protocol: Protocol, goal: ServoGoal) -> Result<(), String> {
     joints(table, segments, protocol, goal).map_err(|problem| format!("{} {}", problem.key, problem.text))
 }
 

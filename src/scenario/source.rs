@@ -9,12 +9,12 @@ use toml::de::{DeTable, DeValue};
 /// It is not part of what the scenario says: two scenarios that say the same are equal whatever their origin, and it is
 /// neither written by [`to_toml`](super::Scenario::to_toml) nor hashed.
 #[derive(Clone)]
-pub struct Source {
+pub struct ScenarioSource {
     name: Arc<str>,
     text: Arc<str>,
 }
 
-impl Source {
+impl ScenarioSource {
     pub(super) fn new(name: &str, text: &str) -> Self {
         Self { name: name.into(), text: text.into() }
     }
@@ -44,19 +44,19 @@ impl Source {
     }
 }
 
-impl Default for Source {
+impl Default for ScenarioSource {
     fn default() -> Self {
         Self::new("scenario", "")
     }
 }
 
-impl PartialEq for Source {
+impl PartialEq for ScenarioSource {
     fn eq(&self, _: &Self) -> bool {
         true
     }
 }
 
-impl fmt::Debug for Source {
+impl fmt::Debug for ScenarioSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_tuple("Source").field(&self.name).finish()
     }

@@ -7,9 +7,9 @@
 use crate::encoder::Encoder;
 use crate::seed::stream;
 
-use super::error::Problem;
+use super::error::Violation;
 use super::validate::show;
-use super::{CriticSight, Plan, Rule};
+use super::{CriticFeatures, Plan, Rule};
 use rand::RngExt as _;
 
 /// Draws from the input box for the mean squared length of the features.
@@ -29,7 +29,7 @@ const ACTOR: f64 = 10.0;
 const CRITIC: f64 = 1.0;
 
 /// Checks the steps of a plan's learner. Returns warnings, one sentence each: key, value, why, remedy.
-pub(super) fn check(plan: &Plan) -> Result<Vec<String>, Problem> {
+pub(super) fn check(plan: &Plan) -> Result<Vec<String>, Violation> {
     let learner = &plan.scenario.learner;
     let mut warnings = Vec::new();
     let actor = learner.alpha_over_variance;
@@ -42,7 +42,7 @@ pub(super) fn check(plan: &Plan) -> Result<Vec<String>, Problem> {
         Rule::ActorCritic => ACTOR,
     };
     let critic = learner.critic.as_ref().filter(|_| learner.rule == Rule::ActorCritic);
-    let dear = critic.is_some_and(|c| c.sees == CriticSight::Policy);
+    let dear = critic.is_some_and(|c| c.sees == CriticFeatures::Policy);
     // Most plans are far from all limits, whatever their features.
     let units = (plan.encoder().units() as f64).max(1.0);
     let largest = if plan.scenario.encoder.normalise && plan.scalars.is_empty() { 1.0 } else { units };
@@ -64,7 +64,7 @@ pub(super) fn check(plan: &Plan) -> Result<Vec<String>, Problem> {
                 short(length),
                 short(most)
             );
-            return Err(Problem::value("learner.critic.step", show(critic.step), remedy));
+            return Err(Violation::value("learner.critic.step", show(critic.step), remedy));
         }
         if critic.step * length > CRITIC {
             warnings.push(likely("learner.critic.step", critic.step, length, CRITIC));
@@ -107,7 +107,7 @@ fn squared_length(plan: &Plan) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{LearnerTable, Scenario, presets};
+    use super::super::{LearnerConfig, Scenario, presets};
     use super::*;
 
     /// What is said of the built-in arm with this `[learner]`: warnings, or the refusal.
@@ -125,7 +125,7 @@ mod tests {
         }
         for rule in [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward] {
             let mut scenario = Scenario::find("arm").unwrap();
-            scenario.learner = LearnerTable::preset(rule);
+            scenario.learner = LearnerConfig::preset(rule);
             assert_eq!(scenario.plan().unwrap().warnings, [""; 0], "{rule:?}");
         }
     }

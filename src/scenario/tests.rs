@@ -101,7 +101,7 @@ fn assert_bounds(plan: &Plan) {
     }
 }
 
-fn assert_faults(faults: &FaultsTable) {
+fn assert_faults(faults: &FaultsConfig) {
     assert!(faults.channel.len() <= 16 && faults.process.len() <= 16);
     for fault in &faults.channel {
         assert!(fault.probability.is_none_or(|p| 0.0 < p && p <= 1.0));
@@ -119,7 +119,7 @@ fn assert_faults(faults: &FaultsTable) {
     for fault in &faults.process {
         assert!((1..=1000).contains(&fault.at.len()) && fault.at.is_sorted_by(|a, b| a < b));
         assert!(fault.at.iter().all(|&tick| tick <= 1_000_000_000_000));
-        assert_eq!(fault.for_ms.is_some(), fault.act == ProcessAct::Stop);
+        assert_eq!(fault.for_ms.is_some(), fault.act == ProcessFaultKind::Stop);
         assert!(fault.for_ms.is_none_or(|ms| (1.0..=60_000.0).contains(&ms)));
     }
     assert_eq!(faults.in_words().len(), faults.channel.len() + faults.process.len());
@@ -250,9 +250,9 @@ fn everything() -> Scenario {
     let mut scenario = presets()[0].scenario().unwrap();
     let arm = scenario.plant.arm.get_or_insert_default();
     arm.targets = vec![[0.5, 0.0], [-0.5, 0.2]];
-    arm.block = vec![BlockTable { joint: 3, tick: 1000, angle: 0.5 }, BlockTable { joint: 1, tick: 9, angle: 0.0 }];
-    arm.shorten = vec![ShortenTable { segment: 2, tick: 500, length: 0.3 }];
-    arm.mirror = vec![MirrorTable { axis: MirrorAxis::Y, tick: 700 }];
+    arm.block = vec![BlockConfig { joint: 3, tick: 1000, angle: 0.5 }, BlockConfig { joint: 1, tick: 9, angle: 0.0 }];
+    arm.shorten = vec![ShortenConfig { segment: 2, tick: 500, length: 0.3 }];
+    arm.mirror = vec![MirrorConfig { axis: MirrorAxis::Y, tick: 700 }];
     arm.limits = vec![[-2.6, 2.6]; arm.lengths.len()];
     (arm.reward.near, arm.reward.collision) = (Some(0.5), 0.1);
     scenario.plant.args = vec!["--quiet".to_owned()];
@@ -276,12 +276,12 @@ fn everything() -> Scenario {
 /// The presets, an arm with everything, and a plant of somebody else's.
 fn texts() -> Vec<String> {
     let mut other = presets()[0].scenario().unwrap();
-    other.plant = PlantTable {
+    other.plant = PlantConfig {
         program: "./rig".to_owned(),
         inputs: ["angle", "speed"]
-            .map(|name| SignalTable { name: name.into(), unit: "".into(), min: -1.0, max: 2.0 })
+            .map(|name| SignalConfig { name: name.into(), unit: "".into(), min: -1.0, max: 2.0 })
             .into(),
-        outputs: vec![SignalTable { name: "torque".into(), unit: "Nm".into(), min: -0.1, max: 0.1 }],
+        outputs: vec![SignalConfig { name: "torque".into(), unit: "Nm".into(), min: -0.1, max: 0.1 }],
         measures: vec!["error".to_owned(), "current".to_owned()],
         ..other.plant
     };
@@ -354,7 +354,7 @@ fn a_scenario_made_by_hand_is_checked_too() {
 
 #[test]
 fn what_a_file_leaves_out_of_a_rule_is_the_rules_own() {
-    use super::{LearnerTable, Rule};
+    use super::{LearnerConfig, Rule};
     let learner = |table: &str| {
         let arm = std::fs::read_to_string("scenarios/arm.toml").unwrap();
         let text = arm.replacen("[learner]\nrule = \"learned-reward\"", &format!("[learner]\n{table}"), 1);
@@ -362,9 +362,9 @@ fn what_a_file_leaves_out_of_a_rule_is_the_rules_own() {
         Scenario::parse(&text, "x").unwrap().learner
     };
     for (name, rule) in [("actor-critic", Rule::ActorCritic), ("natural-actor-critic", Rule::NaturalActorCritic)] {
-        assert_eq!(learner(&format!("rule = \"{name}\"")), LearnerTable::preset(rule));
+        assert_eq!(learner(&format!("rule = \"{name}\"")), LearnerConfig::preset(rule));
         let given = learner(&format!("rule = \"{name}\"\nbeta = 0.5\n[learner.critic]\nstep = 0.125"));
-        let mut expected = LearnerTable { beta: 0.5, ..LearnerTable::preset(rule) };
+        let mut expected = LearnerConfig { beta: 0.5, ..LearnerConfig::preset(rule) };
         expected.critic.as_mut().unwrap().step = 0.125;
         assert_eq!(given, expected);
     }
@@ -373,10 +373,10 @@ fn what_a_file_leaves_out_of_a_rule_is_the_rules_own() {
 
 #[test]
 fn rules_are_given_no_more_than_they_can_do() {
-    use super::{LearnerTable, Rule};
+    use super::{LearnerConfig, Rule};
     let message = |rule: Rule, change: &dyn Fn(&mut Scenario)| {
         let mut scenario = Scenario::built_in("paper").unwrap();
-        scenario.learner = LearnerTable::preset(rule);
+        scenario.learner = LearnerConfig::preset(rule);
         change(&mut scenario);
         scenario.plan().err().map_or("fine".to_owned(), |e| e.to_string())
     };

@@ -6,13 +6,13 @@
 use std::{collections::HashSet, fmt::Display, ops::RangeInclusive};
 
 use super::{
-    EncoderTable, LogTable, MapTable, Rule, Scenario, SignalTable, error::Problem, error::either, error::quoted,
-    faults, find, gate, limits, realtime, restart, servos, signals::signals, validate_learner, validate_plant,
+    EncoderConfig, LogConfig, MapConfig, Rule, Scenario, SignalConfig, error::Violation, error::either, error::quoted,
+    faults, find, gate, limits, plant_signals::signals, realtime, restart, servos, validate_learner, validate_plant,
 };
 use crate::wire::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
 
 /// Checks a whole scenario.
-pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
+pub(super) fn check(scenario: &Scenario) -> Result<(), Violation> {
     top(scenario)?;
     gate::check(&scenario.gate, &scenario.overrun)?;
     validate_plant::check(&scenario.plant)?;
@@ -34,7 +34,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
     if let (Rule::LearnedReward, Some(plant)) = (scenario.learner.rule, still) {
         let text =
             format!("is learned-reward, which needs inputs that the commands move; {plant} has none, so give it paper");
-        return Err(Problem::new("learner.rule", text));
+        return Err(Violation::new("learner.rule", text));
     }
     within_reach(scenario.learner.rule, &scenario.encoder, features)?;
     validate_learner::check(&scenario.learner, &signals)?;
@@ -45,11 +45,11 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Problem> {
     faults::check(&scenario.faults)
 }
 
-fn top(scenario: &Scenario) -> Result<(), Problem> {
+fn top(scenario: &Scenario) -> Result<(), Violation> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
     named("name", &scenario.name, limits::NAME_CHARS, allowed, "letters, digits, - and _")?;
     if scenario.seed > limits::MAX_SEED {
-        return Err(Problem::value(
+        return Err(Violation::value(
             "seed",
             scenario.seed,
             "give 0 to 9223372036854775807, the largest integer of TOML",
@@ -60,25 +60,25 @@ fn top(scenario: &Scenario) -> Result<(), Problem> {
     // Division rounds to the nearest double, so that every decimal with up to six places comes back as it was written.
     if (period * 1e6).round() / 1e6 != period {
         let remedy = "give at most six decimals, so that it is a whole number of ns";
-        return Err(Problem::value("period_ms", show(period), remedy));
+        return Err(Violation::value("period_ms", show(period), remedy));
     }
     ticks("ticks", scenario.ticks, *limits::TICKS.start())
 }
 
-fn signal_list(key: &str, signals: &[SignalTable], most: usize) -> Result<(), Problem> {
+fn signal_list(key: &str, signals: &[SignalConfig], most: usize) -> Result<(), Violation> {
     if signals.is_empty() {
         let text = "is empty; a program other than tectum-simulator lists its inputs and outputs";
-        return Err(Problem::new(key, text));
+        return Err(Violation::new(key, text));
     }
     if signals.len() > most {
-        return Err(Problem::new(key, format_args!("has {} entries; give at most {most}", signals.len())));
+        return Err(Violation::new(key, format_args!("has {} entries; give at most {most}", signals.len())));
     }
     for (i, signal) in signals.iter().enumerate() {
         signal_name(&format!("{key}[{i}].name"), &signal.name)?;
         let unit = &signal.unit;
         if unit.chars().count() > limits::NAME_CHARS || unit.chars().any(char::is_control) {
             let remedy = "give at most 32 characters, none of them a control character";
-            return Err(Problem::value(format_args!("{key}[{i}].unit"), quoted(unit), remedy));
+            return Err(Violation::value(format_args!("{key}[{i}].unit"), quoted(unit), remedy));
         }
         let (min, max) = (signal.min, signal.max);
         let ends = [("min", min), ("max", max)];
@@ -87,17 +87,17 @@ fn signal_list(key: &str, signals: &[SignalTable], most: usize) -> Result<(), Pr
         }
         if min >= max {
             let remedy = format!("give more than min, which is {}", show(min));
-            return Err(Problem::value(format_args!("{key}[{i}].max"), show(max), remedy));
+            return Err(Violation::value(format_args!("{key}[{i}].max"), show(max), remedy));
         }
     }
     let names: Vec<_> = signals.iter().map(|signal| signal.name.as_str()).collect();
     different(key, ".name", &names)
 }
 
-fn measures(names: &[String]) -> Result<(), Problem> {
+fn measures(names: &[String]) -> Result<(), Violation> {
     if names.len() > MAX_MEASURES {
         let text = format!("has {} entries; give at most {MAX_MEASURES}", names.len());
-        return Err(Problem::new("plant.measures", text));
+        return Err(Violation::new("plant.measures", text));
     }
     for (i, name) in names.iter().enumerate() {
         signal_name(&format!("plant.measures[{i}]"), name)?;
@@ -106,14 +106,14 @@ fn measures(names: &[String]) -> Result<(), Problem> {
 }
 
 /// Checks the encoder and counts its features.
-fn encoder(encoder: &EncoderTable, inputs: &[SignalTable]) -> Result<usize, Problem> {
+fn encoder(encoder: &EncoderConfig, inputs: &[SignalConfig]) -> Result<usize, Violation> {
     let maps = &encoder.maps;
     for (i, name) in encoder.scalars.iter().enumerate() {
         known_input(format_args!("encoder.scalars[{i}]"), name, inputs)?;
     }
     different("encoder.scalars", "", &encoder.scalars)?;
     if (maps.is_empty() && encoder.scalars.is_empty()) || maps.len() > limits::MAX_MAPS {
-        return Err(Problem::new("encoder.maps", format_args!("has {} maps; give 1 to 64", maps.len())));
+        return Err(Violation::new("encoder.maps", format_args!("has {} maps; give 1 to 64", maps.len())));
     }
     let mut total = 0;
     for (i, map) in maps.iter().enumerate() {
@@ -122,46 +122,46 @@ fn encoder(encoder: &EncoderTable, inputs: &[SignalTable]) -> Result<usize, Prob
     }
     if total > limits::MAX_FEATURES {
         let text = format!("has {total} units in all; give at most 65536");
-        return Err(Problem::new("encoder.maps", text));
+        return Err(Violation::new("encoder.maps", text));
     }
     Ok(total + encoder.scalars.len())
 }
 
 /// What a rule can do with at most: some work out matrices of the encoder's before they begin.
-fn within_reach(rule: Rule, encoder: &EncoderTable, features: usize) -> Result<(), Problem> {
+fn within_reach(rule: Rule, encoder: &EncoderConfig, features: usize) -> Result<(), Violation> {
     if rule == Rule::NaturalActorCritic && features > limits::METRIC_FEATURES {
         let text = format!("is natural-actor-critic, for which {features} features are too many; it can do 1024");
-        return Err(Problem::new("learner.rule", text));
+        return Err(Violation::new("learner.rule", text));
     }
     if rule != Rule::LearnedReward {
         return Ok(());
     }
     if !encoder.scalars.is_empty() {
         let text = "is given, and the rule learned-reward can do with maps alone; take it out, or give another rule";
-        return Err(Problem::new("encoder.scalars", text));
+        return Err(Violation::new("encoder.scalars", text));
     }
     for (i, map) in encoder.maps.iter().enumerate() {
         if let Some(units) = map.units.iter().find(|&&units| units > limits::MODEL_UNITS) {
             let text = "the rule learned-reward can do with at most 256 units along an input";
-            return Err(Problem::value(format_args!("encoder.maps[{i}].units"), units, text));
+            return Err(Violation::value(format_args!("encoder.maps[{i}].units"), units, text));
         }
     }
     Ok(())
 }
 
 /// The number of the input that has this name.
-pub(super) fn known_input(key: impl Display, name: &str, inputs: &[SignalTable]) -> Result<usize, Problem> {
+pub(super) fn known_input(key: impl Display, name: &str, inputs: &[SignalConfig]) -> Result<usize, Violation> {
     find(inputs, name).ok_or_else(|| {
         let names: Vec<_> = inputs.iter().map(|input| &input.name).collect();
-        Problem::value(key, quoted(name), format!("the plant's inputs are {}", either(&names, "and")))
+        Violation::value(key, quoted(name), format!("the plant's inputs are {}", either(&names, "and")))
     })
 }
 
 /// Checks a map and counts its units.
-fn check_map(key: &str, map: &MapTable, inputs: &[SignalTable]) -> Result<usize, Problem> {
+fn check_map(key: &str, map: &MapConfig, inputs: &[SignalConfig]) -> Result<usize, Violation> {
     let n = map.inputs.len();
     if !(1..=2).contains(&n) {
-        return Err(Problem::new(
+        return Err(Violation::new(
             format_args!("{key}.inputs"),
             format_args!("has {n} entries; a map has 1 or 2 inputs"),
         ));
@@ -176,7 +176,7 @@ fn check_map(key: &str, map: &MapTable, inputs: &[SignalTable]) -> Result<usize,
         if length != 0 && length != n {
             let text =
                 format!("has length {length} and inputs has length {n}; give one for each input, or leave it out");
-            return Err(Problem::new(format_args!("{key}.{list}"), text));
+            return Err(Violation::new(format_args!("{key}.{list}"), text));
         }
     }
     number(format_args!("{key}.radius"), map.radius, limits::RADIUS, "give more than 0 (1e-9 or more), up to 1e9")?;
@@ -185,7 +185,7 @@ fn check_map(key: &str, map: &MapTable, inputs: &[SignalTable]) -> Result<usize,
         let units = map.units.get(i).copied().unwrap_or(limits::DEFAULT_UNITS);
         if !limits::UNITS.contains(&units) {
             let remedy = "a map may have 2 to 4096 units along an input";
-            return Err(Problem::value(format_args!("{key}.units[{i}]"), units, remedy));
+            return Err(Violation::value(format_args!("{key}.units[{i}]"), units, remedy));
         }
         total *= units;
         let [min, max] = map.ranges.get(i).copied().unwrap_or([input.min, input.max]);
@@ -198,32 +198,32 @@ fn check_map(key: &str, map: &MapTable, inputs: &[SignalTable]) -> Result<usize,
                 input.name,
                 show(rounded(spacing))
             );
-            return Err(Problem::value(format_args!("{key}.radius"), show(map.radius), remedy));
+            return Err(Violation::value(format_args!("{key}.radius"), show(map.radius), remedy));
         }
     }
     Ok(total)
 }
 
-fn policy(sigma: f64, max_command: f64) -> Result<(), Problem> {
+fn policy(sigma: f64, max_command: f64) -> Result<(), Violation> {
     let remedy = format!("give more than 0 (1e-9 or more), up to gate.max_command, which is {}", show(max_command));
     number("policy.sigma", sigma, limits::MIN_SIGMA..=max_command, remedy)
 }
 
-fn log(log: &LogTable) -> Result<(), Problem> {
+fn log(log: &LogConfig) -> Result<(), Violation> {
     ticks("log.every", log.every, 1)?;
     ticks("log.hash_every", log.hash_every, 1)
 }
 
-fn channels(scenario: &Scenario) -> Result<(), Problem> {
+fn channels(scenario: &Scenario) -> Result<(), Violation> {
     let channels = &scenario.channels;
     let mut named_channels =
         vec![("observation", &channels.observation), ("command", &channels.command), ("learning", &channels.learning)];
     if scenario.vision().is_some() {
         named_channels.push(("vision", &channels.vision));
-    } else if channels.vision != super::ChannelsTable::default().vision {
+    } else if channels.vision != super::ChannelsConfig::default().vision {
         let text =
             "names a channel that there is with plant.servos.sight = \"vision\" alone; take it out, or give that";
-        return Err(Problem::new("channels.vision", text));
+        return Err(Violation::new("channels.vision", text));
     }
     let allowed = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "_-/".contains(c);
     for (i, (key, name)) in named_channels.iter().enumerate() {
@@ -231,7 +231,7 @@ fn channels(scenario: &Scenario) -> Result<(), Problem> {
         named(format_args!("channels.{key}"), name, limits::CHANNEL_CHARS, allowed, words)?;
         if let Some((other, _)) = named_channels[..i].iter().find(|(_, other)| other == name) {
             let text = format!("and channels.{other} are both {}; give each channel a name of its own", quoted(name));
-            return Err(Problem::new(format_args!("channels.{key}"), text));
+            return Err(Violation::new(format_args!("channels.{key}"), text));
         }
     }
     Ok(())
@@ -243,34 +243,34 @@ pub(super) fn number(
     value: f64,
     range: RangeInclusive<f64>,
     remedy: impl Display,
-) -> Result<(), Problem> {
-    if range.contains(&value) { Ok(()) } else { Err(Problem::value(key, show(value), remedy)) }
+) -> Result<(), Violation> {
+    if range.contains(&value) { Ok(()) } else { Err(Violation::value(key, show(value), remedy)) }
 }
 
 /// A whole number of ticks.
-pub(super) fn ticks(key: impl Display, value: u64, least: u64) -> Result<(), Problem> {
+pub(super) fn ticks(key: impl Display, value: u64, least: u64) -> Result<(), Violation> {
     if (least..=limits::MAX_TICK).contains(&value) {
         return Ok(());
     }
-    Err(Problem::value(key, value, format_args!("give {least} to 1000000000000 ticks")))
+    Err(Violation::value(key, value, format_args!("give {least} to 1000000000000 ticks")))
 }
 
 /// Two ends of a range, `[low, high]`.
-pub(super) fn ordered(key: &str, [low, high]: [f64; 2], most: f64) -> Result<(), Problem> {
+pub(super) fn ordered(key: &str, [low, high]: [f64; 2], most: f64) -> Result<(), Violation> {
     let ends = -most..=most;
     if ends.contains(&low) && ends.contains(&high) && low < high {
         return Ok(());
     }
     let value = format!("[{}, {}]", show(low), show(high));
     let remedy = format!("give the lower end and then the upper one, between {} and {}", show(-most), show(most));
-    Err(Problem::value(key, value, remedy))
+    Err(Violation::value(key, value, remedy))
 }
 
-fn range_end(key: impl Display, value: f64) -> Result<(), Problem> {
+fn range_end(key: impl Display, value: f64) -> Result<(), Violation> {
     number(key, value, -limits::RANGE..=limits::RANGE, "give a number from -1e9 to 1e9")
 }
 
-fn signal_name(key: &str, name: &str) -> Result<(), Problem> {
+fn signal_name(key: &str, name: &str) -> Result<(), Violation> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     named(key, name, limits::NAME_CHARS, allowed, "letters, digits, _, -, . and /")
 }
@@ -281,21 +281,25 @@ fn named(
     most: usize,
     allowed: impl Fn(char) -> bool,
     words: &str,
-) -> Result<(), Problem> {
+) -> Result<(), Violation> {
     if !name.is_empty() && name.chars().count() <= most && name.chars().all(allowed) {
         return Ok(());
     }
-    Err(Problem::value(key, quoted(name), format_args!("give 1 to {most} characters out of {words}")))
+    Err(Violation::value(key, quoted(name), format_args!("give 1 to {most} characters out of {words}")))
 }
 
 /// Names in a list that must all differ.
-fn different(list: &str, suffix: &str, names: &[impl AsRef<str>]) -> Result<(), Problem> {
+fn different(list: &str, suffix: &str, names: &[impl AsRef<str>]) -> Result<(), Violation> {
     let mut seen = HashSet::new();
     for (i, name) in names.iter().enumerate() {
         let name = name.as_ref();
         if !seen.insert(name) {
             let key = format!("{list}[{i}]{suffix}");
-            return Err(Problem::value(key, quoted(name), "this name is in the list already, and each may occur once"));
+            return Err(Violation::value(
+                key,
+                quoted(name),
+                "this name is in the list already, and each may occur once",
+            ));
         }
     }
     Ok(())

@@ -3,14 +3,14 @@
 use std::ops::RangeInclusive;
 
 use super::{
-    BaselineTable, CriticTable, LearnerTable, ModelTable, Rule,
-    error::Problem,
+    BaselineConfig, CriticConfig, LearnerConfig, ModelConfig, Rule,
+    error::Violation,
     limits,
-    signals::Signals,
+    plant_signals::PlantSignals,
     validate::{known_input, number, show},
 };
 
-pub(super) fn check(learner: &LearnerTable, signals: &Signals) -> Result<(), Problem> {
+pub(super) fn check(learner: &LearnerConfig, signals: &PlantSignals) -> Result<(), Violation> {
     below_one("learner.beta", learner.beta)?;
     number("learner.alpha_over_variance", learner.alpha_over_variance, limits::STEP, "give 0 to 1000")?;
     let rule = learner.rule;
@@ -20,10 +20,13 @@ pub(super) fn check(learner: &LearnerTable, signals: &Signals) -> Result<(), Pro
         ("learner.model", learner.model.is_some(), rule == Rule::LearnedReward),
     ] {
         if given && !read {
-            return Err(Problem::new(key, "is a table that the rule does not read; take it out, or give another rule"));
+            return Err(Violation::new(
+                key,
+                "is a table that the rule does not read; take it out, or give another rule",
+            ));
         }
     }
-    if let Some(BaselineTable { ticks }) = learner.baseline {
+    if let Some(BaselineConfig { ticks }) = learner.baseline {
         number("learner.baseline.ticks", ticks, limits::LEARNER_TICKS, "give 1 to 1e12 ticks")?;
     }
     if let Some(table) = &learner.critic {
@@ -35,14 +38,14 @@ pub(super) fn check(learner: &LearnerTable, signals: &Signals) -> Result<(), Pro
     Ok(())
 }
 
-fn below_one(key: &str, value: f64) -> Result<(), Problem> {
+fn below_one(key: &str, value: f64) -> Result<(), Violation> {
     if (0.0..1.0).contains(&value) {
         return Ok(());
     }
-    Err(Problem::value(key, show(value), "give at least 0 and less than 1"))
+    Err(Violation::value(key, show(value), "give at least 0 and less than 1"))
 }
 
-fn critic(table: &CriticTable) -> Result<(), Problem> {
+fn critic(table: &CriticConfig) -> Result<(), Violation> {
     let key = |name: &str| format!("learner.critic.{name}");
     number(key("step"), table.step, limits::STEP, "give 0 to 1000")?;
     below_one(&key("discount"), table.discount)?;
@@ -56,16 +59,16 @@ fn critic(table: &CriticTable) -> Result<(), Problem> {
     number(key("regularisation"), table.regularisation, limits::REGULARISATION, "give 1e-6 to 1e6")
 }
 
-fn model(table: &ModelTable, signals: &Signals) -> Result<(), Problem> {
+fn model(table: &ModelConfig, signals: &PlantSignals) -> Result<(), Violation> {
     let key = |name: &str| format!("learner.model.{name}");
     let (inputs, outputs) = (&signals.inputs, signals.outputs.len());
     if inputs.len() > limits::MODEL_INPUTS {
         let text = format!("is learned-reward, for which {} inputs are too many; it can do 10", inputs.len());
-        return Err(Problem::new("learner.rule", text));
+        return Err(Violation::new("learner.rule", text));
     }
     if table.moved.is_empty() && inputs.len() < outputs {
         let text = "is left out, and there are fewer inputs than outputs; name the inputs that the commands move";
-        return Err(Problem::new(key("moved"), text));
+        return Err(Violation::new(key("moved"), text));
     }
     for (i, name) in table.moved.iter().enumerate() {
         known_input(format_args!("{}[{i}]", key("moved")), name, inputs)?;
@@ -83,22 +86,22 @@ fn model(table: &ModelTable, signals: &Signals) -> Result<(), Problem> {
     number(key("onward"), table.onward, 0.0..=1.0, "give 0 to 1")?;
     if table.anywhere + table.onward > 1.0 {
         let text = format!("is {}, which with learner.model.anywhere is more than 1; both are shares", table.onward);
-        return Err(Problem::new(key("onward"), text));
+        return Err(Violation::new(key("onward"), text));
     }
     number(key("ridge"), table.ridge, limits::REGULARISATION, "give 1e-6 to 1e6")?;
     if !(1..=limits::MAX_TICK).contains(&table.rest) {
-        return Err(Problem::value(key("rest"), table.rest, "give 1 to 1e12 ticks"));
+        return Err(Violation::value(key("rest"), table.rest, "give 1 to 1e12 ticks"));
     }
     number(key("step"), table.step, limits::MODEL_STEP, "give 0 to 1")?;
     number(key("half_life"), table.half_life, limits::LEARNER_TICKS, "give 1 to 1e12 ticks")?;
     number(key("floor"), table.floor, 0.0..=1.0, "give 0 to 1")
 }
 
-fn whole(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<(), Problem> {
+fn whole(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<(), Violation> {
     if range.contains(&value) {
         return Ok(());
     }
-    Err(Problem::value(key, value, format_args!("give {} to {}", range.start(), range.end())))
+    Err(Violation::value(key, value, format_args!("give {} to {}", range.start(), range.end())))
 }
 
 #[cfg(test)]
@@ -117,7 +120,7 @@ mod tests {
     fn presets_are_valid_and_survive_being_written() {
         for rule in [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward] {
             let mut scenario = Scenario::find("paper").unwrap();
-            scenario.learner = LearnerTable::preset(rule);
+            scenario.learner = LearnerConfig::preset(rule);
             let plan = scenario.plan().unwrap();
             let again = Scenario::parse(&plan.scenario.to_toml(), "again").unwrap().plan().unwrap();
             assert_eq!((plan.hash, plan.scenario.learner), (again.hash, again.scenario.learner));
@@ -127,7 +130,7 @@ mod tests {
     #[test]
     fn the_eye_has_nothing_that_commands_move() {
         let mut scenario = Scenario::find("eye").unwrap();
-        scenario.learner = LearnerTable::preset(Rule::LearnedReward);
+        scenario.learner = LearnerConfig::preset(Rule::LearnedReward);
         let message = scenario.plan().unwrap_err().to_string();
         assert!(
             message.contains("learner.rule is learned-reward, which needs inputs that the commands move"),

@@ -3,12 +3,12 @@
 use std::f64::consts::PI;
 
 use super::{
-    ArmTable, EyeTable, PlantTable, error::Problem, error::quoted, limits, signals::is_simulator, validate::number,
-    validate::ordered, validate::show, validate::ticks,
+    ArmConfig, EyeConfig, PlantConfig, error::Violation, error::quoted, limits, plant_signals::is_simulator,
+    validate::number, validate::ordered, validate::show, validate::ticks,
 };
 
 /// Checks the table; the lists of signals are checked where they are resolved.
-pub(super) fn check(plant: &PlantTable) -> Result<(), Problem> {
+pub(super) fn check(plant: &PlantConfig) -> Result<(), Violation> {
     program(plant)?;
     kind(plant)?;
     plant.arm.as_ref().map_or(Ok(()), arm)?;
@@ -16,15 +16,19 @@ pub(super) fn check(plant: &PlantTable) -> Result<(), Problem> {
     plant.emulator.as_ref().map_or(Ok(()), super::emulator::check)
 }
 
-fn program(plant: &PlantTable) -> Result<(), Problem> {
+fn program(plant: &PlantConfig) -> Result<(), Violation> {
     if plant.program.trim().is_empty() {
-        return Err(Problem::value("plant.program", quoted(&plant.program), "give the name or the path of a program"));
+        return Err(Violation::value(
+            "plant.program",
+            quoted(&plant.program),
+            "give the name or the path of a program",
+        ));
     }
     let args = plant.args.iter().enumerate().map(|(i, arg)| (format!("plant.args[{i}]"), arg));
     for (key, text) in std::iter::once(("plant.program".to_owned(), &plant.program)).chain(args) {
         // The operating system ends a program's name and arguments at a zero character.
         if text.contains('\0') || text.chars().count() > limits::PROGRAM_CHARS {
-            return Err(Problem::value(
+            return Err(Violation::value(
                 key,
                 quoted(text),
                 "give at most 4096 characters, none of them a zero character",
@@ -35,24 +39,24 @@ fn program(plant: &PlantTable) -> Result<(), Problem> {
 }
 
 /// The simulator has exactly one of arm and eye and knows their signals; any other program may have an arm.
-fn kind(plant: &PlantTable) -> Result<(), Problem> {
+fn kind(plant: &PlantConfig) -> Result<(), Violation> {
     if !is_simulator(&plant.program) {
         if plant.eye.is_some() {
             let program = quoted(&plant.program);
             let text = format!("belongs to tectum-simulator and plant.program is {program}; take one of the two out");
-            return Err(Problem::new("plant.eye", text));
+            return Err(Violation::new("plant.eye", text));
         }
         return Ok(());
     }
     match (&plant.arm, &plant.eye) {
         (None, None) => {
-            return Err(Problem::new(
+            return Err(Violation::new(
                 "plant",
                 "has neither an arm nor an eye to simulate; add [plant.arm] or [plant.eye]",
             ));
         }
         (Some(_), Some(_)) => {
-            return Err(Problem::new("plant.eye", "stands beside plant.arm; keep one of the two"));
+            return Err(Violation::new("plant.eye", "stands beside plant.arm; keep one of the two"));
         }
         _ => {}
     }
@@ -62,15 +66,15 @@ fn kind(plant: &PlantTable) -> Result<(), Problem> {
         ("plant.measures", plant.measures.is_empty()),
     ];
     match given.iter().find(|(_, empty)| !empty) {
-        Some((key, _)) => Err(Problem::new(key, "is given, but tectum-simulator knows its own; take it out")),
+        Some((key, _)) => Err(Violation::new(key, "is given, but tectum-simulator knows its own; take it out")),
         None => Ok(()),
     }
 }
 
-fn arm(arm: &ArmTable) -> Result<(), Problem> {
+fn arm(arm: &ArmConfig) -> Result<(), Violation> {
     let n = arm.lengths.len();
     if !limits::JOINTS.contains(&n) {
-        return Err(Problem::new("plant.arm.lengths", format_args!("has {n} entries; give 1 to 8 lengths")));
+        return Err(Violation::new("plant.arm.lengths", format_args!("has {n} entries; give 1 to 8 lengths")));
     }
     for (i, &length) in arm.lengths.iter().enumerate() {
         number(format_args!("plant.arm.lengths[{i}]"), length, limits::LENGTH, "give 0.001 to 100 m")?;
@@ -81,14 +85,14 @@ fn arm(arm: &ArmTable) -> Result<(), Problem> {
     }
     if arm.gain == 0.0 || !(-limits::GAIN..=limits::GAIN).contains(&arm.gain) {
         let remedy = "give a rate other than 0, from -1e6 to 1e6 rad/s";
-        return Err(Problem::value("plant.arm.gain", show(arm.gain), remedy));
+        return Err(Violation::value("plant.arm.gain", show(arm.gain), remedy));
     }
     joint_limits(arm)?;
     ordered("plant.arm.arena", arm.arena, limits::COORDINATE)?;
     ticks("plant.arm.target_every", arm.target_every, 1)?;
     if arm.open_loop && arm.target_every != 1 {
         let remedy = "an open loop has a new target every tick, so give 1";
-        return Err(Problem::value("plant.arm.target_every", arm.target_every, remedy));
+        return Err(Violation::value("plant.arm.target_every", arm.target_every, remedy));
     }
     targets(arm)?;
     let reward = &arm.reward;
@@ -106,44 +110,44 @@ fn arm(arm: &ArmTable) -> Result<(), Problem> {
 }
 
 /// All joints are limited or none, and the arm starts with all angles 0.
-fn joint_limits(arm: &ArmTable) -> Result<(), Problem> {
+fn joint_limits(arm: &ArmConfig) -> Result<(), Violation> {
     let (limited, joints) = (arm.limits.len(), arm.lengths.len());
     if limited != 0 && limited != joints {
         let text = format!(
             "has {limited} entries and the arm has {joints} joints; give one for each, or leave it out if they turn freely"
         );
-        return Err(Problem::new("plant.arm.limits", text));
+        return Err(Violation::new("plant.arm.limits", text));
     }
     for (i, &[low, high]) in arm.limits.iter().enumerate() {
         let turn = -PI..=PI;
         if !(turn.contains(&low) && turn.contains(&high) && low < high && (low..=high).contains(&0.0)) {
             let value = format!("[{}, {}]", show(low), show(high));
             let remedy = "give the least and then the greatest angle, from -pi to pi rad, with the starting angle 0 between them";
-            return Err(Problem::value(format_args!("plant.arm.limits[{i}]"), value, remedy));
+            return Err(Violation::value(format_args!("plant.arm.limits[{i}]"), value, remedy));
         }
         if high - low > limits::LIMITED_TURN {
             let value = format!("[{}, {}]", show(low), show(high));
             let remedy =
                 "a limited joint has less than a full turn, at most 6.25 rad; leave limits out if joints turn freely";
-            return Err(Problem::value(format_args!("plant.arm.limits[{i}]"), value, remedy));
+            return Err(Violation::value(format_args!("plant.arm.limits[{i}]"), value, remedy));
         }
     }
     Ok(())
 }
 
-fn targets(arm: &ArmTable) -> Result<(), Problem> {
+fn targets(arm: &ArmConfig) -> Result<(), Violation> {
     let [low, high] = arm.arena;
     for (i, target) in arm.targets.iter().enumerate() {
         if !target.iter().all(|value| (low..=high).contains(value)) {
             let value = format!("[{}, {}]", show(target[0]), show(target[1]));
             let remedy = format!("targets lie in plant.arm.arena, from {} to {} m on both axes", show(low), show(high));
-            return Err(Problem::value(format_args!("plant.arm.targets[{i}]"), value, remedy));
+            return Err(Violation::value(format_args!("plant.arm.targets[{i}]"), value, remedy));
         }
     }
     if arm.targets.is_empty() && reachable_share(arm) < limits::REACHABLE_SHARE {
         let value = format!("[{}, {}]", show(low), show(high));
         let remedy = "the arm can reach less than 1 % of it, so that no targets can be drawn; change arena, base or lengths, or give targets";
-        return Err(Problem::value("plant.arm.arena", value, remedy));
+        return Err(Violation::value("plant.arm.arena", value, remedy));
     }
     Ok(())
 }
@@ -152,7 +156,7 @@ fn targets(arm: &ArmTable) -> Result<(), Problem> {
 ///
 /// With joints that turn freely, the reach is a ring around the base: out to the sum of the lengths, and in to what the
 /// longest segment leaves when all others point back along it.
-fn reachable_share(arm: &ArmTable) -> f64 {
+fn reachable_share(arm: &ArmConfig) -> f64 {
     const STEPS: usize = 200;
     let longest = arm.lengths.iter().copied().fold(0.0, f64::max);
     let outer: f64 = arm.lengths.iter().sum();
@@ -169,12 +173,12 @@ fn reachable_share(arm: &ArmTable) -> f64 {
     reached as f64 / (STEPS * STEPS) as f64
 }
 
-fn blocks(arm: &ArmTable) -> Result<(), Problem> {
+fn blocks(arm: &ArmConfig) -> Result<(), Violation> {
     let joints = arm.lengths.len();
     for (i, block) in arm.block.iter().enumerate() {
         if !(1..=joints).contains(&block.joint) {
             let remedy = format!("the arm's joints are 1 to {joints}, counted from the base");
-            return Err(Problem::value(format_args!("plant.arm.block[{i}].joint"), block.joint, remedy));
+            return Err(Violation::value(format_args!("plant.arm.block[{i}].joint"), block.joint, remedy));
         }
         ticks(format_args!("plant.arm.block[{i}].tick"), block.tick, 0)?;
         number(format_args!("plant.arm.block[{i}].angle"), block.angle, -PI..=PI, "give -pi to pi rad")?;
@@ -182,65 +186,65 @@ fn blocks(arm: &ArmTable) -> Result<(), Problem> {
             && !(low..=high).contains(&block.angle)
         {
             let remedy = format!("the joint's limits are {} and {} rad", show(low), show(high));
-            return Err(Problem::value(format_args!("plant.arm.block[{i}].angle"), show(block.angle), remedy));
+            return Err(Violation::value(format_args!("plant.arm.block[{i}].angle"), show(block.angle), remedy));
         }
-        let same = |other: &&super::BlockTable| (other.joint, other.tick) == (block.joint, block.tick);
+        let same = |other: &&super::BlockConfig| (other.joint, other.tick) == (block.joint, block.tick);
         if arm.block[..i].iter().any(|other| same(&other)) {
             let text = format!("blocks joint {} at tick {} once more; keep one of the two", block.joint, block.tick);
-            return Err(Problem::new(format_args!("plant.arm.block[{i}]"), text));
+            return Err(Violation::new(format_args!("plant.arm.block[{i}]"), text));
         }
     }
     Ok(())
 }
 
-fn shortened(arm: &ArmTable) -> Result<(), Problem> {
+fn shortened(arm: &ArmConfig) -> Result<(), Violation> {
     let segments = arm.lengths.len();
     few("plant.arm.shorten", arm.shorten.len())?;
     for (i, change) in arm.shorten.iter().enumerate() {
         let key = |name: &str| format!("plant.arm.shorten[{i}]{name}");
         if !(1..=segments).contains(&change.segment) {
             let remedy = format!("the arm's segments are 1 to {segments}, counted from the base");
-            return Err(Problem::value(key(".segment"), change.segment, remedy));
+            return Err(Violation::value(key(".segment"), change.segment, remedy));
         }
         ticks(key(".tick"), change.tick, 0)?;
         number(key(".length"), change.length, limits::LENGTH, "give 0.001 to 100 m")?;
-        let same = |other: &super::ShortenTable| (other.segment, other.tick) == (change.segment, change.tick);
+        let same = |other: &super::ShortenConfig| (other.segment, other.tick) == (change.segment, change.tick);
         if arm.shorten[..i].iter().any(same) {
             let text =
                 format!("changes segment {} at tick {} once more; keep one of the two", change.segment, change.tick);
-            return Err(Problem::new(key(""), text));
+            return Err(Violation::new(key(""), text));
         }
     }
     for (i, change) in arm.shorten.iter().enumerate() {
         if arm.targets.is_empty() && reachable_share(&arm.at(change.tick)) < limits::REACHABLE_SHARE {
             let remedy = "from then on the arm can reach less than 1 % of plant.arm.arena, so that no targets can be drawn; \
                           give another length, or targets";
-            return Err(Problem::value(format_args!("plant.arm.shorten[{i}].length"), show(change.length), remedy));
+            return Err(Violation::value(format_args!("plant.arm.shorten[{i}].length"), show(change.length), remedy));
         }
     }
     Ok(())
 }
 
-fn mirrors(arm: &ArmTable) -> Result<(), Problem> {
+fn mirrors(arm: &ArmConfig) -> Result<(), Violation> {
     few("plant.arm.mirror", arm.mirror.len())?;
     for (i, mirror) in arm.mirror.iter().enumerate() {
         ticks(format_args!("plant.arm.mirror[{i}].tick"), mirror.tick, 0)?;
         if arm.mirror[..i].contains(mirror) {
             let text = format!("turns the same axis at tick {} once more; keep one of the two", mirror.tick);
-            return Err(Problem::new(format_args!("plant.arm.mirror[{i}]"), text));
+            return Err(Violation::new(format_args!("plant.arm.mirror[{i}]"), text));
         }
     }
     Ok(())
 }
 
-fn few(key: &str, n: usize) -> Result<(), Problem> {
+fn few(key: &str, n: usize) -> Result<(), Violation> {
     if n <= limits::MAX_CHANGES {
         return Ok(());
     }
-    Err(Problem::new(key, format_args!("has {n} entries; give at most 64")))
+    Err(Violation::new(key, format_args!("has {n} entries; give at most 64")))
 }
 
-fn eye(eye: &EyeTable) -> Result<(), Problem> {
+fn eye(eye: &EyeConfig) -> Result<(), Violation> {
     number("plant.eye.distortion", eye.distortion, limits::DISTORTION, "give 0.001 to 1e6")?;
     number("plant.eye.spread", eye.spread, limits::SPREAD, "give 1e-6 to 10, in retina coordinates")?;
     number("plant.eye.bonus", eye.bonus, -limits::BONUS..=limits::BONUS, "give -1000 to 1000")

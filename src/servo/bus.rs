@@ -1,8 +1,8 @@
 //! The host's end of the wire: a port of one's own, and instructions that never take longer than they may.
 //!
-//! The codec is rustypot's. Around the port stands a `Paced` one, which gives every instruction an instant by which it is
+//! The codec is rustypot's. Around the port stands a `DeadlinePort` one, which gives every instruction an instant by which it is
 //! over, whatever the bus does: nothing, too little, noise, or one byte now and then. What a tick may cost is therefore known:
-//! the two budgets of [`Budget`], and no more.
+//! the two budgets of [`BusBudget`], and no more.
 //!
 //! Time is handed in: CLOCK_MONOTONIC on hardware, a stepped clock with the emulated chain in tests.
 //!
@@ -18,21 +18,21 @@ use rustix::fs::{FlockOperation, OFlags, flock};
 use rustypot::DynamixelProtocolHandler;
 use serialport::SerialPort;
 
-use super::model::{Block, Model, Protocol, Register, Series, model};
+use super::model::{Protocol, Register, RegisterBlock, ServoModel, ServoSeries, model};
 
 /// Where the bus takes the time from, ns.
-pub type Clock = Box<dyn Fn() -> u64 + Send>;
+pub type BusClock = Box<dyn Fn() -> u64 + Send>;
 
 /// What the instructions of a tick may cost at most, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Budget {
+pub struct BusBudget {
     /// A synchronous read with its one repetition.
     pub read_ns: u64,
     /// A synchronous write.
     pub write_ns: u64,
 }
 
-impl Budget {
+impl BusBudget {
     /// Three tenths of the period for reading and one for writing: 15 and 5 of 50 ms.
     pub fn of(period_ns: u64) -> Self {
         Self { read_ns: period_ns / 10 * 3, write_ns: period_ns / 10 }
@@ -61,15 +61,15 @@ pub enum BusError {
 
 /// A bus of servos.
 pub struct Bus {
-    port: Paced,
+    port: DeadlinePort,
     handler: DynamixelProtocolHandler,
-    series: &'static Series,
-    budget: Budget,
+    series: &'static ServoSeries,
+    budget: BusBudget,
 }
 
 /// A servo's answer in a synchronous read.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Answer {
+pub struct ServoReply {
     /// The bytes asked for.
     pub bytes: Vec<u8>,
     /// The error byte of its status packet.
@@ -81,7 +81,7 @@ impl Bus {
     ///
     /// # Errors
     /// When there is no such port, it is another's, or the operating system refuses it.
-    pub fn open(path: &str, protocol: Protocol, baud: u32, budget: Budget) -> Result<Self, BusError> {
+    pub fn open(path: &str, protocol: Protocol, baud: u32, budget: BusBudget) -> Result<Self, BusError> {
         probe(path)?;
         let opened = serialport::new(path, baud).timeout(Duration::from_nanos(budget.read_ns)).open();
         // serialport locks the port itself (flock and TIOCEXCL), and frees it with its descriptor.
@@ -95,17 +95,17 @@ impl Bus {
     }
 
     /// A bus over a port that is open.
-    pub fn over(port: Box<dyn SerialPort>, protocol: Protocol, budget: Budget, clock: Clock) -> Self {
+    pub fn over(port: Box<dyn SerialPort>, protocol: Protocol, budget: BusBudget, clock: BusClock) -> Self {
         let handler = match protocol {
             Protocol::Dynamixel => DynamixelProtocolHandler::v2(),
             Protocol::Feetech => DynamixelProtocolHandler::v1(),
         };
-        let port = Paced { port, clock, until: u64::MAX };
+        let port = DeadlinePort { port, clock, until: u64::MAX };
         Self { port, handler, series: protocol.series(), budget }
     }
 
     /// The series on it.
-    pub fn series(&self) -> &'static Series {
+    pub fn series(&self) -> &'static ServoSeries {
         self.series
     }
 
@@ -182,7 +182,7 @@ impl Bus {
     ///
     /// # Errors
     /// As for [`Bus::read`].
-    pub fn model(&mut self, id: u8) -> Result<(i32, Option<&'static Model>), BusError> {
+    pub fn model(&mut self, id: u8) -> Result<(i32, Option<&'static ServoModel>), BusError> {
         let number = self.read(id, self.series.model)?;
         let known = u16::try_from(number).ok().and_then(|number| model(self.series.protocol, number));
         Ok((number, known))
@@ -209,7 +209,7 @@ impl Bus {
     ///
     /// # Errors
     /// When one of them does not answer as it should, also not the second time, or the budget is spent.
-    pub fn sync_read(&mut self, ids: &[u8], block: Block) -> (Result<Vec<Answer>, BusError>, u64) {
+    pub fn sync_read(&mut self, ids: &[u8], block: RegisterBlock) -> (Result<Vec<ServoReply>, BusError>, u64) {
         let half = self.budget.read_ns / 2;
         let mut spent = 0;
         let mut failed = BusError::Silent(String::new());
@@ -220,7 +220,7 @@ impl Bus {
             match result {
                 Ok(answers) if answers.iter().all(|(bytes, _)| bytes.len() == usize::from(block.length)) => {
                     let answers = answers.into_iter();
-                    return (Ok(answers.map(|(bytes, e)| Answer { bytes, error: e.byte() }).collect()), spent);
+                    return (Ok(answers.map(|(bytes, e)| ServoReply { bytes, error: e.byte() }).collect()), spent);
                 }
                 Ok(_) => failed = BusError::Silent("an answer is too short".to_owned()),
                 Err(error) => failed = error,
@@ -275,14 +275,14 @@ const QUIET_NS: u64 = 1_000_000;
 const SETTLE_NS: u64 = 3_000_000;
 
 /// A port whose reads end at an instant.
-struct Paced {
+struct DeadlinePort {
     port: Box<dyn SerialPort>,
-    clock: Clock,
+    clock: BusClock,
     /// ns.
     until: u64,
 }
 
-impl Read for Paced {
+impl Read for DeadlinePort {
     fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
         let left = self.until.saturating_sub((self.clock)());
         if left == 0 {
@@ -295,7 +295,7 @@ impl Read for Paced {
     }
 }
 
-impl Write for Paced {
+impl Write for DeadlinePort {
     fn write(&mut self, from: &[u8]) -> io::Result<usize> {
         let left = self.until.saturating_sub((self.clock)());
         if left == 0 {
@@ -319,7 +319,7 @@ macro_rules! hand_on {
     };
 }
 
-impl SerialPort for Paced {
+impl SerialPort for DeadlinePort {
     fn clear(&self, buffer: serialport::ClearBuffer) -> serialport::Result<()> {
         self.port.clear(buffer)
     }

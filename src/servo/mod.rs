@@ -8,5 +8,5 @@ pub mod bridge;
 pub mod bus;
 pub mod emulator;
 pub mod model;
-pub mod pty;
+pub mod pseudo_terminal;
 pub mod tools;

@@ -6,13 +6,13 @@
 
 pub mod analyse;
 pub mod compare;
-mod crew;
 mod error;
+pub mod reference;
 pub mod replay;
 pub mod reproduce;
 mod spread;
-pub mod yardstick;
+mod worker_pool;
 
-pub use crew::{Crew, Ticks};
 pub use error::StudyError;
 pub use spread::Spread;
+pub use worker_pool::{ChildProcesses, JobProgress};

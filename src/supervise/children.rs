@@ -7,26 +7,26 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::thread::JoinHandle;
 
 use super::LaunchError;
-use crate::channel::Hub;
-use crate::clock::Life;
+use crate::channel::RunServices;
+use crate::clock::ProcessHandle;
 use crate::runtime::exit;
-use crate::scenario::{Plan, Restart};
-use crate::wire::{Role, State};
+use crate::scenario::{Plan, RestartPolicy};
+use crate::wire::{ProcessState, Role};
 
 /// What stands in one process's place.
 #[derive(Debug)]
-enum Member {
+enum ChildSlot {
     /// A child of the launcher.
-    Child { child: Child, life: Option<Life>, said: Option<JoinHandle<String>> },
+    Child { child: Child, process: Option<ProcessHandle>, said: Option<JoinHandle<String>> },
     /// Started by somebody else; known from its board once it is there.
-    ByHand { life: Option<Life> },
+    ByHand { process: Option<ProcessHandle> },
     /// Nobody, any more or for now.
     Gone,
 }
 
 /// How a process failed.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Failure {
+pub(super) struct ProcessFailure {
     /// The exit code that the run takes over.
     pub code: u8,
     /// One sentence.
@@ -37,32 +37,32 @@ pub(super) struct Failure {
 
 /// A process that ended before it had finished.
 #[derive(Debug)]
-pub(super) struct Death {
+pub(super) struct ProcessDeath {
     /// Its place.
     pub role: Role,
     /// What that means for the run, if it is not started again.
-    pub failure: Failure,
+    pub failure: ProcessFailure,
     /// The last policy under which it is not started again.
-    pub unless: Option<Restart>,
+    pub unless: Option<RestartPolicy>,
 }
 
 /// How to start a process.
 #[derive(Debug)]
-struct Start {
+struct SpawnCommand {
     program: PathBuf,
     arguments: Vec<String>,
 }
 
 /// All processes, by [`Role`].
 #[derive(Debug)]
-pub(super) struct Crew {
+pub(super) struct ChildProcesses {
     folder: PathBuf,
     /// How to start each; `None` for one that somebody else starts.
-    starts: Vec<Option<Start>>,
-    members: Vec<Member>,
+    starts: Vec<Option<SpawnCommand>>,
+    members: Vec<ChildSlot>,
 }
 
-impl Crew {
+impl ChildProcesses {
     /// Starts all processes but those in `by_hand`.
     pub fn start(plan: &Plan, folder: &Path, by_hand: &[Role]) -> Result<Self, LaunchError> {
         // All programs are found before any is started.
@@ -84,26 +84,26 @@ impl Crew {
                         or name the plant's program by its path"
                     .to_owned(),
             })?;
-            starts.push(Some(Start { program, arguments: arguments.to_owned() }));
+            starts.push(Some(SpawnCommand { program, arguments: arguments.to_owned() }));
         }
-        let mut crew = Self { folder: folder.to_owned(), starts, members: Vec::new() };
+        let mut children = Self { folder: folder.to_owned(), starts, members: Vec::new() };
         for role in Role::ALL {
-            let member = match crew.starts[role as usize] {
-                Some(_) => crew.spawn(role)?,
-                None => Member::ByHand { life: None },
+            let member = match children.starts[role as usize] {
+                Some(_) => children.spawn(role)?,
+                None => ChildSlot::ByHand { process: None },
             };
-            crew.members.push(member);
+            children.members.push(member);
         }
-        Ok(crew)
+        Ok(children)
     }
 
-    fn spawn(&self, role: Role) -> Result<Member, LaunchError> {
+    fn spawn(&self, role: Role) -> Result<ChildSlot, LaunchError> {
         let failed = |program: &Path, cause: &str| LaunchError::Start {
             role: role.name(),
             program: program.display().to_string(),
             cause: cause.to_owned(),
         };
-        let Some(Start { program, arguments }) = &self.starts[role as usize] else {
+        let Some(SpawnCommand { program, arguments }) = &self.starts[role as usize] else {
             return Err(failed(Path::new("?"), "it is started by hand"));
         };
         let mut command = Command::new(program);
@@ -112,8 +112,8 @@ impl Crew {
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child = command.spawn().map_err(|cause| failed(program, &cause.to_string()))?;
         let said = child.stderr.take().map(|pipe| std::thread::spawn(move || listen(pipe)));
-        let life = Life::of(child.id());
-        Ok(Member::Child { child, life, said })
+        let process = ProcessHandle::of(child.id());
+        Ok(ChildSlot::Child { child, process, said })
     }
 
     /// Starts a process anew whose place is empty.
@@ -123,23 +123,23 @@ impl Crew {
     }
 
     /// Notices who has ended, and says who did so before having finished.
-    pub fn reap(&mut self, hub: &Hub) -> Vec<Death> {
+    pub fn reap(&mut self, services: &RunServices) -> Vec<ProcessDeath> {
         let mut deaths = Vec::new();
         for (role, member) in Role::ALL.into_iter().zip(&mut self.members) {
-            let board = hub.status(role);
-            let finished = board.state() == State::Finished;
+            let board = services.status(role);
+            let finished = board.state() == ProcessState::Finished;
             let death = match member {
-                Member::Gone => continue,
-                Member::Child { child, said, .. } => match child.try_wait() {
+                ChildSlot::Gone => continue,
+                ChildSlot::Child { child, said, .. } => match child.try_wait() {
                     Ok(None) => continue,
                     Ok(Some(status)) => death_of(role, status, said.take(), board.ticks, finished),
-                    Err(_) => Some(ended_early(role, board.ticks, Some(Restart::Never))),
+                    Err(_) => Some(ended_early(role, board.ticks, Some(RestartPolicy::Never))),
                 },
-                Member::ByHand { life } => {
-                    let mut ended = life.as_ref().is_some_and(Life::ended);
-                    if life.is_none() && board.pid != 0 {
-                        *life = Life::of(board.pid);
-                        ended = life.is_none();
+                ChildSlot::ByHand { process } => {
+                    let mut ended = process.as_ref().is_some_and(ProcessHandle::ended);
+                    if process.is_none() && board.pid != 0 {
+                        *process = ProcessHandle::of(board.pid);
+                        ended = process.is_none();
                     }
                     match (ended, finished) {
                         (false, _) => continue,
@@ -148,7 +148,7 @@ impl Crew {
                     }
                 }
             };
-            *member = Member::Gone;
+            *member = ChildSlot::Gone;
             deaths.extend(death);
         }
         deaths
@@ -156,48 +156,48 @@ impl Crew {
 
     /// Waits until a child has ended, or for `ns` nanoseconds.
     pub fn await_end(&self, ns: u64) {
-        Life::await_any(self.members.iter().filter_map(Member::life), ns);
+        ProcessHandle::await_any(self.members.iter().filter_map(ChildSlot::process), ns);
     }
 
     /// A handle on a process that the launcher has started and that lives.
-    pub fn child(&self, role: Role) -> Option<&Life> {
+    pub fn child(&self, role: Role) -> Option<&ProcessHandle> {
         match &self.members[role as usize] {
-            Member::Child { life, .. } => life.as_ref(),
+            ChildSlot::Child { process, .. } => process.as_ref(),
             _ => None,
         }
     }
 
     /// Whether all processes have ended. One that is started by hand and never came counts as ended.
     pub fn gone(&self) -> bool {
-        self.members.iter().all(|member| matches!(member, Member::Gone | Member::ByHand { life: None }))
+        self.members.iter().all(|member| matches!(member, ChildSlot::Gone | ChildSlot::ByHand { process: None }))
     }
 
     /// Kills whoever is left, and waits for those that are ours.
     pub fn kill(&mut self) {
         for member in &mut self.members {
             match member {
-                Member::Child { child, .. } => {
+                ChildSlot::Child { child, .. } => {
                     let _ = child.kill();
                     let _ = child.wait();
                 }
-                Member::ByHand { life: Some(life) } => life.kill(),
+                ChildSlot::ByHand { process: Some(process) } => process.kill(),
                 _ => {}
             }
-            *member = Member::Gone;
+            *member = ChildSlot::Gone;
         }
     }
 }
 
-impl Member {
-    fn life(&self) -> Option<&Life> {
+impl ChildSlot {
+    fn process(&self) -> Option<&ProcessHandle> {
         match self {
-            Self::Child { life, .. } | Self::ByHand { life } => life.as_ref(),
+            Self::Child { process, .. } | Self::ByHand { process } => process.as_ref(),
             Self::Gone => None,
         }
     }
 }
 
-impl Drop for Crew {
+impl Drop for ChildProcesses {
     fn drop(&mut self) {
         self.kill();
     }
@@ -222,9 +222,9 @@ fn find(name: &str) -> Option<PathBuf> {
     beside.into_iter().chain(std::env::split_paths(&path).map(|folder| folder.join(name))).find(|p| p.is_file())
 }
 
-fn ended_early(role: Role, tick: u64, unless: Option<Restart>) -> Death {
+fn ended_early(role: Role, tick: u64, unless: Option<RestartPolicy>) -> ProcessDeath {
     let message = format!("the {} ended before the run was over, at tick {tick}", role.name());
-    Death { role, failure: Failure { code: exit::PROCESS, message, said: (role, String::new()) }, unless }
+    ProcessDeath { role, failure: ProcessFailure { code: exit::PROCESS, message, said: (role, String::new()) }, unless }
 }
 
 fn death_of(
@@ -233,9 +233,9 @@ fn death_of(
     said: Option<JoinHandle<String>>,
     tick: u64,
     finished: bool,
-) -> Option<Death> {
+) -> Option<ProcessDeath> {
     if status.success() {
-        return (!finished).then(|| ended_early(role, tick, Some(Restart::OnFailure)));
+        return (!finished).then(|| ended_early(role, tick, Some(RestartPolicy::OnFailure)));
     }
     let said = said.and_then(|listener| listener.join().ok()).unwrap_or_default();
     let name = role.name();
@@ -255,8 +255,8 @@ fn death_of(
         // It has finished its part of the run, and tells what went wrong in it.
         _ if finished => None,
         // Somebody has asked it to end, and it did.
-        _ if is(exit::TERMINATED) || is(exit::INTERRUPTED) => Some(Restart::OnFailure),
-        _ => Some(Restart::Never),
+        _ if is(exit::TERMINATED) || is(exit::INTERRUPTED) => Some(RestartPolicy::OnFailure),
+        _ => Some(RestartPolicy::Never),
     };
-    Some(Death { role, failure: Failure { code, message, said: (role, said) }, unless })
+    Some(ProcessDeath { role, failure: ProcessFailure { code, message, said: (role, said) }, unless })
 }

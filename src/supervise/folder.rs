@@ -6,9 +6,9 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use super::LaunchError;
-use super::children::Failure;
+use super::children::ProcessFailure;
 use crate::log::{FIXED_BYTES, bytes_per_tick};
-use crate::runtime::{Card, realtime_path};
+use crate::runtime::{RunManifest, realtime_path};
 use crate::scenario::Plan;
 use crate::wire::Role;
 
@@ -38,7 +38,7 @@ impl RunFolder {
         let made = !path.exists();
         fs::create_dir_all(&path).map_err(|e| refuse(&path, &e.to_string()))?;
         let folder = Self { path, made, kept: Cell::new(false) };
-        if Card::path(&folder.path).exists() || Card::log_path(&folder.path).exists() {
+        if RunManifest::path(&folder.path).exists() || RunManifest::log_path(&folder.path).exists() {
             folder.kept.set(true);
             return Err(refuse(&folder.path, "it holds a run already"));
         }
@@ -82,16 +82,16 @@ impl RunFolder {
     }
 
     /// Leaves what a process needs to join.
-    pub fn write_card(&self, card: &Card, plan: &Plan) -> Result<(), LaunchError> {
-        let text = serde_json::to_string_pretty(card).unwrap_or_default();
+    pub fn write_manifest(&self, manifest: &RunManifest, plan: &Plan) -> Result<(), LaunchError> {
+        let text = serde_json::to_string_pretty(manifest).unwrap_or_default();
         self.write_scenario(plan)?;
         // Last, because its being there is what makes the folder a run.
-        fs::write(Card::path(&self.path), text).map_err(|e| refuse(&self.path, &e.to_string()))
+        fs::write(RunManifest::path(&self.path), text).map_err(|e| refuse(&self.path, &e.to_string()))
     }
 
     /// Leaves the scenario with every default filled in.
     pub fn write_scenario(&self, plan: &Plan) -> Result<(), LaunchError> {
-        fs::write(Card::scenario_path(&self.path), plan.scenario.to_toml())
+        fs::write(RunManifest::scenario_path(&self.path), plan.scenario.to_toml())
             .map_err(|e| refuse(&self.path, &e.to_string()))
     }
 
@@ -101,7 +101,7 @@ impl RunFolder {
     }
 
     /// Keeps all that a process said which failed, for those who look into it. Best effort: the summary has the essence.
-    pub(super) fn keep_words(&self, failure: &Failure) {
+    pub(super) fn keep_words(&self, failure: &ProcessFailure) {
         let (role, said) = &failure.said;
         if !said.is_empty() {
             // One after the other, for a process that failed more than once.
@@ -118,7 +118,8 @@ impl Drop for RunFolder {
             return;
         }
         let accounts = Role::ALL.map(|role| realtime_path(&self.path, role));
-        for path in [Card::path(&self.path), Card::scenario_path(&self.path)].into_iter().chain(accounts) {
+        for path in [RunManifest::path(&self.path), RunManifest::scenario_path(&self.path)].into_iter().chain(accounts)
+        {
             let _ = fs::remove_file(path);
         }
         if self.made {

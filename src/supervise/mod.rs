@@ -7,34 +7,34 @@
 
 mod children;
 mod error;
+mod fault_injector;
 mod folder;
-mod keeper;
-mod mischief;
+mod history;
+mod in_process;
 mod progress;
+mod restarts;
 mod resume;
-mod story;
-mod study;
 mod summary;
-mod watch;
+mod supervisor;
 
 pub use error::LaunchError;
 pub(crate) use folder::RunFolder;
-pub use keeper::Incident;
-pub(crate) use progress::Progress;
+pub(crate) use history::reach;
+pub use in_process::study;
+pub(crate) use progress::RunProgress;
+pub use restarts::RestartIncident;
 pub use resume::resume;
-pub(crate) use story::reach;
-pub use study::study;
-pub use summary::{Ended, ProcessRealtime, Span, Summary};
+pub use summary::{ProcessRealtime, RunOutcome, RunSummary, WindowSummary};
 
 use std::path::{Path, PathBuf};
 
-use children::Crew;
-use watch::Run;
+use children::ChildProcesses;
+use supervisor::Supervisor;
 
-use crate::channel::{DomainName, Hub, sweep};
-use crate::clock::{Refusal, Signals, monotonic_ns, wall_ns};
+use crate::channel::{DomainName, RunServices, remove_stale_domains};
+use crate::clock::{RealtimeRefusal, TerminationSignals, monotonic_ns, wall_ns};
 use crate::process::say;
-use crate::runtime::{Card, Foreign, Mode, Resumed, identity, read_realtime};
+use crate::runtime::{Mode, ResumePoint, RunManifest, WireManifest, identity, read_realtime};
 use crate::scenario::Plan;
 use crate::wire::{Control, Role};
 
@@ -56,7 +56,7 @@ pub struct Launch {
     /// In lockstep: leave the real instants of each tick in the run's folder, for `tectum bench`.
     pub stopwatch: bool,
     /// Where the run begins, if it goes on with another one ([`resume`]).
-    pub resumed: Option<Resumed>,
+    pub resumed: Option<ResumePoint>,
     /// Show a progress line on standard error.
     pub progress: bool,
 }
@@ -67,22 +67,22 @@ const LEAD_NS: u64 = 100_000_000;
 ///
 /// # Errors
 /// When the run cannot begin. A run that began always gives a summary, which says how it ended.
-pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
-    let signals = Signals::install().map_err(LaunchError::Signals)?;
+pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
+    let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let plan = &launch.plan;
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.check_room(plan)?;
 
     // What a launcher that was killed could not take away any more.
-    for left in sweep(false) {
+    for left in remove_stale_domains(false) {
         say(&format!("tectum: removed {} from shared memory, which a run that was killed had left", left.domain));
     }
     let run = run_id(plan);
     let domain = DomainName::of(run);
-    let hub = Hub::create(&domain, &identity(plan), &plan.scenario.channels, plan.scenario.vision())?;
-    let card = Card {
+    let services = RunServices::create(&domain, &identity(plan), &plan.scenario.channels, plan.scenario.vision())?;
+    let manifest = RunManifest {
         run: format!("{run:016x}"),
-        wire: Some(Foreign::of(plan, &domain)),
+        wire: Some(WireManifest::of(plan, &domain)),
         mode: launch.mode,
         domain,
         launcher: std::process::id(),
@@ -90,12 +90,12 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
         stopwatch: launch.stopwatch,
         resumed: launch.resumed.clone(),
     };
-    folder.write_card(&card, plan)?;
+    folder.write_manifest(&manifest, plan)?;
 
-    hub.control.put(Control::default());
-    let crew = Crew::start(plan, folder.path(), &launch.by_hand)?;
-    let progress = Progress::new(launch, &folder);
-    let mut run = Run::new(launch, hub, crew, signals, progress, &card.domain);
+    services.control.put(Control::default());
+    let children = ChildProcesses::start(plan, folder.path(), &launch.by_hand)?;
+    let progress = RunProgress::new(launch, &folder);
+    let mut run = Supervisor::new(launch, services, children, signals, progress, &manifest.domain);
     run.set_up(launch)?;
     folder.keep();
     if launch.mode == Mode::Realtime {
@@ -112,14 +112,14 @@ pub fn run(launch: &Launch) -> Result<Summary, LaunchError> {
     for death in &end.deaths {
         folder.keep_words(death);
     }
-    Ok(Summary::of_run(launch, folder.path(), end, seconds))
+    Ok(RunSummary::of_run(launch, folder.path(), end, seconds))
 }
 
 /// Says what the processes asked of the operating system and were refused. The run goes on without.
 fn warn_of_refusals(folder: &Path) {
     for role in Role::ALL {
         for refusal in read_realtime(folder, role).into_iter().flat_map(|report| report.refused) {
-            let (name, Refusal { what, why, remedy }) = (role.name(), refusal);
+            let (name, RealtimeRefusal { what, why, remedy }) = (role.name(), refusal);
             say(&format!("tectum: warning: the {name} asked for {what} and does not have it ({why}); {remedy}"));
         }
     }

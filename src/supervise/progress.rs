@@ -4,7 +4,7 @@ use std::io::{IsTerminal as _, Write as _};
 
 use super::Launch;
 use super::folder::RunFolder;
-use crate::channel::Hub;
+use crate::channel::RunServices;
 use crate::clock::monotonic_ns;
 use crate::process::say;
 use crate::report::thousands;
@@ -16,7 +16,7 @@ const EVERY_NS: u64 = 200_000_000;
 
 /// The progress line.
 #[derive(Debug)]
-pub(crate) struct Progress {
+pub(crate) struct RunProgress {
     shown: bool,
     name: String,
     ticks: u64,
@@ -27,7 +27,7 @@ pub(crate) struct Progress {
     learner_ns: u64,
 }
 
-impl Progress {
+impl RunProgress {
     /// A line for the run, silent unless it is wanted and standard error is a terminal. Says at once which processes are
     /// waited for, because those must be started by somebody.
     pub fn new(launch: &Launch, folder: &RunFolder) -> Self {
@@ -55,10 +55,10 @@ impl Progress {
     }
 
     /// Draws the line from the boards, if it is time.
-    pub fn show(&mut self, hub: &Hub) {
+    pub fn show(&mut self, services: &RunServices) {
         if self.shown && self.due() {
-            let (plant, controller) = (hub.status(Role::Plant), hub.status(Role::Controller));
-            let timing = match (self.realtime, plant.missed, hub.status(Role::Logger).lost) {
+            let (plant, controller) = (services.status(Role::Plant), services.status(Role::Controller));
+            let timing = match (self.realtime, plant.missed, services.status(Role::Logger).lost) {
                 (true, missed, lost) => {
                     format!(
                         "  learner {:.0} %  missed {missed}  lost {lost}",

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::LaunchError;
 use crate::checkpoint::{self, Checkpoint, CheckpointError};
-use crate::runtime::{Card, Mode, Resumed};
+use crate::runtime::{Mode, ResumePoint, RunManifest};
 use crate::scenario::{Plan, Scenario};
 use crate::wire::Role;
 
@@ -13,17 +13,18 @@ use crate::wire::Role;
 ///
 /// # Errors
 /// [`LaunchError::Checkpoint`] when there is no checkpoint, or one that is damaged or another's; [`LaunchError::Scenario`].
-pub fn resume(given: &Path) -> Result<(Resumed, Plan), LaunchError> {
+pub fn resume(given: &Path) -> Result<(ResumePoint, Plan), LaunchError> {
     let named = Path::new("runs").join(given);
     let folder = if !given.exists() && named.exists() { named } else { given.to_owned() };
     let none = |what: String| LaunchError::Checkpoint(CheckpointError::None { folder: folder.clone(), what });
-    let text = std::fs::read_to_string(Card::path(&folder))
+    let text = std::fs::read_to_string(RunManifest::path(&folder))
         .map_err(|_| none("this is not the folder of a run; name one, or its name under runs/".to_owned()))?;
-    let card: Card = serde_json::from_str(&text).map_err(|e| none(format!("run.json cannot be read: {e}")))?;
-    if card.mode != Mode::Lockstep {
+    let manifest: RunManifest =
+        serde_json::from_str(&text).map_err(|e| none(format!("run.json cannot be read: {e}")))?;
+    if manifest.mode != Mode::Lockstep {
         return Err(none("the run followed the real clock; only a lockstep run can be resumed".to_owned()));
     }
-    let plan = Scenario::load(&Card::scenario_path(&folder))?.plan()?;
+    let plan = Scenario::load(&RunManifest::scenario_path(&folder))?.plan()?;
     let Some(&tick) = checkpoint::ticks(&folder).last() else {
         let what = "there is no checkpoint of both plant and controller; runs leave one at their end, and every N ticks \
                     with --checkpoint-every N";
@@ -37,12 +38,12 @@ pub fn resume(given: &Path) -> Result<(Resumed, Plan), LaunchError> {
         let path = checkpoint::path(&folder, tick, role);
         let checkpoint = Checkpoint::read(&path)?;
         checkpoint.fits(role, plan.hash)?;
-        if (checkpoint.facts.run.as_str(), checkpoint.facts.tick) != (card.run.as_str(), tick) {
-            let (theirs, ours) = (checkpoint.facts.run, card.run);
+        if (checkpoint.facts.run.as_str(), checkpoint.facts.tick) != (manifest.run.as_str(), tick) {
+            let (theirs, ours) = (checkpoint.facts.run, manifest.run);
             return Err(LaunchError::Checkpoint(CheckpointError::Mismatch { path, what: "run", ours, theirs }));
         }
         *sequence = checkpoint.facts.sequence;
     }
     let from = std::path::absolute(&folder).unwrap_or(folder);
-    Ok((Resumed { from, tick, sequences }, plan))
+    Ok((ResumePoint { from, tick, sequences }, plan))
 }

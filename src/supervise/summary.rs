@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::Launch;
-use super::children::Failure;
-use super::keeper::Incident;
-use super::story::{ends, story};
-use super::watch::End;
+use super::children::ProcessFailure;
+use super::history::{ends, history};
+use super::restarts::RestartIncident;
+use super::supervisor::RunEnd;
 use crate::clock::RealtimeReport;
 use crate::log;
-use crate::report::{self, Story, Window, thousands};
+use crate::report::{self, RunHistory, Window, thousands};
 use crate::runtime::{
     ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, TickBudget, exit, read_realtime,
     read_report, sweep_drafts,
@@ -22,7 +22,7 @@ use crate::wire::Role;
 /// How a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Ended {
+pub enum RunOutcome {
     /// After its last tick.
     Complete,
     /// By a signal.
@@ -33,7 +33,7 @@ pub enum Ended {
 
 /// Means over a stretch of the run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Span {
+pub struct WindowSummary {
     /// First tick.
     pub from: u64,
     /// Number of ticks.
@@ -60,7 +60,7 @@ pub struct ProcessRealtime {
 
 /// Everything that a run tells.
 #[derive(Debug, Clone, Serialize)]
-pub struct Summary {
+pub struct RunSummary {
     /// The scenario's name.
     pub scenario: String,
     /// `lockstep`, `realtime` or `in-process`.
@@ -68,7 +68,7 @@ pub struct Summary {
     /// Seed of the run.
     pub seed: u64,
     /// How the run ended.
-    pub ended: Ended,
+    pub ended: RunOutcome,
     /// Ticks done.
     pub ticks: u64,
     /// Ticks planned.
@@ -112,9 +112,9 @@ pub struct Summary {
     /// Mean error at the end of a target over the last twentieth of the run, m.
     pub end_error_m: Option<f64>,
     /// The first twentieth.
-    pub first: Option<Span>,
+    pub first: Option<WindowSummary>,
     /// The last twentieth.
-    pub last: Option<Span>,
+    pub last: Option<WindowSummary>,
     /// Real time: from a tick's scheduled instant to its sensing, us; of a run without a logger's account, to the plant's
     /// waking up.
     pub wake_up_lateness_us: Option<Percentiles>,
@@ -127,7 +127,7 @@ pub struct Summary {
     /// Real time: what each process asked of the operating system, what it had and what it was refused; empty otherwise.
     pub realtime: Vec<ProcessRealtime>,
     /// Processes that died or hung and were started again, in order.
-    pub restarts: Vec<Incident>,
+    pub restarts: Vec<RestartIncident>,
     /// The run's folder.
     pub folder: PathBuf,
     /// The log; null where there is none. Its folder, if it has several segments.
@@ -155,14 +155,14 @@ pub struct Summary {
     #[serde(skip)]
     windows: Option<[Window; 2]>,
     #[serde(skip)]
-    story: Option<Story>,
+    history: Option<RunHistory>,
 }
 
-impl Summary {
+impl RunSummary {
     /// The summary of a run of processes, from what they left in its folder; for one that left nothing, from what its
     /// board said last.
-    pub(super) fn of_run(launch: &Launch, folder: &Path, end: End, seconds: f64) -> Self {
-        let End { ended, failure, incidents, boards, .. } = end;
+    pub(super) fn of_run(launch: &Launch, folder: &Path, end: RunEnd, seconds: f64) -> Self {
+        let RunEnd { ended, failure, incidents, boards, .. } = end;
         let board = &boards[Role::Plant as usize];
         let plant = read_report(folder, Role::Plant).unwrap_or_else(|| PlantReport {
             ticks: board.sent,
@@ -193,9 +193,9 @@ impl Summary {
         }
         summary.lost_by_channel = logger.lost;
         summary.lost = logger.lost.iter().sum();
-        if let Some(Failure { code, message, .. }) = failure {
+        if let Some(ProcessFailure { code, message, .. }) = failure {
             summary.failure = Some(message);
-            if ended == Ended::Failed {
+            if ended == RunOutcome::Failed {
                 summary.code = code;
             }
         }
@@ -209,7 +209,7 @@ impl Summary {
     }
 
     /// The summary of a run in one process.
-    pub(super) fn of_study(launch: &Launch, folder: &Path, ended: Ended, result: InProcess, seconds: f64) -> Self {
+    pub(super) fn of_study(launch: &Launch, folder: &Path, ended: RunOutcome, result: InProcess, seconds: f64) -> Self {
         let mut summary = Self::new(launch, folder, ended, seconds, &result.plant, Some(result.controller));
         summary.conclude();
         summary
@@ -218,7 +218,7 @@ impl Summary {
     fn new(
         launch: &Launch,
         folder: &Path,
-        ended: Ended,
+        ended: RunOutcome,
         seconds: f64,
         plant: &PlantReport,
         controller: Option<ControllerReport>,
@@ -226,7 +226,7 @@ impl Summary {
         let plan = &launch.plan;
         let ticks = controller.as_ref().map_or(plant.ticks, |c| c.ticks + c.unseen);
         let windows = controller.as_ref().and_then(|c| ends(&c.windows));
-        let span = |w: &Window| Span {
+        let span = |w: &Window| WindowSummary {
             from: w.from,
             ticks: w.ticks,
             loss: w.loss,
@@ -291,12 +291,12 @@ impl Summary {
                 .clone()
                 .or(controller.as_ref().and_then(|c| c.checkpoint_failure.clone())),
             code: match ended {
-                Ended::Complete => exit::OK,
-                Ended::Signal(number) => exit::by_signal(number),
-                Ended::Failed => exit::PROCESS,
+                RunOutcome::Complete => exit::OK,
+                RunOutcome::Signal(number) => exit::by_signal(number),
+                RunOutcome::Failed => exit::PROCESS,
             },
             windows,
-            story: controller.map(|c| story(plan, launch.mode, c)),
+            history: controller.map(|c| history(plan, launch.mode, c)),
         }
     }
 
@@ -314,9 +314,9 @@ impl Summary {
         if let Some(cause) = self.checkpoint_failure.take() {
             self.complain(exit::INPUT, format!("not all checkpoints were written: {cause}"));
         }
-        if let Some(story) = &self.story {
+        if let Some(history) = &self.history {
             let path = self.folder.join("figure.svg");
-            match report::figure::draw(story, &path) {
+            match report::figure::draw(history, &path) {
                 Ok(()) => self.figure = Some(path),
                 Err(error) => self.complain(exit::INPUT, error.to_string()),
             }
@@ -348,10 +348,10 @@ impl Summary {
     pub fn to_text(&self) -> String {
         let mut text = String::new();
         let how = match self.ended {
-            Ended::Complete => String::new(),
-            Ended::Signal(2) => format!(" of {} (interrupted)", thousands(self.ticks_planned)),
-            Ended::Signal(number) => format!(" of {} (ended by signal {number})", thousands(self.ticks_planned)),
-            Ended::Failed => format!(" of {} (failed)", thousands(self.ticks_planned)),
+            RunOutcome::Complete => String::new(),
+            RunOutcome::Signal(2) => format!(" of {} (interrupted)", thousands(self.ticks_planned)),
+            RunOutcome::Signal(number) => format!(" of {} (ended by signal {number})", thousands(self.ticks_planned)),
+            RunOutcome::Failed => format!(" of {} (failed)", thousands(self.ticks_planned)),
         };
         let from = self.resumed_at.map_or(String::new(), |tick| format!(", the last from {} on,", thousands(tick)));
         let _ = writeln!(
@@ -364,9 +364,9 @@ impl Summary {
             self.seconds,
             thousands(self.ticks_per_second.round() as u64),
         );
-        if let (Some(story), Some([first, last])) = (&self.story, &self.windows) {
+        if let (Some(history), Some([first, last])) = (&self.history, &self.windows) {
             let windows = vec![first.clone(), last.clone()];
-            let _ = write!(text, "\n{}\n", report::table(&Story { windows, ..story.clone() }));
+            let _ = write!(text, "\n{}\n", report::table(&RunHistory { windows, ..history.clone() }));
         }
         let _ =
             writeln!(text, "missed {}  late {}  lost {}  limited {}", self.missed, self.late, self.lost, self.clamped);

@@ -19,7 +19,7 @@ sample! {
 sample! {
     /// A process's board: how far it is.
     Status, "3" {
-        /// A [`State`] as a number.
+        /// A [`ProcessState`] as a number.
         state: u32,
         /// Operating-system id of the process.
         pid: u32,
@@ -86,7 +86,7 @@ impl Control {
 /// The states of a process, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u32)]
-pub enum State {
+pub enum ProcessState {
     /// Not there yet.
     Absent = 0,
     /// All ports made.
@@ -102,15 +102,15 @@ pub enum State {
 }
 
 impl Status {
-    /// The state on the board; a number that no state has reads as [`State::Failed`].
-    pub fn state(&self) -> State {
+    /// The state on the board; a number that no state has reads as [`ProcessState::Failed`].
+    pub fn state(&self) -> ProcessState {
         match self.state {
-            0 => State::Absent,
-            1 => State::Ready,
-            2 => State::Connected,
-            3 => State::Running,
-            4 => State::Finished,
-            _ => State::Failed,
+            0 => ProcessState::Absent,
+            1 => ProcessState::Ready,
+            2 => ProcessState::Connected,
+            3 => ProcessState::Running,
+            4 => ProcessState::Finished,
+            _ => ProcessState::Failed,
         }
     }
 }

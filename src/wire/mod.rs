@@ -11,7 +11,7 @@ mod boards;
 mod samples;
 mod schema;
 
-pub use boards::{Control, Phase, Role, State, Status};
+pub use boards::{Control, Phase, ProcessState, Role, Status};
 pub use samples::{Command, Gap, Header, Learning, Observation, Vision, flag};
 pub use schema::{Field, Sample, schema_hash};
 

@@ -53,23 +53,23 @@ fn write_fields(text: &mut String, fields: &[Field]) {
 }
 
 /// What a field can be made of: its `ros2msg` element type and the number of elements.
-pub trait Element {
+pub trait FieldElement {
     /// `ros2msg` name of one element.
     const ELEMENT: &'static str;
     /// Number of elements.
     const COUNT: usize = 1;
 }
 
-impl Element for u32 {
+impl FieldElement for u32 {
     const ELEMENT: &'static str = "uint32";
 }
-impl Element for u64 {
+impl FieldElement for u64 {
     const ELEMENT: &'static str = "uint64";
 }
-impl Element for f32 {
+impl FieldElement for f32 {
     const ELEMENT: &'static str = "float32";
 }
-impl<T: Element, const N: usize> Element for [T; N] {
+impl<T: FieldElement, const N: usize> FieldElement for [T; N] {
     const ELEMENT: &'static str = T::ELEMENT;
     const COUNT: usize = N;
 }
@@ -88,8 +88,8 @@ macro_rules! sample {
             const DOC: &'static str = concat!($($doc),*);
             const FIELDS: &'static [$crate::wire::schema::Field] = &[$($crate::wire::schema::Field {
                 name: stringify!($field),
-                element: <$ty as $crate::wire::schema::Element>::ELEMENT,
-                count: <$ty as $crate::wire::schema::Element>::COUNT,
+                element: <$ty as $crate::wire::schema::FieldElement>::ELEMENT,
+                count: <$ty as $crate::wire::schema::FieldElement>::COUNT,
                 offset: core::mem::offset_of!($name, $field),
                 doc: concat!($($fdoc),*),
             },)+];
@@ -101,7 +101,7 @@ macro_rules! sample {
             }
         }
 
-        impl $crate::wire::schema::Element for $name {
+        impl $crate::wire::schema::FieldElement for $name {
             // Without `msg`: with it, Python's decoder refuses a nested type.
             const ELEMENT: &'static str = concat!("tectum/", stringify!($name));
         }

@@ -1,6 +1,6 @@
 //! A log as bytes: where its records and its samples stand.
 
-use tectum::log::{Record, TOTALS_METADATA};
+use tectum::log::{LogRecord, TOTALS_METADATA};
 use tectum::wire::{Command, Gap, Learning, Observation};
 
 /// A message's place in the file.
@@ -11,7 +11,7 @@ pub struct Body {
     /// How many there are.
     pub length: usize,
     /// The sample.
-    pub sample: Record,
+    pub sample: LogRecord,
 }
 
 /// All messages' places, and where the last of them ends: cut there, a log is torn and has no checksum.
@@ -25,10 +25,10 @@ pub fn bodies(log: &[u8]) -> (Vec<Body>, usize) {
             0x05 => {
                 let body = &record[26..];
                 let sample = match body.len() {
-                    n if n == size_of::<Observation>() => Record::Observation(bytemuck::pod_read_unaligned(body)),
-                    n if n == size_of::<Command>() => Record::Command(bytemuck::pod_read_unaligned(body)),
-                    n if n == size_of::<Learning>() => Record::Learning(bytemuck::pod_read_unaligned(body)),
-                    n if n == size_of::<Gap>() => Record::Gap(bytemuck::pod_read_unaligned(body)),
+                    n if n == size_of::<Observation>() => LogRecord::Observation(bytemuck::pod_read_unaligned(body)),
+                    n if n == size_of::<Command>() => LogRecord::Command(bytemuck::pod_read_unaligned(body)),
+                    n if n == size_of::<Learning>() => LogRecord::Learning(bytemuck::pod_read_unaligned(body)),
+                    n if n == size_of::<Gap>() => LogRecord::Gap(bytemuck::pod_read_unaligned(body)),
                     n => panic!("a message of {n} bytes"),
                 };
                 bodies.push(Body { at: at + 35, length: body.len(), sample });

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use tectum::log::{LogReader, Record};
+use tectum::log::{LogReader, LogRecord};
 use tectum::wire::{Command, Gap, Learning, Observation};
 
 /// Everything in a log.
@@ -21,19 +21,19 @@ pub fn read(path: &Path) -> (LogReader, Content) {
     let mut content = Content::default();
     for record in reader.by_ref() {
         match record.unwrap() {
-            Record::Observation(s) => {
+            LogRecord::Observation(s) => {
                 content.order.push((s.header.tick, 0));
                 content.observations.push(s);
             }
-            Record::Command(s) => {
+            LogRecord::Command(s) => {
                 content.order.push((s.header.tick, 1));
                 content.commands.push(s);
             }
-            Record::Learning(s) => {
+            LogRecord::Learning(s) => {
                 content.order.push((s.header.tick, 2));
                 content.learnings.push(s);
             }
-            Record::Gap(s) => content.gaps.push(s),
+            LogRecord::Gap(s) => content.gaps.push(s),
         }
     }
     (reader, content)

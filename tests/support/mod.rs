@@ -282,8 +282,8 @@ pub fn children(parent: u32) -> Vec<(u32, String)> {
 #[track_caller]
 pub fn assert_no_debris(folder: &Path) {
     let text = fs::read_to_string(folder.join("run.json")).unwrap();
-    let card: Value = serde_json::from_str(&text).unwrap();
-    let domain = format!("tectum_{}", card["domain"].as_str().unwrap());
+    let manifest: Value = serde_json::from_str(&text).unwrap();
+    let domain = format!("tectum_{}", manifest["domain"].as_str().unwrap());
     let left: Vec<_> = fs::read_dir("/dev/shm")
         .unwrap()
         .flatten()

@@ -8,18 +8,18 @@
 
 use std::f32::consts::{LOG2_E, PI};
 
-use crate::scenario::{ModelBasis, SignalTable};
+use crate::scenario::{ModelBasis, SignalConfig};
 
 /// A row of Gaussian kernels, the values and slopes of which are computed together.
 #[derive(Debug, Clone)]
-pub(super) struct Row {
+pub(super) struct KernelRow {
     pub units: usize,
     centres: Vec<f32>,
     /// One over the squared radius.
     steep: f32,
 }
 
-impl Row {
+impl KernelRow {
     /// `units` kernels with centres from `min` to `max`.
     pub fn new(units: usize, min: f64, max: f64, radius: f64) -> Self {
         let spacing = (max - min) / (units - 1) as f64;
@@ -58,7 +58,7 @@ fn exp2_negative(y: f32) -> f32 {
 #[derive(Debug, Clone)]
 pub(super) enum Basis {
     /// The paper's kernels.
-    Kernels(Row),
+    Kernels(KernelRow),
     /// `cos x, sin x, cos 2x, ..` up to the order, and `(x / pi)^2`, which a series of waves would need many terms for.
     Waves(usize),
     /// Legendre polynomials from the first order on, over a range scaled to [-1, 1].
@@ -67,10 +67,10 @@ pub(super) enum Basis {
 
 impl Basis {
     /// The basis over `signal`: of `size` kernels, or of order `size`.
-    pub fn of(family: ModelBasis, size: usize, signal: &SignalTable) -> Self {
+    pub fn of(family: ModelBasis, size: usize, signal: &SignalConfig) -> Self {
         let (min, max) = (signal.min, signal.max);
         match family {
-            ModelBasis::Maps => Self::Kernels(Row::new(size, min, max, (max - min) / (size - 1) as f64)),
+            ModelBasis::Maps => Self::Kernels(KernelRow::new(size, min, max, (max - min) / (size - 1) as f64)),
             ModelBasis::Smooth if wraps(signal) => Self::Waves(size),
             ModelBasis::Smooth => {
                 let (centre, half) = (((min + max) / 2.0) as f32, ((max - min) / 2.0) as f32);
@@ -130,7 +130,7 @@ impl Basis {
 }
 
 /// Whether an input comes round: an angle over a full turn.
-pub(super) fn wraps(signal: &SignalTable) -> bool {
+pub(super) fn wraps(signal: &SignalConfig) -> bool {
     signal.unit == "rad" && ((signal.max - signal.min) / std::f64::consts::TAU - 1.0).abs() < 1e-6
 }
 
@@ -141,7 +141,7 @@ mod tests {
     #[test]
     fn slopes_are_the_numerical_ones() {
         let bases = [
-            Basis::Kernels(Row::new(8, -3.0, 3.0, 0.9)),
+            Basis::Kernels(KernelRow::new(8, -3.0, 3.0, 0.9)),
             Basis::Waves(3),
             Basis::Polynomials { order: 4, centre: 0.5, half: 2.0 },
         ];

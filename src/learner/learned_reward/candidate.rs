@@ -2,10 +2,10 @@
 
 use rand::RngExt as _;
 
-use super::sight::Sight;
-use crate::policy::Linear;
+use super::map_features::MapFeatures;
+use crate::policy::LinearPolicy;
 use crate::seed::Rng;
-use crate::state::{Ledger, Remember};
+use crate::state::{Persist, StateVisitor};
 use crate::wire::MAX_INPUTS;
 
 /// Adam's decays, and what keeps its quotient finite.
@@ -16,7 +16,7 @@ const UNEQUAL: f32 = 5e-3;
 
 /// A policy in rehearsal.
 #[derive(Debug, Clone)]
-pub(super) struct Candidate {
+pub(super) struct CandidatePolicy {
     /// By sight: output by output, feature by feature.
     pub weights: [Vec<f32>; 2],
     /// The slope of the imagined cost along them, summed up since the last step, and that cost.
@@ -37,9 +37,9 @@ pub(super) struct Candidate {
 /// Share of the newest tick in the running mean of the cost.
 const NEWEST: f32 = 0.02;
 
-impl Candidate {
+impl CandidatePolicy {
     /// All weights 0.
-    pub fn new(sights: &[Sight; 2], outputs: usize, movements: usize) -> Self {
+    pub fn new(sights: &[MapFeatures; 2], outputs: usize, movements: usize) -> Self {
         let zeros = || [vec![0.0; sights[0].len() * outputs], vec![0.0; sights[1].len() * outputs]];
         Self {
             weights: zeros(),
@@ -77,7 +77,7 @@ impl Candidate {
     }
 
     /// Takes over the weights of `policy`.
-    pub fn take(&mut self, policy: &Linear, sights: &[Sight; 2]) {
+    pub fn take(&mut self, policy: &LinearPolicy, sights: &[MapFeatures; 2]) {
         for (sight, weights) in sights.iter().zip(&mut self.weights) {
             for (output, row) in weights.chunks_exact_mut(sight.len().max(1)).enumerate() {
                 for (to, &at) in row.iter_mut().zip(&sight.positions) {
@@ -88,7 +88,7 @@ impl Candidate {
     }
 
     /// Gives the weights to `policy`.
-    pub fn give(&self, policy: &mut Linear, sights: &[Sight; 2]) {
+    pub fn give(&self, policy: &mut LinearPolicy, sights: &[MapFeatures; 2]) {
         for (sight, weights) in sights.iter().zip(&self.weights) {
             for (output, row) in weights.chunks_exact(sight.len().max(1)).enumerate() {
                 for (from, &at) in row.iter().zip(&sight.positions) {
@@ -110,7 +110,7 @@ impl Candidate {
 
     /// One step of size `step` down the slope that was summed up over `ticks` imagined ticks. Returns the norm of the
     /// mean slope; one that is not finite is dropped and changes nothing.
-    pub fn descend(&mut self, sights: &mut [Sight; 2], ticks: usize, step: f32) -> f32 {
+    pub fn descend(&mut self, sights: &mut [MapFeatures; 2], ticks: usize, step: f32) -> f32 {
         let squares: f32 = self.slope.iter().flatten().map(|s| s * s).sum();
         let norm = squares.sqrt() / ticks as f32;
         if !norm.is_finite() {
@@ -145,18 +145,18 @@ impl Candidate {
     }
 }
 
-impl Remember for Candidate {
+impl Persist for CandidatePolicy {
     /// At the end of a tick the slope is used up.
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         for sight in 0..2 {
-            ledger.numbers("weights", &mut self.weights[sight]);
-            ledger.numbers("means", &mut self.means[sight]);
-            ledger.numbers("squares", &mut self.squares[sight]);
+            visitor.numbers("weights", &mut self.weights[sight]);
+            visitor.numbers("means", &mut self.means[sight]);
+            visitor.numbers("squares", &mut self.squares[sight]);
         }
-        ledger.number("cost", &mut self.cost);
-        ledger.numbers("ends", &mut self.ends);
-        ledger.numbers("starts", &mut self.starts);
-        ledger.number("age", &mut self.age);
-        ledger.number("mean_cost", &mut self.mean_cost);
+        visitor.number("cost", &mut self.cost);
+        visitor.numbers("ends", &mut self.ends);
+        visitor.numbers("starts", &mut self.starts);
+        visitor.number("age", &mut self.age);
+        visitor.number("mean_cost", &mut self.mean_cost);
     }
 }

@@ -18,26 +18,26 @@
 
 mod basis;
 mod candidate;
-mod movement;
-mod rehearsal;
-mod reward;
-mod sight;
+mod map_features;
+mod movement_model;
+mod reward_model;
+mod rollouts;
 mod whiten;
 
 use rand::RngExt as _;
 
-use super::{LearningRule, Tick, add};
+use super::{LearningRule, Transition, add};
 use crate::encoder::Encoder;
-use crate::policy::{Linear, Outputs};
-use crate::scenario::{ModelTable, Plan};
+use crate::policy::{LinearPolicy, Outputs};
+use crate::scenario::{ModelConfig, Plan};
 use crate::seed::{Rng, stream};
-use crate::state::{Ledger, Remember};
+use crate::state::{Persist, StateVisitor};
 use crate::wire::MAX_INPUTS;
-use candidate::Candidate;
-use movement::Movement;
-use rehearsal::{Rehearsal, wrap};
-use reward::Reward;
-use sight::Sight;
+use candidate::CandidatePolicy;
+use map_features::MapFeatures;
+use movement_model::MovementModel;
+use reward_model::RewardModel;
+use rollouts::{Rollouts, wrap};
 
 /// Ticks since a change of the world that are enough to start imagined movements from: these lead on to more.
 const FEW: u64 = 20;
@@ -52,7 +52,7 @@ const SELDOM: u64 = 256;
 
 /// A tick to be learned from when there is time.
 #[derive(Debug, Clone, Default)]
-struct Waiting {
+struct PendingTransition {
     /// Still inputs of the tick, moved ones after it.
     inputs: [f32; MAX_INPUTS],
     /// All inputs of the tick.
@@ -66,25 +66,25 @@ struct Waiting {
 /// The rule, its models and its memory.
 #[derive(Debug, Clone)]
 pub struct LearnedReward {
-    table: ModelTable,
+    table: ModelConfig,
     /// The inputs in the model's order: still ones first, then the moved ones.
     inputs: Vec<usize>,
     /// Their ranges.
     box_: Vec<[f32; 2]>,
     wraps: Vec<bool>,
-    reward: Reward,
-    movement: Movement,
-    rehearsal: Rehearsal,
+    reward: RewardModel,
+    movement: MovementModel,
+    rehearsal: Rollouts,
     /// The policy, and one that starts from nothing every so often and may do better.
-    champion: Candidate,
-    challenger: Candidate,
+    champion: CandidatePolicy,
+    challenger: CandidatePolicy,
     /// States in the model's order, a ring.
     memory: Vec<[f32; MAX_INPUTS]>,
     remembered: u64,
     /// Ticks since the world seemed to change.
     unchanged: u64,
     rng: Rng,
-    waiting: Option<Waiting>,
+    waiting: Option<PendingTransition>,
     slope_norm: f32,
     halted: bool,
 }
@@ -104,10 +104,10 @@ impl LearnedReward {
         inputs.iter().enumerate().for_each(|(place, &input)| rank[input] = place);
 
         let signals: Vec<_> = inputs.iter().map(|&i| plan.inputs[i].clone()).collect();
-        let reward = Reward::new(&table, &signals, still);
+        let reward = RewardModel::new(&table, &signals, still);
         let wraps: Vec<_> = signals[still..].iter().map(basis::wraps).collect();
-        let sights = Sight::of(&plan.maps, encoder, &rank, still, table.ridge);
-        let rehearsal = Rehearsal::new(
+        let sights = MapFeatures::of(&plan.maps, encoder, &rank, still, table.ridge);
+        let rehearsal = Rollouts::new(
             sights,
             &reward,
             wraps.clone(),
@@ -118,11 +118,11 @@ impl LearnedReward {
         Self {
             inputs,
             box_: signals.iter().map(|s| [s.min as f32, s.max as f32]).collect(),
-            movement: Movement::new(outputs, wraps.len(), plan.scenario.policy.sigma),
+            movement: MovementModel::new(outputs, wraps.len(), plan.scenario.policy.sigma),
             wraps,
             reward,
-            champion: Candidate::new(&rehearsal.sights, outputs, table.movements),
-            challenger: Candidate::new(&rehearsal.sights, outputs, table.movements),
+            champion: CandidatePolicy::new(&rehearsal.sights, outputs, table.movements),
+            challenger: CandidatePolicy::new(&rehearsal.sights, outputs, table.movements),
             rehearsal,
             memory: vec![[0.0; MAX_INPUTS]; table.memory],
             remembered: 0,
@@ -217,7 +217,7 @@ impl LearnedReward {
 
     /// Takes in the tick that waits to be learned from.
     fn absorb(&mut self) {
-        let Some(Waiting { inputs, before, changes, applied, reward }) = self.waiting.take() else { return };
+        let Some(PendingTransition { inputs, before, changes, applied, reward }) = self.waiting.take() else { return };
         let (count, moved) = (self.inputs.len(), self.wraps.len());
         let other_body = self.movement.learn(&applied, &changes[..moved]);
         // A body that moves otherwise than it was asked to earns a reward that says nothing about asking.
@@ -241,7 +241,7 @@ impl LearnedReward {
 }
 
 impl LearningRule for LearnedReward {
-    fn learn(&mut self, _policy: &mut Linear, tick: &Tick) -> f32 {
+    fn learn(&mut self, _policy: &mut LinearPolicy, tick: &Transition) -> f32 {
         if self.halted {
             return 0.0;
         }
@@ -257,11 +257,12 @@ impl LearningRule for LearnedReward {
             let change = after[still + i] - before[still + i];
             changes[i] = if wraps { wrap(change) } else { change };
         }
-        self.waiting = Some(Waiting { inputs: after, before, changes, applied: *tick.applied, reward: tick.reward });
+        self.waiting =
+            Some(PendingTransition { inputs: after, before, changes, applied: *tick.applied, reward: tick.reward });
         self.step(self.champion.age)
     }
 
-    fn improve(&mut self, policy: &mut Linear) {
+    fn improve(&mut self, policy: &mut LinearPolicy) {
         self.absorb();
         if self.halted || self.remembered < self.table.start || !self.movement.ready() || !self.due() {
             return;
@@ -302,27 +303,27 @@ impl LearningRule for LearnedReward {
     }
 }
 
-impl Remember for LearnedReward {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.part("reward", &mut self.reward);
-        ledger.part("movement", &mut self.movement);
-        ledger.part("champion", &mut self.champion);
-        ledger.part("challenger", &mut self.challenger);
-        ledger.numbers("memory", &mut self.memory);
-        ledger.number("remembered", &mut self.remembered);
-        ledger.number("unchanged", &mut self.unchanged);
-        ledger.part("rng", &mut self.rng);
+impl Persist for LearnedReward {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("reward", &mut self.reward);
+        visitor.nested("movement", &mut self.movement);
+        visitor.nested("champion", &mut self.champion);
+        visitor.nested("challenger", &mut self.challenger);
+        visitor.numbers("memory", &mut self.memory);
+        visitor.number("remembered", &mut self.remembered);
+        visitor.number("unchanged", &mut self.unchanged);
+        visitor.nested("rng", &mut self.rng);
         let mut waits = self.waiting.is_some();
-        ledger.yes("waits", &mut waits);
+        visitor.boolean("waits", &mut waits);
         let waiting = self.waiting.get_or_insert_default();
-        ledger.numbers("waiting_inputs", &mut waiting.inputs);
-        ledger.numbers("waiting_before", &mut waiting.before);
-        ledger.numbers("waiting_changes", &mut waiting.changes);
-        ledger.numbers("waiting_applied", &mut waiting.applied);
-        ledger.number("waiting_reward", &mut waiting.reward);
+        visitor.numbers("waiting_inputs", &mut waiting.inputs);
+        visitor.numbers("waiting_before", &mut waiting.before);
+        visitor.numbers("waiting_changes", &mut waiting.changes);
+        visitor.numbers("waiting_applied", &mut waiting.applied);
+        visitor.number("waiting_reward", &mut waiting.reward);
         self.waiting.take_if(|_| !waits);
-        ledger.number("slope_norm", &mut self.slope_norm);
-        ledger.yes("halted", &mut self.halted);
+        visitor.number("slope_norm", &mut self.slope_norm);
+        visitor.boolean("halted", &mut self.halted);
     }
 }
 

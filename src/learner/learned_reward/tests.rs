@@ -2,11 +2,11 @@
 
 use super::*;
 use crate::policy::Exploration;
-use crate::scenario::{LearnerTable, ModelBasis, Rule, Scenario};
+use crate::scenario::{LearnerConfig, ModelBasis, Rule, Scenario};
 
 fn plan(basis: ModelBasis) -> Plan {
     let mut scenario = Scenario::find("arm").unwrap();
-    scenario.learner = LearnerTable::preset(Rule::LearnedReward);
+    scenario.learner = LearnerConfig::preset(Rule::LearnedReward);
     scenario.learner.model.get_or_insert_default().basis = basis;
     scenario.plan().unwrap()
 }
@@ -70,7 +70,7 @@ fn maps_have_the_size_that_the_reading_states() {
 }
 
 /// What an imagined movement from `state` costs, in double precision where it matters.
-fn imagined_cost(rule: &mut LearnedReward, plan: &Plan, policy: &Linear, state: &[f32; 6]) -> f64 {
+fn imagined_cost(rule: &mut LearnedReward, plan: &Plan, policy: &LinearPolicy, state: &[f32; 6]) -> f64 {
     let mut encoder = encoder(plan);
     let mut features = encoder.features();
     let mut state = *state;
@@ -96,7 +96,7 @@ fn the_slope_is_the_numerical_one() {
     let plan = plan(ModelBasis::Smooth);
     let mut rule = taught(ModelBasis::Smooth, 400);
     let encoder = encoder(&plan);
-    let mut policy = Linear::new(encoder.len(), encoder.positions().collect(), 4);
+    let mut policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
     let mut rng = stream(5, "test");
     for (place, output) in (0..encoder.len()).flat_map(|place| (0..4).map(move |output| (place, output))) {
         *policy.weights_mut().get_mut(output, place) = 0.02 * (rng.random::<f32>() - 0.5);
@@ -126,11 +126,11 @@ fn the_slope_is_the_numerical_one() {
 fn a_number_that_is_not_finite_stops_it() {
     let plan = plan(ModelBasis::Smooth);
     let encoder = encoder(&plan);
-    let mut policy = Linear::new(encoder.len(), encoder.positions().collect(), 4);
+    let mut policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
     let mut rule = LearnedReward::of(&plan, &encoder);
     let (features, none) = (vec![0.1; encoder.len()], [0.0; 8]);
     let mut tick = |reward| {
-        let tick = Tick {
+        let tick = Transition {
             features: &features,
             inputs: &[0.1; 6],
             noise: &none,
@@ -154,7 +154,7 @@ fn it_rests_when_nothing_changes_and_wakes_when_something_does() {
     let table = plan.scenario.learner.model.get_or_insert_default();
     (table.rest, table.movements, table.steps, table.horizon) = (4, 1, 1, 2);
     let encoder = encoder(&plan);
-    let mut policy = Linear::new(encoder.len(), encoder.positions().collect(), 4);
+    let mut policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
     let mut rule = LearnedReward::of(&plan, &encoder);
     let (mut rng, mut exploration) = (stream(6, "test"), Exploration::new(6, 0.003, 4));
     let (features, none) = (vec![0.1; encoder.len()], [0.0; 8]);
@@ -167,7 +167,7 @@ fn it_rests_when_nothing_changes_and_wakes_when_something_does() {
                 next[2 + i] = wrap(next[2 + i] + 31.4 * applied[i]);
             }
             let changes: [f32; 4] = std::array::from_fn(|i| 31.4 * applied[i]);
-            let tick = Tick {
+            let tick = Transition {
                 features: &features,
                 inputs: &inputs,
                 noise: &none,

@@ -2,10 +2,10 @@
 
 use std::fmt::Write as _;
 
-use super::{ChannelInfo, Info, State};
+use super::{ChannelInfo, LogInfo, LogState};
 use crate::log::GAP_TOPIC;
 
-impl Info {
+impl LogInfo {
     /// The same for people.
     pub fn to_text(&self) -> String {
         let mut text = String::new();
@@ -93,12 +93,12 @@ impl Info {
             let missing = s.missing_before.map(|n| n.to_string()).join(" ");
             let state = match (s.state, s.torn_at) {
                 // How it is made whole, is said once.
-                (State::Torn, Some(at)) => format!("torn at byte {at}"),
+                (LogState::Torn, Some(at)) => format!("torn at byte {at}"),
                 (other, at) => state(other, at),
             };
             let _ = writeln!(text, "{name:<16}{first:>12}{last:>12}{missing:>20}  {state}");
         }
-        if self.segments.iter().any(|s| s.state == State::Torn) {
+        if self.segments.iter().any(|s| s.state == LogState::Torn) {
             let _ = writeln!(text, "`tectum log repair` makes what is torn whole");
         }
     }
@@ -123,11 +123,11 @@ impl Info {
     }
 }
 
-fn state(state: State, torn_at: Option<u64>) -> String {
+fn state(state: LogState, torn_at: Option<u64>) -> String {
     match (state, torn_at) {
-        (State::Torn, Some(at)) => format!("torn at byte {at}: `tectum log repair` makes it whole"),
-        (State::Growing, Some(at)) => format!("{at} bytes so far; its logger still writes it"),
-        (State::Repaired, _) => "whole, repaired".to_owned(),
+        (LogState::Torn, Some(at)) => format!("torn at byte {at}: `tectum log repair` makes it whole"),
+        (LogState::Growing, Some(at)) => format!("{at} bytes so far; its logger still writes it"),
+        (LogState::Repaired, _) => "whole, repaired".to_owned(),
         _ => "whole".to_owned(),
     }
 }

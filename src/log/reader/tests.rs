@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::log::header::tests::sample_header;
-use crate::log::{Clock, LogHeader, LogWriter, Summary};
+use crate::log::{LogClock, LogHeader, LogSummary, LogWriter};
 use crate::wire::Header;
 use proptest::prelude::*;
 use std::sync::LazyLock;
@@ -12,29 +12,29 @@ fn header_of(tick: u64) -> Header {
 }
 
 /// Nine ticks and a gap after the fifth.
-fn messages() -> Vec<Record> {
+fn messages() -> Vec<LogRecord> {
     let mut all = Vec::new();
     for tick in 0..9 {
         let header = header_of(tick);
         let x = tick as f32;
-        all.push(Record::Observation(Observation { header, inputs: [x; 16], reward: -x, ..Observation::default() }));
-        all.push(Record::Command(Command { header, mean: [x; 8], drawn: [-x; 8] }));
-        all.push(Record::Learning(Learning { header, noise: [0.5; 8], weights_hash: tick, ..Learning::default() }));
+        all.push(LogRecord::Observation(Observation { header, inputs: [x; 16], reward: -x, ..Observation::default() }));
+        all.push(LogRecord::Command(Command { header, mean: [x; 8], drawn: [-x; 8] }));
+        all.push(LogRecord::Learning(Learning { header, noise: [0.5; 8], weights_hash: tick, ..Learning::default() }));
         if tick == 5 {
-            all.push(Record::Gap(Gap { channel: 2, first: 6, count: 1, total: 1 }));
+            all.push(LogRecord::Gap(Gap { channel: 2, first: 6, count: 1, total: 1 }));
         }
     }
     all
 }
 
-fn write(header: &LogHeader, finish: bool) -> (Vec<u8>, Option<Summary>) {
+fn write(header: &LogHeader, finish: bool) -> (Vec<u8>, Option<LogSummary>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
     let mut log = LogWriter::create(&path, header).unwrap();
     for record in messages() {
         log.append(&record).unwrap();
     }
-    let totals = Totals { last_tick: Some(8), complete: true, ..Totals::default() };
+    let totals = LogTotals { last_tick: Some(8), complete: true, ..LogTotals::default() };
     let summary = finish.then(|| log.finish(&totals).unwrap());
     (std::fs::read(&path).unwrap(), summary)
 }
@@ -46,7 +46,7 @@ fn open(bytes: &[u8]) -> Result<LogReader, LogError> {
 }
 
 /// Reads to the end; gives the messages, whether the log was whole, and the error if there was one.
-fn read(bytes: &[u8]) -> (Vec<Record>, bool, Option<LogError>) {
+fn read(bytes: &[u8]) -> (Vec<LogRecord>, bool, Option<LogError>) {
     let mut log = match open(bytes) {
         Ok(log) => log,
         Err(e) => return (Vec::new(), false, Some(e)),
@@ -166,7 +166,7 @@ fn another_layout_is_refused_by_name() {
 
 #[test]
 fn times_are_wall_times_and_lockstep_starts_at_zero() {
-    let real = LogHeader { clock: Clock::Monotonic, t0_ns: 1_000, wall_at_t0_ns: 5_000, ..sample_header() };
+    let real = LogHeader { clock: LogClock::Monotonic, t0_ns: 1_000, wall_at_t0_ns: 5_000, ..sample_header() };
     for (header, first) in [(sample_header(), 0), (real, 4_000)] {
         let bytes = write(&header, true).0;
         let times: Vec<u64> = mcap::MessageStream::new(&bytes).unwrap().map(|m| m.unwrap().log_time).collect();

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::log::header::tests::sample_header;
-use crate::log::{ENCAPSULATION, Info, LogHeader, LogWriter, Record, RunLog, State};
+use crate::log::{ENCAPSULATION, LogHeader, LogInfo, LogRecord, LogState, LogWriter, RunLog};
 use crate::wire::{Command, Gap, Learning, Observation};
 use proptest::prelude::*;
 use std::io::Cursor;
@@ -26,7 +26,7 @@ static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
         log.learning(&l).unwrap();
     }
     let totals =
-        Totals { lost: [0, 1, 0], thinned: [8, 7, 8], last_tick: Some(11), complete: true, ..Totals::default() };
+        LogTotals { lost: [0, 1, 0], thinned: [8, 7, 8], last_tick: Some(11), complete: true, ..LogTotals::default() };
     log.finish(&totals).unwrap();
     std::fs::read(&path).unwrap()
 });
@@ -42,14 +42,14 @@ fn open(bytes: &[u8]) -> Box<dyn Read + Send> {
 }
 
 /// The log made whole; `None` if it was.
-fn mended(bytes: &[u8]) -> Result<Option<(Mended, Vec<u8>)>, LogError> {
+fn mended(bytes: &[u8]) -> Result<Option<(TornContents, Vec<u8>)>, LogError> {
     let mut sink = Cursor::new(Vec::new());
     let mended = mend(Path::new("log.mcap"), || Ok(open(bytes)), &mut sink)?;
     Ok(mended.map(|mended| (mended, sink.into_inner())))
 }
 
 /// Messages, and the reader at its end.
-fn read(bytes: &[u8]) -> (Vec<Record>, LogReader) {
+fn read(bytes: &[u8]) -> (Vec<LogRecord>, LogReader) {
     let mut log = LogReader::over(Path::new("log.mcap"), open(bytes)).unwrap();
     (log.by_ref().map(Result::unwrap).collect(), log)
 }
@@ -77,8 +77,8 @@ fn check_cut(length: usize) {
         assert_eq!(whole[..done.torn_at as usize], torn[..done.torn_at as usize], "{length}");
     }
     let log = LogReader::over(Path::new("log.mcap"), open(&whole)).unwrap();
-    let info = Info::over(RunLog::of(log)).unwrap();
-    assert!(info.agrees() && info.state == State::Repaired, "{length}: {info:?}");
+    let info = LogInfo::over(RunLog::of(log)).unwrap();
+    assert!(info.agrees() && info.state == LogState::Repaired, "{length}: {info:?}");
     // Other readers' way: through the summary.
     let summary = mcap::Summary::read(&whole).unwrap().unwrap();
     assert_eq!(summary.stats.unwrap().message_count, after.len() as u64, "{length}");

@@ -7,27 +7,27 @@
 //! Single precision throughout, with the pure-Rust `libm` for sine and cosine: the same bits on every machine, whatever
 //! its C library.
 
-mod segments;
+mod kinematics;
 mod targets;
 
 #[cfg(test)]
 mod tests;
 
-pub use segments::posture;
+pub use kinematics::posture;
 
 use std::f32::consts::PI;
 
-use super::{Joints, Outcome, Plant};
-use crate::scenario::{ArmTable, BlockTable};
-use crate::state::{Ledger, Remember};
+use super::{JointState, Outcome, Plant};
+use crate::scenario::{ArmConfig, BlockConfig};
+use crate::state::{Persist, StateVisitor};
 use crate::wire::{MAX_MEASURES, MAX_OUTPUTS};
-use segments::Chain;
+use kinematics::KinematicChain;
 use targets::Targets;
 
 /// The arm and its task.
 #[derive(Debug, Clone)]
 pub struct Arm {
-    table: ArmTable,
+    table: ArmConfig,
     /// The lengths in the tick lived last.
     lengths: [f32; MAX_OUTPUTS],
     joints: usize,
@@ -67,7 +67,7 @@ fn wrap(theta: f32) -> f32 {
 impl Arm {
     /// The arm of a validated table, all angles 0. `period_s` is the tick's period in s; targets come from the run's
     /// stream `targets`.
-    pub fn new(table: &ArmTable, period_s: f64, seed: u64) -> Self {
+    pub fn new(table: &ArmConfig, period_s: f64, seed: u64) -> Self {
         let mut limits = [[0.0; 2]; MAX_OUTPUTS];
         for (to, [low, high]) in limits.iter_mut().zip(&table.limits) {
             *to = [*low as f32, *high as f32];
@@ -100,7 +100,7 @@ impl Arm {
 
     /// The end-effector's position, m.
     pub fn end(&self) -> [f32; 2] {
-        segments::end(self.base, &self.lengths[..self.joints], self.angles(), self.table.angles)
+        kinematics::end(self.base, &self.lengths[..self.joints], self.angles(), self.table.angles)
     }
 
     /// Where the target is, m, whatever is reported of it.
@@ -108,8 +108,8 @@ impl Arm {
         self.target
     }
 
-    fn chain(&self) -> Chain {
-        Chain::new(self.base, &self.lengths[..self.joints], self.angles(), self.table.angles)
+    fn chain(&self) -> KinematicChain {
+        KinematicChain::new(self.base, &self.lengths[..self.joints], self.angles(), self.table.angles)
     }
 
     /// Where a joint that stands at `from` comes to in a tick at `rate`, and the rate that was possible.
@@ -179,7 +179,7 @@ impl Arm {
 }
 
 /// The segments' lengths in `tick`, m.
-fn lengths(table: &ArmTable, tick: u64) -> [f32; MAX_OUTPUTS] {
+fn lengths(table: &ArmConfig, tick: u64) -> [f32; MAX_OUTPUTS] {
     let mut lengths = [0.0; MAX_OUTPUTS];
     for (segment, length) in lengths[..table.lengths.len()].iter_mut().enumerate() {
         *length = table.length(segment, tick) as f32;
@@ -187,14 +187,14 @@ fn lengths(table: &ArmTable, tick: u64) -> [f32; MAX_OUTPUTS] {
     lengths
 }
 
-fn blocked(blocks: &[BlockTable], joint: usize, tick: u64) -> Option<f32> {
+fn blocked(blocks: &[BlockConfig], joint: usize, tick: u64) -> Option<f32> {
     blocks.iter().rev().find(|b| b.joint == joint + 1 && tick >= b.tick).map(|b| b.angle as f32)
 }
 
 /// What exploration of standard deviation `sigma` alone costs in `tick`, through the squared rates: the part of the loss
 /// that no policy can avoid. A blocked joint does not move and costs nothing; one that is held at a stop costs less than
 /// is said here.
-pub fn noise_share(table: &ArmTable, sigma: f64, tick: u64) -> f64 {
+pub fn noise_share(table: &ArmConfig, sigma: f64, tick: u64) -> f64 {
     let moving = (0..table.lengths.len()).filter(|&j| blocked(&table.block, j, tick).is_none()).count();
     table.reward.scale * table.reward.speed * (table.gain * sigma).powi(2) * moving as f64
 }
@@ -238,19 +238,19 @@ impl Plant for Arm {
 
     /// A joint that comes round is measured in [-pi, pi), so that a limit between is a wall that it crosses from neither side,
     /// and one beyond is none. In an open loop every tick starts from angle 0.
-    fn joints(&self) -> Option<Joints> {
+    fn joints(&self) -> Option<JointState> {
         let position = if self.table.open_loop { [0.0; MAX_OUTPUTS] } else { self.theta };
-        Some(Joints { position, travel: [self.period * self.gain; MAX_OUTPUTS] })
+        Some(JointState { position, travel: [self.period * self.gain; MAX_OUTPUTS] })
     }
 }
 
-impl Remember for Arm {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.numbers("lengths", &mut self.lengths);
-        ledger.part("targets", &mut self.targets);
-        ledger.numbers("theta", &mut self.theta);
-        ledger.numbers("target", &mut self.target);
-        ledger.number("shown", &mut self.shown);
+impl Persist for Arm {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.numbers("lengths", &mut self.lengths);
+        visitor.nested("targets", &mut self.targets);
+        visitor.numbers("theta", &mut self.theta);
+        visitor.numbers("target", &mut self.target);
+        visitor.number("shown", &mut self.shown);
         self.due = self.shown.saturating_mul(self.table.target_every);
     }
 }

@@ -3,9 +3,9 @@
 use rand::RngExt as _;
 
 use super::square;
-use crate::scenario::ArmTable;
+use crate::scenario::ArmConfig;
 use crate::seed::{Rng, stream};
-use crate::state::{Ledger, Remember};
+use crate::state::{Persist, StateVisitor};
 
 /// Where targets come from.
 #[derive(Debug, Clone)]
@@ -18,7 +18,7 @@ pub(super) enum Targets {
 
 impl Targets {
     /// The targets of a validated table; drawn ones come from the run's stream `targets`.
-    pub fn of(table: &ArmTable, seed: u64) -> Self {
+    pub fn of(table: &ArmConfig, seed: u64) -> Self {
         let pair = |[a, b]: [f64; 2]| [a as f32, b as f32];
         if table.targets.is_empty() {
             Self::Drawn { rng: stream(seed, "targets"), arena: pair(table.arena), base: pair(table.base) }
@@ -46,10 +46,10 @@ impl Targets {
     }
 }
 
-impl Remember for Targets {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
+impl Persist for Targets {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         if let Self::Drawn { rng, .. } = self {
-            ledger.part("rng", rng);
+            visitor.nested("rng", rng);
         }
     }
 }

@@ -1,18 +1,18 @@
 //! The arm's tests: each setting against what one works out by hand.
 
 use super::*;
-use crate::scenario::{Angles, ArmRewardTable, MirrorAxis, MirrorTable, ShortenTable};
+use crate::scenario::{Angles, ArmRewardConfig, MirrorAxis, MirrorConfig, ShortenConfig};
 use proptest::prelude::*;
 
 #[test]
 fn a_straight_arm_reaches_as_far_as_its_segments() {
-    let arm = Arm::new(&ArmTable::default(), 0.05, 1);
+    let arm = Arm::new(&ArmConfig::default(), 0.05, 1);
     assert_eq!(arm.end(), [2.0, -1.0]);
 }
 
 #[test]
 fn targets_keep_as_far_from_the_base_as_a_long_segment_keeps_the_end() {
-    let table = ArmTable { lengths: vec![1.5, 0.3], ..Default::default() };
+    let table = ArmConfig { lengths: vec![1.5, 0.3], ..Default::default() };
     let mut arm = Arm::new(&table, 0.05, 1);
     let mut inputs = [0.0; 4];
     for tick in (0..8000).step_by(80) {
@@ -24,7 +24,7 @@ fn targets_keep_as_far_from_the_base_as_a_long_segment_keeps_the_end() {
 
 #[test]
 fn targets_jump_on_time_and_lie_within_reach() {
-    let mut arm = Arm::new(&ArmTable::default(), 0.05, 1);
+    let mut arm = Arm::new(&ArmConfig::default(), 0.05, 1);
     let mut inputs = [0.0; 6];
     let mut seen = Vec::new();
     for tick in 0..800 {
@@ -37,14 +37,14 @@ fn targets_jump_on_time_and_lie_within_reach() {
     seen.dedup();
     assert_eq!(seen.len(), 10);
     // The sequence is a function of the tick: a plant that was late shows the same target.
-    let mut late = Arm::new(&ArmTable::default(), 0.05, 1);
+    let mut late = Arm::new(&ArmConfig::default(), 0.05, 1);
     assert!(late.sense(790, &mut inputs));
     assert_eq!([inputs[0], inputs[1]], seen[9]);
 }
 
 #[test]
 fn a_blocked_joint_stands_and_costs_no_speed() {
-    let table = ArmTable { block: vec![BlockTable { joint: 3, tick: 2, angle: 0.25 }], ..Default::default() };
+    let table = ArmConfig { block: vec![BlockConfig { joint: 3, tick: 2, angle: 0.25 }], ..Default::default() };
     let mut arm = Arm::new(&table, 0.05, 1);
     let command = [0.01; 4];
     for tick in 0..4 {
@@ -59,7 +59,7 @@ fn a_blocked_joint_stands_and_costs_no_speed() {
 proptest! {
     #[test]
     fn angles_stay_wrapped(commands in proptest::collection::vec(-0.05_f32..0.05, 4..400)) {
-        let mut arm = Arm::new(&ArmTable::default(), 0.05, 1);
+        let mut arm = Arm::new(&ArmConfig::default(), 0.05, 1);
         for (tick, command) in commands.chunks_exact(4).enumerate() {
             let outcome = arm.advance(tick as u64, command);
             prop_assert!(outcome.reward <= 0.0);
@@ -76,7 +76,7 @@ fn turning(angle: f32) -> f32 {
 
 #[test]
 fn relative_angles_add_up_along_the_arm() {
-    let table = ArmTable { angles: Angles::Relative, ..Default::default() };
+    let table = ArmConfig { angles: Angles::Relative, ..Default::default() };
     let mut arm = Arm::new(&table, 0.05, 1);
     // Up, right, up, left: directions 90, 0, 90 and 180 degrees, from (0, -1).
     let quarter = turning(PI / 2.0);
@@ -86,7 +86,7 @@ fn relative_angles_add_up_along_the_arm() {
     assert_eq!(outcome.measures[1..3], [x, y]);
     // The same commands lead a way of their own as relative and as absolute angles.
     for (angles, x) in [(Angles::Relative, -1.0), (Angles::Absolute, 1.0)] {
-        let mut arm = Arm::new(&ArmTable { angles, ..Default::default() }, 0.05, 1);
+        let mut arm = Arm::new(&ArmConfig { angles, ..Default::default() }, 0.05, 1);
         arm.advance(0, &[quarter, 0.0, quarter, 0.0]);
         assert!((arm.end()[0] - x).abs() < 1e-6 && arm.end()[1].abs() < 1e-6, "{:?}", arm.end());
     }
@@ -95,8 +95,8 @@ fn relative_angles_add_up_along_the_arm() {
 #[test]
 fn a_limited_joint_stops_and_pays_for_the_way_it_went() {
     let limits = vec![[-0.5, 1.0], [-1.0, 0.25]];
-    let reward = ArmRewardTable { scale: 1.0, speed: 1.0, angle: 0.0, near: Some(1e-3), ..Default::default() };
-    let table = ArmTable { lengths: vec![1.0, 1.0], limits, reward, ..Default::default() };
+    let reward = ArmRewardConfig { scale: 1.0, speed: 1.0, angle: 0.0, near: Some(1e-3), ..Default::default() };
+    let table = ArmConfig { lengths: vec![1.0, 1.0], limits, reward, ..Default::default() };
     let mut arm = Arm::new(&table, 0.05, 1);
     let outcome = arm.advance(0, &[turning(0.4), turning(0.4)]);
     assert!((arm.angles()[0] - 0.4).abs() < 1e-6);
@@ -112,10 +112,10 @@ fn a_limited_joint_stops_and_pays_for_the_way_it_went() {
 
 #[test]
 fn near_the_target_alone_there_is_something_to_earn() {
-    let reward = ArmRewardTable { scale: 2.0, speed: 0.0, angle: 0.0, near: Some(0.5), ..Default::default() };
+    let reward = ArmRewardConfig { scale: 2.0, speed: 0.0, angle: 0.0, near: Some(0.5), ..Default::default() };
     for (target, expected) in [([2.0, -1.0], 0.5), ([2.0, -0.7], 2.0 * (0.25 - 0.09)), ([2.0, -0.4], 0.0)] {
         let table =
-            ArmTable { arena: [-2.0, 2.0], targets: vec![target], reward: reward.clone(), ..Default::default() };
+            ArmConfig { arena: [-2.0, 2.0], targets: vec![target], reward: reward.clone(), ..Default::default() };
         let mut arm = Arm::new(&table, 0.05, 1);
         arm.sense(0, &mut [0.0; 6]);
         let outcome = arm.advance(0, &[0.0; 4]);
@@ -129,21 +129,21 @@ fn near_the_target_alone_there_is_something_to_earn() {
 
 #[test]
 fn crossing_segments_cost_by_the_pair() {
-    let reward = ArmRewardTable { scale: 0.5, speed: 0.0, collision: 0.3, ..Default::default() };
+    let reward = ArmRewardConfig { scale: 0.5, speed: 0.0, collision: 0.3, ..Default::default() };
     let bent = [0.0, PI / 2.0, PI, -PI / 2.0].map(turning);
-    let table = ArmTable { lengths: vec![0.5, 0.5, 0.4, 0.75], ..Default::default() };
-    let free = ArmTable { reward: ArmRewardTable { collision: 0.0, ..reward.clone() }, ..table.clone() };
-    let punished = ArmTable { reward, ..table };
+    let table = ArmConfig { lengths: vec![0.5, 0.5, 0.4, 0.75], ..Default::default() };
+    let free = ArmConfig { reward: ArmRewardConfig { collision: 0.0, ..reward.clone() }, ..table.clone() };
+    let punished = ArmConfig { reward, ..table };
     let [free, punished] = [free, punished].map(|table| Arm::new(&table, 0.05, 1).advance(0, &bent));
     assert_eq!((free.measures[3], punished.measures[3]), (0.0, 1.0));
     assert!((free.reward - punished.reward - 0.15).abs() < 1e-6);
-    let straight = Arm::new(&ArmTable::default(), 0.05, 1).advance(0, &[0.0; 4]);
+    let straight = Arm::new(&ArmConfig::default(), 0.05, 1).advance(0, &[0.0; 4]);
     assert_eq!(straight.measures[3], 0.0);
 }
 
 #[test]
 fn in_an_open_loop_a_command_is_a_posture() {
-    let table = ArmTable { open_loop: true, target_every: 1, gain: 20.0, ..Default::default() };
+    let table = ArmConfig { open_loop: true, target_every: 1, gain: 20.0, ..Default::default() };
     let mut arm = Arm::new(&table, 0.05, 1);
     let mut seen = Vec::new();
     for tick in 0..10 {
@@ -165,12 +165,12 @@ fn in_an_open_loop_a_command_is_a_posture() {
 
 #[test]
 fn a_segment_changes_its_length_and_later_targets_are_within_its_reach() {
-    let shorten = |segment, tick, length| ShortenTable { segment, tick, length };
+    let shorten = |segment, tick, length| ShortenConfig { segment, tick, length };
     // Listed out of order on purpose.
     let shorten = vec![shorten(4, 200, 0.01), shorten(1, 100, 0.01), shorten(2, 100, 0.01), shorten(1, 300, 1.0)];
-    let table = ArmTable { shorten, ..Default::default() };
+    let table = ArmConfig { shorten, ..Default::default() };
     let mut arm = Arm::new(&table, 0.05, 1);
-    let mut other = Arm::new(&ArmTable::default(), 0.05, 1);
+    let mut other = Arm::new(&ArmConfig::default(), 0.05, 1);
     let (mut inputs, mut same) = ([0.0; 6], [0.0; 6]);
     let mut far = Vec::new();
     for tick in 0..800 {
@@ -201,10 +201,10 @@ fn a_segment_changes_its_length_and_later_targets_are_within_its_reach() {
 
 #[test]
 fn a_mirror_changes_what_is_reported_and_nothing_else() {
-    let mirror = |axis, tick| MirrorTable { axis, tick };
+    let mirror = |axis, tick| MirrorConfig { axis, tick };
     let mirror = vec![mirror(MirrorAxis::X, 1), mirror(MirrorAxis::Y, 2), mirror(MirrorAxis::X, 3)];
-    let table = ArmTable { mirror, ..Default::default() };
-    let (mut arm, mut plain) = (Arm::new(&table, 0.05, 1), Arm::new(&ArmTable::default(), 0.05, 1));
+    let table = ArmConfig { mirror, ..Default::default() };
+    let (mut arm, mut plain) = (Arm::new(&table, 0.05, 1), Arm::new(&ArmConfig::default(), 0.05, 1));
     let (mut inputs, mut same) = ([0.0; 6], [0.0; 6]);
     for (tick, [x, y]) in [(0, [1.0, 1.0]), (1, [-1.0, 1.0]), (2, [-1.0, -1.0]), (3, [1.0, -1.0]), (100, [1.0, -1.0])] {
         arm.sense(tick, &mut inputs);
@@ -224,13 +224,13 @@ proptest! {
         open_loop in any::<bool>(),
     ) {
         let limits: Vec<_> = ends.iter().map(|&(low, high)| [low, high]).collect();
-        let table = ArmTable {
+        let table = ArmConfig {
             lengths: vec![0.7, 0.7, 0.6],
             angles: if relative { Angles::Relative } else { Angles::Absolute },
             limits: limits.clone(),
             open_loop,
             target_every: 1,
-            reward: ArmRewardTable { collision: 1.0, near: Some(0.3), ..Default::default() },
+            reward: ArmRewardConfig { collision: 1.0, near: Some(0.3), ..Default::default() },
             ..Default::default()
         };
         let mut arm = Arm::new(&table, 0.05, 1);

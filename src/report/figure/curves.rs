@@ -9,7 +9,7 @@ const BOTTOM_LABELS: u32 = 44;
 const LEGEND_HEIGHT: u32 = 26;
 
 /// A curve with its name in the legend.
-struct Curve {
+struct NamedCurve {
     name: String,
     colour: RGBColor,
     /// Pixels.
@@ -17,15 +17,15 @@ struct Curve {
     points: Vec<(f64, f64)>,
 }
 
-pub(super) fn draw(story: &Story, area: &Area) -> Result<(), ReportError> {
-    let clock = TimeAxis::of(story);
-    let curve = |name: &str, colour, width, value: &dyn Fn(&Window) -> Option<f64>| Curve {
+pub(super) fn draw(history: &RunHistory, area: &Area) -> Result<(), ReportError> {
+    let clock = TimeAxis::of(history);
+    let curve = |name: &str, colour, width, value: &dyn Fn(&Window) -> Option<f64>| NamedCurve {
         name: name.to_owned(),
         colour,
         width,
-        points: story.windows.iter().map(|w| (clock.middle(w), value(w).unwrap_or(f64::NAN))).collect(),
+        points: history.windows.iter().map(|w| (clock.middle(w), value(w).unwrap_or(f64::NAN))).collect(),
     };
-    let losses = if story.windows.iter().any(|w| w.noise_share > 0.0) {
+    let losses = if history.windows.iter().any(|w| w.noise_share > 0.0) {
         vec![
             curve("loss", GREY, 1.4, &|w| Some(w.loss)),
             curve("without exploration noise", BLUE, 2.2, &|w| Some(w.loss_without_noise())),
@@ -39,21 +39,21 @@ pub(super) fn draw(story: &Story, area: &Area) -> Result<(), ReportError> {
     ];
     errors.retain(|curve| curve.points.iter().any(|p| drawable(p.1)));
     if errors.is_empty() {
-        return panel(story, area, &clock, "loss per tick", &losses, Some(clock.label()));
+        return panel(history, area, &clock, "loss per tick", &losses, Some(clock.label()));
     }
     let height = (HEIGHT - TITLE_HEIGHT) * 11 / 20;
     let (upper, lower) = area.split_vertically(px(height));
-    panel(story, &upper, &clock, "loss per tick", &losses, None)?;
-    panel(story, &lower, &clock, &with_unit("error", &story.unit), &errors, Some(clock.label()))
+    panel(history, &upper, &clock, "loss per tick", &losses, None)?;
+    panel(history, &lower, &clock, &with_unit("error", &history.unit), &errors, Some(clock.label()))
 }
 
 /// One set of axes with its legend above and the marks across; the time axis is only labelled if `time` names it.
 fn panel(
-    story: &Story,
+    history: &RunHistory,
     area: &Area,
     clock: &TimeAxis,
     name: &str,
-    curves: &[Curve],
+    curves: &[NamedCurve],
     time: Option<String>,
 ) -> Result<(), ReportError> {
     let (legend, rest) = area.split_vertically(px(LEGEND_HEIGHT));
@@ -77,7 +77,7 @@ fn panel(
         None => (&bare, String::new()),
     };
     mesh(&mut chart, 9, label_x, time, name)?;
-    for (i, (tick, what)) in story.marks.iter().enumerate() {
+    for (i, (tick, what)) in history.marks.iter().enumerate() {
         let x = clock.at(*tick);
         if !(0.0..=clock.end).contains(&x) {
             continue;
@@ -104,7 +104,7 @@ fn panel(
         // A value that is none breaks the line instead of bending it.
         for piece in curve.points.split(|p| !drawable(p.1)).filter(|piece| !piece.is_empty()) {
             chart.draw_series(LineSeries::new(piece.iter().copied(), style)).map_err(refused)?;
-            if story.windows.len() <= 40 || piece.len() == 1 {
+            if history.windows.len() <= 40 || piece.len() == 1 {
                 let dots = piece.iter().map(|&p| Circle::new(p, fine(2.2), curve.colour.filled()));
                 chart.draw_series(dots).map_err(refused)?;
             }
@@ -116,7 +116,7 @@ fn panel(
         // Letters are about half as wide as they are tall.
         x += px(28 + 26) + px(curve.name.chars().count() as u32 * 13 / 2);
     }
-    if story.windows.is_empty() {
+    if history.windows.is_empty() {
         let text = anchored(font(13.0, GREY), HPos::Center, VPos::Center);
         let (width, height) = rest.dim_in_pixel();
         let middle = (width as i32 / 2, height as i32 / 2);
@@ -135,9 +135,9 @@ pub(super) struct TimeAxis {
 }
 
 impl TimeAxis {
-    fn of(story: &Story) -> TimeAxis {
-        let ticks = story.windows.iter().map(|w| w.from.saturating_add(w.ticks)).max().unwrap_or(0);
-        Self::new(ticks, story.period_s)
+    fn of(history: &RunHistory) -> TimeAxis {
+        let ticks = history.windows.iter().map(|w| w.from.saturating_add(w.ticks)).max().unwrap_or(0);
+        Self::new(ticks, history.period_s)
     }
 
     /// The axis of `ticks` ticks of `period_s` seconds.
@@ -173,18 +173,18 @@ impl TimeAxis {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::tests::arm_story;
+    use crate::report::tests::arm_history;
 
     #[test]
     fn time_is_told_in_what_people_count_in() {
         for (ticks, unit, end) in [(2_000, "s", 100.0), (40_000, "min", 33.333), (1_000_000, "h", 13.888)] {
-            let mut story = arm_story();
-            story.windows.truncate(1);
-            story.windows[0].ticks = ticks;
-            let axis = TimeAxis::of(&story);
+            let mut history = arm_history();
+            history.windows.truncate(1);
+            history.windows[0].ticks = ticks;
+            let axis = TimeAxis::of(&history);
             assert_eq!(axis.unit, unit);
             assert!((axis.end - end).abs() < 1e-2, "{}", axis.end);
-            assert!((axis.middle(&story.windows[0]) - end / 2.0).abs() < 1e-2);
+            assert!((axis.middle(&history.windows[0]) - end / 2.0).abs() < 1e-2);
         }
     }
 }

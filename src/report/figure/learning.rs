@@ -29,40 +29,40 @@ const COLOURS: [RGBColor; 6] = [VERMILION, ORANGE, SKY, GREEN, BLUE, PURPLE];
 
 /// The figure.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Learning {
+pub struct LearningFigure {
     /// Title.
     pub title: String,
     /// The first is large; those after it stand below.
-    pub panels: Vec<Panel>,
+    pub panels: Vec<LearningPanel>,
 }
 
 /// One pair of axes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Panel {
+pub struct LearningPanel {
     /// Title.
     pub title: String,
     /// Name of the axis of ticks.
     pub x: String,
     /// One a learner.
-    pub curves: Vec<Curve>,
+    pub curves: Vec<LearnerCurve>,
     /// Dashed lines across.
-    pub lines: Vec<Line>,
+    pub lines: Vec<ReferenceLine>,
 }
 
 /// A learner's curve.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Curve {
+pub struct LearnerCurve {
     /// Name in the legend.
     pub name: String,
     /// Number of its colour.
     pub colour: usize,
     /// In the order of ticks.
-    pub points: Vec<Point>,
+    pub points: Vec<CurvePoint>,
 }
 
 /// What the seeds did at a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Point {
+pub struct CurvePoint {
     /// The tick.
     pub ticks: u64,
     /// Least loss.
@@ -75,7 +75,7 @@ pub struct Point {
 
 /// A line across, with its name beside it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Line {
+pub struct ReferenceLine {
     /// Name.
     pub name: String,
     /// Loss.
@@ -87,13 +87,13 @@ pub struct Line {
 /// # Errors
 ///
 /// [`ReportError`] if the file cannot be written.
-pub fn draw(learning: &Learning, path: &Path) -> Result<(), ReportError> {
+pub fn draw(learning: &LearningFigure, path: &Path) -> Result<(), ReportError> {
     write(path, &svg(learning)?)
 }
 
-fn svg(learning: &Learning) -> Result<String, ReportError> {
+fn svg(learning: &LearningFigure) -> Result<String, ReportError> {
     let (first, later) = learning.panels.split_at(learning.panels.len().min(1));
-    let rows: Vec<&[Panel]> =
+    let rows: Vec<&[LearningPanel]> =
         if later.len() < IN_A_ROW { later.chunks(1).collect() } else { later.chunks(IN_A_ROW).collect() };
     let height = TITLE_HEIGHT + LEGEND + FIRST_HEIGHT + rows.len() as u32 * LATER_HEIGHT + 8;
     canvas((WIDTH, height), &learning.title, |_, rest| {
@@ -114,7 +114,7 @@ fn svg(learning: &Learning) -> Result<String, ReportError> {
 }
 
 /// The losses that these panels show, so that they can be compared.
-fn range(panels: &[Panel]) -> (f64, f64) {
+fn range(panels: &[LearningPanel]) -> (f64, f64) {
     let curves = panels.iter().flat_map(|p| &p.curves);
     let points = curves.flat_map(|c| &c.points).flat_map(|p| [p.low, p.middle, p.high]);
     let all = points.chain(panels.iter().flat_map(|p| &p.lines).map(|line| line.value));
@@ -125,7 +125,7 @@ fn range(panels: &[Panel]) -> (f64, f64) {
     if high <= 0.0 { (0.01, 1.0) } else { (0.88 * low, (1.12 * high).min(HIGHEST).max(2.0 * low)) }
 }
 
-fn legend(panel: &Panel, strip: &Area) -> Result<(), ReportError> {
+fn legend(panel: &LearningPanel, strip: &Area) -> Result<(), ReportError> {
     let mut x = px(LEFT);
     let y = px(LEGEND) / 2;
     for curve in &panel.curves {
@@ -142,11 +142,11 @@ fn legend(panel: &Panel, strip: &Area) -> Result<(), ReportError> {
     Ok(())
 }
 
-fn colour(curve: &Curve) -> RGBColor {
+fn colour(curve: &LearnerCurve) -> RGBColor {
     COLOURS.get(curve.colour).copied().unwrap_or(GREY)
 }
 
-fn panel(panel: &Panel, (low, high): (f64, f64), area: &Area) -> Result<(), ReportError> {
+fn panel(panel: &LearningPanel, (low, high): (f64, f64), area: &Area) -> Result<(), ReportError> {
     let ticks = || panel.curves.iter().flat_map(|c| &c.points).map(|p| p.ticks.max(1));
     let first = ticks().min().unwrap_or(1) as f64;
     let last = (ticks().max().unwrap_or(10) as f64).max(1.5 * first);
@@ -155,7 +155,7 @@ fn panel(panel: &Panel, (low, high): (f64, f64), area: &Area) -> Result<(), Repo
     let text = anchored(font(13.0, INK), HPos::Left, VPos::Center);
     title.draw(&Text::new(panel.title.clone(), (px(LEFT), px(PANEL_TITLE) / 2), text)).map_err(refused)?;
 
-    let words = |line: &Line| format!("{} {:.4}", line.name, line.value);
+    let words = |line: &ReferenceLine| format!("{} {:.4}", line.name, line.value);
     let names = panel.lines.iter().map(|line| words(line).chars().count()).max().unwrap_or(0);
     // Axes in logarithms, labelled by hand: the library's own logarithmic labels leave out too much.
     let mut chart = ChartBuilder::on(&area)
@@ -205,7 +205,7 @@ fn panel(panel: &Panel, (low, high): (f64, f64), area: &Area) -> Result<(), Repo
     area.draw(&Text::new("loss a tick", (px(10), (top + bottom) / 2), text)).map_err(refused)?;
 
     // Names beside the lines, as near as they can stand without standing on each other; the uppermost first.
-    let mut lines: Vec<&Line> = panel.lines.iter().filter(|l| (low..=high).contains(&l.value)).collect();
+    let mut lines: Vec<&ReferenceLine> = panel.lines.iter().filter(|l| (low..=high).contains(&l.value)).collect();
     lines.sort_by(|a, b| b.value.total_cmp(&a.value));
     let mut names: Vec<i32> = lines.iter().map(|line| place(x.1, line.value.log10()).1).collect();
     for i in (0..names.len().saturating_sub(1)).rev() {
@@ -225,12 +225,12 @@ fn panel(panel: &Panel, (low, high): (f64, f64), area: &Area) -> Result<(), Repo
     }
 
     let inside = |loss: f64| loss.clamp(low, high).log10();
-    let shown = |p: &&Point| p.middle.is_finite() && p.low.is_finite();
+    let shown = |p: &&CurvePoint| p.middle.is_finite() && p.low.is_finite();
     for curve in &panel.curves {
-        let at = |p: &Point, loss: f64| ((p.ticks.max(1) as f64).log10(), inside(loss));
-        let points: Vec<&Point> = curve.points.iter().filter(shown).collect();
+        let at = |p: &CurvePoint, loss: f64| ((p.ticks.max(1) as f64).log10(), inside(loss));
+        let points: Vec<&CurvePoint> = curve.points.iter().filter(shown).collect();
         // A worst that is no number reaches beyond the top.
-        let high_of = |p: &Point| if p.high.is_finite() { p.high } else { f64::MAX };
+        let high_of = |p: &CurvePoint| if p.high.is_finite() { p.high } else { f64::MAX };
         let band: Vec<_> =
             (points.iter().map(|p| at(p, p.low))).chain(points.iter().rev().map(|p| at(p, high_of(p)))).collect();
         if points.len() > 1 {
@@ -262,24 +262,27 @@ fn losses(low: f64, high: f64) -> Vec<(f64, bool)> {
 mod tests {
     use super::*;
 
-    fn learning() -> Learning {
+    fn learning() -> LearningFigure {
         let point = |k: u64| {
             let middle = 0.02 + 0.5 / (1.0 + k as f64 / 200.0);
-            Point { ticks: k, low: 0.9 * middle, middle, high: 1.2 * middle }
+            CurvePoint { ticks: k, low: 0.9 * middle, middle, high: 1.2 * middle }
         };
-        let curve = |name: &str, colour, slow: u64| Curve {
+        let curve = |name: &str, colour, slow: u64| LearnerCurve {
             name: name.into(),
             colour,
-            points: (1..100).map(|k| Point { ticks: slow * 20 * k, ..point(20 * k) }).collect(),
+            points: (1..100).map(|k| CurvePoint { ticks: slow * 20 * k, ..point(20 * k) }).collect(),
         };
-        let line = |name: &str, value| Line { name: name.into(), value };
-        let panel = |title: &str| Panel {
+        let line = |name: &str, value| ReferenceLine { name: name.into(), value };
+        let panel = |title: &str| LearningPanel {
             title: title.into(),
             x: "ticks".into(),
             curves: vec![curve("slow", 0, 1000), curve("quick", 4, 1)],
             lines: vec![line("level", 0.0375), line("trajectory optimum", 0.0193)],
         };
-        Learning { title: "Learning".into(), panels: vec![panel("from the beginning"), panel("after the change")] }
+        LearningFigure {
+            title: "Learning".into(),
+            panels: vec![panel("from the beginning"), panel("after the change")],
+        }
     }
 
     #[test]
@@ -311,11 +314,11 @@ mod tests {
         points[11].high = 1e30;
         let svg = svg(&odd).unwrap();
         assert!(!svg.contains("NaN") && !svg.contains("inf"));
-        let none = Learning {
+        let none = LearningFigure {
             title: "Nothing".into(),
-            panels: vec![Panel { curves: vec![], lines: vec![], ..odd.panels[0].clone() }],
+            panels: vec![LearningPanel { curves: vec![], lines: vec![], ..odd.panels[0].clone() }],
         };
         assert!(super::svg(&none).unwrap().contains("Nothing"));
-        assert!(super::svg(&Learning { title: "Nothing".into(), panels: vec![] }).is_ok());
+        assert!(super::svg(&LearningFigure { title: "Nothing".into(), panels: vec![] }).is_ok());
     }
 }

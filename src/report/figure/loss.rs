@@ -61,7 +61,7 @@ fn curves(figure: &LossFigure, area: &Area) -> Result<(), ReportError> {
         }));
         points
     };
-    let each = |value: &dyn Fn(&Window) -> f64| -> Vec<Curve> {
+    let each = |value: &dyn Fn(&Window) -> f64| -> Vec<Polyline> {
         figure.runs.iter().map(|run| run.iter().map(|w| (clock.middle(w), value(w))).collect()).collect()
     };
     let mark = figure.mark.as_ref().map(|(tick, what)| (clock.at(*tick), what.as_str()));
@@ -87,18 +87,18 @@ fn curves(figure: &LossFigure, area: &Area) -> Result<(), ReportError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::tests::arm_story;
+    use crate::report::tests::arm_history;
 
     #[test]
     fn the_figure_shows_loss_mark_and_postures() {
-        let story = arm_story();
+        let history = arm_history();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("figure.svg");
-        let reach = story.first_reach.clone().unwrap();
+        let reach = history.first_reach.clone().unwrap();
         let figure = LossFigure {
             title: "Two seeds".into(),
             period_s: 0.05,
-            runs: vec![story.windows.clone(), story.windows[..60].to_vec()],
+            runs: vec![history.windows.clone(), history.windows[..60].to_vec()],
             mark: Some((9_300_000, "joint 3 blocked".into())),
             reaches: vec![("(a) at first".into(), reach)],
         };

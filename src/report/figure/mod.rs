@@ -6,21 +6,21 @@
 
 mod bands;
 mod curves;
+mod errors;
 pub mod learning;
 mod loss;
-mod miss;
 mod movements;
 mod postures;
 mod scales;
-mod ways;
+mod seed_postures;
 
+pub use errors::{ErrorFigure, ErrorPanel, draw_miss};
 pub use loss::{LossFigure, draw_loss};
-pub use miss::{MissFigure, MissPanel, draw_miss};
-pub use movements::{Bell, Dots, Movements, draw as draw_movements};
-pub use scales::{Scales, draw_scales};
-pub use ways::{Way, WaysFigure, WaysRow, draw_ways};
+pub use movements::{MovementDots, MovementsFigure, SpeedProfile, draw as draw_movements};
+pub use scales::{AxisScales, draw_scales};
+pub use seed_postures::{PosturesFigure, PosturesRow, SeedPostures, draw_ways};
 
-use super::{ReportError, Story};
+use super::{ReportError, RunHistory};
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::element::DashedPathElement;
@@ -44,19 +44,19 @@ const INK: RGBColor = RGBColor(40, 40, 40);
 const FAINT: RGBColor = RGBColor(228, 228, 228);
 
 /// Points of a curve, x and y.
-pub type Curve = Vec<(f64, f64)>;
+pub type Polyline = Vec<(f64, f64)>;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 /// A chart with two axes of numbers.
 type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-/// Draws `story` into a new file at `path`, in place of one that is there.
+/// Draws `history` into a new file at `path`, in place of one that is there.
 ///
 /// # Errors
 ///
 /// [`ReportError`] if the file cannot be written.
-pub fn draw(story: &Story, path: &Path) -> Result<(), ReportError> {
-    write(path, &svg(story)?)
+pub fn draw(history: &RunHistory, path: &Path) -> Result<(), ReportError> {
+    write(path, &svg(history)?)
 }
 
 fn write(path: &Path, svg: &str) -> Result<(), ReportError> {
@@ -64,19 +64,19 @@ fn write(path: &Path, svg: &str) -> Result<(), ReportError> {
 }
 
 /// The figure's text.
-fn svg(story: &Story) -> Result<String, ReportError> {
-    let reaches: Vec<_> = [("first reach", &story.first_reach), ("last reach", &story.last_reach)]
+fn svg(history: &RunHistory) -> Result<String, ReportError> {
+    let reaches: Vec<_> = [("first reach", &history.first_reach), ("last reach", &history.last_reach)]
         .into_iter()
         .filter_map(|(name, reach)| Some((name, reach.as_ref()?)))
         .filter(|(_, reach)| reach.postures.iter().any(|line| line.iter().flatten().all(|&x| drawable(x))))
         .collect();
     let width = CURVES_WIDTH + if reaches.is_empty() { 0 } else { POSTURES_WIDTH };
-    canvas((width, HEIGHT), &story.title, |title, rest| {
+    canvas((width, HEIGHT), &history.title, |title, rest| {
         let (left, right) = rest.split_horizontally(px(CURVES_WIDTH));
-        curves::draw(story, &left)?;
+        curves::draw(history, &left)?;
         if !reaches.is_empty() {
             postures::legend(title, px(CURVES_WIDTH))?;
-            postures::draw(story, &reaches, &right)?;
+            postures::draw(history, &reaches, &right)?;
         }
         Ok(())
     })
@@ -178,13 +178,13 @@ fn with_unit(name: &str, unit: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::tests::arm_story;
+    use crate::report::tests::arm_history;
 
     #[test]
     fn equal_stories_give_equal_bytes_and_different_ones_do_not() {
-        let one = svg(&arm_story()).unwrap();
-        assert_eq!(one, svg(&arm_story()).unwrap());
-        let mut other = arm_story();
+        let one = svg(&arm_history()).unwrap();
+        assert_eq!(one, svg(&arm_history()).unwrap());
+        let mut other = arm_history();
         other.windows[60].loss *= 1.1;
         assert_ne!(one, svg(&other).unwrap());
     }
@@ -192,9 +192,9 @@ mod tests {
     #[test]
     fn the_noises_share_is_taken_out_of_one_curve() {
         let with = |noise_share| {
-            let mut story = arm_story();
-            story.windows.iter_mut().for_each(|w| w.noise_share = noise_share);
-            let svg = svg(&story).unwrap();
+            let mut history = arm_history();
+            history.windows.iter_mut().for_each(|w| w.noise_share = noise_share);
+            let svg = svg(&history).unwrap();
             let curve = |stroke: &str| {
                 let lines = svg.lines().filter(|l| l.contains("<polyline") && l.contains(stroke));
                 lines.max_by_key(|l| l.len()).unwrap().to_owned()
@@ -210,7 +210,7 @@ mod tests {
     fn the_figure_says_what_it_shows() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("figure.svg");
-        draw(&arm_story(), &path).unwrap();
+        draw(&arm_history(), &path).unwrap();
         let svg = std::fs::read_to_string(&path).unwrap();
         assert!(svg.starts_with("<svg width=\"1010\" height=\"640\" viewBox=\"0 0 4040 2560\""), "{}", &svg[..80]);
         for words in [
@@ -231,58 +231,58 @@ mod tests {
 
     #[test]
     fn parts_that_are_missing_are_left_out() {
-        let story = arm_story();
-        let bare = svg(&Story { first_reach: None, last_reach: None, ..story.clone() }).unwrap();
+        let history = arm_history();
+        let bare = svg(&RunHistory { first_reach: None, last_reach: None, ..history.clone() }).unwrap();
         assert!(bare.starts_with("<svg width=\"700\"") && !bare.contains("reach"));
-        let half = svg(&Story { first_reach: None, ..story.clone() }).unwrap();
+        let half = svg(&RunHistory { first_reach: None, ..history.clone() }).unwrap();
         assert!(half.contains("last reach") && !half.contains("first reach"));
-        let mut blind = story.clone();
+        let mut blind = history.clone();
         for w in &mut blind.windows {
             (w.mean_squared_error, w.end_error) = (None, None);
         }
         let blind = svg(&blind).unwrap();
         assert!(blind.contains("loss per tick") && !blind.contains("error (m)"));
-        let mut silent = story.clone();
+        let mut silent = history.clone();
         silent.windows.iter_mut().for_each(|w| w.noise_share = 0.0);
         let silent = svg(&silent).unwrap();
         assert!(!silent.contains("without exploration noise"));
-        assert!(svg(&Story { windows: Vec::new(), ..story }).unwrap().contains("no window was completed"));
+        assert!(svg(&RunHistory { windows: Vec::new(), ..history }).unwrap().contains("no window was completed"));
     }
 
     #[test]
     fn a_run_that_diverged_is_drawn_as_far_as_it_went() {
-        let mut story = arm_story();
-        for w in &mut story.windows[50..] {
+        let mut history = arm_history();
+        for w in &mut history.windows[50..] {
             (w.loss, w.mean_squared_error, w.end_error) = (f64::NAN, Some(f64::INFINITY), Some(f64::NAN));
         }
-        story.last_reach.as_mut().unwrap().postures[5][3] = [f64::NAN, 0.0];
-        story.first_reach.as_mut().unwrap().postures.clear();
-        let svg = svg(&story).unwrap();
+        history.last_reach.as_mut().unwrap().postures[5][3] = [f64::NAN, 0.0];
+        history.first_reach.as_mut().unwrap().postures.clear();
+        let svg = svg(&history).unwrap();
         assert!(svg.contains("last reach") && !svg.contains("first reach"));
         for period_s in [f64::NAN, 0.0, 1e-300, 1e300] {
-            super::svg(&Story { period_s, ..story.clone() }).unwrap();
+            super::svg(&RunHistory { period_s, ..history.clone() }).unwrap();
         }
     }
 
     #[test]
     fn extreme_numbers_are_drawn_in_finite_time() {
         for (loss, place) in [(f64::MAX, f64::MAX), (1e25, 1e25), (1e-300, 1e-300), (-1e20, 3.0), (0.0, 0.0)] {
-            let mut story = arm_story();
-            story.windows[3].loss = loss;
-            story.windows.truncate(4);
-            story.windows.drain(..3);
-            story.windows[0].from = u64::MAX - 1;
-            let mut reach = story.last_reach.clone().unwrap();
+            let mut history = arm_history();
+            history.windows[3].loss = loss;
+            history.windows.truncate(4);
+            history.windows.drain(..3);
+            history.windows[0].from = u64::MAX - 1;
+            let mut reach = history.last_reach.clone().unwrap();
             reach.target = [place; 2];
             reach.postures = vec![vec![[place, place * (1.0 + 1e-15)]; 3]; 2];
-            (story.first_reach, story.last_reach) = (None, Some(reach));
-            svg(&story).unwrap();
+            (history.first_reach, history.last_reach) = (None, Some(reach));
+            svg(&history).unwrap();
         }
     }
 
     #[test]
     fn a_place_that_cannot_be_written_is_named() {
-        let error = draw(&arm_story(), Path::new("/no/such/figure.svg")).unwrap_err().to_string();
+        let error = draw(&arm_history(), Path::new("/no/such/figure.svg")).unwrap_err().to_string();
         assert!(error.contains("/no/such/figure.svg") && error.contains("--out"), "{error}");
     }
 

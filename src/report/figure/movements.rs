@@ -19,7 +19,7 @@ const BARS: f64 = 16.0;
 
 /// What is drawn of some movements.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Dots {
+pub struct MovementDots {
     /// Distance (m) and duration (s) of each reach.
     pub duration: Vec<(f64, f64)>,
     /// Distance (m) and peak speed (m/s).
@@ -32,28 +32,28 @@ pub struct Dots {
 
 /// The speed profile to compare with: speed over mean speed at equally spaced instants.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Bell {
+pub struct SpeedProfile {
     /// The minimum-jerk movement's.
     pub profile: Vec<f64>,
 }
 
 /// A run's movements as they are drawn.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Movements {
+pub struct MovementsFigure {
     /// Title of the figure.
     pub title: String,
     /// The run's first movements.
-    pub early: Dots,
+    pub early: MovementDots,
     /// Those between; their profile is not drawn.
-    pub middle: Dots,
+    pub middle: MovementDots,
     /// The run's last movements.
-    pub late: Dots,
+    pub late: MovementDots,
     /// Value at 0 and slope of the line through all durations, and of that through the last.
     pub duration_lines: [Option<(f64, f64)>; 2],
     /// The same of the peak speeds.
     pub peak_speed_lines: [Option<(f64, f64)>; 2],
     /// The bell.
-    pub bell: Bell,
+    pub wake: SpeedProfile,
     /// Within how much of the target a movement has settled, m.
     pub near_m: f64,
 }
@@ -63,12 +63,12 @@ pub struct Movements {
 /// # Errors
 ///
 /// [`ReportError`] if the file cannot be written.
-pub fn draw(movements: &Movements, path: &Path) -> Result<(), ReportError> {
+pub fn draw(movements: &MovementsFigure, path: &Path) -> Result<(), ReportError> {
     let svg = svg(movements)?;
     std::fs::write(path, svg).map_err(|error| ReportError::Write { path: path.to_owned(), error })
 }
 
-fn svg(movements: &Movements) -> Result<String, ReportError> {
+fn svg(movements: &MovementsFigure) -> Result<String, ReportError> {
     let mut svg = String::new();
     {
         let root = SVGBackend::with_string(&mut svg, (WIDTH * FINE, HEIGHT * FINE)).into_drawing_area();
@@ -95,7 +95,7 @@ fn halves<'a>(area: &Area<'a>) -> [Area<'a>; 2] {
 }
 
 /// Which colour is which part of the run.
-fn legend(strip: &Area, m: &Movements) -> Result<(), ReportError> {
+fn legend(strip: &Area, m: &MovementsFigure) -> Result<(), ReportError> {
     let mut x = px(WIDTH / 2 + MARGIN + LEFT_LABELS);
     for (colour, name) in [
         (EARLY, format!("first {}", thousands(m.early.settled.len() as u64))),
@@ -142,13 +142,13 @@ fn end(values: impl Iterator<Item = f64>) -> f64 {
 
 fn scatter(
     area: &Area,
-    m: &Movements,
+    m: &MovementsFigure,
     y_desc: &str,
-    points: impl Fn(&Dots) -> &Vec<(f64, f64)>,
+    points: impl Fn(&MovementDots) -> &Vec<(f64, f64)>,
     lines: [Option<(f64, f64)>; 2],
 ) -> Result<(), ReportError> {
     let groups = [(&m.middle, BETWEEN, 2.0), (&m.early, EARLY, 2.8), (&m.late, LATE, 2.8)];
-    let step = |dots: &Dots| points(dots).len().div_ceil(DOTS).max(1);
+    let step = |dots: &MovementDots| points(dots).len().div_ceil(DOTS).max(1);
     let all = || groups.iter().flat_map(|(dots, ..)| points(dots).iter().step_by(step(dots))).copied();
     let (x_end, y_end) = (end(all().map(|p| p.0)), end(all().map(|p| p.1)));
     let name = match lines {
@@ -189,9 +189,9 @@ fn signed(slope: f64, of: &str) -> String {
     format!("{slope:+.2} {unit}").replace('-', "\u{2212}")
 }
 
-fn profiles(area: &Area, m: &Movements) -> Result<(), ReportError> {
-    let bell = m.bell.profile.iter().copied();
-    let highest = m.early.profile.iter().chain(&m.late.profile).map(|q| q[2]).chain(bell);
+fn profiles(area: &Area, m: &MovementsFigure) -> Result<(), ReportError> {
+    let wake = m.wake.profile.iter().copied();
+    let highest = m.early.profile.iter().chain(&m.late.profile).map(|q| q[2]).chain(wake);
     let desc = ("part of the reach", "speed / mean speed");
     let name = "speed profile: median, middle half; dashed: minimum jerk";
     let mut chart = axes(area, name, (1.0, end(highest)), desc, &label)?;
@@ -208,24 +208,25 @@ fn profiles(area: &Area, m: &Movements) -> Result<(), ReportError> {
         chart.draw_series([Polygon::new(outline, colour.mix(0.16).filled())]).map_err(refused)?;
         chart.draw_series(LineSeries::new(curve(1), colour.stroke_width(fine(2.2)))).map_err(refused)?;
     }
-    let last = m.bell.profile.len().saturating_sub(1).max(1) as f64;
-    let bell: Vec<_> = m.bell.profile.iter().enumerate().map(|(i, &v)| (i as f64 / last, v)).collect();
-    if bell.len() > 1 && bell.iter().all(|p| drawable(p.1)) {
-        let dashes = DashedPathElement::new(bell, fine(5.0), fine(4.0), INK.stroke_width(fine(1.6)));
+    let last = m.wake.profile.len().saturating_sub(1).max(1) as f64;
+    let wake: Vec<_> = m.wake.profile.iter().enumerate().map(|(i, &v)| (i as f64 / last, v)).collect();
+    if wake.len() > 1 && wake.iter().all(|p| drawable(p.1)) {
+        let dashes = DashedPathElement::new(wake, fine(5.0), fine(4.0), INK.stroke_width(fine(1.6)));
         chart.draw_series([dashes]).map_err(refused)?;
     }
     Ok(())
 }
 
-fn settling(area: &Area, m: &Movements) -> Result<(), ReportError> {
-    let times = |dots: &Dots| dots.settled.iter().flatten().copied().filter(|&t| drawable(t)).collect::<Vec<_>>();
+fn settling(area: &Area, m: &MovementsFigure) -> Result<(), ReportError> {
+    let times =
+        |dots: &MovementDots| dots.settled.iter().flatten().copied().filter(|&t| drawable(t)).collect::<Vec<_>>();
     let (early, late) = (times(&m.early), times(&m.late));
     let bin = nice(early.iter().chain(&late).copied().fold(0.0, f64::max) / BARS);
     let bins = early.iter().chain(&late).map(|t| (t / bin).floor() as usize + 1).max().unwrap_or(1);
     let settled_end = bins as f64 * bin;
     // Behind the last bar a gap, and then those that did not settle.
     let never = settled_end + 1.5 * bin;
-    let shares = |dots: &Dots, times: &[f64]| -> Vec<(f64, f64)> {
+    let shares = |dots: &MovementDots, times: &[f64]| -> Vec<(f64, f64)> {
         let all = dots.settled.len().max(1) as f64;
         let count = |i: usize| times.iter().filter(|&&t| (t / bin).floor() as usize == i).count() as f64;
         let not = dots.settled.len() as f64 - times.len() as f64;
@@ -266,9 +267,9 @@ fn nice(x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    fn dots(n: usize, shift: f64) -> Dots {
+    fn dots(n: usize, shift: f64) -> MovementDots {
         let x = |i: usize| 0.2 + 1.5 * i as f64 / n as f64;
-        Dots {
+        MovementDots {
             duration: (0..n).map(|i| (x(i), shift + 0.3 * x(i))).collect(),
             peak_speed: (0..n).map(|i| (x(i), shift * 3.0 * x(i))).collect(),
             settled: (0..n).map(|i| (i % 3 > 0).then_some(shift + 0.05 * i as f64)).collect(),
@@ -276,15 +277,17 @@ mod tests {
         }
     }
 
-    fn movements() -> Movements {
-        Movements {
+    fn movements() -> MovementsFigure {
+        MovementsFigure {
             title: "live, seed 1: 74 movements".into(),
             early: dots(10, 1.5),
             middle: dots(54, 1.0),
             late: dots(10, 0.6),
             duration_lines: [Some((0.6, -0.3)); 2],
             peak_speed_lines: [Some((0.0, 1.8)), None],
-            bell: Bell { profile: (0..41).map(|i| 30.0 * (f64::from(i * (40 - i)) / 1600.0).powi(2)).collect() },
+            wake: SpeedProfile {
+                profile: (0..41).map(|i| 30.0 * (f64::from(i * (40 - i)) / 1600.0).powi(2)).collect(),
+            },
             near_m: 0.1,
         }
     }
@@ -314,14 +317,14 @@ mod tests {
 
     #[test]
     fn nothing_and_extreme_numbers_are_drawn() {
-        svg(&Movements::default()).unwrap();
+        svg(&MovementsFigure::default()).unwrap();
         for x in [f64::NAN, f64::INFINITY, 1e300, 1e25, 1e-300, 0.0] {
             let mut all = movements();
             all.late.duration = vec![(x, x); 3];
             all.late.peak_speed = vec![(0.5, x)];
             all.early.settled = vec![Some(x), None];
             all.late.profile[7] = [x; 3];
-            all.bell.profile[3] = x;
+            all.wake.profile[3] = x;
             all.duration_lines = [Some((x, x)); 2];
             svg(&all).unwrap();
         }

@@ -8,14 +8,14 @@ const LEFT_LABELS: u32 = 46;
 const BOTTOM_LABELS: u32 = 38;
 
 /// Panels below each other, all to one scale, so that they can be compared.
-pub(super) fn draw(story: &Story, reaches: &[(&str, &Reach)], area: &Area) -> Result<(), ReportError> {
+pub(super) fn draw(history: &RunHistory, reaches: &[(&str, &Reach)], area: &Area) -> Result<(), ReportError> {
     let (centre, half) = frame(reaches);
     for ((name, reach), area) in reaches.iter().zip(area.split_evenly((2, 1))) {
         let (head, rest) = area.split_vertically(px(LEGEND_HEIGHT));
         let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
         let title = format!("{name}, from tick {}", thousands(reach.from));
         head.draw(&Text::new(title, (px(LEFT_LABELS), px(LEGEND_HEIGHT) * 3 / 5), text)).map_err(refused)?;
-        panel(&story.unit, reach, centre, half, &rest)?;
+        panel(&history.unit, reach, centre, half, &rest)?;
     }
     Ok(())
 }

@@ -20,7 +20,7 @@ const COLOURS: [RGBColor; 8] = [
 
 /// One pair of axes.
 #[derive(Debug, Clone)]
-pub struct Scales {
+pub struct AxisScales {
     /// What stands above it.
     pub name: String,
     /// Name of the axis along.
@@ -30,14 +30,14 @@ pub struct Scales {
     /// How a whole power of ten along is written.
     pub label_x: fn(f64) -> String,
     /// Curves with their names; of more than eight the colours begin again. Points that are not above 0 are left out.
-    pub curves: Vec<(String, Curve)>,
+    pub curves: Vec<(String, Polyline)>,
 }
 
 /// Draws `panels` beside each other into a file.
 ///
 /// # Errors
 /// When the file cannot be written.
-pub fn draw_scales(title: &str, panels: &[Scales], path: &Path) -> Result<(), ReportError> {
+pub fn draw_scales(title: &str, panels: &[AxisScales], path: &Path) -> Result<(), ReportError> {
     let rows = panels.iter().map(|panel| panel.curves.len()).max().unwrap_or(0).div_ceil(2) as u32;
     let height = TITLE_HEIGHT + CAPTION + PANEL.1 + rows * LEGEND + 8;
     let count = panels.len().max(1);
@@ -53,7 +53,7 @@ pub fn draw_scales(title: &str, panels: &[Scales], path: &Path) -> Result<(), Re
 }
 
 /// The panel's name, and below it the curves' in two columns.
-fn caption(panel: &Scales, head: &Area) -> Result<(), ReportError> {
+fn caption(panel: &AxisScales, head: &Area) -> Result<(), ReportError> {
     let text = |size, h| anchored(font(size, INK), h, VPos::Center);
     head.draw(&Text::new(panel.name.clone(), (px(LEFT), px(CAPTION) / 2), text(13.5, HPos::Left))).map_err(refused)?;
     for (i, (name, _)) in panel.curves.iter().enumerate() {
@@ -76,10 +76,10 @@ fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     }
 }
 
-fn axes(panel: &Scales, area: &Area) -> Result<(), ReportError> {
+fn axes(panel: &AxisScales, area: &Area) -> Result<(), ReportError> {
     let logarithm =
         |&(x, y): &(f64, f64)| (x > 0.0 && y > 0.0 && drawable(x) && drawable(y)).then(|| (x.log10(), y.log10()));
-    let curves: Vec<Curve> = panel.curves.iter().map(|(_, c)| c.iter().filter_map(logarithm).collect()).collect();
+    let curves: Vec<Polyline> = panel.curves.iter().map(|(_, c)| c.iter().filter_map(logarithm).collect()).collect();
     let (x, y) = (range(curves.iter().flatten().map(|p| p.0)), range(curves.iter().flatten().map(|p| p.1)));
     // Axes in logarithms, labelled by hand: the library's own logarithmic labels leave out too much.
     let mut chart = ChartBuilder::on(area)
@@ -147,7 +147,7 @@ mod tests {
     fn the_figure_has_names_and_whole_powers() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("figure.svg");
-        let panel = |curves| Scales {
+        let panel = |curves| AxisScales {
             name: "growth".into(),
             x: "features".into(),
             y: "ns a call".into(),

@@ -87,7 +87,7 @@ fn weights_stay_numbers_whatever_the_step() {
             observation.applied[..4].copy_from_slice(&[0.05; 4]);
             observation.reward = reward;
             let (command, _) = answer(&mut controller, &observation);
-            controller.settle(&observation);
+            controller.after_command(&observation);
             assert!(command.drawn.iter().all(|u| u.is_finite()), "{command:?}");
         }
         assert!(controller.halted() && controller.policy.norm().is_finite(), "{reward}");

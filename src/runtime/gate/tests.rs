@@ -2,11 +2,11 @@
 
 use super::*;
 use crate::plant::{Arm, Plant as _};
-use crate::scenario::{ArmTable, PerOutput};
+use crate::scenario::{ArmConfig, PerOutput};
 use proptest::prelude::*;
 
-fn table() -> GateTable {
-    GateTable { max_command: PerOutput::All(0.5), hold_ticks: 2, decay_ticks: 3, ..GateTable::default() }
+fn table() -> GateConfig {
+    GateConfig { max_command: PerOutput::All(0.5), hold_ticks: 2, decay_ticks: 3, ..GateConfig::default() }
 }
 
 fn gate() -> Gate {
@@ -21,7 +21,7 @@ fn first(u: f32) -> Outputs {
 }
 
 /// What becomes of the first output, with the flags beside `CLAMPED` and `MISSED`.
-fn passes(gate: &mut Gate, command: Option<f32>, joints: Option<&Joints>) -> (f32, u32) {
+fn passes(gate: &mut Gate, command: Option<f32>, joints: Option<&JointState>) -> (f32, u32) {
     let spans = gate.spans(|| joints.copied());
     let applied = gate.pass(command.map(first).as_ref(), spans.as_ref());
     let limited = flag::STEP_LIMITED | flag::POSITION_LIMITED | flag::RAMPED;
@@ -62,7 +62,7 @@ fn not_a_number_is_no_command() {
 
 #[test]
 fn every_output_has_its_own_limit() {
-    let mut gate = Gate::new(&GateTable { max_command: PerOutput::Each(vec![0.5, 0.1]), ..table() }, 2);
+    let mut gate = Gate::new(&GateConfig { max_command: PerOutput::Each(vec![0.5, 0.1]), ..table() }, 2);
     let applied = gate.pass(Some(&[9.0; 8]), None);
     assert_eq!((applied.command[..3].to_vec(), applied.flags), (vec![0.5, 0.1, 0.0], flag::CLAMPED));
 }
@@ -70,7 +70,7 @@ fn every_output_has_its_own_limit() {
 #[test]
 fn steps_are_limited_on_the_way_to_a_stop_as_well() {
     let mut gate =
-        Gate::new(&GateTable { max_step: Some(PerOutput::All(0.125)), hold_ticks: 1, decay_ticks: 0, ..table() }, 2);
+        Gate::new(&GateConfig { max_step: Some(PerOutput::All(0.125)), hold_ticks: 1, decay_ticks: 0, ..table() }, 2);
     let s = flag::STEP_LIMITED;
     let steps: Vec<_> = [Some(0.3), Some(0.3), Some(0.3)].into_iter().map(|u| passes(&mut gate, u, None)).collect();
     assert_eq!(steps, [(0.125, s), (0.25, s), (0.3, 0)]);
@@ -87,7 +87,7 @@ fn steps_are_limited_on_the_way_to_a_stop_as_well() {
 
 #[test]
 fn commands_that_begin_or_come_back_grow() {
-    let mut gate = Gate::new(&GateTable { ramp_ticks: 3, ..table() }, 2);
+    let mut gate = Gate::new(&GateConfig { ramp_ticks: 3, ..table() }, 2);
     let r = flag::RAMPED;
     let ramp = [(0.125, r), (0.25, r), (0.375, r), (0.5, 0), (0.5, 0)];
     let go = |gate: &mut Gate| [0.5; 5].map(|u| passes(gate, Some(u), None));
@@ -108,7 +108,7 @@ fn commands_that_begin_or_come_back_grow() {
 
 #[test]
 fn joints_stay_within_their_limits_and_come_back_from_outside() {
-    let table = GateTable { positions: vec![[-1.0, 0.5], [-1.0, 1.0]], ..table() };
+    let table = GateConfig { positions: vec![[-1.0, 0.5], [-1.0, 1.0]], ..table() };
     let p = flag::POSITION_LIMITED;
     for (position, travel, wanted, low, high, flags) in [
         (0.0, 1.0, 0.4, 0.4, 0.4, 0),
@@ -125,15 +125,15 @@ fn joints_stay_within_their_limits_and_come_back_from_outside() {
         (0.0, f32::INFINITY, 0.4, 0.0, 0.0, p),
         (0.0, 0.0, 0.4, 0.4, 0.4, 0),
     ] {
-        let joints = Joints { position: [position; 8], travel: [travel; 8] };
+        let joints = JointState { position: [position; 8], travel: [travel; 8] };
         let (u, said) = passes(&mut Gate::new(&table, 2), Some(wanted), Some(&joints));
         assert!(low <= u && u <= high && said == flags, "{position} {travel} {wanted}: {u} {said:x}");
     }
     assert_eq!(passes(&mut Gate::new(&table, 2), Some(0.1), None), (0.0, p), "a plant that does not tell");
     // Position goes before step.
-    let table = GateTable { max_step: Some(PerOutput::All(0.125)), ..table };
+    let table = GateConfig { max_step: Some(PerOutput::All(0.125)), ..table };
     let mut gate = Gate::new(&table, 2);
-    let joints = |position| Joints { position: [position; 8], travel: [1.0; 8] };
+    let joints = |position| JointState { position: [position; 8], travel: [1.0; 8] };
     for _ in 0..3 {
         passes(&mut gate, Some(0.3), Some(&joints(-0.5)));
     }
@@ -162,7 +162,7 @@ proptest! {
         ramp_ticks in 0..5_u32,
     ) {
         let positions = limits.map_or(Vec::new(), |(low, width)| vec![[low, low + width]; 2]);
-        let table = GateTable { max_step: step.map(PerOutput::All), positions, ramp_ticks, ..table() };
+        let table = GateConfig { max_step: step.map(PerOutput::All), positions, ramp_ticks, ..table() };
         let mut gate = Gate::new(&table, 2);
         let (mut theta, mut before) = ([start, -start], [0.0_f32; 2]);
         for (bits, measured) in ticks {
@@ -170,7 +170,7 @@ proptest! {
             if let Some(bits) = bits {
                 command[..2].copy_from_slice(&bits.map(f32::from_bits));
             }
-            let mut joints = Joints { position: [0.0; MAX_OUTPUTS], travel: [travel; MAX_OUTPUTS] };
+            let mut joints = JointState { position: [0.0; MAX_OUTPUTS], travel: [travel; MAX_OUTPUTS] };
             joints.position[..2].copy_from_slice(&theta);
             if let Some(measured) = measured {
                 joints.position[0] = f32::from_bits(measured);
@@ -205,9 +205,9 @@ proptest! {
         high in 0.1..3.1_f64,
         open_loop in any::<bool>(),
     ) {
-        let arm = ArmTable { lengths: vec![0.5; 2], open_loop, ..ArmTable::default() };
+        let arm = ArmConfig { lengths: vec![0.5; 2], open_loop, ..ArmConfig::default() };
         let mut arm = Arm::new(&arm, 0.05, 1);
-        let mut gate = Gate::new(&GateTable { positions: vec![[low, high]; 2], ..table() }, 2);
+        let mut gate = Gate::new(&GateConfig { positions: vec![[low, high]; 2], ..table() }, 2);
         for (tick, drawn) in (0..).zip(ticks) {
             let mut command = [0.0; MAX_OUTPUTS];
             drawn.iter().for_each(|drawn| command[..2].copy_from_slice(drawn));

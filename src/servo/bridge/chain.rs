@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use crate::scenario::{Angles, JointTable};
+use crate::scenario::{Angles, JointConfig};
 use crate::servo::model::{STEP, STEPS_PER_TURN};
 use crate::wire::MAX_OUTPUTS;
 
@@ -13,7 +13,7 @@ pub(super) fn wrap(angle: f64) -> f64 {
 
 /// A motor's angle at a raw position, rad: within half a turn of the middle of its range, since a position says nothing of
 /// whole turns that power or a wire has lost.
-pub fn angle(joint: &JointTable, raw: i32) -> f64 {
+pub fn angle(joint: &JointConfig, raw: i32) -> f64 {
     let steps = (raw - joint.zero).rem_euclid(STEPS_PER_TURN);
     let angle = f64::from(joint.direction) * f64::from(steps) * STEP;
     let middle = if joint.is_free() { 0.0 } else { (joint.range[0] + joint.range[1]) / 2.0 };
@@ -22,7 +22,7 @@ pub fn angle(joint: &JointTable, raw: i32) -> f64 {
 
 /// The raw position of a motor at an angle, rad.
 #[cfg(test)]
-pub fn raw(joint: &JointTable, angle: f64) -> i32 {
+pub fn raw(joint: &JointConfig, angle: f64) -> i32 {
     joint.zero + libm::round(f64::from(joint.direction) * angle / STEP) as i32
 }
 
@@ -55,7 +55,7 @@ pub fn motors(angles: Angles, rates: &[f64], motors: &mut [f64; MAX_OUTPUTS]) {
 /// Brings motors' rates within what they can and may do in `period` s. Speed first, all by the same share, so that the end keeps
 /// its direction; then each by itself, so that it does not go over its range. A motor that is outside may come back.
 /// Whether speed, and whether a range limited them.
-pub fn limit(joints: &[JointTable], at: &[f64], period: f64, rates: &mut [f64; MAX_OUTPUTS]) -> (bool, bool) {
+pub fn limit(joints: &[JointConfig], at: &[f64], period: f64, rates: &mut [f64; MAX_OUTPUTS]) -> (bool, bool) {
     let share = joints.iter().zip(rates.iter()).fold(1.0_f64, |share, (joint, rate)| {
         if rate.abs() * share > joint.max_speed { joint.max_speed / rate.abs() } else { share }
     });
@@ -78,8 +78,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn joint(direction: i32, zero: i32, range: [f64; 2]) -> JointTable {
-        JointTable { id: 1, direction, zero, range, max_speed: 6.0 }
+    fn joint(direction: i32, zero: i32, range: [f64; 2]) -> JointConfig {
+        JointConfig { id: 1, direction, zero, range, max_speed: 6.0 }
     }
 
     #[test]

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use crate::scenario::{Goal, JointTable, Plan, check_joints};
-use crate::servo::bus::{Answer, Bus, BusError};
-use crate::servo::model::{Block, Protocol, Register, STEP, UnknownModel};
+use crate::scenario::{JointConfig, Plan, ServoGoal, check_joints};
+use crate::servo::bus::{Bus, BusError, ServoReply};
+use crate::servo::model::{Protocol, Register, RegisterBlock, STEP, UnknownModel};
 use crate::servo::tools::Calibration;
 
 /// Why the bridge does not start, or is not armed.
@@ -72,7 +72,7 @@ pub enum BridgeError {
 ///
 /// # Errors
 /// When there are none, or the file's do not fit the arm.
-pub fn joints_of(plan: &Plan) -> Result<Vec<JointTable>, BridgeError> {
+pub fn joints_of(plan: &Plan) -> Result<Vec<JointConfig>, BridgeError> {
     let plant = &plan.scenario.plant;
     let (Some(servos), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
     let Some(path) = &servos.calibration else { return Ok(servos.joints.clone()) };
@@ -90,7 +90,7 @@ pub fn joints_of(plan: &Plan) -> Result<Vec<JointTable>, BridgeError> {
 }
 
 /// Whether all servos are there and what they should be. Changes nothing.
-pub(super) fn identify(bus: &mut Bus, joints: &[JointTable]) -> Result<(), BridgeError> {
+pub(super) fn identify(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), BridgeError> {
     let series = bus.series();
     for joint in joints {
         let (number, known) = bus.model(joint.id).map_err(|error| BridgeError::Silent(error.to_string()))?;
@@ -102,7 +102,12 @@ pub(super) fn identify(bus: &mut Bus, joints: &[JointTable]) -> Result<(), Bridg
 }
 
 /// All that must be right before torque: models, errors, posture; then modes and limits, with torque off.
-pub(super) fn prepare(bus: &mut Bus, joints: &[JointTable], goal: Goal, motors: &[f64]) -> Result<(), BridgeError> {
+pub(super) fn prepare(
+    bus: &mut Bus,
+    joints: &[JointConfig],
+    goal: ServoGoal,
+    motors: &[f64],
+) -> Result<(), BridgeError> {
     identify(bus, joints)?;
     let series = bus.series();
     for (joint, &angle) in joints.iter().zip(motors) {
@@ -118,13 +123,13 @@ pub(super) fn prepare(bus: &mut Bus, joints: &[JointTable], goal: Goal, motors: 
     }
     for joint in joints {
         bus.write(joint.id, series.torque_enable, 0)?;
-        let mode = if goal == Goal::Speed { series.velocity_mode } else { series.position_mode };
+        let mode = if goal == ServoGoal::Speed { series.velocity_mode } else { series.position_mode };
         set(bus, joint.id, series.operating_mode, i32::from(mode))?;
         let speed = libm::ceil(joint.max_speed / series.speed_unit) as i32;
         if let Some(register) = series.velocity_limit {
             set(bus, joint.id, register, speed.min(1023))?;
         }
-        if goal == Goal::Position {
+        if goal == ServoGoal::Position {
             set(bus, joint.id, series.profile_velocity, speed)?;
         }
         if series.protocol == Protocol::Feetech {
@@ -137,16 +142,16 @@ pub(super) fn prepare(bus: &mut Bus, joints: &[JointTable], goal: Goal, motors: 
 
 /// The positions between which the servos are to stay, steps. With speed goals neither series heeds them, and the bridge alone keeps
 /// the range; they are written all the same, so that whoever moves a servo to a position afterwards stays within it.
-fn limit(bus: &mut Bus, joints: &[JointTable]) -> Result<(), BridgeError> {
+fn limit(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), BridgeError> {
     let series = bus.series();
     let ids: Vec<_> = joints.iter().map(|joint| joint.id).collect();
     let registers = [series.min_position, series.max_position];
     // Neighbours in both series, in one order or the other: one instruction reads both of all servos.
-    let block = Block {
+    let block = RegisterBlock {
         address: registers[0].address.min(registers[1].address),
         length: registers[0].width + registers[1].width,
     };
-    let ends = |joint: &JointTable| {
+    let ends = |joint: &JointConfig| {
         if joint.is_free() {
             return [0, 4095];
         }
@@ -164,7 +169,8 @@ fn limit(bus: &mut Bus, joints: &[JointTable]) -> Result<(), BridgeError> {
         })
         .collect();
     // One instruction for all servos, as arming has no more time than a tick; and none where nothing differs, as EEPROM wears out.
-    let other = |answers: &[Answer]| answers.iter().zip(&wanted).position(|(answer, wanted)| answer.bytes != *wanted);
+    let other =
+        |answers: &[ServoReply]| answers.iter().zip(&wanted).position(|(answer, wanted)| answer.bytes != *wanted);
     if other(&bus.sync_read(&ids, block).0?).is_none() {
         return Ok(());
     }

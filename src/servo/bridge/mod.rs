@@ -14,7 +14,7 @@
 //! one of them is asked for more than its `max_speed`, all rates shrink by one factor; one that would leave its `range` goes to its end.
 //! What is left of the command after that is what was applied, and is said so in the observation.
 //!
-//! *What a tick costs.* Each instruction is bounded by the bus's [`Budget`], whatever the bus does. A tick has one read and one write; more only
+//! *What a tick costs.* Each instruction is bounded by the bus's [`BusBudget`], whatever the bus does. A tick has one read and one write; more only
 //! where a servo reports an error, where torque goes on, and every 20 ticks, when all are asked whether they have it. Both times are
 //! measures: `bus_read_us`, `bus_write_us`.
 
@@ -23,12 +23,12 @@ mod checks;
 mod motors;
 mod report;
 mod safety;
-mod sight;
+mod vision;
 
 pub use checks::{BridgeError, joints_of};
-pub use report::{BridgeReport, Event};
-pub use safety::{Cause, Drive, RECOVERY, Safety, State};
-pub use sight::VisionReport;
+pub use report::{BridgeReport, TripEvent};
+pub use safety::{DriveCommand, RECOVERY, SafetyMachine, SafetyState, TripCause};
+pub use vision::VisionReport;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -36,15 +36,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use hdrhistogram::Histogram;
 
-use super::bus::{Budget, Bus};
+use super::bus::{Bus, BusBudget};
 use crate::log::histogram;
-use crate::plant::{Arm, Joints, Outcome, Plant};
+use crate::plant::{Arm, JointState, Outcome, Plant};
 use crate::policy::Outputs;
 use crate::runtime::Percentiles;
-use crate::scenario::{Angles, JointTable, Plan, ServosTable};
-use crate::state::{Ledger, Remember};
+use crate::scenario::{Angles, JointConfig, Plan, ServosConfig};
+use crate::state::{Persist, StateVisitor};
 use crate::wire::{MAX_MEASURES, MAX_OUTPUTS, Vision, flag};
-use sight::Sight;
+use vision::VisionInput;
 
 /// Ticks over which commands grow after torque came on, where the gate has no ramp of its own.
 const RAMP: u32 = 20;
@@ -53,7 +53,7 @@ const RAMP: u32 = 20;
 const TORQUE_EVERY: u64 = 20;
 
 /// Where samples of trackers come from: the next one that was not taken yet.
-pub type Eye = Box<dyn FnMut() -> Option<Vision>>;
+pub type VisionSource = Box<dyn FnMut() -> Option<Vision>>;
 
 /// Samples that are taken at a tick, at most: eight trackers' buffers, which is all that can wait.
 const MOST_LOOKS: usize = 32;
@@ -61,8 +61,8 @@ const MOST_LOOKS: usize = 32;
 /// The body.
 pub struct Bridge {
     bus: Bus,
-    table: ServosTable,
-    joints: Vec<JointTable>,
+    table: ServosConfig,
+    joints: Vec<JointConfig>,
     ids: Vec<u8>,
     arm: Arm,
     angles: Angles,
@@ -72,7 +72,7 @@ pub struct Bridge {
     /// s.
     period: f32,
     within: u64,
-    safety: Safety,
+    safety: SafetyMachine,
     /// The largest command of each output, and the ticks over which it is reached after torque came on; ticks since then.
     most: Outputs,
     ramp: u32,
@@ -83,8 +83,8 @@ pub struct Bridge {
     raw: [i32; MAX_OUTPUTS],
     blind: bool,
     /// What trackers see, where they are asked.
-    sight: Option<Sight>,
-    eye: Option<Eye>,
+    sight: Option<VisionInput>,
+    eye: Option<VisionSource>,
     /// What came of the last tick in which something was seen.
     seen: Outcome,
     /// Where the motors were when the arm began to stand still.
@@ -108,7 +108,7 @@ impl Bridge {
     pub fn new(
         plan: &Plan,
         mut bus: Bus,
-        joints: Vec<JointTable>,
+        joints: Vec<JointConfig>,
         say: Box<dyn FnMut(&str)>,
     ) -> Result<Self, BridgeError> {
         let plant = &plan.scenario.plant;
@@ -126,7 +126,7 @@ impl Bridge {
             gain: arm.gain as f32,
             period: period_s as f32,
             within: (within * 1e6) as u64,
-            safety: Safety::new(table.lost_after),
+            safety: SafetyMachine::new(table.lost_after),
             most: std::array::from_fn(|i| plan.scenario.gate.max_command.of(i) as f32),
             ramp: match plan.scenario.gate.ramp_ticks {
                 0 => RAMP,
@@ -137,7 +137,7 @@ impl Bridge {
             theta: [0.0; MAX_OUTPUTS],
             raw: [0; MAX_OUTPUTS],
             blind: false,
-            sight: (!table.sight.is_model()).then(|| Sight::new(table, plan.period_ns)),
+            sight: (!table.sight.is_model()).then(|| VisionInput::new(table, plan.period_ns)),
             eye: None,
             seen: Outcome::default(),
             rest: None,
@@ -159,13 +159,13 @@ impl Bridge {
     }
 
     /// Hands it the eye with which it sees, where the scenario has `sight = "vision"`. Without one it never sees anything.
-    pub fn look_with(&mut self, eye: Eye) {
+    pub fn look_with(&mut self, eye: VisionSource) {
         self.eye = Some(eye);
     }
 
     /// The budget of a tick of `plan`.
-    pub fn budget(plan: &Plan) -> Budget {
-        Budget::of(plan.period_ns)
+    pub fn budget(plan: &Plan) -> BusBudget {
+        BusBudget::of(plan.period_ns)
     }
 
     /// What arms the bridge when it is set: it looks at it once a tick.
@@ -179,7 +179,7 @@ impl Bridge {
     }
 
     /// Where its safety stands.
-    pub fn state(&self) -> State {
+    pub fn state(&self) -> SafetyState {
         self.safety.state()
     }
 
@@ -231,25 +231,27 @@ impl Bridge {
         self.seen
     }
 
-    fn tell(&mut self, tick: u64, before: State) {
+    fn tell(&mut self, tick: u64, before: SafetyState) {
         let state = self.safety.state();
         if state == before {
             return;
         }
         let text = match state {
-            State::ReadOnly => "read-only".to_owned(),
-            State::Ready => "armed; torque goes on with the next command".to_owned(),
-            State::Driving => "torque is on".to_owned(),
-            State::Tripped(cause) if cause.passes() => {
+            SafetyState::ReadOnly => "read-only".to_owned(),
+            SafetyState::Ready => "armed; torque goes on with the next command".to_owned(),
+            SafetyState::Driving => "torque is on".to_owned(),
+            SafetyState::Tripped(cause) if cause.passes() => {
                 format!("torque is off: {cause}; it goes on by itself when that is over")
             }
-            State::Tripped(cause) => format!("torque is off: {cause}; arm it again to go on"),
+            SafetyState::Tripped(cause) => format!("torque is off: {cause}; arm it again to go on"),
         };
         (self.say)(&format!("tick {tick}: {text}"));
         match state {
-            State::Driving => self.report.armed += 1,
+            SafetyState::Driving => self.report.armed += 1,
             // A fault that comes and goes for hours is told at the terminal; the account has its beginning.
-            State::Tripped(cause) if self.report.events.len() < 1000 => self.report.events.push(Event { tick, cause }),
+            SafetyState::Tripped(cause) if self.report.events.len() < 1000 => {
+                self.report.events.push(TripEvent { tick, cause })
+            }
             _ => {}
         }
     }
@@ -310,20 +312,20 @@ impl Plant for Bridge {
         self.write_ns = 0;
         let before = self.safety.state();
         let mut prepared = false;
-        if self.key.swap(false, Ordering::Relaxed) && before != State::Driving {
+        if self.key.swap(false, Ordering::Relaxed) && before != SafetyState::Driving {
             match self.arm() {
                 Ok(()) => prepared = true,
                 Err(error) => (self.say)(&format!("tick {tick}: not armed: {error}")),
             }
         }
         let mut drive = self.safety.command(flags, self.sees());
-        if drive == Drive::Still {
+        if drive == DriveCommand::Still {
             self.rest.get_or_insert(self.raw);
         } else {
             self.rest = None;
         }
         // After a loss of the bus or of power, or a while in which somebody may have moved the arm, nothing is taken for granted.
-        if drive == Drive::Rise {
+        if drive == DriveCommand::Rise {
             let checked = if prepared {
                 Ok(())
             } else {
@@ -333,38 +335,39 @@ impl Plant for Bridge {
                 (self.say)(&format!("tick {tick}: {error}"));
             }
             let trouble = match checked {
-                Ok(()) => (!self.rise()).then_some(Cause::BusLost),
+                Ok(()) => (!self.rise()).then_some(TripCause::BusLost),
                 // Who says nothing refuses nothing.
-                Err(BridgeError::Silent(_)) => Some(Cause::BusLost),
-                Err(_) => Some(Cause::Refused),
+                Err(BridgeError::Silent(_)) => Some(TripCause::BusLost),
+                Err(_) => Some(TripCause::Refused),
             };
             if let Some(cause) = trouble {
                 self.safety.trip(cause);
-                drive = Drive::Off;
+                drive = DriveCommand::Off;
             }
         }
         let mut more = 0;
         match drive {
-            Drive::Off => {
+            DriveCommand::Off => {
                 applied.fill(0.0);
-                if self.safety.state() != State::ReadOnly {
+                if self.safety.state() != SafetyState::ReadOnly {
                     self.off();
                 }
-                more |= if matches!(self.safety.state(), State::Tripped(_)) { flag::TRIPPED } else { flag::UNARMED };
+                more |=
+                    if matches!(self.safety.state(), SafetyState::Tripped(_)) { flag::TRIPPED } else { flag::UNARMED };
             }
-            Drive::Still => {
+            DriveCommand::Still => {
                 applied.fill(0.0);
                 self.drive(&[0.0; MAX_OUTPUTS]);
                 more |= flag::BLIND;
             }
-            Drive::Rise | Drive::Go => {
-                self.driven = if drive == Drive::Rise { 0 } else { self.driven.saturating_add(1) };
+            DriveCommand::Rise | DriveCommand::Go => {
+                self.driven = if drive == DriveCommand::Rise { 0 } else { self.driven.saturating_add(1) };
                 more |= self.ease(applied);
                 let (rates, limited) = self.limit(applied);
                 more |= limited;
                 if !self.drive(&rates) {
                     self.report.unwritten += 1;
-                    self.safety.trip(Cause::BusLost);
+                    self.safety.trip(TripCause::BusLost);
                     applied.fill(0.0);
                     more |= flag::TRIPPED;
                 }
@@ -381,14 +384,14 @@ impl Plant for Bridge {
         let (heard, mut took) = self.measure();
         self.blind = heard.is_err();
         self.safety.hear(heard.ok());
-        if before == State::Driving && !self.blind && tick.is_multiple_of(TORQUE_EVERY) {
+        if before == SafetyState::Driving && !self.blind && tick.is_multiple_of(TORQUE_EVERY) {
             let began = self.bus.now();
             if !self.has_torque() {
-                self.safety.hear(Some(Err(Cause::TorqueLost)));
+                self.safety.hear(Some(Err(TripCause::TorqueLost)));
             }
             took += self.bus.now() - began;
         }
-        if before == State::Driving && self.safety.state() != State::Driving {
+        if before == SafetyState::Driving && self.safety.state() != SafetyState::Driving {
             self.off();
         }
         self.tell(tick, before);
@@ -416,7 +419,7 @@ impl Plant for Bridge {
         if self.blind || !self.sees() { flag::BLIND } else { 0 }
     }
 
-    fn joints(&self) -> Option<Joints> {
+    fn joints(&self) -> Option<JointState> {
         self.arm.joints()
     }
 }
@@ -424,13 +427,13 @@ impl Plant for Bridge {
 impl Drop for Bridge {
     /// However it ends, in order, by an error or in a panic: torque is off.
     fn drop(&mut self) {
-        if self.safety.state() != State::ReadOnly {
+        if self.safety.state() != SafetyState::ReadOnly {
             self.bus.torque_off(&self.ids);
         }
         if let Some(path) = &self.account {
             [self.report.bus_read, self.report.bus_write] =
                 [Percentiles::of(&self.times[0]), Percentiles::of(&self.times[1])];
-            self.report.vision = self.sight.as_ref().map(Sight::account);
+            self.report.vision = self.sight.as_ref().map(VisionInput::account);
             let text = serde_json::to_string_pretty(&self.report).unwrap_or_default();
             // The run's own account is not in danger without it.
             let _ = std::fs::write(path, text);
@@ -439,8 +442,8 @@ impl Drop for Bridge {
 }
 
 /// The servos themselves remember where they are.
-impl Remember for Bridge {
-    fn remember(&mut self, ledger: &mut dyn Ledger) {
-        ledger.part("task", &mut self.arm);
+impl Persist for Bridge {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("task", &mut self.arm);
     }
 }

@@ -1,8 +1,8 @@
 //! The motors themselves: what is read of them, and what is written to them.
 
-use super::{Bridge, Cause, chain};
-use crate::scenario::Goal;
-use crate::servo::model::{Block, STEP, error_bit};
+use super::{Bridge, TripCause, chain};
+use crate::scenario::ServoGoal;
+use crate::servo::model::{RegisterBlock, STEP, error_bit};
 use crate::wire::MAX_OUTPUTS;
 
 /// Dynamixel's bus watchdog counts in 20 ms; the servo stops when it hears nothing for so long.
@@ -10,7 +10,7 @@ const WATCHDOG: i32 = 10;
 
 impl Bridge {
     /// Reads all servos; what they say of themselves, and the time that it took, ns.
-    pub(super) fn measure(&mut self) -> (Result<Result<(), Cause>, ()>, u64) {
+    pub(super) fn measure(&mut self) -> (Result<Result<(), TripCause>, ()>, u64) {
         let (state, series) = (self.bus.series().state, self.bus.series());
         let (answers, took) = self.bus.sync_read(&self.ids, state);
         let Ok(answers) = answers else { return (Err(()), took) };
@@ -22,9 +22,9 @@ impl Bridge {
             self.motors[i] = chain::angle(joint, self.raw[i]);
             let volts = f64::from(get(series.voltage)) * 0.1;
             if f64::from(get(series.temperature)) > self.table.max_temperature {
-                health = Err(Cause::Heat);
+                health = Err(TripCause::Heat);
             } else if volts < self.table.min_voltage {
-                health = Err(Cause::Voltage);
+                health = Err(TripCause::Voltage);
             } else if answer.error != 0 {
                 health = Err(self.trouble(self.ids[i], answer.error));
             }
@@ -34,14 +34,14 @@ impl Bridge {
     }
 
     /// What a servo's error means. Dynamixel only says that there is one.
-    fn trouble(&mut self, id: u8, error: u8) -> Cause {
+    fn trouble(&mut self, id: u8, error: u8) -> TripCause {
         let register = self.bus.series().hardware_error;
         let bits = self.bus.read(id, register).map_or(error, |bits| bits as u8);
         match bits {
-            bits if bits & error_bit::HEAT != 0 => Cause::Heat,
-            bits if bits & error_bit::OVERLOAD != 0 => Cause::Overload,
-            bits if bits & error_bit::VOLTAGE != 0 => Cause::Voltage,
-            _ => Cause::TorqueLost,
+            bits if bits & error_bit::HEAT != 0 => TripCause::Heat,
+            bits if bits & error_bit::OVERLOAD != 0 => TripCause::Overload,
+            bits if bits & error_bit::VOLTAGE != 0 => TripCause::Voltage,
+            _ => TripCause::TorqueLost,
         }
     }
 
@@ -49,16 +49,16 @@ impl Bridge {
     pub(super) fn drive(&mut self, rates: &[f64; MAX_OUTPUTS]) -> bool {
         let (series, period) = (self.bus.series(), f64::from(self.period));
         let goal = match self.table.goal {
-            Goal::Speed => series.goal_velocity,
-            Goal::Position => series.goal_position,
+            ServoGoal::Speed => series.goal_velocity,
+            ServoGoal::Position => series.goal_position,
         };
         // An arm that stands still stays where it began to, and does not follow what pulls at it.
         let from = self.rest.unwrap_or(self.raw);
         let value = |i: usize| {
             let (joint, rate) = (&self.joints[i], rates[i]);
             match self.table.goal {
-                Goal::Speed => f64::from(joint.direction) * rate / series.speed_unit,
-                Goal::Position => f64::from(from[i]) + f64::from(joint.direction) * rate * period / STEP,
+                ServoGoal::Speed => f64::from(joint.direction) * rate / series.speed_unit,
+                ServoGoal::Position => f64::from(from[i]) + f64::from(joint.direction) * rate * period / STEP,
             }
         };
         let width = usize::from(goal.width);
@@ -71,7 +71,7 @@ impl Bridge {
 
     /// Torque on, at a standstill: the goals first, since a servo goes to an old one when its torque comes on.
     pub(super) fn rise(&mut self) -> bool {
-        if self.table.goal == Goal::Speed && self.bus.series().bus_watchdog.is_some() {
+        if self.table.goal == ServoGoal::Speed && self.bus.series().bus_watchdog.is_some() {
             let register = self.bus.series().bus_watchdog.expect("there is one");
             // One that has bitten takes nothing else before it is cleared.
             if self.bus.sync_set(&self.ids, register, |_| 0).is_err()
@@ -96,7 +96,7 @@ impl Bridge {
     /// Whether all have torque, where that can be read.
     pub(super) fn has_torque(&mut self) -> bool {
         let torque = self.bus.series().torque_enable;
-        let block = Block { address: torque.address, length: torque.width };
+        let block = RegisterBlock { address: torque.address, length: torque.width };
         match self.bus.sync_read(&self.ids, block).0 {
             Ok(answers) => answers.iter().all(|answer| torque.decode(&answer.bytes) == 1),
             Err(_) => true,

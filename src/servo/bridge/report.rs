@@ -2,17 +2,17 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::safety::Cause;
-use super::sight::VisionReport;
+use super::safety::TripCause;
+use super::vision::VisionReport;
 use crate::runtime::Percentiles;
 
 /// Torque went off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Event {
+pub struct TripEvent {
     /// When.
     pub tick: u64,
     /// Why.
-    pub cause: Cause,
+    pub cause: TripCause,
 }
 
 /// What the bridge leaves in the run's folder as `bridge.json`.
@@ -27,7 +27,7 @@ pub struct BridgeReport {
     /// Times that torque went on.
     pub armed: u64,
     /// Times that it went off before the end, and why.
-    pub events: Vec<Event>,
+    pub events: Vec<TripEvent>,
     /// What a tick's synchronous read takes.
     pub bus_read: Option<Percentiles>,
     /// What a tick's synchronous write takes.

@@ -22,7 +22,7 @@ pub const RECOVERY: u32 = 20;
 /// Why torque went off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Cause {
+pub enum TripCause {
     /// No proper answers any more.
     BusLost,
     /// A servo says that its load is more than it can carry.
@@ -39,14 +39,14 @@ pub enum Cause {
     Refused,
 }
 
-impl Cause {
+impl TripCause {
     /// Whether the arm goes on by itself when the cause is gone.
     pub fn passes(self) -> bool {
         matches!(self, Self::BusLost | Self::CommandsAway)
     }
 }
 
-impl fmt::Display for Cause {
+impl fmt::Display for TripCause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::BusLost => "the bus is lost",
@@ -62,7 +62,7 @@ impl fmt::Display for Cause {
 
 /// Where the machine stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum State {
+pub enum SafetyState {
     /// Nobody has armed it.
     ReadOnly,
     /// Armed; torque goes on with the first command.
@@ -70,12 +70,12 @@ pub enum State {
     /// Torque is on.
     Driving,
     /// Torque is off.
-    Tripped(Cause),
+    Tripped(TripCause),
 }
 
 /// What the body does in a tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Drive {
+pub enum DriveCommand {
     /// Nothing: torque is off, or goes off now.
     Off,
     /// Stand still, with torque.
@@ -88,59 +88,59 @@ pub enum Drive {
 
 /// The machine.
 #[derive(Debug, Clone)]
-pub struct Safety {
-    state: State,
+pub struct SafetyMachine {
+    state: SafetyState,
     lost_after: u32,
     /// Ticks in a row without, and with, an answer of all.
     missed: u32,
     heard: u32,
 }
 
-impl Safety {
+impl SafetyMachine {
     /// Read-only; the bus counts as lost after so many ticks without an answer.
     pub fn new(lost_after: u32) -> Self {
-        Self { state: State::ReadOnly, lost_after, missed: 0, heard: 0 }
+        Self { state: SafetyState::ReadOnly, lost_after, missed: 0, heard: 0 }
     }
 
     /// Where it stands.
-    pub fn state(&self) -> State {
+    pub fn state(&self) -> SafetyState {
         self.state
     }
 
     /// Somebody arms it, after the checks.
     pub fn arm(&mut self) {
-        if self.state != State::Driving {
-            self.state = State::Ready;
+        if self.state != SafetyState::Driving {
+            self.state = SafetyState::Ready;
         }
     }
 
     /// Torque goes off now.
-    pub fn trip(&mut self, cause: Cause) {
-        if self.state != State::ReadOnly {
-            self.state = State::Tripped(cause);
+    pub fn trip(&mut self, cause: TripCause) {
+        if self.state != SafetyState::ReadOnly {
+            self.state = SafetyState::Tripped(cause);
         }
     }
 
     /// What the bus said in this tick: nothing proper, or that all is well, or what is not.
-    pub fn hear(&mut self, heard: Option<Result<(), Cause>>) {
+    pub fn hear(&mut self, heard: Option<Result<(), TripCause>>) {
         match heard {
             None => {
                 (self.heard, self.missed) = (0, self.missed.saturating_add(1));
-                if self.missed >= self.lost_after && matches!(self.state, State::Ready | State::Driving) {
-                    self.trip(Cause::BusLost);
+                if self.missed >= self.lost_after && matches!(self.state, SafetyState::Ready | SafetyState::Driving) {
+                    self.trip(TripCause::BusLost);
                 }
             }
             Some(Err(cause)) => {
                 (self.heard, self.missed) = (0, 0);
                 // What passes by itself gives way to what does not.
-                if !matches!(self.state, State::Tripped(before) if !before.passes()) {
+                if !matches!(self.state, SafetyState::Tripped(before) if !before.passes()) {
                     self.trip(cause);
                 }
             }
             Some(Ok(())) => {
                 (self.heard, self.missed) = (self.heard.saturating_add(1), 0);
-                if self.state == State::Tripped(Cause::BusLost) && self.heard >= RECOVERY {
-                    self.state = State::Ready;
+                if self.state == SafetyState::Tripped(TripCause::BusLost) && self.heard >= RECOVERY {
+                    self.state = SafetyState::Ready;
                 }
             }
         }
@@ -148,19 +148,19 @@ impl Safety {
 
     /// What to do with the command of a tick, of which the gate says `flags`. An arm that does not see (`sees`) stands still, and torque does
     /// not come on before it does.
-    pub fn command(&mut self, flags: u32, sees: bool) -> Drive {
+    pub fn command(&mut self, flags: u32, sees: bool) -> DriveCommand {
         let came = flags & flag::MISSED == 0;
-        if self.state == State::Driving && flags & flag::STOPPED != 0 {
-            self.trip(Cause::CommandsAway);
+        if self.state == SafetyState::Driving && flags & flag::STOPPED != 0 {
+            self.trip(TripCause::CommandsAway);
         }
         match self.state {
-            State::Driving if self.missed > 0 || !sees => Drive::Still,
-            State::Driving => Drive::Go,
-            State::Ready | State::Tripped(Cause::CommandsAway) if came && sees && self.missed == 0 => {
-                self.state = State::Driving;
-                Drive::Rise
+            SafetyState::Driving if self.missed > 0 || !sees => DriveCommand::Still,
+            SafetyState::Driving => DriveCommand::Go,
+            SafetyState::Ready | SafetyState::Tripped(TripCause::CommandsAway) if came && sees && self.missed == 0 => {
+                self.state = SafetyState::Driving;
+                DriveCommand::Rise
             }
-            _ => Drive::Off,
+            _ => DriveCommand::Off,
         }
     }
 }
@@ -173,73 +173,73 @@ mod tests {
 
     #[test]
     fn torque_is_on_only_after_arming_and_a_command() {
-        let mut safety = Safety::new(3);
+        let mut safety = SafetyMachine::new(3);
         for _ in 0..10 {
             safety.hear(Some(Ok(())));
-            assert_eq!(safety.command(0, true), Drive::Off);
+            assert_eq!(safety.command(0, true), DriveCommand::Off);
         }
         safety.arm();
-        assert_eq!(safety.command(flag::MISSED | flag::HELD, true), Drive::Off);
-        assert_eq!(safety.command(0, true), Drive::Rise);
-        assert_eq!(safety.command(0, true), Drive::Go);
+        assert_eq!(safety.command(flag::MISSED | flag::HELD, true), DriveCommand::Off);
+        assert_eq!(safety.command(0, true), DriveCommand::Rise);
+        assert_eq!(safety.command(0, true), DriveCommand::Go);
     }
 
     #[test]
     fn each_cause_turns_it_off_and_passes_or_does_not() {
-        for cause in [Cause::Overload, Cause::Heat, Cause::Voltage, Cause::TorqueLost] {
-            let mut safety = Safety::new(3);
+        for cause in [TripCause::Overload, TripCause::Heat, TripCause::Voltage, TripCause::TorqueLost] {
+            let mut safety = SafetyMachine::new(3);
             safety.arm();
-            assert_eq!(safety.command(0, true), Drive::Rise);
+            assert_eq!(safety.command(0, true), DriveCommand::Rise);
             safety.hear(Some(Err(cause)));
             for _ in 0..100 {
-                assert_eq!(safety.command(0, true), Drive::Off);
+                assert_eq!(safety.command(0, true), DriveCommand::Off);
                 safety.hear(Some(Ok(())));
             }
-            assert_eq!(safety.state(), State::Tripped(cause));
+            assert_eq!(safety.state(), SafetyState::Tripped(cause));
             safety.arm();
-            assert_eq!(safety.command(0, true), Drive::Rise);
+            assert_eq!(safety.command(0, true), DriveCommand::Rise);
         }
     }
 
     #[test]
     fn a_bus_that_is_lost_stands_still_then_off_and_comes_back() {
-        let mut safety = Safety::new(3);
+        let mut safety = SafetyMachine::new(3);
         safety.arm();
         safety.command(0, true);
-        for drive in [Drive::Still, Drive::Still, Drive::Off, Drive::Off] {
+        for drive in [DriveCommand::Still, DriveCommand::Still, DriveCommand::Off, DriveCommand::Off] {
             safety.hear(None);
             assert_eq!(safety.command(0, true), drive);
         }
         for _ in 1..RECOVERY {
             safety.hear(Some(Ok(())));
-            assert_eq!(safety.command(0, true), Drive::Off);
+            assert_eq!(safety.command(0, true), DriveCommand::Off);
         }
         safety.hear(Some(Ok(())));
-        assert_eq!(safety.command(0, true), Drive::Rise);
+        assert_eq!(safety.command(0, true), DriveCommand::Rise);
     }
 
     #[test]
     fn commands_that_stay_away_and_come_back() {
-        let mut safety = Safety::new(3);
+        let mut safety = SafetyMachine::new(3);
         safety.arm();
         safety.command(0, true);
-        assert_eq!(safety.command(flag::MISSED | flag::DECAYED, true), Drive::Go);
-        assert_eq!(safety.command(AWAY, true), Drive::Off);
-        assert_eq!(safety.command(AWAY, true), Drive::Off);
-        assert_eq!(safety.command(0, true), Drive::Rise);
+        assert_eq!(safety.command(flag::MISSED | flag::DECAYED, true), DriveCommand::Go);
+        assert_eq!(safety.command(AWAY, true), DriveCommand::Off);
+        assert_eq!(safety.command(AWAY, true), DriveCommand::Off);
+        assert_eq!(safety.command(0, true), DriveCommand::Rise);
     }
 
     #[test]
     fn who_does_not_see_stands_still_and_gets_no_torque() {
-        let mut safety = Safety::new(3);
+        let mut safety = SafetyMachine::new(3);
         safety.arm();
-        assert_eq!(safety.command(0, false), Drive::Off);
-        assert_eq!(safety.state(), State::Ready);
-        assert_eq!(safety.command(0, true), Drive::Rise);
-        assert_eq!(safety.command(0, false), Drive::Still);
-        assert_eq!(safety.state(), State::Driving, "torque stays on");
-        assert_eq!(safety.command(0, true), Drive::Go);
+        assert_eq!(safety.command(0, false), DriveCommand::Off);
+        assert_eq!(safety.state(), SafetyState::Ready);
+        assert_eq!(safety.command(0, true), DriveCommand::Rise);
+        assert_eq!(safety.command(0, false), DriveCommand::Still);
+        assert_eq!(safety.state(), SafetyState::Driving, "torque stays on");
+        assert_eq!(safety.command(0, true), DriveCommand::Go);
         // Commands that stay away end it all the same.
-        assert_eq!(safety.command(AWAY, false), Drive::Off);
+        assert_eq!(safety.command(AWAY, false), DriveCommand::Off);
     }
 }

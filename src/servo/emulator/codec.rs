@@ -45,12 +45,12 @@ pub mod instruction {
 
 /// Collects bytes until they are a request.
 #[derive(Debug, Clone)]
-pub struct Parser {
+pub struct RequestParser {
     protocol: Protocol,
     bytes: Vec<u8>,
 }
 
-impl Parser {
+impl RequestParser {
     /// One that has seen nothing.
     pub fn new(protocol: Protocol) -> Self {
         Self { protocol, bytes: Vec::new() }
@@ -74,20 +74,20 @@ impl Parser {
                 Protocol::Feetech => feetech(&self.bytes),
             };
             match request {
-                Found::Request(length, request) => {
+                ParseResult::Request(length, request) => {
                     self.bytes.drain(..length);
                     return Some(request);
                 }
-                Found::Waste(length) => {
+                ParseResult::Waste(length) => {
                     self.bytes.drain(..length);
                 }
-                Found::Part => return None,
+                ParseResult::Part => return None,
             }
         }
     }
 }
 
-enum Found {
+enum ParseResult {
     /// A request of so many bytes.
     Request(usize, Request),
     /// So many bytes that begin no packet.
@@ -96,17 +96,17 @@ enum Found {
     Part,
 }
 
-fn dynamixel(bytes: &[u8]) -> Found {
+fn dynamixel(bytes: &[u8]) -> ParseResult {
     const HEADER: [u8; 4] = [0xff, 0xff, 0xfd, 0x00];
     if bytes.iter().zip(HEADER).any(|(&is, ought)| is != ought) {
-        return Found::Waste(1);
+        return ParseResult::Waste(1);
     }
-    let Some(&[_, _, _, _, id, low, high]) = bytes.get(..7) else { return Found::Part };
+    let Some(&[_, _, _, _, id, low, high]) = bytes.get(..7) else { return ParseResult::Part };
     let length = usize::from(u16::from_le_bytes([low, high]));
     if !(3..=LONGEST).contains(&length) || id > BROADCAST || id == 0xfd {
-        return Found::Waste(1);
+        return ParseResult::Waste(1);
     }
-    let Some(packet) = bytes.get(..7 + length) else { return Found::Part };
+    let Some(packet) = bytes.get(..7 + length) else { return ParseResult::Part };
     let (body, sum) = packet.split_at(packet.len() - 2);
     let request = Request {
         id,
@@ -114,23 +114,23 @@ fn dynamixel(bytes: &[u8]) -> Found {
         parameters: unstuffed(&body[8..]),
         sound: crc(body).to_le_bytes() == sum,
     };
-    Found::Request(packet.len(), request)
+    ParseResult::Request(packet.len(), request)
 }
 
-fn feetech(bytes: &[u8]) -> Found {
+fn feetech(bytes: &[u8]) -> ParseResult {
     if bytes.iter().take(2).any(|&byte| byte != 0xff) {
-        return Found::Waste(1);
+        return ParseResult::Waste(1);
     }
-    let Some(&[_, _, id, length]) = bytes.get(..4) else { return Found::Part };
+    let Some(&[_, _, id, length]) = bytes.get(..4) else { return ParseResult::Part };
     // A third FF is a header that begins one byte later: there is no such id.
     if id > BROADCAST || length < 2 {
-        return Found::Waste(1);
+        return ParseResult::Waste(1);
     }
-    let Some(packet) = bytes.get(..4 + usize::from(length)) else { return Found::Part };
+    let Some(packet) = bytes.get(..4 + usize::from(length)) else { return ParseResult::Part };
     let (body, sum) = packet.split_at(packet.len() - 1);
     let request =
         Request { id, instruction: packet[4], parameters: body[5..].to_vec(), sound: checksum(&body[2..]) == sum[0] };
-    Found::Request(packet.len(), request)
+    ParseResult::Request(packet.len(), request)
 }
 
 /// The bytes of an answer from `id` with this error byte and these parameters.
@@ -206,7 +206,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn all(protocol: Protocol, bytes: &[u8]) -> Vec<Request> {
-        let mut parser = Parser::new(protocol);
+        let mut parser = RequestParser::new(protocol);
         parser.push(bytes);
         std::iter::from_fn(|| parser.next_request()).collect()
     }
@@ -238,7 +238,7 @@ mod tests {
         #[test]
         fn any_bytes_in_any_pieces_are_taken(bytes in prop::collection::vec(any::<u8>(), 0..600), cut in 1_usize..50) {
             for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
-                let mut parser = Parser::new(protocol);
+                let mut parser = RequestParser::new(protocol);
                 let mut found = Vec::new();
                 for piece in bytes.chunks(cut) {
                     parser.push(piece);

@@ -8,14 +8,14 @@ const SECOND: u64 = 1_000_000_000;
 
 /// The faults of a chain.
 #[derive(Debug, Clone)]
-pub struct Faults {
+pub struct ChainFaults {
     list: Vec<ServoFault>,
     seed: u64,
 }
 
 /// What befalls one answer.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Mishap {
+pub struct ReplyFault {
     /// It does not come.
     pub lost: bool,
     /// Its checksum is wrong.
@@ -26,7 +26,7 @@ pub struct Mishap {
     pub late: u64,
 }
 
-impl Faults {
+impl ChainFaults {
     /// These faults, with the draws of `seed`.
     pub fn new(list: &[ServoFault], seed: u64) -> Self {
         Self { list: list.to_vec(), seed }
@@ -48,8 +48,8 @@ impl Faults {
     }
 
     /// What befalls answer number `answer` of the servo with this id, at `now`.
-    pub fn mishap(&self, id: u8, now: u64, answer: u64) -> Mishap {
-        let mut mishap = Mishap::default();
+    pub fn mishap(&self, id: u8, now: u64, answer: u64) -> ReplyFault {
+        let mut mishap = ReplyFault::default();
         for (i, fault) in self.matching(id, now).filter(|(_, fault)| !fault.kind.lasts()) {
             if self.draw(i, fault, id, answer) {
                 match fault.kind {
@@ -97,7 +97,7 @@ mod tests {
 
     #[test]
     fn a_window_begins_and_ends_where_it_says() {
-        let faults = Faults::new(&[fault(ServoFaultKind::Hot), fault(ServoFaultKind::Slow)], 1);
+        let faults = ChainFaults::new(&[fault(ServoFaultKind::Hot), fault(ServoFaultKind::Slow)], 1);
         assert_eq!(faults.next_edge(0), SECOND);
         assert_eq!(faults.next_edge(SECOND), 2 * SECOND);
         assert_eq!(faults.next_edge(2 * SECOND), u64::MAX);
@@ -106,14 +106,14 @@ mod tests {
         assert!(!faults.holds(ServoFaultKind::Hot, 1, SECOND));
         assert!(!faults.holds(ServoFaultKind::Hot, 2, 2 * SECOND));
         assert_eq!(faults.mishap(2, SECOND, 7).late, 20_000_000);
-        assert_eq!(faults.mishap(3, SECOND, 7), Mishap::default());
+        assert_eq!(faults.mishap(3, SECOND, 7), ReplyFault::default());
     }
 
     #[test]
     fn a_probability_is_kept_and_drawn_anew_for_every_answer() {
         let fault = ServoFault { probability: Some(0.25), ..fault(ServoFaultKind::NoReply) };
         let count = |seed| {
-            let faults = Faults::new(std::slice::from_ref(&fault), seed);
+            let faults = ChainFaults::new(std::slice::from_ref(&fault), seed);
             (0..10_000).filter(|&n| faults.mishap(2, SECOND, n).lost).count()
         };
         assert!((2300..2700).contains(&count(1)), "{}", count(1));

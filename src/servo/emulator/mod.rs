@@ -1,7 +1,7 @@
 //! An emulated chain of serial-bus servos: bytes in at an instant, bytes out at an instant.
 //!
-//! Pure: no clock, no files, no threads. What comes out is a function of seed, settings, and the bytes with their instants. [`Port`] puts
-//! it behind `serialport`'s trait with a stepped clock; [`pty`](crate::servo::pty) puts it behind a terminal in real time.
+//! Pure: no clock, no files, no threads. What comes out is a function of seed, settings, and the bytes with their instants. [`EmulatedPort`] puts
+//! it behind `serialport`'s trait with a stepped clock; [`pty`](crate::servo::pseudo_terminal) puts it behind a terminal in real time.
 //!
 //! *As the real ones*: packets, checksums, stuffing, error bytes; control tables with what is EEPROM and what refuses writes; the time
 //! that bytes take on the wire, the return delay; answers to a synchronous read one after the other, where those behind one that is missing
@@ -26,14 +26,14 @@ use std::collections::VecDeque;
 
 use rand::RngExt as _;
 
-pub use port::{Port, SteppedClock};
+pub use port::{EmulatedPort, SteppedClock};
 
-use crate::scenario::{EmulatorTable, ServoFaultKind};
+use crate::scenario::{EmulatorConfig, ServoFaultKind};
 use crate::seed::{self, Rng};
-use crate::servo::model::{MODELS, Model, Protocol};
-use codec::{BROADCAST, Parser, Request, instruction};
-use faults::Faults;
-use servo::{Plight, Servo};
+use crate::servo::model::{MODELS, Protocol, ServoModel};
+use codec::{BROADCAST, Request, RequestParser, instruction};
+use faults::ChainFaults;
+use servo::{EmulatedServo, ServoFaultState};
 use table::refusal;
 
 /// After so long a silence a packet that has only begun is forgotten, ns.
@@ -44,13 +44,13 @@ const PING_SLOT: u64 = 3_000_000;
 
 /// A chain of emulated servos on one wire.
 #[derive(Debug, Clone)]
-pub struct Chain {
+pub struct EmulatedChain {
     protocol: Protocol,
-    servos: Vec<Servo>,
-    settings: EmulatorTable,
-    faults: Faults,
+    servos: Vec<EmulatedServo>,
+    settings: EmulatorConfig,
+    faults: ChainFaults,
     rng: Rng,
-    parser: Parser,
+    parser: RequestParser,
     /// Until when the chain has lived, ns.
     now: u64,
     /// When the last byte came in, and when the last one has left the wire, ns.
@@ -76,30 +76,30 @@ pub struct ServoState {
     pub errors: u8,
 }
 
-impl Chain {
+impl EmulatedChain {
     /// Servos with these ids, in the order in which they hang on the wire, all in their middle position; ids that stand twice make
     /// two servos that talk at once. They listen at `baud`.
-    pub fn new(protocol: Protocol, ids: &[u8], baud: u32, settings: &EmulatorTable, seed: u64) -> Self {
+    pub fn new(protocol: Protocol, ids: &[u8], baud: u32, settings: &EmulatorConfig, seed: u64) -> Self {
         let named = settings.model.as_ref().and_then(|name| MODELS.iter().find(|model| model.name == name));
         let usual = MODELS.iter().find(|model| model.protocol == protocol);
-        let model: &Model =
+        let model: &ServoModel =
             named.filter(|model| model.protocol == protocol).or(usual).expect("a model of each protocol");
         Self::of(model, ids, baud, settings, seed)
     }
 
     /// The same of any model, with the control table of its protocol's series.
-    pub fn of(model: &Model, ids: &[u8], baud: u32, settings: &EmulatorTable, seed: u64) -> Self {
+    pub fn of(model: &ServoModel, ids: &[u8], baud: u32, settings: &EmulatorConfig, seed: u64) -> Self {
         let protocol = model.protocol;
-        let servos = ids.iter().map(|&id| Servo::new(model, id, baud, 2048.0, settings)).collect();
+        let servos = ids.iter().map(|&id| EmulatedServo::new(model, id, baud, 2048.0, settings)).collect();
         let mut rng = seed::stream(seed, "emulator");
-        let faults = Faults::new(&settings.faults, rng.random());
+        let faults = ChainFaults::new(&settings.faults, rng.random());
         Self {
             protocol,
             servos,
             settings: settings.clone(),
             faults,
             rng,
-            parser: Parser::new(protocol),
+            parser: RequestParser::new(protocol),
             now: 0,
             received: 0,
             wire_free: 0,
@@ -160,7 +160,7 @@ impl Chain {
     /// How all servos are at `now`, in the order of the wire.
     pub fn state(&mut self, now: u64) -> Vec<ServoState> {
         self.live(now.max(self.now));
-        let state = |servo: &Servo| ServoState {
+        let state = |servo: &EmulatedServo| ServoState {
             id: servo.id(),
             position: servo.shaft.at,
             speed: servo.shaft.speed,
@@ -176,7 +176,7 @@ impl Chain {
         for servo in &mut self.servos {
             let (id, now, faults) = (servo.id(), self.now, &self.faults);
             off |= faults.holds(ServoFaultKind::CableOut, id, now);
-            let plight = Plight {
+            let plight = ServoFaultState {
                 off,
                 held: faults.holds(ServoFaultKind::Overload, id, now),
                 low: faults.holds(ServoFaultKind::BrownOut, id, now),
@@ -187,7 +187,7 @@ impl Chain {
     }
 
     fn obey(&mut self, request: &Request, at: u64, baud: u32, wire_baud: u32) {
-        let tuned = |servo: &Servo| servo.hears() && (baud == 0 || servo.table.baud() == baud);
+        let tuned = |servo: &EmulatedServo| servo.hears() && (baud == 0 || servo.table.baud() == baud);
         let listening: Vec<usize> = (0..self.servos.len()).filter(|&i| tuned(&self.servos[i])).collect();
         if !request.sound {
             // Nobody knows whom a broken packet was for. Dynamixel says so if the id is its own.
@@ -329,7 +329,7 @@ impl Chain {
         at: u64,
         baud: u32,
         error: u8,
-        say: impl Fn(&mut Servo, &mut Rng) -> Vec<u8>,
+        say: impl Fn(&mut EmulatedServo, &mut Rng) -> Vec<u8>,
     ) {
         self.put(servos, None, at, baud, error, say);
     }
@@ -342,7 +342,7 @@ impl Chain {
         at: u64,
         baud: u32,
         error: u8,
-        say: impl Fn(&mut Servo, &mut Rng) -> Vec<u8>,
+        say: impl Fn(&mut EmulatedServo, &mut Rng) -> Vec<u8>,
     ) {
         let mut wire: Option<(u64, Vec<u8>)> = None;
         let error = if self.protocol == Protocol::Dynamixel { error } else { 0 };
@@ -380,7 +380,7 @@ impl Chain {
 }
 
 /// What a ping is answered with: model and firmware in protocol 2.0, nothing with Feetech.
-fn ping(servo: &mut Servo, _: &mut Rng) -> Vec<u8> {
+fn ping(servo: &mut EmulatedServo, _: &mut Rng) -> Vec<u8> {
     match servo.table.series.protocol {
         Protocol::Dynamixel => {
             let number = servo.table.read(0, 2).unwrap_or_default();

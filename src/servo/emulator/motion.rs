@@ -8,7 +8,7 @@ const STEP_S: f64 = 0.001;
 
 /// What the motor is after.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Aim {
+pub enum MotorGoal {
     /// Nothing: no torque, or held fast. It stands at once.
     Rest,
     /// A speed, steps/s.
@@ -33,14 +33,14 @@ pub struct Shaft {
 
 impl Shaft {
     /// Lets `seconds` pass with an acceleration of at most `acceleration` steps/s^2, which may be infinite.
-    pub fn advance(&mut self, aim: Aim, acceleration: f64, seconds: f64) {
+    pub fn advance(&mut self, aim: MotorGoal, acceleration: f64, seconds: f64) {
         if seconds <= 0.0 {
             return;
         }
         match aim {
-            Aim::Rest => self.speed = 0.0,
-            Aim::Speed(goal) => self.towards_speed(goal, acceleration, seconds),
-            Aim::Position { at, speed } if acceleration.is_infinite() => {
+            MotorGoal::Rest => self.speed = 0.0,
+            MotorGoal::Speed(goal) => self.towards_speed(goal, acceleration, seconds),
+            MotorGoal::Position { at, speed } if acceleration.is_infinite() => {
                 let way = at - self.at;
                 let reach = speed * seconds;
                 if way.abs() <= reach {
@@ -50,8 +50,8 @@ impl Shaft {
                     self.at += reach.copysign(way);
                 }
             }
-            Aim::Position { at, .. } if self.at == at && self.speed == 0.0 => {}
-            Aim::Position { at, speed } => {
+            MotorGoal::Position { at, .. } if self.at == at && self.speed == 0.0 => {}
+            MotorGoal::Position { at, speed } => {
                 let steps = (seconds / STEP_S).ceil().max(1.0);
                 let h = seconds / steps;
                 for _ in 0..steps as u64 {
@@ -93,11 +93,11 @@ mod tests {
     #[test]
     fn a_speed_is_reached_with_the_acceleration_and_kept() {
         let mut shaft = Shaft { at: 0.0, speed: 0.0 };
-        shaft.advance(Aim::Speed(100.0), 200.0, 1.0);
+        shaft.advance(MotorGoal::Speed(100.0), 200.0, 1.0);
         assert_eq!(shaft, Shaft { at: 75.0, speed: 100.0 });
-        shaft.advance(Aim::Speed(-100.0), f64::INFINITY, 1.0);
+        shaft.advance(MotorGoal::Speed(-100.0), f64::INFINITY, 1.0);
         assert_eq!(shaft, Shaft { at: -25.0, speed: -100.0 });
-        shaft.advance(Aim::Rest, 200.0, 1.0);
+        shaft.advance(MotorGoal::Rest, 200.0, 1.0);
         assert_eq!(shaft, Shaft { at: -25.0, speed: 0.0 });
     }
 
@@ -107,7 +107,7 @@ mod tests {
             let mut shaft = Shaft { at: 0.0, speed: 0.0 };
             let mut farthest: f64 = 0.0;
             for _ in 0..2000 {
-                shaft.advance(Aim::Position { at: goal, speed: 2000.0 }, acceleration, 0.01);
+                shaft.advance(MotorGoal::Position { at: goal, speed: 2000.0 }, acceleration, 0.01);
                 farthest = farthest.max(shaft.at * goal.signum());
                 prop_assert!(shaft.speed.abs() <= 2000.0 + 1e-6);
             }
@@ -119,9 +119,9 @@ mod tests {
         fn how_time_is_cut_does_not_matter_to_speeds(goal in -5000.0_f64..5000.0, cut in 0.001_f64..0.999) {
             let start = Shaft { at: 3.0, speed: 250.0 };
             let (mut whole, mut parts) = (start, start);
-            whole.advance(Aim::Speed(goal), 3000.0, 1.0);
-            parts.advance(Aim::Speed(goal), 3000.0, cut);
-            parts.advance(Aim::Speed(goal), 3000.0, 1.0 - cut);
+            whole.advance(MotorGoal::Speed(goal), 3000.0, 1.0);
+            parts.advance(MotorGoal::Speed(goal), 3000.0, cut);
+            parts.advance(MotorGoal::Speed(goal), 3000.0, 1.0 - cut);
             prop_assert!((whole.at - parts.at).abs() < 1e-6);
         }
     }

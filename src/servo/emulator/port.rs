@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serialport::{ClearBuffer, DataBits, FlowControl, Parity, Result, SerialPort, StopBits};
 
-use super::Chain;
+use super::EmulatedChain;
 
 /// A clock that stands still until somebody steps it; clones are the same clock.
 #[derive(Debug, Clone, Default)]
@@ -27,8 +27,8 @@ impl SteppedClock {
 
 /// A serial port with an emulated chain at its end.
 #[derive(Debug, Clone)]
-pub struct Port {
-    chain: Arc<Mutex<Chain>>,
+pub struct EmulatedPort {
+    chain: Arc<Mutex<EmulatedChain>>,
     clock: SteppedClock,
     baud: u32,
     timeout: Duration,
@@ -36,9 +36,9 @@ pub struct Port {
     ready: Arc<Mutex<Vec<u8>>>,
 }
 
-impl Port {
+impl EmulatedPort {
     /// A port to `chain` at `baud`, in the time of `clock`. The chain may be looked at and taken by the hand through its own handle.
-    pub fn new(chain: Arc<Mutex<Chain>>, clock: SteppedClock, baud: u32) -> Self {
+    pub fn new(chain: Arc<Mutex<EmulatedChain>>, clock: SteppedClock, baud: u32) -> Self {
         Self { chain, clock, baud, timeout: Duration::from_millis(10), ready: Arc::default() }
     }
 
@@ -56,7 +56,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-impl Read for Port {
+impl Read for EmulatedPort {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if buffer.is_empty() {
             return Ok(0);
@@ -79,7 +79,7 @@ impl Read for Port {
     }
 }
 
-impl Write for Port {
+impl Write for EmulatedPort {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         lock(&self.chain).receive(self.clock.now(), self.baud, bytes);
         Ok(bytes.len())
@@ -90,7 +90,7 @@ impl Write for Port {
     }
 }
 
-impl SerialPort for Port {
+impl SerialPort for EmulatedPort {
     fn name(&self) -> Option<String> {
         Some("emulated".to_owned())
     }

@@ -2,18 +2,18 @@
 
 use rand_distr::{Distribution as _, StandardNormal};
 
-use super::motion::{Aim, Shaft};
-use super::table::Table;
-use crate::scenario::EmulatorTable;
+use super::motion::{MotorGoal, Shaft};
+use super::table::ControlTable;
+use crate::scenario::EmulatorConfig;
 use crate::seed::Rng;
-use crate::servo::model::{Model, Protocol, STEP, error_bit};
+use crate::servo::model::{Protocol, STEP, ServoModel, error_bit};
 
 /// How long an overload is borne before the protection trips, where no register says it, ns.
 const PATIENCE: u64 = 2_000_000_000;
 
 /// What befalls a servo at the moment.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Plight {
+pub struct ServoFaultState {
     /// No power and no signals.
     pub off: bool,
     /// Held fast.
@@ -26,12 +26,12 @@ pub struct Plight {
 
 /// One emulated servo.
 #[derive(Debug, Clone)]
-pub struct Servo {
+pub struct EmulatedServo {
     /// Its registers.
-    pub table: Table,
+    pub table: ControlTable,
     /// Its shaft.
     pub shaft: Shaft,
-    plight: Plight,
+    plight: ServoFaultState,
     /// Until when it has lived, ns.
     now: u64,
     /// Since when it strains against what holds it, ns.
@@ -46,17 +46,17 @@ pub struct Servo {
     noise: f64,
 }
 
-impl Servo {
+impl EmulatedServo {
     /// A servo of `model` with this id, standing at `at` steps.
-    pub fn new(model: &Model, id: u8, baud: u32, at: f64, settings: &EmulatorTable) -> Self {
-        let table = Table::new(model, id, baud);
+    pub fn new(model: &ServoModel, id: u8, baud: u32, at: f64, settings: &EmulatorConfig) -> Self {
+        let table = ControlTable::new(model, id, baud);
         let small = model.protocol == Protocol::Dynamixel && table.get(table.series.max_voltage) == 70;
         let voltage = if small { 50 } else { 120 };
         let steps = |rad: Option<f64>| rad.map_or(f64::INFINITY, |rad| rad / STEP);
         let mut servo = Self {
             table,
             shaft: Shaft { at, speed: 0.0 },
-            plight: Plight::default(),
+            plight: ServoFaultState::default(),
             now: 0,
             straining: None,
             failed: false,
@@ -104,11 +104,11 @@ impl Servo {
     }
 
     /// Lets time pass until `now`, in `plight`.
-    pub fn advance(&mut self, now: u64, plight: Plight) {
+    pub fn advance(&mut self, now: u64, plight: ServoFaultState) {
         if plight != self.plight {
-            let came_back = (self.plight.off && !plight.off) || (self.plight.low && !plight.low);
+            let returned = (self.plight.off && !plight.off) || (self.plight.low && !plight.low);
             self.plight = plight;
-            if came_back {
+            if returned {
                 self.power_up();
             }
         }
@@ -155,7 +155,7 @@ impl Servo {
     }
 
     /// The registers with what is measured now in them.
-    pub fn measured(&mut self, rng: &mut Rng) -> &Table {
+    pub fn measured(&mut self, rng: &mut Rng) -> &ControlTable {
         let series = self.table.series;
         let noise: f64 = if self.noise > 0.0 { StandardNormal.sample(rng) } else { 0.0 };
         let mut at = (self.shaft.at + noise * self.noise).round() as i32;
@@ -201,12 +201,12 @@ impl Servo {
     }
 
     /// What the registers ask for.
-    fn wish(&self) -> Aim {
+    fn wish(&self) -> MotorGoal {
         let series = self.table.series;
         let unit = series.speed_unit / STEP;
         let speed = |raw: i32| f64::from(raw) * unit;
         if !self.driven() {
-            return Aim::Rest;
+            return MotorGoal::Rest;
         }
         if self.positions() {
             let mut at = self.table.get(series.goal_position);
@@ -217,16 +217,16 @@ impl Servo {
             let most = self.table.get(series.profile_velocity).abs();
             let most = if most == 0 { f64::INFINITY } else { speed(most) };
             let limit = series.velocity_limit.map_or(f64::INFINITY, |limit| speed(self.table.get(limit)));
-            return Aim::Position { at: f64::from(at), speed: most.min(limit).min(self.speed) };
+            return MotorGoal::Position { at: f64::from(at), speed: most.min(limit).min(self.speed) };
         }
         if self.table.get(series.operating_mode) == i32::from(series.velocity_mode) {
-            return Aim::Speed(speed(self.table.get(series.goal_velocity)).clamp(-self.speed, self.speed));
+            return MotorGoal::Speed(speed(self.table.get(series.goal_velocity)).clamp(-self.speed, self.speed));
         }
-        Aim::Rest
+        MotorGoal::Rest
     }
 
-    fn aim(&self) -> Aim {
-        if self.plight.held { Aim::Rest } else { self.wish() }
+    fn aim(&self) -> MotorGoal {
+        if self.plight.held { MotorGoal::Rest } else { self.wish() }
     }
 
     /// How hard the motor strains against what holds it: 1, -1, or 0.
@@ -235,9 +235,9 @@ impl Servo {
             return 0;
         }
         match self.wish() {
-            Aim::Rest => 0,
-            Aim::Speed(speed) => i32::from(speed > 0.0) - i32::from(speed < 0.0),
-            Aim::Position { at, .. } => {
+            MotorGoal::Rest => 0,
+            MotorGoal::Speed(speed) => i32::from(speed > 0.0) - i32::from(speed < 0.0),
+            MotorGoal::Position { at, .. } => {
                 let way = at - self.shaft.at;
                 i32::from(way > 1.0) - i32::from(way < -1.0)
             }

@@ -3,7 +3,7 @@
 //! Dynamixel refuses with an error number (result fail 1, data range 4, data limit 6, access 7); Feetech answers every write alike and
 //! takes what it can.
 
-use crate::servo::model::{Model, Protocol, Register, Series};
+use crate::servo::model::{Protocol, Register, ServoModel, ServoSeries};
 
 /// Error numbers of protocol 2.0.
 pub mod refusal {
@@ -23,16 +23,16 @@ pub mod refusal {
 
 /// Registers of a servo: what holds now, and what outlives a loss of power.
 #[derive(Debug, Clone)]
-pub struct Table {
+pub struct ControlTable {
     /// The series that it follows.
-    pub series: &'static Series,
+    pub series: &'static ServoSeries,
     now: [u8; 256],
     kept: [u8; 256],
 }
 
-impl Table {
+impl ControlTable {
     /// A servo of `model` as it leaves the factory, but for its id and for its baud rate, which is `baud`.
-    pub fn new(model: &Model, id: u8, baud: u32) -> Self {
+    pub fn new(model: &ServoModel, id: u8, baud: u32) -> Self {
         let series = model.protocol.series();
         let mut table = Self { series, now: [0; 256], kept: [0; 256] };
         let index = series.bauds.iter().find(|(rate, _)| *rate == baud).map_or(0, |&(_, index)| index);

@@ -10,11 +10,11 @@
 //! *EEPROM*: Dynamixel refuses writes below address 64 (access error) while torque is on. Feetech takes them at any time; they outlive a
 //! loss of power only if `lock` is 0.
 
-mod kinds;
+mod models;
 mod register;
 
-pub use kinds::{MODELS, Model, UnknownModel, model};
-pub use register::{Block, Register, Sign};
+pub use models::{MODELS, ServoModel, UnknownModel, model};
+pub use register::{Register, RegisterBlock, SignEncoding};
 
 use std::f64::consts::TAU;
 
@@ -38,7 +38,7 @@ pub enum Protocol {
 
 /// The registers of a series and the units in which they count.
 #[derive(Debug, Clone, Copy)]
-pub struct Series {
+pub struct ServoSeries {
     /// The protocol that it speaks.
     pub protocol: Protocol,
     /// As users call it.
@@ -47,11 +47,11 @@ pub struct Series {
     pub model: Register,
     /// The servo's id. EEPROM.
     pub id: Register,
-    /// Baud rate, as an index into [`Series::bauds`]. EEPROM.
+    /// Baud rate, as an index into [`ServoSeries::bauds`]. EEPROM.
     pub baud: Register,
     /// How long an answer waits, in units of 2 us. EEPROM.
     pub return_delay: Register,
-    /// Position or velocity, see [`Series::position_mode`]. EEPROM.
+    /// Position or velocity, see [`ServoSeries::position_mode`]. EEPROM.
     pub operating_mode: Register,
     /// Limit of temperature, degrees Celsius. EEPROM.
     pub temperature_limit: Register,
@@ -65,7 +65,7 @@ pub struct Series {
     pub min_position: Register,
     /// Highest goal position, steps. EEPROM.
     pub max_position: Register,
-    /// Which errors turn torque off, as bits of [`Series::hardware_error`]. EEPROM.
+    /// Which errors turn torque off, as bits of [`ServoSeries::hardware_error`]. EEPROM.
     pub shutdown: Register,
     /// Torque: 1 on, 0 off.
     pub torque_enable: Register,
@@ -96,9 +96,9 @@ pub struct Series {
     /// 1 while it moves.
     pub moving: Register,
     /// Position, speed and load: what a tick reads.
-    pub motion: Block,
-    /// [`Series::motion`] with voltage and temperature.
-    pub state: Block,
+    pub motion: RegisterBlock,
+    /// [`ServoSeries::motion`] with voltage and temperature.
+    pub state: RegisterBlock,
     /// One unit of speed, rad/s.
     pub speed_unit: f64,
     /// One unit of acceleration, rad/s^2.
@@ -117,7 +117,7 @@ pub struct Series {
     pub eeprom: (u8, u8),
 }
 
-/// Bits of [`Series::hardware_error`] and [`Series::shutdown`] that both series have in common.
+/// Bits of [`ServoSeries::hardware_error`] and [`ServoSeries::shutdown`] that both series have in common.
 pub mod error_bit {
     /// Voltage outside its limits.
     pub const VOLTAGE: u8 = 1 << 0;
@@ -128,7 +128,7 @@ pub mod error_bit {
 }
 
 /// Dynamixel X: protocol 2.0. A unit of speed is 0.229 rpm, one of acceleration 214.577 revolutions a minute squared.
-pub const DYNAMIXEL_X: Series = Series {
+pub const DYNAMIXEL_X: ServoSeries = ServoSeries {
     protocol: Protocol::Dynamixel,
     name: "Dynamixel X",
     model: Register::unsigned(0, 2),
@@ -146,19 +146,19 @@ pub const DYNAMIXEL_X: Series = Series {
     torque_enable: Register::unsigned(64, 1),
     hardware_error: Register::unsigned(70, 1),
     bus_watchdog: Some(Register::unsigned(98, 1)),
-    goal_velocity: Register::new(104, 4, Sign::TwosComplement),
+    goal_velocity: Register::new(104, 4, SignEncoding::TwosComplement),
     profile_acceleration: Register::unsigned(108, 4),
     profile_velocity: Register::unsigned(112, 4),
-    goal_position: Register::new(116, 4, Sign::TwosComplement),
+    goal_position: Register::new(116, 4, SignEncoding::TwosComplement),
     lock: None,
     moving: Register::unsigned(122, 1),
-    load: Register::new(126, 2, Sign::TwosComplement),
-    velocity: Register::new(128, 4, Sign::TwosComplement),
-    position: Register::new(132, 4, Sign::TwosComplement),
+    load: Register::new(126, 2, SignEncoding::TwosComplement),
+    velocity: Register::new(128, 4, SignEncoding::TwosComplement),
+    position: Register::new(132, 4, SignEncoding::TwosComplement),
     voltage: Register::unsigned(144, 2),
     temperature: Register::unsigned(146, 1),
-    motion: Block { address: 126, length: 10 },
-    state: Block { address: 126, length: 21 },
+    motion: RegisterBlock { address: 126, length: 10 },
+    state: RegisterBlock { address: 126, length: 21 },
     speed_unit: 0.229 * TAU / 60.0,
     acceleration_unit: 214.577 * TAU / 3600.0,
     position_mode: 3,
@@ -170,7 +170,7 @@ pub const DYNAMIXEL_X: Series = Series {
 };
 
 /// Feetech STS3215 and its kin. A unit of speed is a step a second, one of acceleration a hundred steps a second squared.
-pub const FEETECH_STS: Series = Series {
+pub const FEETECH_STS: ServoSeries = ServoSeries {
     protocol: Protocol::Feetech,
     name: "Feetech STS",
     model: Register::unsigned(3, 2),
@@ -187,20 +187,20 @@ pub const FEETECH_STS: Series = Series {
     operating_mode: Register::unsigned(33, 1),
     torque_enable: Register::unsigned(40, 1),
     profile_acceleration: Register::unsigned(41, 1),
-    goal_position: Register::new(42, 2, Sign::Magnitude(15)),
-    goal_velocity: Register::new(46, 2, Sign::Magnitude(15)),
-    profile_velocity: Register::new(46, 2, Sign::Magnitude(15)),
+    goal_position: Register::new(42, 2, SignEncoding::Magnitude(15)),
+    goal_velocity: Register::new(46, 2, SignEncoding::Magnitude(15)),
+    profile_velocity: Register::new(46, 2, SignEncoding::Magnitude(15)),
     lock: Some(Register::unsigned(55, 1)),
     bus_watchdog: None,
-    position: Register::new(56, 2, Sign::Magnitude(15)),
-    velocity: Register::new(58, 2, Sign::Magnitude(15)),
-    load: Register::new(60, 2, Sign::Magnitude(10)),
+    position: Register::new(56, 2, SignEncoding::Magnitude(15)),
+    velocity: Register::new(58, 2, SignEncoding::Magnitude(15)),
+    load: Register::new(60, 2, SignEncoding::Magnitude(10)),
     voltage: Register::unsigned(62, 1),
     temperature: Register::unsigned(63, 1),
     hardware_error: Register::unsigned(65, 1),
     moving: Register::unsigned(66, 1),
-    motion: Block { address: 56, length: 6 },
-    state: Block { address: 56, length: 8 },
+    motion: RegisterBlock { address: 56, length: 6 },
+    state: RegisterBlock { address: 56, length: 8 },
     speed_unit: STEP,
     acceleration_unit: 100.0 * STEP,
     position_mode: 0,
@@ -235,7 +235,7 @@ impl Protocol {
     }
 
     /// The series that speaks it.
-    pub fn series(self) -> &'static Series {
+    pub fn series(self) -> &'static ServoSeries {
         match self {
             Protocol::Dynamixel => &DYNAMIXEL_X,
             Protocol::Feetech => &FEETECH_STS,
@@ -243,7 +243,7 @@ impl Protocol {
     }
 }
 
-impl Series {
+impl ServoSeries {
     /// Whether it knows a baud rate; if not, those that it knows, as a list for people.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 
 /// How a register carries a sign.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sign {
+pub enum SignEncoding {
     /// None: all bits count.
     Unsigned,
     /// Two's complement over the register's width.
@@ -19,16 +19,16 @@ pub struct Register {
     /// Width, bytes: 1, 2 or 4.
     pub width: u8,
     /// How it carries a sign.
-    pub sign: Sign,
+    pub sign: SignEncoding,
 }
 
 impl Register {
-    pub(super) const fn new(address: u8, width: u8, sign: Sign) -> Self {
+    pub(super) const fn new(address: u8, width: u8, sign: SignEncoding) -> Self {
         Self { address, width, sign }
     }
 
     pub(super) const fn unsigned(address: u8, width: u8) -> Self {
-        Self::new(address, width, Sign::Unsigned)
+        Self::new(address, width, SignEncoding::Unsigned)
     }
 
     /// The register's bytes for `value`; only the first [`Register::width`] of them count. A value that does not fit is cut to the largest one
@@ -36,15 +36,15 @@ impl Register {
     pub fn encode(self, value: i32) -> [u8; 4] {
         let bits = u32::from(self.width) * 8;
         let raw = match self.sign {
-            Sign::Unsigned => {
+            SignEncoding::Unsigned => {
                 let most = if bits == 32 { i64::from(u32::MAX) } else { (1_i64 << bits) - 1 };
                 i64::from(value).clamp(0, most) as u32
             }
-            Sign::TwosComplement => {
+            SignEncoding::TwosComplement => {
                 let most = (1_i64 << (bits - 1)) - 1;
                 i64::from(value).clamp(-most - 1, most) as u32
             }
-            Sign::Magnitude(bit) => {
+            SignEncoding::Magnitude(bit) => {
                 let magnitude = value.unsigned_abs().min((1 << bit) - 1);
                 magnitude | if value < 0 { 1 << bit } else { 0 }
             }
@@ -60,12 +60,12 @@ impl Register {
         raw[..width].copy_from_slice(&bytes[..width]);
         let raw = u32::from_le_bytes(raw);
         match self.sign {
-            Sign::Unsigned => raw.min(i32::MAX as u32) as i32,
-            Sign::TwosComplement => {
+            SignEncoding::Unsigned => raw.min(i32::MAX as u32) as i32,
+            SignEncoding::TwosComplement => {
                 let unused = 32 - u32::from(self.width) * 8;
                 ((raw << unused) as i32) >> unused
             }
-            Sign::Magnitude(bit) => {
+            SignEncoding::Magnitude(bit) => {
                 let magnitude = (raw & ((1 << bit) - 1)) as i32;
                 if raw >> bit & 1 == 1 { -magnitude } else { magnitude }
             }
@@ -75,14 +75,14 @@ impl Register {
 
 /// A stretch of registers that one instruction reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Block {
+pub struct RegisterBlock {
     /// Address of its first byte.
     pub address: u8,
     /// Length, bytes.
     pub length: u8,
 }
 
-impl Block {
+impl RegisterBlock {
     /// Puts `value` where `register`, which lies in this block, has it in the block's bytes.
     pub fn encode(self, register: Register, value: i32, bytes: &mut [u8]) {
         let (from, width) = (usize::from(register.address - self.address), usize::from(register.width));

@@ -4,7 +4,7 @@ use rustypot::servo::dynamixel::{xl330, xl430};
 use rustypot::servo::feetech::sts3215;
 use rustypot::servo::{Encoding, RegisterInfo};
 
-fn names(series: &Series) -> Vec<(&'static str, Register)> {
+fn names(series: &ServoSeries) -> Vec<(&'static str, Register)> {
     let mut all = vec![
         ("model_number", series.model),
         ("id", series.id),
@@ -49,14 +49,14 @@ fn names(series: &Series) -> Vec<(&'static str, Register)> {
     all
 }
 
-fn agree(series: &Series, find: impl Fn(&str) -> Option<RegisterInfo>, signs: bool) {
+fn agree(series: &ServoSeries, find: impl Fn(&str) -> Option<RegisterInfo>, signs: bool) {
     for (name, ours) in names(series) {
         let theirs = find(name).unwrap_or_else(|| panic!("rustypot has no {name}"));
         assert_eq!((ours.address, ours.width), (theirs.addr, theirs.size), "{}: {name}", series.name);
         let sign = match theirs.encoding {
-            Encoding::TwosComplement => Sign::TwosComplement,
-            Encoding::SignMagnitude { sign_bit } => Sign::Magnitude(sign_bit),
-            _ => Sign::Unsigned,
+            Encoding::TwosComplement => SignEncoding::TwosComplement,
+            Encoding::SignMagnitude { sign_bit } => SignEncoding::Magnitude(sign_bit),
+            _ => SignEncoding::Unsigned,
         };
         // The XL330's limits are declared with a sign in rustypot and without one for the XL430; they are never negative.
         if signs && !name.ends_with("_limit") {
@@ -117,7 +117,7 @@ proptest! {
         for series in [&DYNAMIXEL_X, &FEETECH_STS] {
             for (_, register) in names(series) {
                 let fits = match register.sign {
-                    Sign::Unsigned => value >= 0 && (register.width > 1 || value < 256),
+                    SignEncoding::Unsigned => value >= 0 && (register.width > 1 || value < 256),
                     _ => register.width > 1,
                 };
                 if fits {

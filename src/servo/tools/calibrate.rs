@@ -7,7 +7,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{ToolError, identify, rad, tell, torque_off, way};
-use crate::scenario::JointTable;
+use crate::scenario::JointConfig;
 use crate::servo::bus::Bus;
 use crate::servo::model::Protocol;
 
@@ -20,7 +20,7 @@ pub struct Calibration {
     /// What the servos speak.
     pub protocol: Protocol,
     /// The joints, from the base on.
-    pub joints: Vec<JointTable>,
+    pub joints: Vec<JointConfig>,
 }
 
 impl Calibration {
@@ -104,7 +104,7 @@ pub fn calibrate(
             }
             range
         };
-        joints.push(JointTable { id, direction, zero, range, max_speed });
+        joints.push(JointConfig { id, direction, zero, range, max_speed });
         tell(out, &format!("  zero {zero}, direction {direction}, range {:.3} to {:.3} rad", range[0], range[1]))?;
     }
     Ok(Calibration { protocol: bus.series().protocol, joints })

@@ -1,6 +1,6 @@
 //! One joint moves a little, slowly, and torque is off again.
 
-use super::{Calibration, Look, ToolError, identify, look, rad, way};
+use super::{Calibration, ServoReading, ToolError, identify, look, rad, way};
 use crate::servo::bus::Bus;
 use crate::servo::model::STEP;
 
@@ -24,12 +24,12 @@ pub struct Jog<'a> {
 }
 
 /// Torque that goes off however the motion ends.
-struct Held<'a> {
+struct TorqueGuard<'a> {
     bus: &'a mut Bus,
     id: u8,
 }
 
-impl Drop for Held<'_> {
+impl Drop for TorqueGuard<'_> {
     fn drop(&mut self) {
         self.bus.torque_off(&[self.id]);
     }
@@ -44,7 +44,7 @@ pub fn jog(
     what: Jog,
     mut nap: impl FnMut(u64),
     mut stop: impl FnMut() -> bool,
-) -> Result<Look, ToolError> {
+) -> Result<ServoReading, ToolError> {
     let Jog { id, by, speed, .. } = what;
     let series = bus.series();
     if !(by.abs() <= std::f64::consts::PI && (0.01..=2.0).contains(&speed)) {
@@ -72,7 +72,7 @@ pub fn jog(
     }
     let units = |value: f64, unit: f64| libm::ceil(value / unit).max(1.0) as i32;
     bus.write(id, series.profile_velocity, units(speed, series.speed_unit))?;
-    let held = Held { bus, id };
+    let held = TorqueGuard { bus, id };
     // Its old goal would be where it goes first.
     held.bus.write(id, series.goal_position, start)?;
     held.bus.write(id, series.torque_enable, 1)?;
@@ -96,7 +96,7 @@ pub fn jog(
 }
 
 /// The goal in steps, within the joint's range.
-fn goal(bus: &Bus, what: Jog, before: &Look) -> Result<i32, ToolError> {
+fn goal(bus: &Bus, what: Jog, before: &ServoReading) -> Result<i32, ToolError> {
     let steps = libm::round(what.by / STEP) as i32;
     let Some(calibration) = what.calibration else { return Ok(before.position + steps) };
     if calibration.protocol != bus.series().protocol {

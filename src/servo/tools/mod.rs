@@ -13,14 +13,14 @@ use serde::Serialize;
 pub use calibrate::{Calibration, calibrate};
 pub use jog::{Jog, jog};
 
-use super::bus::{Budget, Bus, BusError};
+use super::bus::{Bus, BusBudget, BusError};
 use super::model::{STEP, UnknownModel};
 
 /// What an instruction of a tool may cost, ns: slow adapters hold an answer for 16 ms.
-pub const BUDGET: Budget = Budget { read_ns: 50_000_000, write_ns: 20_000_000 };
+pub const BUDGET: BusBudget = BusBudget { read_ns: 50_000_000, write_ns: 20_000_000 };
 
 /// The same where most ids are nobody's, and each costs its whole budget.
-pub const SEARCH: Budget = Budget { read_ns: 12_000_000, write_ns: 20_000_000 };
+pub const SEARCH: BusBudget = BusBudget { read_ns: 12_000_000, write_ns: 20_000_000 };
 
 /// Why a tool stops.
 #[derive(Debug, thiserror::Error)]
@@ -51,7 +51,7 @@ pub enum ToolError {
 
 /// A servo that answered.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Found {
+pub struct FoundServo {
     /// Its id.
     pub id: u8,
     /// What its model register says; nothing if it cannot be read.
@@ -64,7 +64,7 @@ pub struct Found {
 
 /// How a servo is.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Look {
+pub struct ServoReading {
     /// Its id.
     pub id: u8,
     /// Position, steps.
@@ -84,7 +84,7 @@ pub struct Look {
 }
 
 /// Asks each of `ids` on a bus for its model; who answers.
-pub fn scan(bus: &mut Bus, ids: impl Iterator<Item = u8>, mut stop: impl FnMut() -> bool) -> Vec<Found> {
+pub fn scan(bus: &mut Bus, ids: impl Iterator<Item = u8>, mut stop: impl FnMut() -> bool) -> Vec<FoundServo> {
     let mut found = Vec::new();
     for id in ids {
         if stop() {
@@ -93,9 +93,9 @@ pub fn scan(bus: &mut Bus, ids: impl Iterator<Item = u8>, mut stop: impl FnMut()
         match bus.model(id) {
             Ok((number, known)) => {
                 let name = known.map(|model| model.name);
-                found.push(Found { id, number: Some(number), model: name, garbled: false });
+                found.push(FoundServo { id, number: Some(number), model: name, garbled: false });
             }
-            Err(error) if is_garbled(&error) => found.push(Found { id, number: None, model: None, garbled: true }),
+            Err(error) if is_garbled(&error) => found.push(FoundServo { id, number: None, model: None, garbled: true }),
             Err(_) => {}
         }
     }
@@ -134,12 +134,12 @@ pub fn identify(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
 ///
 /// # Errors
 /// When it does not answer.
-pub fn look(bus: &mut Bus, id: u8) -> Result<Look, ToolError> {
+pub fn look(bus: &mut Bus, id: u8) -> Result<ServoReading, ToolError> {
     let series = bus.series();
     let voltage = bus.read(id, series.voltage)?;
     let load = bus.read(id, series.load)?;
     let speed = bus.read(id, series.velocity)?;
-    Ok(Look {
+    Ok(ServoReading {
         id,
         position: bus.read(id, series.position)?,
         speed: f64::from(speed) * series.speed_unit,
@@ -151,7 +151,7 @@ pub fn look(bus: &mut Bus, id: u8) -> Result<Look, ToolError> {
     })
 }
 
-impl Look {
+impl ServoReading {
     /// One line for people.
     pub fn line(&self) -> String {
         let Self { id, position, speed, load, voltage, temperature, errors, .. } = self;

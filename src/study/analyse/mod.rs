@@ -10,10 +10,10 @@
 //! Every movement is measured twice where that can be done: as it was, and as the policy of that moment would have made it
 //! without exploration noise (see [`shadow`]). For a plant of your own there is only the former.
 
-mod cut;
+mod cutter;
 mod error;
+pub mod log_follower;
 pub mod movement;
-pub mod shadow;
 mod statistics;
 mod text;
 
@@ -21,21 +21,21 @@ use std::path::{Path, PathBuf};
 
 use serde::{Serialize, Serializer};
 
-pub use cut::{Cut, Cutter, LeftOut};
+pub use cutter::{LeftOut, MovementCut, MovementCutter};
 pub use error::AnalyseError;
 pub use statistics::{Fit, Quartiles};
 
-use crate::log::{Record, RunLog};
-use crate::report::figure::{Bell, Dots, Movements};
+use crate::log::{LogRecord, RunLog};
+use crate::report::figure::{MovementDots, MovementsFigure, SpeedProfile};
 use crate::report::thousands;
 use crate::scenario::{Plan, Scenario};
-use crate::supervise::Progress;
+use crate::supervise::RunProgress;
+use log_follower::LogFollower;
 use movement::{COLUMNS, Definitions, Measures, PROFILE, measure, minimum_jerk};
-use shadow::Shadow;
 
 /// One movement of the run.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct MovementRow {
     /// The tick at which its target appeared.
     pub from: u64,
     /// Ticks until the next target did.
@@ -57,7 +57,7 @@ pub struct Isochrony {
 
 /// What some movements say together.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Group {
+pub struct MovementGroup {
     /// Number of movements.
     pub n: usize,
     /// The tick at which the first began.
@@ -83,8 +83,8 @@ fn by_name<S: Serializer>(measures: &[Option<Quartiles>], serializer: S) -> Resu
     serializer.collect_map(COLUMNS.iter().zip(measures).map(|((name, _), quartiles)| (name, quartiles)))
 }
 
-impl Group {
-    fn of(rows: &[(&Row, &Measures)]) -> Option<Self> {
+impl MovementGroup {
+    fn of(rows: &[(&MovementRow, &Measures)]) -> Option<Self> {
         let quartiles = |value: fn(&Measures) -> Option<f64>| Quartiles::of(rows.iter().filter_map(|(_, m)| value(m)));
         let share = |value: fn(&Measures) -> Option<f64>| {
             rows.iter().filter(|(_, m)| value(m).is_some()).count() as f64 / rows.len() as f64
@@ -118,22 +118,22 @@ impl Group {
 
 /// All movements, those at the run's beginning, and those at its end.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct View {
+pub struct MovementGroups {
     /// All of them.
-    pub all: Group,
+    pub all: MovementGroup,
     /// The first tenth, but at least ten, and no more than half of them.
-    pub early: Group,
+    pub early: MovementGroup,
     /// The last tenth, likewise.
-    pub late: Group,
+    pub late: MovementGroup,
 }
 
-impl View {
-    fn of(rows: &[(&Row, &Measures)]) -> Option<Self> {
+impl MovementGroups {
+    fn of(rows: &[(&MovementRow, &Measures)]) -> Option<Self> {
         let part = part(rows.len());
         Some(Self {
-            all: Group::of(rows)?,
-            early: Group::of(&rows[..part])?,
-            late: Group::of(&rows[rows.len() - part..])?,
+            all: MovementGroup::of(rows)?,
+            early: MovementGroup::of(&rows[..part])?,
+            late: MovementGroup::of(&rows[rows.len() - part..])?,
         })
     }
 }
@@ -165,16 +165,16 @@ pub struct Analysis {
     /// Thresholds of the measures.
     pub definitions: Definitions,
     /// Without exploration noise; null where that is not known.
-    pub noiseless: Option<View>,
+    pub noiseless: Option<MovementGroups>,
     /// Why there are no movements without noise, or from when on not; null where nothing is amiss.
     pub noiseless_missing: Option<String>,
     /// As they were.
-    pub measured: View,
+    pub measured: MovementGroups,
     /// The measures of a minimum-jerk movement as far and as long as the median one at the run's end, to compare with.
     pub minimum_jerk: Measures,
     /// The movements, one by one.
     #[serde(skip)]
-    pub rows: Vec<Row>,
+    pub rows: Vec<MovementRow>,
 }
 
 /// Analyses the movements in the log in `segments`, of one run and in their order. With `noiseless`, plant and controller are followed through the log to
@@ -193,15 +193,15 @@ pub fn analyse(segments: &[PathBuf], noiseless: bool, progress: bool) -> Result<
         return Err(AnalyseError::Thinned { path: path.to_owned(), every });
     }
     let (definitions, period_s) = (Definitions::default(), plan.period_ns as f64 / 1e9);
-    let mut cutter = Cutter::new(&plan)?;
-    let mut shadow = if noiseless { Shadow::new(&plan) } else { None };
+    let mut cutter = MovementCutter::new(&plan)?;
+    let mut shadow = if noiseless { LogFollower::new(&plan) } else { None };
     let mut without_noise = None;
-    let mut rows: Vec<Row> = Vec::new();
+    let mut rows: Vec<MovementRow> = Vec::new();
     let mut ticks = 0;
-    let mut progress = Progress::study(&plan.scenario.name, plan.scenario.ticks, progress);
+    let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, progress);
     for record in log.by_ref() {
         match record.inspect_err(|_| progress.clear())? {
-            Record::Observation(observation) => {
+            LogRecord::Observation(observation) => {
                 let tick = observation.header.tick;
                 ticks = tick + 1;
                 if let Some(shadow) = &mut shadow {
@@ -210,8 +210,8 @@ pub fn analyse(segments: &[PathBuf], noiseless: bool, progress: bool) -> Result<
                         progress.show_study(tick, (f32::NAN, f32::NAN));
                     }
                 }
-                if let Some(Cut { from, track }) = cutter.take(&observation) {
-                    rows.push(Row {
+                if let Some(MovementCut { from, track }) = cutter.take(&observation) {
+                    rows.push(MovementRow {
                         from,
                         ticks: track.errors.len() as u64,
                         measured: measure(&track, period_s, &definitions),
@@ -219,7 +219,7 @@ pub fn analyse(segments: &[PathBuf], noiseless: bool, progress: bool) -> Result<
                     });
                 }
             }
-            Record::Command(command) => {
+            LogRecord::Command(command) => {
                 let movement = shadow.as_mut().and_then(|shadow| shadow.command(&command, &cutter));
                 if let Some((tick, mut track)) = movement {
                     // Where the target's place is not known, the first error stands for the distance.
@@ -227,7 +227,7 @@ pub fn analyse(segments: &[PathBuf], noiseless: bool, progress: bool) -> Result<
                     without_noise = Some((tick, measure(&track, period_s, &definitions)));
                 }
             }
-            Record::Learning(_) | Record::Gap(_) => {}
+            LogRecord::Learning(_) | LogRecord::Gap(_) => {}
         }
     }
     progress.clear();
@@ -241,8 +241,8 @@ pub fn analyse(segments: &[PathBuf], noiseless: bool, progress: bool) -> Result<
     };
     let measured: Vec<_> = rows.iter().map(|row| (row, &row.measured)).collect();
     let clean: Vec<_> = rows.iter().filter_map(|row| Some((row, row.noiseless.as_ref()?))).collect();
-    let noiseless = View::of(&clean);
-    let measured = View::of(&measured).ok_or_else(|| AnalyseError::NoMovement {
+    let noiseless = MovementGroups::of(&clean);
+    let measured = MovementGroups::of(&measured).ok_or_else(|| AnalyseError::NoMovement {
         path: path.to_owned(),
         why: format!("{ticks} ticks, {} movements left out", cutter.left_out.total()),
     })?;
@@ -272,7 +272,7 @@ fn plan_of(log: &RunLog, path: &Path) -> Result<Plan, AnalyseError> {
 
 /// The minimum-jerk movement to compare with: as far as the median movement at the run's end, and between thresholds as
 /// long, as far as whole ticks allow.
-fn reference(view: &View, period_s: f64, definitions: &Definitions) -> Measures {
+fn reference(view: &MovementGroups, period_s: f64, definitions: &Definitions) -> Measures {
     /// Share of the whole minimum-jerk movement between thresholds of 5 % of its peak speed.
     const BETWEEN: f64 = 0.881;
     let late = |name: &str| view.late.get(name).map(|q| q.median);
@@ -283,19 +283,19 @@ fn reference(view: &View, period_s: f64, definitions: &Definitions) -> Measures 
 
 impl Analysis {
     /// The movements without noise, or as they were where the former are not known.
-    pub fn best(&self) -> &View {
+    pub fn best(&self) -> &MovementGroups {
         self.noiseless.as_ref().unwrap_or(&self.measured)
     }
 
     /// What the figure shows.
-    pub fn figure(&self) -> Movements {
-        let rows: Vec<(&Row, &Measures)> = match self.noiseless {
+    pub fn figure(&self) -> MovementsFigure {
+        let rows: Vec<(&MovementRow, &Measures)> = match self.noiseless {
             Some(_) => self.rows.iter().filter_map(|row| Some((row, row.noiseless.as_ref()?))).collect(),
             None => self.rows.iter().map(|row| (row, &row.measured)).collect(),
         };
         let part = part(rows.len());
         let view = self.best();
-        let dots = |rows: &[(&Row, &Measures)], group: &Group| Dots {
+        let dots = |rows: &[(&MovementRow, &Measures)], group: &MovementGroup| MovementDots {
             duration: rows.iter().filter_map(|(_, m)| Some((m.distance_m, m.duration_s?))).collect(),
             peak_speed: rows.iter().filter_map(|(_, m)| Some((m.distance_m, m.peak_speed?))).collect(),
             settled: rows.iter().map(|(_, m)| m.settled_s).collect(),
@@ -304,7 +304,7 @@ impl Analysis {
         let lines = |of: fn(&Isochrony) -> Option<Fit>| {
             [&view.all, &view.late].map(|group| of(&group.isochrony).map(|fit| (fit.intercept, fit.slope)))
         };
-        Movements {
+        MovementsFigure {
             title: format!(
                 "{}, seed {}: {} movements{}",
                 self.scenario,
@@ -317,7 +317,7 @@ impl Analysis {
             late: dots(&rows[rows.len() - part..], &view.late),
             duration_lines: lines(|i| i.duration),
             peak_speed_lines: lines(|i| i.peak_speed),
-            bell: Bell { profile: self.minimum_jerk.profile.iter().map(|&x| f64::from(x)).collect() },
+            wake: SpeedProfile { profile: self.minimum_jerk.profile.iter().map(|&x| f64::from(x)).collect() },
             near_m: self.definitions.near_m,
         }
     }
@@ -330,15 +330,15 @@ mod tests {
     /// Twelve minimum-jerk movements over different distances, all equally long: perfect isochrony.
     #[test]
     fn isochrony_is_found() {
-        let rows: Vec<Row> = (1..=12)
+        let rows: Vec<MovementRow> = (1..=12)
             .map(|i| {
                 let track = minimum_jerk(0.1 * f64::from(i), 20);
                 let measured = measure(&track, 0.05, &Definitions { onset: 0.0, ..Definitions::default() });
-                Row { from: u64::from(i as u32 * 80), ticks: 40, measured, noiseless: None }
+                MovementRow { from: u64::from(i as u32 * 80), ticks: 40, measured, noiseless: None }
             })
             .collect();
         let rows: Vec<_> = rows.iter().map(|row| (row, &row.measured)).collect();
-        let View { all, early, late } = View::of(&rows).unwrap();
+        let MovementGroups { all, early, late } = MovementGroups::of(&rows).unwrap();
         assert_eq!((all.n, early.n, late.n), (12, 6, 6));
         assert_eq!((all.from, all.to, early.to, late.from), (80, 960, 480, 560));
         assert_eq!((all.completed, all.settled), (1.0, 1.0));

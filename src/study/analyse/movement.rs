@@ -41,7 +41,7 @@ pub const PROFILE: usize = 41;
 
 /// A movement as it was recorded.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Track {
+pub struct RecordedMovement {
     /// Places of the end-effector, m: when the target appeared, and after every tick.
     pub points: Vec<[f64; 2]>,
     /// Distance from the target after every tick, m; one less than points.
@@ -113,7 +113,7 @@ impl Serialize for Measures {
 }
 
 /// Measures a movement. `period_s` is the time between two points.
-pub fn measure(track: &Track, period_s: f64, definitions: &Definitions) -> Measures {
+pub fn measure(track: &RecordedMovement, period_s: f64, definitions: &Definitions) -> Measures {
     let mut measures = Measures {
         distance_m: track.distance,
         settled_s: settled(&track.errors, track.distance, definitions.near_m, period_s),
@@ -152,14 +152,14 @@ pub fn measure(track: &Track, period_s: f64, definitions: &Definitions) -> Measu
 
 /// The minimum-jerk movement over `distance_m` in `ticks` ticks, straight along x, followed by as many ticks of rest (Flash &
 /// Hogan 1985, equation for a point-to-point movement from rest to rest).
-pub fn minimum_jerk(distance_m: f64, ticks: usize) -> Track {
+pub fn minimum_jerk(distance_m: f64, ticks: usize) -> RecordedMovement {
     let place = |tick: usize| {
         let t = (tick as f64 / ticks.max(1) as f64).min(1.0);
         distance_m * t * t * t * (10.0 - 15.0 * t + 6.0 * t * t)
     };
     let points: Vec<[f64; 2]> = (0..=2 * ticks).map(|tick| [place(tick), 0.0]).collect();
     let errors = points[1..].iter().map(|p| distance_m - p[0]).collect();
-    Track { points, errors, distance: distance_m }
+    RecordedMovement { points, errors, distance: distance_m }
 }
 
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {

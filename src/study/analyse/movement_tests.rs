@@ -12,10 +12,10 @@ fn near(found: Option<f64>, expected: f64, tolerance: f64) {
 }
 
 /// A movement along `points` to where it ends.
-fn track(points: Vec<[f64; 2]>) -> Track {
+fn track(points: Vec<[f64; 2]>) -> RecordedMovement {
     let target = points[points.len() - 1];
     let errors = points[1..].iter().map(|&p| distance(p, target)).collect();
-    Track { errors, distance: distance(points[0], target), points }
+    RecordedMovement { errors, distance: distance(points[0], target), points }
 }
 
 /// Without a threshold the whole movement counts, and the numbers are those of the literature.
@@ -57,13 +57,20 @@ fn settling_is_when_the_error_stays_small() {
     near(m.settled_share_s, 0.7534, 0.001);
     near(m.settled_s, 0.6734, 0.001);
 
-    let errors =
-        |errors: &[f64]| Track { points: vec![[0.0; 2]; errors.len() + 1], errors: errors.to_vec(), distance: 1.0 };
-    let settled = |track: &Track| measure(track, 1.0, &Definitions::default()).settled_s;
+    let errors = |errors: &[f64]| RecordedMovement {
+        points: vec![[0.0; 2]; errors.len() + 1],
+        errors: errors.to_vec(),
+        distance: 1.0,
+    };
+    let settled = |track: &RecordedMovement| measure(track, 1.0, &Definitions::default()).settled_s;
     assert_eq!(settled(&errors(&[0.5, 0.05, 0.3, 0.1, 0.0])), Some(4.0), "within, out again, and back");
     assert_eq!(settled(&errors(&[0.5, 0.05, 0.3])), None);
     assert_eq!(settled(&errors(&[0.05, 0.05])), Some(1.0));
-    assert_eq!(settled(&Track { distance: 0.1, ..errors(&[0.05, 0.05]) }), Some(0.0), "there from the beginning");
+    assert_eq!(
+        settled(&RecordedMovement { distance: 0.1, ..errors(&[0.05, 0.05]) }),
+        Some(0.0),
+        "there from the beginning"
+    );
     assert_eq!(settled(&errors(&[])), None);
 }
 
@@ -83,8 +90,8 @@ fn a_detour_is_not_straight() {
 
 #[test]
 fn sub_movements_are_counted() {
-    let bell = |ticks: usize| minimum_jerk(0.4, ticks).points.into_iter().take(ticks + 1);
-    let two: Vec<[f64; 2]> = bell(20).chain(bell(20).skip(1).map(|p| [p[0] + 0.4, 0.0])).collect();
+    let wake = |ticks: usize| minimum_jerk(0.4, ticks).points.into_iter().take(ticks + 1);
+    let two: Vec<[f64; 2]> = wake(20).chain(wake(20).skip(1).map(|p| [p[0] + 0.4, 0.0])).collect();
     near(measure(&track(two), PERIOD, &Definitions::default()).peaks, 2.0, 0.0);
     // Ripples of less than a tenth are none; a sudden start is one.
     assert_eq!(peaks(&[1.0, 0.95, 1.0, 0.93, 0.99, 0.5, 0.55, 0.0], 0.1), 1);
@@ -118,7 +125,7 @@ fn an_arm_that_never_moves_has_no_speeds() {
     let m = measure(&track(vec![[0.3, 0.2]; 5]), PERIOD, &Definitions::default());
     assert_eq!((m.duration_s, m.peak_speed, m.straightness, m.end_error_m), (None, None, None, Some(0.0)));
     assert!(m.profile.is_empty());
-    let none = measure(&Track::default(), PERIOD, &Definitions::default());
+    let none = measure(&RecordedMovement::default(), PERIOD, &Definitions::default());
     assert_eq!(none, Measures::default());
 }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::movement::{COLUMNS, Measures};
-use super::{Analysis, Fit, Group, View};
+use super::{Analysis, Fit, MovementGroup, MovementGroups};
 use crate::report::thousands;
 
 /// The measures in the table: name in [`COLUMNS`], words, decimals.
@@ -90,7 +90,7 @@ impl Analysis {
     }
 
     /// Medians at the beginning, at the end, of all, and of the movement to compare with; then isochrony, if `whole`.
-    fn table(&self, head: &str, view: &View, whole: bool) -> String {
+    fn table(&self, head: &str, view: &MovementGroups, whole: bool) -> String {
         let mut rows = vec![[
             format!("medians, {head}"),
             format!("first {}", thousands(view.early.n as u64)),
@@ -106,7 +106,7 @@ impl Analysis {
                 continue;
             }
             let number = |x: Option<f64>| x.map_or("-".to_owned(), |x| format!("{x:.decimals$}"));
-            let median = |group: &Group| {
+            let median = |group: &MovementGroup| {
                 let share = match name {
                     "duration_s" => group.completed,
                     "settled_s" => group.settled,

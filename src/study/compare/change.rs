@@ -3,20 +3,20 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::scenario::{ArmTable, BlockTable, MirrorAxis, MirrorTable, ShortenTable};
+use crate::scenario::{ArmConfig, BlockConfig, MirrorAxis, MirrorConfig, ShortenConfig};
 
 /// One change of the arm, and when.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Change {
+pub struct ArmChange {
     /// What changes.
-    pub what: What,
+    pub what: ArmChangeKind,
     /// First tick with it.
     pub tick: u64,
 }
 
 /// The changes that there are.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum What {
+pub enum ArmChangeKind {
     /// A joint, from 1, stands still at an angle, rad.
     Block(usize, f64),
     /// A segment, from 1, has another length, m.
@@ -29,24 +29,24 @@ pub enum What {
 const FORMS: &str =
     "write block:JOINT@TICK, block:JOINT:ANGLE@TICK, shorten:SEGMENT:LENGTH@TICK, mirror:x@TICK or mirror:y@TICK";
 
-impl Change {
+impl ArmChange {
     /// Joint 3 blocked at angle 0, as in the paper.
     pub fn block(tick: u64) -> Self {
-        Self { what: What::Block(3, 0.0), tick }
+        Self { what: ArmChangeKind::Block(3, 0.0), tick }
     }
 
     /// Writes the change into an arm's table.
-    pub fn apply(&self, arm: &mut ArmTable) {
+    pub fn apply(&self, arm: &mut ArmConfig) {
         let tick = self.tick;
         match self.what {
-            What::Block(joint, angle) => arm.block.push(BlockTable { joint, tick, angle }),
-            What::Shorten(segment, length) => arm.shorten.push(ShortenTable { segment, tick, length }),
-            What::Mirror(axis) => arm.mirror.push(MirrorTable { axis, tick }),
+            ArmChangeKind::Block(joint, angle) => arm.block.push(BlockConfig { joint, tick, angle }),
+            ArmChangeKind::Shorten(segment, length) => arm.shorten.push(ShortenConfig { segment, tick, length }),
+            ArmChangeKind::Mirror(axis) => arm.mirror.push(MirrorConfig { axis, tick }),
         }
     }
 }
 
-impl FromStr for Change {
+impl FromStr for ArmChange {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -54,11 +54,13 @@ impl FromStr for Change {
         let tick = number(tick, "tick")?;
         let words: Vec<&str> = what.split(':').collect();
         let what = match words[..] {
-            ["block", joint] => What::Block(number(joint, "joint")?, 0.0),
-            ["block", joint, angle] => What::Block(number(joint, "joint")?, number(angle, "angle")?),
-            ["shorten", segment, length] => What::Shorten(number(segment, "segment")?, number(length, "length")?),
-            ["mirror", "x"] => What::Mirror(MirrorAxis::X),
-            ["mirror", "y"] => What::Mirror(MirrorAxis::Y),
+            ["block", joint] => ArmChangeKind::Block(number(joint, "joint")?, 0.0),
+            ["block", joint, angle] => ArmChangeKind::Block(number(joint, "joint")?, number(angle, "angle")?),
+            ["shorten", segment, length] => {
+                ArmChangeKind::Shorten(number(segment, "segment")?, number(length, "length")?)
+            }
+            ["mirror", "x"] => ArmChangeKind::Mirror(MirrorAxis::X),
+            ["mirror", "y"] => ArmChangeKind::Mirror(MirrorAxis::Y),
             _ => return Err(FORMS.to_owned()),
         };
         Ok(Self { what, tick })
@@ -69,7 +71,7 @@ fn number<T: FromStr>(text: &str, what: &str) -> Result<T, String> {
     text.replace('_', "").parse().map_err(|_| format!("the {what} is no such number; {FORMS}"))
 }
 
-impl fmt::Display for What {
+impl fmt::Display for ArmChangeKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Block(joint, 0.0) => write!(f, "joint {joint} blocked"),
@@ -88,17 +90,17 @@ mod tests {
     #[test]
     fn changes_are_read_as_they_are_written() {
         for (text, what, tick) in [
-            ("block:3@3000", What::Block(3, 0.0), 3000),
-            ("block:1:-0.5@6_000", What::Block(1, -0.5), 6000),
-            ("shorten:2:0.3@9000", What::Shorten(2, 0.3), 9000),
-            ("mirror:y@1", What::Mirror(MirrorAxis::Y), 1),
+            ("block:3@3000", ArmChangeKind::Block(3, 0.0), 3000),
+            ("block:1:-0.5@6_000", ArmChangeKind::Block(1, -0.5), 6000),
+            ("shorten:2:0.3@9000", ArmChangeKind::Shorten(2, 0.3), 9000),
+            ("mirror:y@1", ArmChangeKind::Mirror(MirrorAxis::Y), 1),
         ] {
-            assert_eq!(text.parse(), Ok(Change { what, tick }), "{text}");
+            assert_eq!(text.parse(), Ok(ArmChange { what, tick }), "{text}");
         }
         for text in
             ["", "block", "block@3", "block:3", "block:x@3", "block:3@", "mirror:z@3", "shorten:2@5", "melt:1@5"]
         {
-            let said = text.parse::<Change>().unwrap_err();
+            let said = text.parse::<ArmChange>().unwrap_err();
             assert!(said.contains("write block:JOINT@TICK"), "{text}: {said}");
         }
     }

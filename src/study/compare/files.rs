@@ -2,25 +2,25 @@
 
 use std::fmt::Write as _;
 
-use super::{Compared, DECADES, LEARNERS, name_of};
+use super::{ComparisonResult, DECADES, LEARNERS, name_of};
 use crate::report::figure;
-use crate::report::figure::learning::{Curve, Learning, Line, Panel, Point};
+use crate::report::figure::learning::{CurvePoint, LearnerCurve, LearningFigure, LearningPanel, ReferenceLine};
 use crate::study::{Spread, StudyError};
 
-pub(super) fn write(compared: &Compared) -> Result<(), StudyError> {
+pub(super) fn write(compared: &ComparisonResult) -> Result<(), StudyError> {
     put(compared, "compare.json", &compared.to_json())?;
     put(compared, "compare.csv", &rows(compared))?;
     put(compared, "curves.csv", &curves(compared))?;
     Ok(figure::learning::draw(&learning(compared), &compared.folder.join("figure.svg"))?)
 }
 
-fn put(compared: &Compared, name: &str, text: &str) -> Result<(), StudyError> {
+fn put(compared: &ComparisonResult, name: &str, text: &str) -> Result<(), StudyError> {
     let path = compared.folder.join(name);
     std::fs::write(&path, text).map_err(StudyError::write(&path))
 }
 
 /// A row for each learner and seed; what there is not stays empty.
-fn rows(compared: &Compared) -> String {
+fn rows(compared: &ComparisonResult) -> String {
     let changes = compared.learners.iter().map(|l| l.changes.len()).max().unwrap_or(0);
     let mut head: Vec<String> = ["learner", "seed", "ticks", "ticks_to_level"].map(str::to_owned).to_vec();
     head.extend(DECADES.map(|tick| format!("loss_at_{tick}")));
@@ -50,7 +50,7 @@ fn show<T: ToString>(value: Option<T>) -> String {
 }
 
 /// A row for each test.
-fn curves(compared: &Compared) -> String {
+fn curves(compared: &ComparisonResult) -> String {
     let mut text = "learner,seed,tick,changes,loss,miss_m\n".to_owned();
     for ((learner, rows), courses) in compared.learners.iter().zip(&compared.rows).zip(&compared.courses) {
         for (row, course) in rows.iter().zip(courses) {
@@ -64,25 +64,25 @@ fn curves(compared: &Compared) -> String {
 }
 
 /// The learning curves, and one panel for what came after each change.
-fn learning(compared: &Compared) -> Learning {
+fn learning(compared: &ComparisonResult) -> LearningFigure {
     let worlds = &compared.references.worlds;
     let panel = |world: usize| {
-        let curve = |(number, courses): (usize, &Vec<super::Course>)| {
+        let curve = |(number, courses): (usize, &Vec<super::LearnerRun>)| {
             let learner = &compared.learners[number];
             let from = if world == 0 { 0 } else { learner.changes.get(world - 1)?.tick };
             let samples = |i: usize| courses[i].samples.iter().filter(move |s| s.world == world);
             let points = samples(0).enumerate().filter_map(|(at, first)| {
                 let losses = (0..courses.len()).filter_map(|i| samples(i).nth(at)).map(|s| s.score.loss);
                 let Spread { min, median, max } = Spread::of(losses)?;
-                Some(Point { ticks: first.tick - from, low: min, middle: median, high: max })
+                Some(CurvePoint { ticks: first.tick - from, low: min, middle: median, high: max })
             });
             // A learner keeps its colour whoever else is there.
             let colour = LEARNERS.iter().position(|&rule| name_of(rule) == learner.name).unwrap_or(LEARNERS.len());
-            Some(Curve { name: learner.name.clone(), colour, points: points.collect() })
+            Some(LearnerCurve { name: learner.name.clone(), colour, points: points.collect() })
         };
         let classical = worlds[world].damped_least_squares.loss;
         let optimum = worlds[world].trajectory_optimum.loss;
-        let line = |name: &str, value| Line { name: name.to_owned(), value };
+        let line = |name: &str, value| ReferenceLine { name: name.to_owned(), value };
         let lines = if world == 0 {
             let level = line("level", compared.level);
             vec![level, line("damped least squares", classical), line("trajectory optimum", optimum)]
@@ -98,7 +98,7 @@ fn learning(compared: &Compared) -> Learning {
             }
             _ => String::new(),
         };
-        Panel {
+        LearningPanel {
             title: what
                 .map_or_else(|| "from the beginning".to_owned(), |what| format!("after the change{when}: {what}")),
             x: if world == 0 { "ticks" } else { "ticks since the change" }.to_owned(),
@@ -111,7 +111,7 @@ fn learning(compared: &Compared) -> Learning {
         1 => format!("seed {first}"),
         n => format!("median and range of {n} seeds, {first} to {last}"),
     };
-    Learning {
+    LearningFigure {
         title: format!("Loss on the test set, without exploration noise; {seeds}"),
         panels: (0..worlds.len()).map(panel).collect(),
     }

@@ -6,24 +6,24 @@
 //! spacing of the tests, [`spacing`]. Everything but the times follows from learners and seeds.
 
 mod change;
-mod entrant;
 mod files;
+mod learner_entry;
 mod outcome;
 mod run;
 mod table;
 
-pub use change::{Change, What};
-pub use entrant::{Changes, Entrant, LEARNERS, name_of, rule};
-pub use outcome::{ChangeOutcome, Costs, DECADES, LearnerOutcome, RECOVERED, Row, Times};
-pub use run::{Cost, Course, Sample, spacing};
+pub use change::{ArmChange, ArmChangeKind};
+pub use learner_entry::{Changes, LEARNERS, LearnerEntry, name_of, rule};
+pub use outcome::{ChangeOutcome, Costs, DECADES, LearnerOutcome, RECOVERED, SeedRow, Times};
+pub use run::{LearnerRun, PolicyTest, TickCost, spacing};
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde::{Serialize, Serializer};
 
-use super::yardstick::{LEVEL, Score, TARGETS, TEST_SEED, TestSet, World};
-use super::{Crew, StudyError, Ticks};
+use super::reference::{FixedArm, LEVEL, Score, TARGETS, TEST_SEED, TestSet};
+use super::{ChildProcesses, JobProgress, StudyError};
 use crate::clock::{facts, monotonic_ns};
 use crate::scenario::Rule;
 use crate::supervise::{LaunchError, RunFolder};
@@ -53,7 +53,7 @@ pub struct Comparison {
 
 /// What came of it: the object of `--json`.
 #[derive(Debug, Clone, Serialize)]
-pub struct Compared {
+pub struct ComparisonResult {
     /// The loss to reach: [`LEVEL`].
     pub level: f64,
     /// The seeds, in the order of all lists.
@@ -61,7 +61,7 @@ pub struct Compared {
     /// One entry a learner.
     pub learners: Vec<LearnerOutcome>,
     /// What the yardstick's controllers reach.
-    pub references: References,
+    pub references: ReferenceTable,
     /// The test: targets, ticks of each, seed.
     pub test: TestFacts,
     /// Version and commit.
@@ -74,9 +74,9 @@ pub struct Compared {
     pub folder: PathBuf,
     /// Rows by learner and seed, for the files.
     #[serde(skip)]
-    rows: Vec<Vec<Row>>,
+    rows: Vec<Vec<SeedRow>>,
     #[serde(skip)]
-    courses: Vec<Vec<Course>>,
+    courses: Vec<Vec<LearnerRun>>,
 }
 
 /// How the test was made.
@@ -92,14 +92,14 @@ pub struct TestFacts {
 
 /// What the yardstick's controllers reach in the worlds of a comparison. In JSON, an object by controller, then by world.
 #[derive(Debug, Clone, PartialEq)]
-pub struct References {
+pub struct ReferenceTable {
     /// The world of the beginning, and that after each change.
-    pub worlds: Vec<WorldReferences>,
+    pub worlds: Vec<ReferenceScores>,
 }
 
 /// What the yardstick's controllers reach in one world.
 #[derive(Debug, Clone, PartialEq)]
-pub struct WorldReferences {
+pub struct ReferenceScores {
     /// Name of the world.
     pub world: String,
     /// Standing still.
@@ -112,10 +112,10 @@ pub struct WorldReferences {
     pub trajectory_optimum: Score,
 }
 
-impl References {
+impl ReferenceTable {
     /// The controllers by name, the one that knows least first.
     pub fn by_controller(&self) -> [(&'static str, Vec<Score>); 4] {
-        let over = |score: fn(&WorldReferences) -> Score| self.worlds.iter().map(score).collect();
+        let over = |score: fn(&ReferenceScores) -> Score| self.worlds.iter().map(score).collect();
         [
             ("zero", over(|w| w.zero)),
             ("random", over(|w| w.random)),
@@ -125,7 +125,7 @@ impl References {
     }
 }
 
-impl Serialize for References {
+impl Serialize for ReferenceTable {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let worlds = || self.worlds.iter().map(|w| w.world.as_str());
         serializer.collect_map(
@@ -135,74 +135,76 @@ impl Serialize for References {
 }
 
 /// What a member of the crew does at a time.
-enum Job {
+enum ComparisonJob {
     /// The references of one world.
     References(usize),
     /// One learner (its number) with one seed.
     Run(usize, u64),
 }
 
-enum Done {
-    References(WorldReferences),
-    Run(Course),
+enum JobResult {
+    References(ReferenceScores),
+    Run(LearnerRun),
 }
 
 /// Makes the comparison and leaves its files in its folder.
 ///
 /// # Errors
 /// When something that was asked for makes no sense, the folder cannot be used, or a signal ends it.
-pub fn compare(comparison: &Comparison) -> Result<Compared, StudyError> {
-    let entrants = entrants(comparison)?;
-    let crew = Crew::new(comparison.progress).map_err(LaunchError::Signals)?;
+pub fn compare(comparison: &Comparison) -> Result<ComparisonResult, StudyError> {
+    let entries = entries(comparison)?;
+    let pool = ChildProcesses::new(comparison.progress).map_err(LaunchError::Signals)?;
     let folder = RunFolder::create(comparison.out.as_deref(), None, "compare")?;
     let began = monotonic_ns();
     // The changes of all learners are the same, if not at the same ticks.
-    let longest = entrants.iter().max_by_key(|entrant| entrant.changes.len());
+    let longest = entries.iter().max_by_key(|entry| entry.changes.len());
     let (worlds, names) = longest.map_or_else(Default::default, worlds);
     let seeds: Vec<u64> = (0..comparison.seeds).map(|i| comparison.first_seed.saturating_add(i)).collect();
-    let mut jobs: Vec<Job> = (0..worlds.len()).map(Job::References).collect();
-    jobs.extend((0..entrants.len()).flat_map(|entrant| seeds.iter().map(move |&seed| Job::Run(entrant, seed))));
-    let ticks_of = |entrant: &Entrant| entrant.plan.scenario.ticks;
+    let mut jobs: Vec<ComparisonJob> = (0..worlds.len()).map(ComparisonJob::References).collect();
+    jobs.extend((0..entries.len()).flat_map(|entry| seeds.iter().map(move |&seed| ComparisonJob::Run(entry, seed))));
+    let ticks_of = |entry: &LearnerEntry| entry.plan.scenario.ticks;
     // The longest first, so that no core is left with one at the end.
     jobs.sort_by_key(|job| match job {
-        Job::References(_) => 0,
-        Job::Run(entrant, _) => {
-            let entrant = &entrants[*entrant];
-            u64::MAX - entrant.rough_ns.saturating_mul(ticks_of(entrant))
+        ComparisonJob::References(_) => 0,
+        ComparisonJob::Run(entry, _) => {
+            let entry = &entries[*entry];
+            u64::MAX - entry.rough_ns.saturating_mul(ticks_of(entry))
         }
     });
-    let ticks = entrants.iter().map(|entrant| ticks_of(entrant) * comparison.seeds).sum();
-    let work = |job: &Job, progress: &Ticks| match *job {
-        Job::References(world) => {
-            references(&names[world], &worlds[world], comparison.starts, progress).map(Done::References)
+    let ticks = entries.iter().map(|entry| ticks_of(entry) * comparison.seeds).sum();
+    let work = |job: &ComparisonJob, progress: &JobProgress| match *job {
+        ComparisonJob::References(world) => {
+            references(&names[world], &worlds[world], comparison.starts, progress).map(JobResult::References)
         }
-        Job::Run(entrant, seed) => run::run(&entrants[entrant], seed, &worlds, progress).map(Done::Run),
+        ComparisonJob::Run(entry, seed) => run::run(&entries[entry], seed, &worlds, progress).map(JobResult::Run),
     };
-    let done = crew.work("compare", ticks, &jobs, work).map_err(StudyError::Signal)?;
+    let done = pool.work("compare", ticks, &jobs, work).map_err(StudyError::Signal)?;
 
-    let mut references: Vec<Option<WorldReferences>> = vec![None; worlds.len()];
-    let mut courses: Vec<BTreeMap<u64, Course>> = vec![BTreeMap::new(); entrants.len()];
+    let mut references: Vec<Option<ReferenceScores>> = vec![None; worlds.len()];
+    let mut courses: Vec<BTreeMap<u64, LearnerRun>> = vec![BTreeMap::new(); entries.len()];
     for (job, done) in jobs.iter().zip(done) {
         match (job, done) {
-            (Job::References(world), Some(Done::References(found))) => references[*world] = Some(found),
-            (Job::Run(entrant, seed), Some(Done::Run(course))) => drop(courses[*entrant].insert(*seed, course)),
+            (ComparisonJob::References(world), Some(JobResult::References(found))) => references[*world] = Some(found),
+            (ComparisonJob::Run(entry, seed), Some(JobResult::Run(course))) => {
+                drop(courses[*entry].insert(*seed, course))
+            }
             _ => {}
         }
     }
-    let references = References { worlds: references.into_iter().flatten().collect() };
-    let courses: Vec<Vec<Course>> = courses.into_iter().map(|seeds| seeds.into_values().collect()).collect();
-    let rows: Vec<Vec<Row>> = entrants
+    let references = ReferenceTable { worlds: references.into_iter().flatten().collect() };
+    let courses: Vec<Vec<LearnerRun>> = courses.into_iter().map(|seeds| seeds.into_values().collect()).collect();
+    let rows: Vec<Vec<SeedRow>> = entries
         .iter()
         .zip(&courses)
-        .map(|(entrant, courses)| {
-            seeds.iter().zip(courses).map(|(&seed, course)| Row::of(entrant, seed, course, &references)).collect()
+        .map(|(entry, courses)| {
+            seeds.iter().zip(courses).map(|(&seed, course)| SeedRow::of(entry, seed, course, &references)).collect()
         })
         .collect();
-    let learners = entrants.iter().zip(rows.iter().zip(&courses)).map(|(entrant, (rows, courses))| {
-        let costs: Vec<Cost> = courses.iter().flat_map(|course| course.costs.iter().copied()).collect();
-        LearnerOutcome::of(entrant, rows, &costs)
+    let learners = entries.iter().zip(rows.iter().zip(&courses)).map(|(entry, (rows, courses))| {
+        let costs: Vec<TickCost> = courses.iter().flat_map(|course| course.costs.iter().copied()).collect();
+        LearnerOutcome::of(entry, rows, &costs)
     });
-    let compared = Compared {
+    let compared = ComparisonResult {
         level: LEVEL,
         learners: learners.collect(),
         seeds,
@@ -224,7 +226,7 @@ pub fn compare(comparison: &Comparison) -> Result<Compared, StudyError> {
     Ok(compared)
 }
 
-fn entrants(comparison: &Comparison) -> Result<Vec<Entrant>, StudyError> {
+fn entries(comparison: &Comparison) -> Result<Vec<LearnerEntry>, StudyError> {
     let Comparison { learners, seeds, first_seed, .. } = comparison;
     if *seeds == 0 {
         return Err(StudyError::Asked("--seeds is 0; give at least 1".to_owned()));
@@ -242,26 +244,26 @@ fn entrants(comparison: &Comparison) -> Result<Vec<Entrant>, StudyError> {
     }
     learners
         .iter()
-        .map(|&rule| Entrant::new(rule, comparison.ticks, &comparison.changes, &comparison.settings))
+        .map(|&rule| LearnerEntry::new(rule, comparison.ticks, &comparison.changes, &comparison.settings))
         .collect()
 }
 
 /// The worlds that a learner goes through, with their names.
-fn worlds(entrant: &Entrant) -> (Vec<TestSet>, Vec<String>) {
-    let plan = &entrant.plan;
+fn worlds(entry: &LearnerEntry) -> (Vec<TestSet>, Vec<String>) {
+    let plan = &entry.plan;
     let period_s = plan.scenario.period_ms / 1000.0;
     let table = plan.scenario.plant.arm.clone().unwrap_or_default();
-    let world = |tick| TestSet::new(plan, World::at(&table, period_s, tick));
-    let name = |change: &Change| match (&entrant.changes[..], change.what) {
-        ([_], What::Block(..)) => "blocked".to_owned(),
+    let world = |tick| TestSet::new(plan, FixedArm::at(&table, period_s, tick));
+    let name = |change: &ArmChange| match (&entry.changes[..], change.what) {
+        ([_], ArmChangeKind::Block(..)) => "blocked".to_owned(),
         _ => format!("{} at {}", change.what, change.tick),
     };
     let first = (world(0), "unblocked".to_owned());
-    std::iter::once(first).chain(entrant.changes.iter().map(|change| (world(change.tick), name(change)))).unzip()
+    std::iter::once(first).chain(entry.changes.iter().map(|change| (world(change.tick), name(change)))).unzip()
 }
 
-fn references(name: &str, test: &TestSet, starts: usize, progress: &Ticks) -> Option<WorldReferences> {
-    Some(WorldReferences {
+fn references(name: &str, test: &TestSet, starts: usize, progress: &JobProgress) -> Option<ReferenceScores> {
+    Some(ReferenceScores {
         world: name.to_owned(),
         trajectory_optimum: test.optimum(starts, || progress.report(0))?,
         zero: test.zero(),

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::run::{Cost, Course};
-use super::{Entrant, References};
-use crate::scenario::LearnerTable;
+use super::run::{LearnerRun, TickCost};
+use super::{LearnerEntry, ReferenceTable};
+use crate::scenario::LearnerConfig;
 use crate::study::Spread;
-use crate::study::yardstick::LEVEL;
+use crate::study::reference::LEVEL;
 
 /// The instants at which losses are told, ticks.
 pub const DECADES: [u64; 5] = [1_000, 10_000, 100_000, 1_000_000, 10_000_000];
@@ -17,7 +17,7 @@ pub const RECOVERED: f64 = 1.1;
 
 /// One learner with one seed.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct SeedRow {
     /// Seed of the run.
     pub seed: u64,
     /// Ticks until the loss was at the level or below, before any change.
@@ -40,13 +40,13 @@ pub struct Row {
     pub weights_hash: String,
 }
 
-impl Row {
-    pub(super) fn of(entrant: &Entrant, seed: u64, course: &Course, references: &References) -> Self {
+impl SeedRow {
+    pub(super) fn of(entry: &LearnerEntry, seed: u64, course: &LearnerRun, references: &ReferenceTable) -> Self {
         let unchanged: Vec<_> = course.samples.iter().take_while(|s| s.world == 0).collect();
         let level = unchanged.iter().find(|s| s.score.loss <= LEVEL).map(|s| s.tick);
         let loss = unchanged.last().map_or(f64::NAN, |s| s.score.loss);
         let (zero, optimum) = (references.worlds[0].zero.loss, references.worlds[0].trajectory_optimum.loss);
-        let recovered = |(i, change): (usize, &super::Change)| {
+        let recovered = |(i, change): (usize, &super::ArmChange)| {
             let enough = RECOVERED * references.worlds[i + 1].trajectory_optimum.loss;
             let found = course.samples.iter().find(|s| s.world == i + 1 && s.score.loss <= enough)?;
             Some(found.tick - change.tick)
@@ -62,7 +62,7 @@ impl Row {
                 // A loss that is no number is the worst of all.
                 after.fold(0.0, |worst, loss| if loss > worst || loss.is_nan() { loss } else { worst })
             }),
-            ticks_to_recover: entrant.changes.iter().enumerate().map(recovered).collect(),
+            ticks_to_recover: entry.changes.iter().enumerate().map(recovered).collect(),
             loss_at_end: course.samples.last().map_or(f64::NAN, |s| s.score.loss),
             diverged_at: course.diverged_at,
             weights_hash: course.weights_hash.clone(),
@@ -106,7 +106,7 @@ pub struct Costs {
 }
 
 impl Costs {
-    fn of(costs: &[Cost]) -> Self {
+    fn of(costs: &[TickCost]) -> Self {
         Self {
             tick: Times::of(costs.iter().map(|c| c.before + c.after)),
             before_command: Times::of(costs.iter().map(|c| c.before)),
@@ -149,7 +149,7 @@ pub struct LearnerOutcome {
     /// XXH3-64 of the weights at the end, hexadecimal, seed by seed.
     pub weights_hash: Vec<String>,
     /// The learner's settings.
-    pub settings: LearnerTable,
+    pub settings: LearnerConfig,
 }
 
 /// A change, and how it was got over.
@@ -164,14 +164,14 @@ pub struct ChangeOutcome {
 }
 
 impl LearnerOutcome {
-    pub(super) fn of(entrant: &Entrant, rows: &[Row], costs: &[Cost]) -> Self {
-        let over = |value: &dyn Fn(&Row) -> Option<f64>| Spread::of(rows.iter().filter_map(value));
+    pub(super) fn of(entry: &LearnerEntry, rows: &[SeedRow], costs: &[TickCost]) -> Self {
+        let over = |value: &dyn Fn(&SeedRow) -> Option<f64>| Spread::of(rows.iter().filter_map(value));
         let recover = |i: usize| rows.iter().map(|r| r.ticks_to_recover.get(i).copied().flatten()).collect();
         let cost = Costs::of(costs);
         Self {
-            name: entrant.name.clone(),
-            ticks: entrant.plan.scenario.ticks,
-            changes: entrant
+            name: entry.name.clone(),
+            ticks: entry.plan.scenario.ticks,
+            changes: entry
                 .changes
                 .iter()
                 .enumerate()
@@ -193,53 +193,54 @@ impl LearnerOutcome {
             diverged: rows.iter().filter(|r| r.diverged_at.is_some()).count(),
             diverged_at: rows.iter().map(|r| r.diverged_at).collect(),
             weights_hash: rows.iter().map(|r| r.weights_hash.clone()).collect(),
-            settings: entrant.plan.scenario.learner.clone(),
+            settings: entry.plan.scenario.learner.clone(),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::run::Sample;
-    use super::super::{Change, Changes, WorldReferences};
+    use super::super::run::PolicyTest;
+    use super::super::{ArmChange, Changes, ReferenceScores};
     use super::*;
     use crate::scenario::Rule;
-    use crate::study::yardstick::Score;
+    use crate::study::reference::Score;
 
-    fn references() -> References {
+    fn references() -> ReferenceTable {
         let score = |loss| Score { loss, miss_m: 0.0 };
-        let world = |optimum| WorldReferences {
+        let world = |optimum| ReferenceScores {
             world: String::new(),
             zero: score(0.52),
             random: score(0.3),
             damped_least_squares: score(0.03),
             trajectory_optimum: score(optimum),
         };
-        References { worlds: vec![world(0.02), world(0.03)] }
+        ReferenceTable { worlds: vec![world(0.02), world(0.03)] }
     }
 
     #[test]
     fn a_course_is_read_in_the_worlds_that_it_goes_through() {
-        let changes = Changes::These(vec![Change::block(2000)]);
-        let entrant = Entrant::new(Rule::Paper, Some(4000), &changes, &[]).unwrap();
+        let changes = Changes::These(vec![ArmChange::block(2000)]);
+        let entry = LearnerEntry::new(Rule::Paper, Some(4000), &changes, &[]).unwrap();
         let samples =
             [(500, 0, 0.2), (1000, 0, 0.0375), (1500, 0, 0.05), (2000, 0, 0.03), (2020, 1, 0.034), (2500, 1, 0.033)];
-        let course = Course {
+        let course = LearnerRun {
             samples: samples
-                .map(|(tick, world, loss)| Sample { tick, world, score: Score { loss, miss_m: 0.0 } })
+                .map(|(tick, world, loss)| PolicyTest { tick, world, score: Score { loss, miss_m: 0.0 } })
                 .to_vec(),
-            costs: vec![Cost { before: 1.0, after: 2.0 }; 3],
+            costs: vec![TickCost { before: 1.0, after: 2.0 }; 3],
             diverged_at: None,
             weights_hash: String::new(),
         };
-        let row = Row::of(&entrant, 7, &course, &references());
+        let row = SeedRow::of(&entry, 7, &course, &references());
         assert_eq!((row.ticks_to_level, row.worst_after_level), (Some(1000), Some(0.05)));
         assert_eq!(row.loss_at, [Some(0.0375), None, None, None, None]);
         assert_eq!((row.loss, row.loss_at_end), (0.03, 0.033));
         assert!((row.share_of_gap - 0.02).abs() < 1e-12, "{}", row.share_of_gap);
         assert_eq!(row.ticks_to_recover, [Some(500)]);
 
-        let outcome = LearnerOutcome::of(&entrant, &[row.clone(), Row { ticks_to_level: None, ..row }], &course.costs);
+        let outcome =
+            LearnerOutcome::of(&entry, &[row.clone(), SeedRow { ticks_to_level: None, ..row }], &course.costs);
         assert_eq!(outcome.ticks_to_level, [Some(1000), None]);
         assert_eq!(outcome.ticks_to_recover, [Some(500); 2]);
         assert_eq!((outcome.ns_per_tick, outcome.diverged), (3.0, 0));

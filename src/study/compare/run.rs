@@ -2,16 +2,16 @@
 
 use std::time::Instant;
 
-use super::Entrant;
-use crate::plant::Body;
+use super::LearnerEntry;
+use crate::plant::SimulatedPlant;
 use crate::runtime::{Controller, PlantSide};
-use crate::study::Ticks;
-use crate::study::yardstick::{Score, TestSet};
+use crate::study::JobProgress;
+use crate::study::reference::{Score, TestSet};
 use crate::wire::{Command, Observation};
 
 /// One test of the policy as it was.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sample {
+pub struct PolicyTest {
     /// Ticks done before the test.
     pub tick: u64,
     /// Changes of the arm before the test; the test is the one of that world.
@@ -22,7 +22,7 @@ pub struct Sample {
 
 /// What a tick cost, ns.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Cost {
+pub struct TickCost {
     /// From the observation to the command: learning, encoding, drawing.
     pub before: f64,
     /// After the command has gone out.
@@ -31,11 +31,11 @@ pub struct Cost {
 
 /// What came of a run.
 #[derive(Debug, Clone)]
-pub struct Course {
+pub struct LearnerRun {
     /// The tests, in the order of time.
-    pub samples: Vec<Sample>,
+    pub samples: Vec<PolicyTest>,
     /// Some ticks' costs.
-    pub costs: Vec<Cost>,
+    pub costs: Vec<TickCost>,
     /// The first tick at which the weights were no longer numbers.
     pub diverged_at: Option<u64>,
     /// XXH3-64 of the weights at the end, hexadecimal.
@@ -55,17 +55,18 @@ pub fn spacing(since: u64) -> u64 {
     if since < 1_000 { 20 } else { 10_u64.pow(since.ilog10()) / 20 }
 }
 
-/// Runs `entrant` with `seed`, with one test for each world: that of the beginning and that after each change. `None` if the
+/// Runs `entry` with `seed`, with one test for each world: that of the beginning and that after each change. `None` if the
 /// study is to end before the run does.
-pub fn run(entrant: &Entrant, seed: u64, tests: &[TestSet], progress: &Ticks) -> Option<Course> {
-    let plan = entrant.plan(seed);
-    let mut side = PlantSide::new(Body::of(&plan)?, &plan);
+pub fn run(entry: &LearnerEntry, seed: u64, tests: &[TestSet], progress: &JobProgress) -> Option<LearnerRun> {
+    let plan = entry.plan(seed);
+    let mut side = PlantSide::new(SimulatedPlant::of(&plan)?, &plan);
     let mut controller = Controller::new(&plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let ticks = plan.scenario.ticks;
     let stride = (ticks / TIMES).max(TIMED);
     let look = look();
-    let mut course = Course { samples: Vec::new(), costs: Vec::new(), diverged_at: None, weights_hash: String::new() };
+    let mut course =
+        LearnerRun { samples: Vec::new(), costs: Vec::new(), diverged_at: None, weights_hash: String::new() };
     let (mut world, mut next) = (0, spacing(0));
     for tick in 0..ticks {
         side.observe(tick, 0, 0, &mut observation);
@@ -73,28 +74,28 @@ pub fn run(entrant: &Entrant, seed: u64, tests: &[TestSet], progress: &Ticks) ->
             let began = Instant::now();
             controller.respond(&observation, &mut command);
             let answered = Instant::now();
-            controller.settle(&observation);
+            controller.after_command(&observation);
             let settled = Instant::now();
             let ns = |from: Instant, to: Instant| ((to - from).as_nanos() as f64 - look).max(0.0);
-            course.costs.push(Cost { before: ns(began, answered), after: ns(answered, settled) });
+            course.costs.push(TickCost { before: ns(began, answered), after: ns(answered, settled) });
         } else {
             controller.respond(&observation, &mut command);
-            controller.settle(&observation);
+            controller.after_command(&observation);
         }
-        side.live(tick, Some(&command));
+        side.step(tick, Some(&command));
 
         let done = tick + 1;
         if done.is_multiple_of(REPORT) && !progress.report(REPORT) {
             return None;
         }
-        let change = entrant.changes.get(world).map(|change| change.tick);
+        let change = entry.changes.get(world).map(|change| change.tick);
         if done == next || done == ticks || change == Some(done) {
             let score = tests[world].score(controller.policy());
-            course.samples.push(Sample { tick: done, world, score });
+            course.samples.push(PolicyTest { tick: done, world, score });
             if change == Some(done) {
                 world += 1;
             }
-            let since = done - if world == 0 { 0 } else { entrant.changes[world - 1].tick };
+            let since = done - if world == 0 { 0 } else { entry.changes[world - 1].tick };
             next = done + spacing(since);
         }
     }

@@ -2,11 +2,11 @@
 
 use std::fmt::Write as _;
 
-use super::Compared;
+use super::ComparisonResult;
 use crate::report::thousands;
 use crate::study::Spread;
 
-impl Compared {
+impl ComparisonResult {
     /// One JSON object.
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()

@@ -15,12 +15,12 @@
 //!   found wrong by what is learned from them; nothing is learned from measures, entries that are not used, `NEW_TARGET`
 //!   and the last bits of a number that rounding takes away.
 
-mod clockwork;
 mod compare;
 mod error;
-mod follow;
-mod other;
-mod plant;
+mod follower;
+mod off_policy;
+mod plant_replay;
+mod stamps;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -29,22 +29,22 @@ use serde::Serialize;
 
 pub use compare::Difference;
 pub use error::ReplayError;
-pub use other::OffPolicy;
+pub use off_policy::OffPolicy;
 
-use super::yardstick::{Score, TestSet, World};
-use crate::log::{Record, RunLog};
+use super::reference::{FixedArm, Score, TestSet};
+use crate::log::{LogRecord, RunLog};
 use crate::report::thousands;
 use crate::runtime::Controller;
-use crate::scenario::{LearnerTable, Plan, Rule, Scenario};
-use crate::supervise::Progress;
-use clockwork::Clockwork;
-use follow::Follower;
-use other::Other;
-use plant::PlantShadow;
+use crate::scenario::{LearnerConfig, Plan, Rule, Scenario};
+use crate::supervise::RunProgress;
+use follower::ReplayFollower;
+use off_policy::OffPolicyLearner;
+use plant_replay::PlantReplay;
+use stamps::StampChecker;
 
 /// What came of a replay.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Replay {
+pub struct ReplayResult {
     /// The log.
     pub log: PathBuf,
     /// The scenario's name.
@@ -86,7 +86,7 @@ pub struct Replay {
 /// # Errors
 ///
 /// [`ReplayError`] if there is nothing to replay: no log, a damaged one, one without all ticks.
-pub fn replay(segments: &[PathBuf], learner: Option<Rule>, progress: bool) -> Result<Replay, ReplayError> {
+pub fn replay(segments: &[PathBuf], learner: Option<Rule>, progress: bool) -> Result<ReplayResult, ReplayError> {
     over(RunLog::open(segments)?, learner, progress)
 }
 
@@ -95,7 +95,7 @@ pub fn replay(segments: &[PathBuf], learner: Option<Rule>, progress: bool) -> Re
 /// # Errors
 ///
 /// As [`replay`].
-pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Replay, ReplayError> {
+pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<ReplayResult, ReplayError> {
     let path = log.path().to_owned();
     let path = path.as_path();
     let build = log.run("build").unwrap_or("unknown").to_owned();
@@ -113,12 +113,12 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
         return Err(ReplayError::Middle { path: path.to_owned(), remedy });
     }
     let other = learner.map(|rule| other(&plan, rule, path)).transpose()?;
-    let mut run = Follower::new(&plan, Clockwork::of(&log, &plan), other);
-    let mut progress = Progress::study(&plan.scenario.name, plan.scenario.ticks, progress);
+    let mut run = ReplayFollower::new(&plan, StampChecker::of(&log, &plan), other);
+    let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, progress);
     let mut difference = None;
     for record in log.by_ref() {
         let record = record.inspect_err(|_| progress.clear())?;
-        if let Record::Gap(gap) = &record {
+        if let LogRecord::Gap(gap) = &record {
             progress.clear();
             let until = run.plant().last().map_or("nothing comes before".to_owned(), |tick| {
                 format!("up to tick {tick} it is what this build makes of it")
@@ -137,10 +137,10 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
             difference = Some(*found);
             break;
         }
-        if let Record::Observation(s) = &record
+        if let LogRecord::Observation(s) = &record
             && s.header.tick.is_multiple_of(64)
         {
-            progress.show_study(s.header.tick, run.controller.tally().now());
+            progress.show_study(s.header.tick, run.controller.statistics().now());
         }
     }
     progress.clear();
@@ -154,7 +154,7 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
     let noiseless = |controller: &Controller| test.as_ref().map(|test| test.score(controller.policy()));
     let (own, others) =
         (noiseless(&run.controller), run.other.as_ref().and_then(|other| noiseless(other.controller())));
-    Ok(Replay {
+    Ok(ReplayResult {
         log: path.to_owned(),
         scenario: plan.scenario.name.clone(),
         seed: plan.scenario.seed,
@@ -175,22 +175,22 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
 }
 
 /// The yardstick for the arm as it stands at the end of the log.
-fn test_set(plan: &Plan, plant: &PlantShadow) -> Option<TestSet> {
+fn test_set(plan: &Plan, plant: &PlantReplay) -> Option<TestSet> {
     let table = plan.scenario.plant.arm.as_ref().filter(|_| plant.simulated() && plan.scalars.is_empty())?;
-    let world = World::at(table, plan.scenario.period_ms / 1000.0, plant.last()?);
+    let world = FixedArm::at(table, plan.scenario.period_ms / 1000.0, plant.last()?);
     Some(TestSet::new(plan, world))
 }
 
 /// The fresh learner of `rule`, its constants those of its preset.
-fn other(plan: &Plan, rule: Rule, path: &Path) -> Result<Other, ReplayError> {
+fn other(plan: &Plan, rule: Rule, path: &Path) -> Result<OffPolicyLearner, ReplayError> {
     let mut scenario = plan.scenario.clone();
-    scenario.learner = LearnerTable::preset(rule);
+    scenario.learner = LearnerConfig::preset(rule);
     let plan = scenario.plan().map_err(|error| ReplayError::Learner {
         path: path.to_owned(),
         rule,
         error: Box::new(error),
     })?;
-    Ok(Other::new(&plan))
+    Ok(OffPolicyLearner::new(&plan))
 }
 
 /// The ticks behind a gap, of which nothing can be told.
@@ -216,7 +216,7 @@ fn warnings(log: &RunLog, plan: &Plan, build: &str) -> Vec<String> {
     warnings
 }
 
-impl Replay {
+impl ReplayResult {
     /// The object of `--json`.
     pub fn to_json(&self) -> String {
         serde_json::to_string_pretty(self).unwrap_or_default()

@@ -6,14 +6,14 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::{Settings, StudyError, cell, in_words, write_lines};
+use super::{ReproduceSettings, StudyError, cell, in_words, write_lines};
 use crate::clock::{facts, monotonic_ns};
-use crate::plant::Body;
+use crate::plant::SimulatedPlant;
 use crate::report::figure::{LossFigure, draw_loss};
 use crate::report::{Reach, Window, columns, thousands};
-use crate::runtime::{Snapshot, Switch, Tally, in_process_seen};
-use crate::scenario::{ArmTable, Plan, Scenario};
-use crate::study::{Spread, Ticks};
+use crate::runtime::{RunStatistics, Snapshot, Switch, in_process_seen};
+use crate::scenario::{ArmConfig, Plan, Scenario};
+use crate::study::{JobProgress, Spread};
 use crate::supervise::reach;
 
 /// Ticks of a row of the table.
@@ -73,7 +73,7 @@ pub struct ArmResult {
 }
 
 /// What one seed gave.
-struct Run {
+struct ArmRun {
     windows: Vec<Window>,
     /// The target switches of figure 4: at first, before the block, after it, at the end.
     switches: [Vec<Snapshot>; 4],
@@ -85,13 +85,13 @@ struct Run {
 ///
 /// # Errors
 /// When the folder cannot be used, a file not be written, or a signal came.
-pub fn arm(settings: &Settings) -> Result<ArmResult, StudyError> {
+pub fn arm(settings: &ReproduceSettings) -> Result<ArmResult, StudyError> {
     let plans = plans(settings)?;
-    let crew = settings.crew()?;
+    let pool = settings.pool()?;
     let folder = settings.folder("reproduce-arm")?;
     let ticks = plans[0].scenario.ticks;
     let began = monotonic_ns();
-    let runs = crew.work("arm", ticks * plans.len() as u64, &plans, run).map_err(StudyError::Signal)?;
+    let runs = pool.work("arm", ticks * plans.len() as u64, &plans, run).map_err(StudyError::Signal)?;
     let seconds = (monotonic_ns() - began) as f64 / 1e9;
     folder.keep();
 
@@ -122,7 +122,7 @@ pub fn arm(settings: &Settings) -> Result<ArmResult, StudyError> {
     Ok(result)
 }
 
-fn plans(settings: &Settings) -> Result<Vec<Plan>, StudyError> {
+fn plans(settings: &ReproduceSettings) -> Result<Vec<Plan>, StudyError> {
     let plan = |seed| {
         let mut scenario = Scenario::built_in("paper")?;
         scenario.seed = seed;
@@ -142,14 +142,14 @@ fn step(ticks: u64) -> u64 {
     steps.into_iter().find(|s| ticks / s >= POINTS).unwrap_or(1)
 }
 
-fn run(plan: &Plan, ticks: &Ticks) -> Run {
+fn run(plan: &Plan, ticks: &JobProgress) -> ArmRun {
     let block = block(plan).unwrap_or(u64::MAX);
-    let mut tally = Tally::with_windows(plan, step(plan.scenario.ticks));
+    let mut statistics = RunStatistics::with_windows(plan, step(plan.scenario.ticks));
     let mut switch = Switch::default();
     let mut switches: [Vec<Snapshot>; 4] = Default::default();
-    let Some(body) = Body::of(plan) else { unreachable!("the built-in arm is the simulator's") };
+    let Some(body) = SimulatedPlant::of(plan) else { unreachable!("the built-in arm is the simulator's") };
     let result = in_process_seen(plan, body, |observation, _| {
-        tally.observe(observation);
+        statistics.observe(observation);
         if let Some(switch) = switch.see(observation) {
             let from = switch[0].tick;
             let place = match from {
@@ -163,11 +163,11 @@ fn run(plan: &Plan, ticks: &Ticks) -> Run {
         !observation.header.tick.is_multiple_of(REPORT) || ticks.report(REPORT)
     });
     let controller = result.controller;
-    Run { windows: tally.finish().0, switches, hash: controller.weights_hash, diverged: controller.diverged_at }
+    ArmRun { windows: statistics.finish().0, switches, hash: controller.weights_hash, diverged: controller.diverged_at }
 }
 
 /// The seed in the middle by the loss of its last row.
-fn middle(runs: &[Run]) -> usize {
+fn middle(runs: &[ArmRun]) -> usize {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     let loss = |i: &usize| runs[*i].windows.last().map_or(f64::NAN, |w| w.loss);
     order.sort_by(|a, b| loss(a).total_cmp(&loss(b)));
@@ -183,7 +183,7 @@ fn by_row(windows: &[Window]) -> Vec<Window> {
         .collect()
 }
 
-fn rows(runs: &[Run], ticks: u64) -> Vec<ArmRow> {
+fn rows(runs: &[ArmRun], ticks: u64) -> Vec<ArmRow> {
     let rows: Vec<Vec<Window>> = runs.iter().map(|run| by_row(&run.windows)).collect();
     let count = rows.iter().map(Vec::len).max().unwrap_or(0);
     let row = |i: usize| {
@@ -200,7 +200,7 @@ fn rows(runs: &[Run], ticks: u64) -> Vec<ArmRow> {
     (0..count).filter_map(row).collect()
 }
 
-fn figure(result: &ArmResult, runs: &[Run], table: &ArmTable, period_ns: u64, shown: &Run) -> LossFigure {
+fn figure(result: &ArmResult, runs: &[ArmRun], table: &ArmConfig, period_ns: u64, shown: &ArmRun) -> LossFigure {
     let reaches: [Option<Reach>; 4] = std::array::from_fn(|i| reach(table, &shown.switches[i]));
     let names = ["(a) at first", "(b) after learning", "(c) after the damage", "(d) after recovery"];
     LossFigure {
@@ -212,9 +212,9 @@ fn figure(result: &ArmResult, runs: &[Run], table: &ArmTable, period_ns: u64, sh
     }
 }
 
-fn write_tables(result: &ArmResult, runs: &[Run]) -> Result<(), StudyError> {
+fn write_tables(result: &ArmResult, runs: &[ArmRun]) -> Result<(), StudyError> {
     let head = "seed,from,ticks,loss,loss_without_noise,rms_error_m,end_error_m,cumulative_loss";
-    let lines = |windows: &dyn Fn(&Run) -> Vec<Window>| {
+    let lines = |windows: &dyn Fn(&ArmRun) -> Vec<Window>| {
         let mut lines = vec![head.to_owned()];
         for (run, seed) in runs.iter().zip(&result.seeds) {
             let mut cumulative = 0.0;

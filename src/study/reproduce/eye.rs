@@ -6,14 +6,14 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::{Settings, StudyError, in_words, write_lines};
+use super::{ReproduceSettings, StudyError, in_words, write_lines};
 use crate::clock::{facts, monotonic_ns};
-use crate::plant::Body;
-use crate::report::figure::{Curve, MissFigure, MissPanel, draw_miss};
+use crate::plant::SimulatedPlant;
+use crate::report::figure::{ErrorFigure, ErrorPanel, Polyline, draw_miss};
 use crate::report::{columns, figures, thousands};
 use crate::runtime::in_process_seen;
-use crate::scenario::{MapTable, Plan, Retina, Scenario};
-use crate::study::{Spread, Ticks};
+use crate::scenario::{MapConfig, Plan, Retina, Scenario};
+use crate::study::{JobProgress, Spread};
 
 /// Points of a curve.
 const POINTS: u64 = 300;
@@ -84,7 +84,7 @@ const RETINAS: [(Retina, &str); 2] = [(Retina::Linear, "linear"), (Retina::LogPo
 const CODINGS: [&str; 2] = ["scalar", "topographic"];
 
 /// What one seed of one eye gave.
-struct Run {
+struct EyeRun {
     /// Sums over windows: trials, error, loss.
     windows: Vec<(u64, f64, f64)>,
     hash: String,
@@ -95,7 +95,7 @@ struct Run {
 ///
 /// # Errors
 /// When the folder cannot be used, a file not be written, or a signal came.
-pub fn eye(settings: &Settings) -> Result<EyeResult, StudyError> {
+pub fn eye(settings: &ReproduceSettings) -> Result<EyeResult, StudyError> {
     let mut plans = Vec::new();
     for (retina, _) in RETINAS {
         for coding in CODINGS {
@@ -104,17 +104,17 @@ pub fn eye(settings: &Settings) -> Result<EyeResult, StudyError> {
             }
         }
     }
-    let crew = settings.crew()?;
+    let pool = settings.pool()?;
     let folder = settings.folder("reproduce-eye")?;
     let trials = plans[0].scenario.ticks;
     let began = monotonic_ns();
-    let runs = crew.work("eye", trials * plans.len() as u64, &plans, run).map_err(StudyError::Signal)?;
+    let runs = pool.work("eye", trials * plans.len() as u64, &plans, run).map_err(StudyError::Signal)?;
     let seconds = (monotonic_ns() - began) as f64 / 1e9;
     folder.keep();
 
     let names = RETINAS.iter().flat_map(|(_, retina)| CODINGS.map(|coding| (*retina, coding)));
     let by_variant: Vec<_> = names.zip(runs.chunks(settings.seeds as usize)).collect();
-    let variant = |((retina, coding), runs): &((&'static str, &'static str), &[Run])| EyeVariant {
+    let variant = |((retina, coding), runs): &((&'static str, &'static str), &[EyeRun])| EyeVariant {
         retina,
         coding,
         windows: rows(runs, trials),
@@ -135,12 +135,12 @@ pub fn eye(settings: &Settings) -> Result<EyeResult, StudyError> {
         figure: folder.path().join("figure.svg"),
         csv: folder.path().join("curve.csv"),
     };
-    let curves: Vec<Vec<Curve>> = by_variant.iter().map(|(_, runs)| runs.iter().map(curve).collect()).collect();
-    let panel = |(i, pair): (usize, &[Vec<Curve>])| MissPanel {
+    let curves: Vec<Vec<Polyline>> = by_variant.iter().map(|(_, runs)| runs.iter().map(curve).collect()).collect();
+    let panel = |(i, pair): (usize, &[Vec<Polyline>])| ErrorPanel {
         name: format!("{} retina", RETINAS[i].1),
         curves: CODINGS.iter().zip(pair).map(|(coding, runs)| ((*coding).to_owned(), runs.clone())).collect(),
     };
-    let figure = MissFigure {
+    let figure = ErrorFigure {
         title: format!("Saccades, {}: median and span over seeds", result.runs),
         panels: curves.chunks(CODINGS.len()).enumerate().map(panel).collect(),
         levels: vec![(result.noise_alone, "noise alone".to_owned())],
@@ -180,7 +180,7 @@ fn plan(retina: Retina, scalar: bool, seed: u64, trials: u64) -> Result<Plan, St
         encoder.scalars = names.map(str::to_owned).to_vec();
         scenario.learner.alpha_over_variance *= SCALAR_STEPS[usize::from(retina == Retina::LogPolar)];
     } else {
-        let map = |pair: &[&str]| MapTable {
+        let map = |pair: &[&str]| MapConfig {
             inputs: pair.iter().map(|&name| name.to_owned()).collect(),
             units: vec![16, 16],
             radius: 0.5,
@@ -191,10 +191,10 @@ fn plan(retina: Retina, scalar: bool, seed: u64, trials: u64) -> Result<Plan, St
     Ok(scenario.plan()?)
 }
 
-fn run(plan: &Plan, ticks: &Ticks) -> Run {
+fn run(plan: &Plan, ticks: &JobProgress) -> EyeRun {
     let length = plan.scenario.ticks.div_ceil(POINTS);
     let mut windows = vec![(0, 0.0, 0.0)];
-    let Some(body) = Body::of(plan) else { unreachable!("the built-in eye is the simulator's") };
+    let Some(body) = SimulatedPlant::of(plan) else { unreachable!("the built-in eye is the simulator's") };
     let result = in_process_seen(plan, body, |observation, _| {
         let tick = observation.header.tick;
         if tick > 0 {
@@ -209,11 +209,11 @@ fn run(plan: &Plan, ticks: &Ticks) -> Run {
         }
         !tick.is_multiple_of(REPORT) || ticks.report(REPORT)
     });
-    Run { windows, hash: result.controller.weights_hash, diverged: result.controller.diverged_at }
+    EyeRun { windows, hash: result.controller.weights_hash, diverged: result.controller.diverged_at }
 }
 
 /// Millions of trials, and the mean error.
-fn curve(run: &Run) -> Curve {
+fn curve(run: &EyeRun) -> Polyline {
     let mut upto = 0;
     let point = |(n, error, _): &(u64, f64, f64)| {
         upto += n;
@@ -222,7 +222,7 @@ fn curve(run: &Run) -> Curve {
     run.windows.iter().map(point).collect()
 }
 
-fn rows(runs: &[Run], trials: u64) -> Vec<EyeRow> {
+fn rows(runs: &[EyeRun], trials: u64) -> Vec<EyeRow> {
     let per_row = (POINTS / ROWS) as usize;
     let count = runs.iter().map(|r| r.windows.len().div_ceil(per_row)).max().unwrap_or(0);
     let row = |i: usize| {

@@ -17,13 +17,13 @@ pub use outlook::{OutlookResult, OutlookRow, outlook};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use super::{Crew, Spread, StudyError};
+use super::{ChildProcesses, Spread, StudyError};
 use crate::report::figures;
 use crate::supervise::{LaunchError, RunFolder};
 
 /// What to reproduce, and how much of it.
 #[derive(Debug, Clone)]
-pub struct Settings {
+pub struct ReproduceSettings {
     /// Number of seeds.
     pub seeds: u64,
     /// The first of them; the others follow.
@@ -36,13 +36,13 @@ pub struct Settings {
     pub progress: bool,
 }
 
-impl Settings {
+impl ReproduceSettings {
     fn seeds(&self) -> Vec<u64> {
         (self.first_seed..self.first_seed.saturating_add(self.seeds)).collect()
     }
 
-    fn crew(&self) -> Result<Crew, StudyError> {
-        Crew::new(self.progress).map_err(|e| LaunchError::Signals(e).into())
+    fn pool(&self) -> Result<ChildProcesses, StudyError> {
+        ChildProcesses::new(self.progress).map_err(|e| LaunchError::Signals(e).into())
     }
 
     /// `5 seeds from 1`

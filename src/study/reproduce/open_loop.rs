@@ -12,14 +12,14 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::{Settings, StudyError, in_words, write_lines};
+use super::{ReproduceSettings, StudyError, in_words, write_lines};
 use crate::clock::{facts, monotonic_ns};
-use crate::plant::{Arm, Body, Plant, posture};
-use crate::report::figure::{Curve, Way, WaysFigure, WaysRow, draw_ways};
+use crate::plant::{Arm, Plant, SimulatedPlant, posture};
+use crate::report::figure::{Polyline, PosturesFigure, PosturesRow, SeedPostures, draw_ways};
 use crate::report::{columns, figures, thousands};
 use crate::runtime::{Controller, in_process_seen};
 use crate::scenario::{Plan, Scenario};
-use crate::study::{Spread, Ticks};
+use crate::study::{JobProgress, Spread};
 use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
 
 /// The scenarios, by number of segments.
@@ -85,7 +85,7 @@ pub struct OpenLoopResult {
 }
 
 /// What one seed gave.
-struct Run {
+struct OpenLoopRun {
     /// Sums over windows: trials, error.
     windows: Vec<(u64, f64)>,
     /// On the test's targets: the directions of the segments, rad, and the error, m.
@@ -98,7 +98,7 @@ struct Run {
 ///
 /// # Errors
 /// When the folder cannot be used, a file not be written, or a signal came.
-pub fn open_loop(settings: &Settings) -> Result<OpenLoopResult, StudyError> {
+pub fn open_loop(settings: &ReproduceSettings) -> Result<OpenLoopResult, StudyError> {
     let mut plans = Vec::new();
     for (name, _) in SCENARIOS {
         for seed in settings.seeds() {
@@ -108,11 +108,11 @@ pub fn open_loop(settings: &Settings) -> Result<OpenLoopResult, StudyError> {
             plans.push(scenario.plan()?);
         }
     }
-    let crew = settings.crew()?;
+    let pool = settings.pool()?;
     let folder = settings.folder("reproduce-open-loop")?;
     let began = monotonic_ns();
     let total = plans.iter().map(|p| p.scenario.ticks).sum();
-    let runs = crew.work("open loop", total, &plans, run).map_err(StudyError::Signal)?;
+    let runs = pool.work("open loop", total, &plans, run).map_err(StudyError::Signal)?;
     let seconds = (monotonic_ns() - began) as f64 / 1e9;
     folder.keep();
 
@@ -140,12 +140,12 @@ pub fn open_loop(settings: &Settings) -> Result<OpenLoopResult, StudyError> {
     Ok(result)
 }
 
-fn run(plan: &Plan, ticks: &Ticks) -> Run {
+fn run(plan: &Plan, ticks: &JobProgress) -> OpenLoopRun {
     let trials = plan.scenario.ticks;
     let length = trials.div_ceil(POINTS);
     let mut windows = vec![(0, 0.0)];
     let mut test_set = Vec::new();
-    let Some(body) = Body::of(plan) else { unreachable!("the built-in arm is the simulator's") };
+    let Some(body) = SimulatedPlant::of(plan) else { unreachable!("the built-in arm is the simulator's") };
     let result = in_process_seen(plan, body, |observation, controller| {
         let tick = observation.header.tick;
         if tick > 0 {
@@ -161,7 +161,12 @@ fn run(plan: &Plan, ticks: &Ticks) -> Run {
         }
         !tick.is_multiple_of(REPORT) || ticks.report(REPORT)
     });
-    Run { windows, test: test_set, hash: result.controller.weights_hash, diverged: result.controller.diverged_at }
+    OpenLoopRun {
+        windows,
+        test: test_set,
+        hash: result.controller.weights_hash,
+        diverged: result.controller.diverged_at,
+    }
 }
 
 /// The noiseless postures for the test's targets.
@@ -188,7 +193,7 @@ fn test(plan: &Plan, controller: &Controller) -> Vec<(Vec<f32>, f64)> {
 }
 
 /// By how much the directions of two runs' segments differ on average, rad.
-fn difference(a: &Run, b: &Run) -> f64 {
+fn difference(a: &OpenLoopRun, b: &OpenLoopRun) -> f64 {
     let pairs = || a.test.iter().zip(&b.test).flat_map(|((a, _), (b, _))| a.iter().zip(b));
     let turn = |(a, b): (&f32, &f32)| {
         let d = (f64::from(*a) - f64::from(*b)).rem_euclid(TAU);
@@ -198,7 +203,7 @@ fn difference(a: &Run, b: &Run) -> f64 {
 }
 
 /// Groups of runs that are linked by small differences.
-fn ways(runs: &[Run]) -> Vec<usize> {
+fn ways(runs: &[OpenLoopRun]) -> Vec<usize> {
     let mut ways: Vec<usize> = (0..runs.len()).collect();
     for i in 0..runs.len() {
         for j in 0..i {
@@ -221,12 +226,12 @@ fn ways(runs: &[Run]) -> Vec<usize> {
         .collect()
 }
 
-fn arm(segments: usize, plan: &Plan, runs: &[Run]) -> Option<OpenLoopArm> {
+fn arm(segments: usize, plan: &Plan, runs: &[OpenLoopRun]) -> Option<OpenLoopArm> {
     let mean = |windows: &[(u64, f64)]| {
         let n: u64 = windows.iter().map(|w| w.0).sum();
         windows.iter().map(|w| w.1).sum::<f64>() / n as f64
     };
-    let twentieth = |run: &Run| run.windows.len().div_ceil(20);
+    let twentieth = |run: &OpenLoopRun| run.windows.len().div_ceil(20);
     let pairs = (0..runs.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
     Some(OpenLoopArm {
         scenario: plan.scenario.name.clone(),
@@ -242,7 +247,7 @@ fn arm(segments: usize, plan: &Plan, runs: &[Run]) -> Option<OpenLoopArm> {
     })
 }
 
-fn curve(run: &Run) -> Curve {
+fn curve(run: &OpenLoopRun) -> Polyline {
     let mut upto = 0;
     let point = |(n, error): &(u64, f64)| {
         upto += n;
@@ -251,31 +256,31 @@ fn curve(run: &Run) -> Curve {
     run.windows.iter().map(point).collect()
 }
 
-fn draw(result: &OpenLoopResult, plans: &[Plan], runs: &[Run], per_arm: usize) -> Result<(), StudyError> {
-    let row = |(arm, (plans, runs)): (&OpenLoopArm, (&[Plan], &[Run]))| {
+fn draw(result: &OpenLoopResult, plans: &[Plan], runs: &[OpenLoopRun], per_arm: usize) -> Result<(), StudyError> {
+    let row = |(arm, (plans, runs)): (&OpenLoopArm, (&[Plan], &[OpenLoopRun]))| {
         let table = plans[0].scenario.plant.arm.clone().unwrap_or_default();
         let mut body = Arm::new(&table, 1.0, TEST_SEED);
         let way = |target: usize| {
             body.sense(target as u64, &mut [0.0; MAX_INPUTS]);
-            Way {
+            SeedPostures {
                 target: body.target().map(f64::from),
                 postures: runs.iter().map(|run| posture(&table, &run.test[target].0)).collect(),
             }
         };
-        WaysRow {
+        PosturesRow {
             name: format!("{} segments", arm.segments),
             curves: runs.iter().map(curve).collect(),
             ways: (0..SHOWN).map(way).collect(),
         }
     };
-    let figure = WaysFigure {
+    let figure = PosturesFigure {
         title: format!("Open-loop arm, {}: one colour a seed", result.runs),
         rows: result.arms.iter().zip(plans.chunks(per_arm).zip(runs.chunks(per_arm))).map(row).collect(),
     };
     Ok(draw_ways(&figure, &result.figure)?)
 }
 
-fn write_tables(result: &OpenLoopResult, runs: &[Run], per_arm: usize) -> Result<(), StudyError> {
+fn write_tables(result: &OpenLoopResult, runs: &[OpenLoopRun], per_arm: usize) -> Result<(), StudyError> {
     let mut curves = vec!["segments,seed,upto,error_m".to_owned()];
     let mut postures = vec!["segments,seed,way,target,error_m,directions_rad".to_owned()];
     for (arm, runs) in result.arms.iter().zip(runs.chunks(per_arm)) {
@@ -345,8 +350,13 @@ impl OpenLoopResult {
 mod tests {
     use super::*;
 
-    fn run(directions: [f32; 2]) -> Run {
-        Run { windows: Vec::new(), test: vec![(directions.to_vec(), 0.0); 3], hash: String::new(), diverged: None }
+    fn run(directions: [f32; 2]) -> OpenLoopRun {
+        OpenLoopRun {
+            windows: Vec::new(),
+            test: vec![(directions.to_vec(), 0.0); 3],
+            hash: String::new(),
+            diverged: None,
+        }
     }
 
     #[test]

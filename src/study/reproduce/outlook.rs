@@ -12,16 +12,16 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::{Settings, StudyError, write_lines};
+use super::{ReproduceSettings, StudyError, write_lines};
 use crate::clock::{facts, monotonic_ns};
-use crate::plant::{Arm, Body, Plant, noise_share};
+use crate::plant::{Arm, Plant, SimulatedPlant, noise_share};
 use crate::report::{columns, figures, thousands};
 use crate::runtime::{Controller, in_process_seen};
-use crate::scenario::{ArmTable, Plan, Scenario};
-use crate::study::analyse::movement::{Definitions, Measures, Track, measure};
+use crate::scenario::{ArmConfig, Plan, Scenario};
+use crate::study::analyse::movement::{Definitions, Measures, RecordedMovement, measure};
 use crate::study::analyse::{Fit, Quartiles};
 use crate::study::compare::name_of;
-use crate::study::{Spread, Ticks};
+use crate::study::{JobProgress, Spread};
 use crate::wire::{MAX_INPUTS, MAX_OUTPUTS, Observation, flag};
 
 /// Targets of the test, and the seed that they are drawn with: neither one to tune on nor one to report on.
@@ -37,7 +37,7 @@ const COUNTED: f64 = 1e-9;
 const REPORT: u64 = 256;
 
 /// A row: its name, its scenario, and what is changed in it.
-type Variant = (&'static str, &'static str, fn(&mut ArmTable));
+type Variant = (&'static str, &'static str, fn(&mut ArmConfig));
 
 const VARIANTS: [Variant; 8] = [
     ("the paper's arm", "collision", |arm| arm.reward.collision = COUNTED),
@@ -108,7 +108,7 @@ pub struct OutlookResult {
 }
 
 /// What one seed gave; the names are those of the row.
-struct Run {
+struct OutlookRun {
     loss: f64,
     end_error: Option<f64>,
     reached: Option<f64>,
@@ -119,9 +119,9 @@ struct Run {
 }
 
 /// A value of a run, by its name in the CSV.
-type Value = (&'static str, fn(&Run) -> Option<f64>);
+type OutlookValue = (&'static str, fn(&OutlookRun) -> Option<f64>);
 
-const VALUES: [Value; 11] = [
+const VALUES: [OutlookValue; 11] = [
     ("loss_without_noise", |r| Some(r.loss)),
     ("end_error_m", |r| r.end_error),
     ("reached", |r| r.reached),
@@ -140,11 +140,11 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (n > 0.0).then_some(sum / n)
 }
 
-fn median(run: &Run, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
+fn median(run: &OutlookRun, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
     Quartiles::of(run.test.iter().filter_map(value)).map(|q| q.median)
 }
 
-fn slope(run: &Run, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
+fn slope(run: &OutlookRun, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
     let points: Vec<_> = run.test.iter().filter_map(|m| Some((m.distance_m, value(m)?))).collect();
     Fit::of(&points).map(|fit| fit.slope)
 }
@@ -153,7 +153,7 @@ fn slope(run: &Run, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
 ///
 /// # Errors
 /// When the folder cannot be used, a file not be written, or a signal came.
-pub fn outlook(settings: &Settings) -> Result<OutlookResult, StudyError> {
+pub fn outlook(settings: &ReproduceSettings) -> Result<OutlookResult, StudyError> {
     let mut plans = Vec::new();
     for (_, name, change) in VARIANTS {
         for seed in settings.seeds() {
@@ -164,11 +164,11 @@ pub fn outlook(settings: &Settings) -> Result<OutlookResult, StudyError> {
             plans.push(scenario.plan()?);
         }
     }
-    let crew = settings.crew()?;
+    let pool = settings.pool()?;
     let folder = settings.folder("reproduce-outlook")?;
     let began = monotonic_ns();
     let total = plans.iter().map(|p| p.scenario.ticks).sum();
-    let runs = crew.work("outlook", total, &plans, run).map_err(StudyError::Signal)?;
+    let runs = pool.work("outlook", total, &plans, run).map_err(StudyError::Signal)?;
     let seconds = (monotonic_ns() - began) as f64 / 1e9;
     folder.keep();
 
@@ -195,7 +195,7 @@ pub fn outlook(settings: &Settings) -> Result<OutlookResult, StudyError> {
     Ok(result)
 }
 
-fn row((name, scenario, _): &Variant, plan: &Plan, runs: &[Run]) -> Option<OutlookRow> {
+fn row((name, scenario, _): &Variant, plan: &Plan, runs: &[OutlookRun]) -> Option<OutlookRow> {
     let spread = |i: usize| Spread::of(runs.iter().filter_map(VALUES[i].1));
     Some(OutlookRow {
         name,
@@ -219,7 +219,7 @@ fn row((name, scenario, _): &Variant, plan: &Plan, runs: &[Run]) -> Option<Outlo
 
 /// Sums over the end of a run.
 #[derive(Default)]
-struct Sums {
+struct OutlookSums {
     ticks: f64,
     loss: f64,
     ends: f64,
@@ -229,8 +229,8 @@ struct Sums {
     stopped: f64,
 }
 
-impl Sums {
-    fn see(&mut self, table: &ArmTable, plan: &Plan, observation: &Observation) {
+impl OutlookSums {
+    fn see(&mut self, table: &ArmConfig, plan: &Plan, observation: &Observation) {
         self.ticks += 1.0;
         let noise = noise_share(table, plan.scenario.policy.sigma, observation.header.tick);
         self.loss -= f64::from(observation.reward) + noise;
@@ -249,11 +249,11 @@ impl Sums {
     }
 }
 
-fn run(plan: &Plan, ticks: &Ticks) -> Run {
+fn run(plan: &Plan, ticks: &JobProgress) -> OutlookRun {
     let table = plan.scenario.plant.arm.clone().unwrap_or_default();
-    let Some(body) = Body::of(plan) else { unreachable!("the built-in arms are the simulator's") };
+    let Some(body) = SimulatedPlant::of(plan) else { unreachable!("the built-in arms are the simulator's") };
     let length = plan.scenario.ticks;
-    let mut sums = Sums::default();
+    let mut sums = OutlookSums::default();
     let mut movements = Vec::new();
     let result = in_process_seen(plan, body, |observation, controller| {
         let tick = observation.header.tick;
@@ -266,7 +266,7 @@ fn run(plan: &Plan, ticks: &Ticks) -> Run {
         !tick.is_multiple_of(REPORT) || ticks.report(REPORT)
     });
     let share = |sum: f64, of: f64| (of > 0.0).then_some(sum / of);
-    Run {
+    OutlookRun {
         loss: sums.loss / sums.ticks,
         end_error: share(sums.end_error, sums.ends),
         reached: share(sums.reached, sums.ends),
@@ -291,8 +291,11 @@ fn test(plan: &Plan, controller: &Controller) -> Vec<Measures> {
         arm.sense(from, &mut inputs);
         let start = arm.end().map(f64::from);
         let goal = arm.target().map(f64::from);
-        let mut track =
-            Track { points: vec![start], errors: Vec::new(), distance: (start[0] - goal[0]).hypot(start[1] - goal[1]) };
+        let mut track = RecordedMovement {
+            points: vec![start],
+            errors: Vec::new(),
+            distance: (start[0] - goal[0]).hypot(start[1] - goal[1]),
+        };
         for tick in from..from + table.target_every {
             arm.sense(tick, &mut inputs);
             encoder.encode(&inputs[..plan.inputs.len()], &mut features);

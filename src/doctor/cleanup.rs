@@ -1,0 +1,144 @@
+//! Room for a run, in shared memory and on the disk, and what other runs have left there.
+
+use std::path::Path;
+
+use rustix::fs::{Access, access, statvfs};
+
+use super::{Check, bytes};
+use crate::channel::{DomainOwner, StaleDomain};
+use crate::log::bytes_per_tick;
+
+/// Where iceoryx2 has its memory.
+const SHM: &str = "/dev/shm";
+/// What a run takes there is about 2.5 MiB; with less than this it may end in a bus error.
+const SHM_NEEDED: u64 = 4 << 20;
+/// Below this, few runs have room beside each other.
+const SHM_PLENTY: u64 = 16 << 20;
+/// What `tectum run` leaves free, and a short log.
+const DISK_NEEDED: u64 = 32 << 20;
+/// Below this, a long run's log is cut short.
+const DISK_PLENTY: u64 = 1 << 30;
+/// Ticks of an hour at 50 ms.
+const HOUR: f64 = 72_000.0;
+
+/// Shared memory, and the disk of `folder`.
+pub(super) fn room(folder: &Path) -> [Check; 2] {
+    let space = |path: &Path| statvfs(path).ok().map(|fs| (fs.f_blocks * fs.f_frsize, fs.f_bavail * fs.f_frsize));
+    let writable = access(SHM, Access::WRITE_OK | Access::READ_OK | Access::EXEC_OK).is_ok();
+    [shared_memory(space(Path::new(SHM)), writable), disk(space(folder))]
+}
+
+/// `space` is size and free, bytes.
+fn shared_memory(space: Option<(u64, u64)>, writable: bool) -> Check {
+    let name = "shared memory";
+    let Some((size, free)) = space else {
+        return Check::problem(name, "there is no /dev/shm", "`sudo mount -t tmpfs tmpfs /dev/shm`");
+    };
+    if !writable {
+        return Check::problem(name, "/dev/shm is closed to this user", "`sudo chmod 1777 /dev/shm`");
+    }
+    let found = format!("/dev/shm has {} of {} free", bytes(free), bytes(size));
+    let remedy = "`sudo mount -o remount,size=256M /dev/shm`, in Docker `--shm-size=256m`; `tectum doctor --clean` frees \
+                  what runs have left";
+    match free {
+        free if free < SHM_NEEDED => Check::problem(name, found, remedy),
+        free if free < SHM_PLENTY => Check::better(name, found, remedy),
+        _ => Check::fine(name, found),
+    }
+}
+
+fn disk(space: Option<(u64, u64)>) -> Check {
+    let name = "disk";
+    let Some((_, free)) = space else { return Check::fine(name, "not told") };
+    let hour = bytes((bytes_per_tick(1) * HOUR) as u64);
+    let found = format!("{} free here; an hour of ticks of 50 ms logs {hour}", bytes(free));
+    let remedy = "choose another disk with --out, or thin the log with `[log] every`";
+    match free {
+        free if free < DISK_NEEDED => Check::problem(name, found, remedy),
+        free if free < DISK_PLENTY => Check::better(name, found, remedy),
+        _ => Check::fine(name, found),
+    }
+}
+
+/// What runs have left in shared memory.
+pub(super) fn debris(domains: &[StaleDomain], removed: &[StaleDomain]) -> Check {
+    let size = |r: &StaleDomain| format!("{} ({} files, {})", r.domain, r.files, bytes(r.bytes));
+    let mut parts = Vec::new();
+    let mut remedies = Vec::new();
+    if !removed.is_empty() {
+        parts.push(format!("removed {}", removed.iter().map(size).collect::<Vec<_>>().join(", ")));
+    }
+    let left: Vec<_> = domains.iter().filter(|r| r.owner == DomainOwner::Nobody).map(size).collect();
+    if !left.is_empty() {
+        parts.push(format!("left behind: {}", left.join(", ")));
+        remedies.push("`tectum doctor --clean` removes it, and so does the next run".to_owned());
+    }
+    for stale_domain in domains {
+        if let DomainOwner::Processes { pids } = &stale_domain.owner {
+            let pids: Vec<_> = pids.iter().map(u32::to_string).collect();
+            let pids = pids.join(", ");
+            parts.push(format!("{} has no launcher any more and is used by process {pids}", stale_domain.domain));
+            remedies
+                .push(format!("processes end within a second of their launcher; end those that do not: kill {pids}"));
+        }
+    }
+    let living =
+        domains.iter().filter(|r| matches!(r.owner, DomainOwner::Launcher { .. } | DomainOwner::Young)).count();
+    let versions = domains.iter().filter(|r| matches!(r.owner, DomainOwner::OtherVersion { .. })).count();
+    let others = domains.iter().filter(|r| r.owner == DomainOwner::OtherUser).count();
+    for (count, what) in
+        [(living, "of living runs"), (versions, "of living runs of another version"), (others, "of other users")]
+    {
+        if count > 0 {
+            parts.push(format!("{count} {what}"));
+        }
+    }
+    let found = if parts.is_empty() { "nothing left".to_owned() } else { parts.join("; ") };
+    if remedies.is_empty() {
+        Check::fine("debris of runs", found)
+    } else {
+        Check::better("debris of runs", found, remedies.join("; "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::doctor::Verdict::{CouldBeBetter, Fine, Problem};
+
+    #[test]
+    fn room_that_is_short_is_named() {
+        for (space, writable, verdict) in [
+            (None, true, Problem),
+            (Some((1 << 30, 1 << 30)), false, Problem),
+            (Some((64 << 20, 3 << 20)), true, Problem),
+            (Some((64 << 20, 8 << 20)), true, CouldBeBetter),
+            (Some((64 << 20, 60 << 20)), true, Fine),
+        ] {
+            assert_eq!(shared_memory(space, writable).verdict, verdict, "{space:?}");
+        }
+        assert_eq!(disk(Some((1 << 40, 1 << 20))).verdict, Problem);
+        assert_eq!(disk(Some((1 << 40, 100 << 20))).verdict, CouldBeBetter);
+        assert_eq!(disk(Some((1 << 40, 2 << 30))).verdict, Fine);
+    }
+
+    #[test]
+    fn debris_by_owner() {
+        let of = |owner| StaleDomain { domain: "tectum_00000001".into(), owner, files: 3, bytes: 4096 };
+        assert_eq!(debris(&[], &[]), Check::fine("debris of runs", "nothing left"));
+        let version = DomainOwner::OtherVersion { pids: vec![8] };
+        let living =
+            debris(&[of(DomainOwner::Launcher { pid: Some(7) }), of(version), of(DomainOwner::OtherUser)], &[]);
+        let found = "1 of living runs; 1 of living runs of another version; 1 of other users";
+        assert_eq!(living, Check::fine("debris of runs", found));
+        let left = debris(&[of(DomainOwner::Nobody)], &[]);
+        assert_eq!(
+            (left.verdict, left.found.as_str()),
+            (CouldBeBetter, "left behind: tectum_00000001 (3 files, 4 KiB)")
+        );
+        let used = debris(&[of(DomainOwner::Processes { pids: vec![7, 9] })], &[]);
+        assert!(used.verdict == CouldBeBetter && used.remedy.unwrap().contains("kill 7, 9"));
+        let removed = debris(&[], &[of(DomainOwner::Nobody)]);
+        assert_eq!((removed.verdict, removed.found.as_str()), (Fine, "removed tectum_00000001 (3 files, 4 KiB)"));
+    }
+}

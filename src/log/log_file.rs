@@ -1,0 +1,52 @@
+//! The file under a log's writer.
+
+use std::fs::File;
+use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI32, Ordering};
+
+/// The file, with a memory for the operating system's error: on its way up through `mcap` it gets wrapped beyond
+/// recognition, and whether the disk is full matters to whoever calls.
+pub(super) struct LogFile {
+    pub file: File,
+    pub errno: Arc<AtomicI32>,
+}
+
+impl LogFile {
+    fn note<T>(&self, result: io::Result<T>) -> io::Result<T> {
+        if let Err(e) = &result
+            && e.kind() != ErrorKind::Interrupted
+        {
+            self.errno.store(e.raw_os_error().unwrap_or(0), Ordering::Relaxed);
+        }
+        result
+    }
+}
+
+impl Write for LogFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let result = self.file.write(bytes);
+        self.note(result)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        let result = self.file.flush();
+        self.note(result)
+    }
+}
+
+impl Seek for LogFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let result = self.file.seek(to);
+        self.note(result)
+    }
+}
+
+/// What the operating system said, or else what `mcap` did.
+pub(super) fn io_error(error: mcap::McapError, errno: &AtomicI32) -> io::Error {
+    match (errno.load(Ordering::Relaxed), error) {
+        (0, mcap::McapError::Io(e)) => e,
+        (0, e) => io::Error::other(e),
+        (code, _) => io::Error::from_raw_os_error(code),
+    }
+}

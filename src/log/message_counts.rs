@@ -1,0 +1,178 @@
+//! What the messages of a log say of themselves: how many, which ticks, and what is missing between them.
+//!
+//! A gap is told twice, once by the logger's own statement and once by the sequence numbers; the two are counted apart, so
+//! that they can be compared. The statement stands right before the channel's next sample.
+
+use super::{LogRecord, LogSegment};
+use crate::wire::{Gap, Header};
+
+/// More starts of a writer than this are not kept apart.
+const MOST_INCARNATIONS: usize = 256;
+
+/// The messages of a log, counted as they are read.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct MessageCounts {
+    /// Observation, command, learning.
+    pub lanes: [ChannelCounts; 3],
+    /// Statements of missing samples.
+    pub gaps: u64,
+}
+
+/// One channel's samples.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ChannelCounts {
+    /// Samples in the log.
+    pub messages: u64,
+    /// Ticks of the first and the last of them.
+    pub ticks: Option<(u64, u64)>,
+    /// When the first and the last of them were published, ns of the run's clock.
+    pub published_ns: Option<(u64, u64)>,
+    /// Sequence number of the next sample.
+    pub expected: u64,
+    /// The writer's start numbers, each with the tick of its first sample, in the order of the log.
+    pub incarnations: Vec<(u32, u64)>,
+    /// Samples that the log states to be missing, those of earlier segments included.
+    pub stated: u64,
+    /// Sequence numbers that no statement explains: samples left out on purpose in a thinned log, otherwise a fault.
+    pub unexplained: u64,
+    /// Statements that the sequence numbers contradict, and samples whose number is not above the one before.
+    pub contradictions: u64,
+    /// What was stated since the last sample.
+    pending: Option<StatedGaps>,
+}
+
+/// Statements in a row: sequence numbers from the first missing one up to but without `end`, and how many are missing. In a
+/// thinned log some of those between may be there and left out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct StatedGaps {
+    first: u64,
+    end: u64,
+    count: u64,
+}
+
+impl MessageCounts {
+    /// The beginning of a segment.
+    pub fn after(segment: &LogSegment) -> Self {
+        let mut account = Self::default();
+        for (i, lane) in account.lanes.iter_mut().enumerate() {
+            (lane.expected, lane.stated) = (segment.begins[i], segment.lost[i]);
+        }
+        account
+    }
+
+    /// Takes the next message in. Gives, for a sample, how many of its channel are stated to be missing right before it.
+    pub fn take(&mut self, record: &LogRecord) -> u64 {
+        let lane = match record {
+            LogRecord::Observation(_) => 0,
+            LogRecord::Command(_) => 1,
+            LogRecord::Learning(_) => 2,
+            LogRecord::Gap(gap) => {
+                self.gaps += 1;
+                if let Some(lane) = usize::try_from(gap.channel).ok().and_then(|i| self.lanes.get_mut(i)) {
+                    lane.state(gap);
+                }
+                return 0;
+            }
+        };
+        record.header().map_or(0, |header| self.lanes[lane].take(header))
+    }
+}
+
+impl ChannelCounts {
+    fn state(&mut self, gap: &Gap) {
+        self.stated = self.stated.saturating_add(gap.count);
+        self.contradictions += u64::from(gap.total != self.stated);
+        let pending = self.pending.get_or_insert(StatedGaps { first: gap.first, end: gap.first, count: 0 });
+        self.contradictions += u64::from(gap.first < pending.end);
+        pending.end = gap.first.saturating_add(gap.count);
+        pending.count = pending.count.saturating_add(gap.count);
+    }
+
+    fn take(&mut self, header: &Header) -> u64 {
+        self.messages += 1;
+        self.ticks = Some((self.ticks.map_or(header.tick, |(first, _)| first), header.tick));
+        let incarnation = header.incarnation;
+        if self.incarnations.last().is_none_or(|&(last, _)| last != incarnation)
+            && self.incarnations.len() < MOST_INCARNATIONS
+        {
+            self.incarnations.push((incarnation, header.tick));
+        }
+        let ns = header.published_ns;
+        self.published_ns = Some((self.published_ns.map_or(ns, |(first, _)| first), ns));
+        let none = StatedGaps { first: self.expected, end: self.expected, count: 0 };
+        let StatedGaps { first, end, count } = self.pending.take().unwrap_or(none);
+        let jump = header.sequence.checked_sub(self.expected);
+        // In a log without thinning the statement is the jump; in a thinned one it lies within.
+        let inside = jump.is_some() && first >= self.expected && end <= header.sequence;
+        self.contradictions += u64::from(!inside);
+        self.unexplained += jump.unwrap_or(0).saturating_sub(count);
+        self.expected = header.sequence.saturating_add(1);
+        count
+    }
+
+    /// Samples stated to be missing behind the last one, which no sequence number shows.
+    pub fn at_the_end(&self) -> u64 {
+        self.pending.map_or(0, |pending| pending.count)
+    }
+
+    /// Sequence number of the first sample that the log does not account for.
+    pub fn next(&self) -> u64 {
+        self.pending.map_or(self.expected, |pending| pending.end).max(self.expected)
+    }
+
+    /// Messages a second of the run's clock, between the first and the last.
+    pub fn rate(&self) -> Option<f64> {
+        let (first, last) = self.published_ns.filter(|(first, last)| last > first)?;
+        (self.messages > 1).then(|| (self.messages - 1) as f64 * 1e9 / (last - first) as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::Command;
+
+    fn account(records: &[LogRecord]) -> ChannelCounts {
+        let mut account = MessageCounts::default();
+        for record in records {
+            account.take(record);
+        }
+        account.lanes[1].clone()
+    }
+
+    fn sample(sequence: u64) -> LogRecord {
+        let mut command = Command::default();
+        (command.header.tick, command.header.sequence) = (sequence, sequence);
+        LogRecord::Command(command)
+    }
+
+    fn gap(first: u64, count: u64, total: u64) -> LogRecord {
+        LogRecord::Gap(Gap { channel: 1, first, count, total })
+    }
+
+    #[test]
+    fn statements_and_sequence_numbers_are_compared() {
+        let fits = account(&[sample(0), gap(1, 2, 2), sample(3), sample(4), gap(5, 1, 3)]);
+        assert_eq!((fits.messages, fits.stated, fits.at_the_end()), (3, 3, 1));
+        assert_eq!((fits.unexplained, fits.contradictions), (0, 0));
+        assert_eq!(account(&[sample(0), sample(3)]).unexplained, 2, "nothing states it");
+        for faulty in [
+            &[sample(0), gap(1, 3, 3), sample(3)][..],
+            &[sample(0), gap(1, 2, 9), sample(3)],
+            &[sample(0), gap(0, 2, 2), sample(3)],
+            &[sample(0), sample(0)],
+            &[sample(0), gap(1, u64::MAX, u64::MAX), gap(1, u64::MAX, u64::MAX), sample(u64::MAX)],
+        ] {
+            assert!(account(faulty).contradictions > 0, "{faulty:?}");
+        }
+    }
+
+    #[test]
+    fn what_a_thinned_log_leaves_out_is_not_lost() {
+        let lane = account(&[sample(0), sample(7), gap(9, 2, 2), sample(14)]);
+        assert_eq!((lane.stated, lane.unexplained, lane.contradictions), (2, 6 + 4, 0));
+        // Number 10 was there.
+        let lane = account(&[sample(7), gap(9, 1, 1), gap(11, 2, 3), sample(14)]);
+        assert_eq!((lane.stated, lane.unexplained, lane.contradictions), (3, 7 + 3, 0));
+    }
+}

@@ -1,0 +1,93 @@
+//! What a program in another language needs to join a run, in plain JSON on the run's card, so that it need neither read TOML
+//! nor reckon a hash. `docs/wire.md` says how it is used.
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::identity;
+use crate::channel::DomainName;
+use crate::scenario::Plan;
+use crate::wire::Role;
+
+/// The `wire` table of a run's card.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WireManifest {
+    /// The version of iceoryx2 that all processes of the run must have.
+    pub iceoryx2: String,
+    /// What the names of the domain's shared-memory files begin with.
+    pub prefix: String,
+    /// The domain's root folder.
+    pub root: String,
+    /// Hash over the layout of all samples, hexadecimal.
+    pub schema: String,
+    /// Hash of the scenario, hexadecimal.
+    pub scenario: String,
+    /// The run's build.
+    pub build: String,
+    /// Hash of the build as it stands on the boards, hexadecimal.
+    pub build_hash: String,
+    /// Names of the run's services.
+    pub services: Services,
+    /// Period of the tick, ns.
+    pub period_ns: u64,
+    /// Names of an observation's inputs, in order.
+    pub inputs: Vec<String>,
+    /// Names of a command's outputs, in order.
+    pub outputs: Vec<String>,
+    /// Names of an observation's measures, in order.
+    pub measures: Vec<String>,
+    /// The scenario with every default filled in: the tables and keys of `scenario.toml`.
+    pub settings: Value,
+}
+
+/// Names of a run's services.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Services {
+    /// Observations.
+    pub observation: String,
+    /// Commands.
+    pub command: String,
+    /// Learning records.
+    pub learning: String,
+    /// What trackers see, where the scenario has such a channel.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vision: Option<String>,
+    /// The event that says whose run it is, and wakes the controller.
+    pub wake: String,
+    /// The launcher's board.
+    pub control: String,
+    /// The boards of plant, controller and logger.
+    pub boards: [String; 3],
+}
+
+impl WireManifest {
+    /// The terms of a run of `plan` in `domain`.
+    pub fn of(plan: &Plan, domain: &DomainName) -> Self {
+        let identity = identity(plan);
+        let channels = &plan.scenario.channels;
+        let names = |signals: &[crate::scenario::SignalConfig]| signals.iter().map(|s| s.name.clone()).collect();
+        Self {
+            iceoryx2: crate::channel::ICEORYX2.to_owned(),
+            prefix: domain.prefix(),
+            root: domain.root().display().to_string(),
+            schema: format!("{:016x}", identity.schema),
+            scenario: format!("{:016x}", identity.scenario),
+            build_hash: format!("{:016x}", identity.build_hash()),
+            build: identity.build,
+            services: Services {
+                observation: channels.observation.clone(),
+                command: channels.command.clone(),
+                learning: channels.learning.clone(),
+                vision: plan.scenario.vision().map(str::to_owned),
+                wake: crate::channel::WAKE.to_owned(),
+                control: crate::channel::board_name(crate::channel::CONTROL),
+                boards: Role::ALL.map(|role| crate::channel::board_name(role.name())),
+            },
+            period_ns: plan.period_ns,
+            inputs: names(&plan.inputs),
+            outputs: names(&plan.outputs),
+            measures: plan.measures.clone(),
+            settings: serde_json::to_value(&plan.scenario).unwrap_or_default(),
+        }
+    }
+}

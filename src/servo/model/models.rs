@@ -1,0 +1,66 @@
+//! The models of both series, by the numbers in their model registers.
+
+use super::Protocol;
+
+/// A servo of a model that its series has not.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "servo {id} says that it is model {number}, which is none of the {series} that this program knows; give another protocol, or id"
+)]
+pub struct UnknownModel {
+    /// The id.
+    pub id: u8,
+    /// What it says.
+    pub number: i32,
+    /// The series.
+    pub series: &'static str,
+}
+
+/// A model of a series.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ServoModel {
+    /// As its maker writes it.
+    pub name: &'static str,
+    /// What its model register says.
+    pub number: u16,
+    /// What it speaks.
+    pub protocol: Protocol,
+}
+
+const fn dynamixel(name: &'static str, number: u16) -> ServoModel {
+    ServoModel { name, number, protocol: Protocol::Dynamixel }
+}
+
+const fn feetech(name: &'static str, number: u16) -> ServoModel {
+    ServoModel { name, number, protocol: Protocol::Feetech }
+}
+
+/// The models whose control table is that of their series.
+pub const MODELS: [ServoModel; 21] = [
+    dynamixel("XL330-M288", 1200),
+    dynamixel("XL330-M077", 1190),
+    dynamixel("XC330-T181", 1210),
+    dynamixel("XC330-T288", 1220),
+    dynamixel("XC330-M181", 1230),
+    dynamixel("XC330-M288", 1240),
+    dynamixel("XL430-W250", 1060),
+    dynamixel("2XL430-W250", 1090),
+    dynamixel("XC430-W150", 1070),
+    dynamixel("XC430-W240", 1080),
+    dynamixel("XM430-W350", 1020),
+    dynamixel("XM430-W210", 1030),
+    dynamixel("XH430-W350", 1000),
+    dynamixel("XH430-W210", 1010),
+    dynamixel("XM540-W270", 1120),
+    dynamixel("XM540-W150", 1130),
+    dynamixel("XH540-W150", 1110),
+    feetech("STS3215", 777),
+    feetech("STS3250", 2825),
+    feetech("STS3036", 521),
+    feetech("SM8512BL", 11272),
+];
+
+/// The model with this number among those that speak `protocol`.
+pub fn model(protocol: Protocol, number: u16) -> Option<&'static ServoModel> {
+    MODELS.iter().find(|model| model.protocol == protocol && model.number == number)
+}

@@ -1,0 +1,229 @@
+//! A learner as it enters a comparison: its scenario, its length, and what happens to the arm on the way.
+
+use serde::Deserialize as _;
+use serde::de::IntoDeserializer as _;
+
+use super::ArmChange;
+use crate::report::thousands;
+use crate::scenario::{ArmConfig, FilePosition, LearnerConfig, Plan, Rule, Scenario, ScenarioError, merge};
+
+use crate::study::StudyError;
+
+/// All learners, in the order in which they are shown.
+pub const LEARNERS: [Rule; 5] =
+    [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward];
+
+/// What happens to the arm.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Changes {
+    /// Joint 3 blocks when the learner should have learned; nothing if the run is shorter than that.
+    Usual,
+    /// Nothing.
+    None,
+    /// These, in the order of their ticks.
+    These(Vec<ArmChange>),
+}
+
+/// A learner with its scenario.
+#[derive(Debug, Clone)]
+pub struct LearnerEntry {
+    /// The rule's name, as scenarios have it.
+    pub name: String,
+    /// The scenario, of seed 0.
+    pub plan: Plan,
+    /// What happens, in the order of time.
+    pub changes: Vec<ArmChange>,
+    /// What a tick takes, roughly, ns: long runs are begun first.
+    pub(super) rough_ns: u64,
+}
+
+/// Usual length of a run and instant of the block, ticks, and what a tick takes, roughly, ns.
+///
+/// Long enough to see the learner arrive and get over the block, and short enough for a comparison of all of them in
+/// minutes.
+fn usual(rule: Rule) -> (u64, u64, u64) {
+    match rule {
+        Rule::Paper => (12_000_000, 10_000_000, 2_500),
+        Rule::Baseline => (5_000_000, 4_000_000, 2_500),
+        Rule::ActorCritic => (400_000, 200_000, 3_000),
+        Rule::NaturalActorCritic => (400_000, 200_000, 30_000),
+        Rule::LearnedReward => (6_000, 3_000, 3_000_000),
+    }
+}
+
+/// The rule of that name.
+///
+/// # Errors
+/// [`StudyError::Asked`], which lists the names.
+pub fn rule(name: &str) -> Result<Rule, StudyError> {
+    let source: serde::de::value::StrDeserializer<'_, serde::de::value::Error> = name.into_deserializer();
+    Rule::deserialize(source).map_err(|_| {
+        let known = LEARNERS.map(name_of).join(", ");
+        StudyError::Asked(format!("there is no learner {name:?}; the learners are {known}"))
+    })
+}
+
+/// The name of a rule.
+pub fn name_of(rule: Rule) -> String {
+    toml::Value::try_from(rule).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+impl LearnerEntry {
+    /// The learner of `rule` under its preset, with `settings` such as `learner.beta=0.5` in place of the preset's, for
+    /// `ticks` (its usual length if there are none).
+    ///
+    /// # Errors
+    /// What is wrong with a setting, a change or the length.
+    pub fn new(rule: Rule, ticks: Option<u64>, changes: &Changes, settings: &[String]) -> Result<Self, StudyError> {
+        let name = name_of(rule);
+        let (usual_ticks, usual_block, rough_ns) = usual(rule);
+        let mut scenario = Scenario::built_in("arm")?;
+        scenario.name = "compare".to_owned();
+        scenario.seed = 0;
+        // The arm that the references know, and nothing happens to it but what is asked for.
+        scenario.plant.arm = Some(ArmConfig::default());
+        scenario.ticks = ticks.unwrap_or(usual_ticks);
+        scenario.learner = LearnerConfig::preset(rule);
+        let mut scenario = with(scenario, settings, &name)?;
+        let ticks = scenario.ticks;
+        let changes = match changes {
+            Changes::None => Vec::new(),
+            Changes::Usual if ticks <= usual_block => Vec::new(),
+            Changes::Usual => vec![ArmChange::block(usual_block)],
+            Changes::These(changes) => changes.clone(),
+        };
+        in_order(&changes, ticks, &name)?;
+        if let Some(arm) = &mut scenario.plant.arm {
+            changes.iter().for_each(|change| change.apply(arm));
+        }
+        let plan = scenario.plan().map_err(|error| nameless(error, &name))?;
+        Ok(Self { name, plan, changes, rough_ns })
+    }
+
+    /// The scenario of one seed.
+    pub fn plan(&self, seed: u64) -> Plan {
+        let mut plan = self.plan.clone();
+        plan.scenario.seed = seed;
+        plan
+    }
+}
+
+fn in_order(changes: &[ArmChange], ticks: u64, name: &str) -> Result<(), StudyError> {
+    for (i, change) in changes.iter().enumerate() {
+        let at = thousands(change.tick);
+        if change.tick == 0 || change.tick >= ticks {
+            return Err(StudyError::Asked(format!(
+                "tick {at} of a change lies outside the run of {name}, which has {} ticks; give another tick, or --ticks",
+                thousands(ticks)
+            )));
+        }
+        if i > 0 && change.tick <= changes[i - 1].tick {
+            return Err(StudyError::Asked(format!(
+                "two changes at tick {at}, or one after a later one; give them in the order of their ticks, all different"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// The scenario with settings in place of what it says.
+fn with(scenario: Scenario, settings: &[String], learner: &str) -> Result<Scenario, StudyError> {
+    if settings.is_empty() {
+        return Ok(scenario);
+    }
+    let refused = |text: &str, why: &str| StudyError::Asked(format!("--set {text}: {why}"));
+    let mut table: toml::Table = toml::from_str(&scenario.to_toml()).unwrap_or_default();
+    for text in settings {
+        let form = "write learner.KEY=VALUE or policy.KEY=VALUE in TOML, with words in quotes";
+        let setting: toml::Table = toml::from_str(text).map_err(|_| refused(text, form))?;
+        // The rest is the yardstick's: the same arm and the same eyes for all.
+        if setting.is_empty() || setting.keys().any(|key| key != "learner" && key != "policy") {
+            return Err(refused(text, form));
+        }
+        if setting.get("learner").is_some_and(|learner| learner.get("rule").is_some()) {
+            return Err(refused(text, "name rules with --learners"));
+        }
+        merge(&mut table, setting);
+    }
+    let text = toml::to_string(&table).unwrap_or_default();
+    Scenario::parse(&text, "--set").map_err(|error| nameless(error, learner))
+}
+
+/// The scenario's own message without a line: the text that it counts in is nobody's file.
+fn nameless(mut error: ScenarioError, learner: &str) -> StudyError {
+    match &mut error {
+        ScenarioError::UnknownKey { place, .. }
+        | ScenarioError::MissingKey { place, .. }
+        | ScenarioError::WrongType { place, .. }
+        | ScenarioError::Invalid { place, .. } => *place = FilePosition { file: learner.to_owned(), line: None },
+        _ => {}
+    }
+    error.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(rule: Rule, ticks: Option<u64>, changes: &Changes, settings: &[&str]) -> String {
+        let settings: Vec<_> = settings.iter().map(|&s| s.to_owned()).collect();
+        LearnerEntry::new(rule, ticks, changes, &settings).err().map_or("fine".to_owned(), |error| error.to_string())
+    }
+
+    #[test]
+    fn every_learner_enters_under_its_name() {
+        for rule_ in LEARNERS {
+            let entry = LearnerEntry::new(rule_, None, &Changes::Usual, &[]).unwrap();
+            assert_eq!(rule(&entry.name).unwrap(), rule_);
+            assert_eq!(entry.plan.scenario.learner, LearnerConfig::preset(rule_));
+            assert_eq!(entry.changes.len(), 1);
+            let short = LearnerEntry::new(rule_, Some(1000), &Changes::Usual, &[]).unwrap();
+            assert_eq!(short.changes, []);
+            assert_eq!(short.plan.scenario.plant.arm, Some(ArmConfig::default()), "nothing happens unasked");
+        }
+        assert_eq!(
+            rule("papers").unwrap_err().to_string(),
+            "there is no learner \"papers\"; the learners are paper, baseline, actor-critic, natural-actor-critic, learned-reward"
+        );
+    }
+
+    #[test]
+    fn settings_take_the_presets_place() {
+        let settings = ["learner.beta = 0.5".to_owned(), "learner.critic.step=0.1".to_owned()];
+        let entry = LearnerEntry::new(Rule::ActorCritic, None, &Changes::None, &settings).unwrap();
+        let learner = &entry.plan.scenario.learner;
+        assert_eq!((learner.beta, learner.critic.as_ref().unwrap().step), (0.5, 0.1));
+        assert_eq!(learner.alpha_over_variance, LearnerConfig::preset(Rule::ActorCritic).alpha_over_variance);
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_refused_by_name() {
+        let block = |tick| Changes::These(vec![ArmChange::block(tick)]);
+        let two = Changes::These(vec![ArmChange::block(9), ArmChange::block(9)]);
+        for (rule, ticks, changes, settings, expected) in [
+            (Rule::Paper, None, Changes::None, &["learner.beta=2"][..], "paper: learner.beta is 2; give at least 0"),
+            (
+                Rule::Paper,
+                None,
+                Changes::None,
+                &["learner.btea=0.2"],
+                "paper: unknown key \"learner.btea\"; did you mean",
+            ),
+            (Rule::Paper, None, Changes::None, &["learner.critic.step=0.1"], "paper: learner.critic is a table that"),
+            (Rule::Paper, None, Changes::None, &["learner.beta=x"], "--set learner.beta=x: write learner.KEY=VALUE"),
+            (Rule::Paper, None, Changes::None, &["ticks=3"], "--set ticks=3: write learner.KEY=VALUE"),
+            (Rule::Paper, None, Changes::None, &["learner.rule='paper'"], "name rules with --learners"),
+            (Rule::Paper, Some(0), Changes::None, &[], "paper: ticks is 0; "),
+            (Rule::Paper, Some(500), block(500), &[], "tick 500 of a change lies outside the run of paper"),
+            (Rule::Paper, Some(500), block(0), &[], "tick 0 of a change lies outside"),
+            (Rule::Paper, Some(500), two, &[], "two changes at tick 9"),
+        ] {
+            let said = message(rule, ticks, &changes, settings);
+            assert!(said.contains(expected), "{settings:?}: {said}");
+        }
+        let joint = Changes::These(vec![ArmChange { what: super::super::ArmChangeKind::Block(7, 0.0), tick: 5 }]);
+        assert!(
+            message(Rule::Paper, None, &joint, &[]).contains("paper: plant.arm.block[0].joint is 7; the arm's joints")
+        );
+    }
+}

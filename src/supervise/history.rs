@@ -1,0 +1,114 @@
+//! From the controller's account to what table and figure show: windows put together, postures from angles.
+
+use crate::plant::posture;
+use crate::report::{Reach, RunHistory, Window};
+use crate::runtime::{ControllerReport, Mode, Snapshot};
+use crate::scenario::{ArmConfig, MirrorAxis, Plan};
+
+/// Part of the run that the first and the last window of the table take.
+const SHARE: u64 = 20;
+
+/// The first and the last twentieth of a run, or as much more as it takes to see a target end.
+pub(super) fn ends(windows: &[Window]) -> Option<[Window; 2]> {
+    let total = windows.iter().map(|w| w.ticks).sum();
+    Some([merge(windows.iter(), total)?, merge(windows.iter().rev(), total)?])
+}
+
+/// Merges windows of a run of `total` ticks from the front of `windows` until they hold its twentieth and the end of a
+/// target, but no more than half of the run.
+fn merge<'a>(windows: impl Iterator<Item = &'a Window>, total: u64) -> Option<Window> {
+    let mut sum: Option<Window> = None;
+    for w in windows {
+        sum = Some(match sum {
+            None => w.clone(),
+            Some(s) if s.ticks >= total / SHARE && (s.ends > 0 || s.ticks >= total / 2) => return Some(s),
+            Some(s) => s.and(w),
+        });
+    }
+    sum
+}
+
+/// The story that the figure tells.
+pub(super) fn history(plan: &Plan, mode: Mode, controller: ControllerReport) -> RunHistory {
+    let scenario = &plan.scenario;
+    let arm = scenario.plant.arm.as_ref();
+    let reach = |switch: &[Snapshot]| arm.and_then(|arm| reach(arm, switch));
+    let marks = arm.map_or_else(Vec::new, marks);
+    RunHistory {
+        title: format!("{}, {}, seed {}", scenario.name, mode.name(), scenario.seed),
+        unit: if arm.is_some() { "m".to_owned() } else { String::new() },
+        period_s: plan.period_ns as f64 / 1e9,
+        marks: marks.into_iter().filter(|(tick, _)| *tick < controller.ticks + controller.unseen).collect(),
+        first_reach: reach(&controller.first_switch),
+        last_reach: reach(&controller.last_switch),
+        windows: controller.windows,
+    }
+}
+
+/// The changes of the world, in the order of their ticks.
+fn marks(arm: &ArmConfig) -> Vec<(u64, String)> {
+    let blocks = arm.block.iter().map(|b| (b.tick, format!("joint {} blocked", b.joint)));
+    let lengths = arm.shorten.iter().map(|s| (s.tick, format!("segment {} now {} m", s.segment, s.length)));
+    let mirrors = arm.mirror.iter().map(|m| {
+        let axis = match m.axis {
+            MirrorAxis::X => "x",
+            MirrorAxis::Y => "y",
+        };
+        (m.tick, format!("{axis} mirrored"))
+    });
+    let mut marks: Vec<_> = blocks.chain(lengths).chain(mirrors).collect();
+    marks.sort_by_key(|(tick, _)| *tick);
+    marks
+}
+
+/// The reach of a whole target switch; `None` where there was none, as in an open loop.
+pub(crate) fn reach(arm: &ArmConfig, switch: &[Snapshot]) -> Option<Reach> {
+    let first = switch.first().filter(|_| !arm.open_loop)?;
+    let joints = arm.lengths.len();
+    let mirrored = arm.mirrored(first.tick);
+    Some(Reach {
+        from: first.tick,
+        // Where it is, not where it is said to be.
+        target: [0, 1].map(|i| f64::from(first.inputs[i]) * if mirrored[i] { -1.0 } else { 1.0 }),
+        postures: switch.iter().map(|s| posture(&arm.at(s.tick), &s.inputs[2..2 + joints])).collect(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn window(from: u64, loss: f64, end_error: Option<f64>) -> Window {
+        Window {
+            from,
+            ticks: 10,
+            loss,
+            noise_share: 0.0,
+            mean_squared_error: Some(loss),
+            end_error,
+            ends: u64::from(end_error.is_some()),
+        }
+    }
+
+    #[test]
+    fn the_ends_of_a_run_are_its_first_and_last_twentieth() {
+        let windows: Vec<Window> = (0..40).map(|i| window(i * 10, i as f64, Some(i as f64))).collect();
+        let [first, last] = ends(&windows).unwrap();
+        assert_eq!((first.from, first.ticks, first.loss, first.ends), (0, 20, 0.5, 2));
+        assert_eq!((last.from, last.ticks, last.loss), (380, 20, 38.5));
+        let [first, last] = ends(&windows[..1]).unwrap();
+        assert_eq!(first, last);
+        assert_eq!(ends(&[]), None);
+        // A run that is short against its targets.
+        let windows: Vec<Window> = (0..40).map(|i| window(i * 10, 1.0, (i % 8 == 7).then_some(1.0))).collect();
+        let [first, last] = ends(&windows).unwrap();
+        assert_eq!((first.from, first.ticks, first.ends), (0, 80, 1));
+        assert_eq!((last.from, last.ticks, last.ends), (380, 20, 1));
+    }
+
+    #[test]
+    fn windows_without_an_end_do_not_dilute_those_with_one() {
+        let both = window(0, 1.0, None).and(&window(10, 3.0, Some(0.5)));
+        assert_eq!((both.loss, both.end_error, both.ends), (2.0, Some(0.5), 1));
+    }
+}

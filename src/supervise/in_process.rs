@@ -1,0 +1,36 @@
+//! A run in one process, without transport and log.
+
+use super::folder::RunFolder;
+use super::progress::RunProgress;
+use super::summary::{RunOutcome, RunSummary};
+use super::{Launch, LaunchError};
+use crate::clock::{TerminationSignals, monotonic_ns};
+use crate::plant::SimulatedPlant;
+use crate::runtime::in_process;
+
+/// Runs a scenario with plant and controller in this process: the numbers of lockstep, without log.
+///
+/// # Errors
+/// When the run cannot begin.
+pub fn study(launch: &Launch) -> Result<RunSummary, LaunchError> {
+    let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
+    let plan = &launch.plan;
+    let body =
+        SimulatedPlant::of(plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+    let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
+    folder.write_scenario(plan)?;
+    folder.keep();
+    let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, launch.progress);
+    let began = monotonic_ns();
+    let result = in_process(plan, body, |tick, statistics| {
+        progress.show_study(tick, statistics.now());
+        signals.received() == 0
+    });
+    let seconds = (monotonic_ns() - began) as f64 / 1e9;
+    progress.clear();
+    let ended = match signals.received() {
+        0 => RunOutcome::Complete,
+        number => RunOutcome::Signal(number),
+    };
+    Ok(RunSummary::of_study(launch, folder.path(), ended, result, seconds))
+}
