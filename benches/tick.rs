@@ -6,7 +6,6 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use std::hint::black_box;
 use tectum::learner::PaperRule;
 use tectum::learner::naive::NaivePaperRule;
-use tectum::plant::SimulatedPlant;
 use tectum::policy::{LinearPolicy, Outputs};
 use tectum::runtime::{Controller, PlantSide};
 use tectum::scenario::{Plan, Scenario};
@@ -80,7 +79,7 @@ fn scaling(c: &mut Criterion) {
 
 /// A controller in the middle of things, with a ring of observations as they come from a real run.
 fn running(plan: &Plan, path: SimdPath, ticks: u64) -> (Controller, Vec<Observation>) {
-    let mut plant = PlantSide::new(SimulatedPlant::of(plan).unwrap(), plan);
+    let mut plant = PlantSide::new(plan.simulated_plant().unwrap(), plan);
     let mut controller = Controller::new(plan).on(path);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let mut ring = Vec::new();
@@ -131,7 +130,7 @@ fn in_process(c: &mut Criterion) {
         SimdPath::all().map(|path| ("paper", path)).chain([("arm", SimdPath::best()), ("eye", SimdPath::best())])
     {
         let plan = plan(name);
-        let mut plant = PlantSide::new(SimulatedPlant::of(&plan).unwrap(), &plan);
+        let mut plant = PlantSide::new(plan.simulated_plant().unwrap(), &plan);
         let mut controller = Controller::new(&plan).on(path);
         let (mut observation, mut command) = (Observation::default(), Command::default());
         let mut tick = 0;

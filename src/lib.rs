@@ -12,22 +12,19 @@ pub mod channel;
 pub mod checkpoint;
 pub mod clock;
 pub mod doctor;
-pub mod encoder;
-pub mod learner;
 pub mod log;
-pub mod plant;
-pub mod policy;
 pub mod process;
 pub mod report;
 pub mod runtime;
 pub mod scenario;
-pub mod seed;
 pub mod servo;
-pub mod simd;
-pub mod state;
 pub mod study;
 pub mod supervise;
 pub mod wire;
+
+pub use tectum_core::{learner, plant, policy, seed, state};
+pub use tectum_encoder as encoder;
+pub use tectum_encoder::simd;
 
 /// The build's identity: package version and git commit, as compared in the handshake and written into every log.
 pub const BUILD: &str = env!("TECTUM_BUILD");

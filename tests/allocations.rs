@@ -59,7 +59,7 @@ impl Loop {
         scenario.ticks = 10_000;
         let plan = scenario.plan().unwrap();
         Self {
-            plant: PlantSide::new(SimulatedPlant::of(&plan).unwrap(), &plan),
+            plant: PlantSide::new(plan.simulated_plant().unwrap(), &plan),
             controller: Controller::new(&plan),
             observation: Observation::default(),
             command: Command::default(),

@@ -6,7 +6,6 @@
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex};
 
-use tectum::plant::SimulatedPlant;
 use tectum::runtime::{Controller, PlantSide};
 use tectum::scenario::{EmulatorConfig, Plan, Scenario};
 use tectum::servo::bridge::{Bridge, BridgeError, SafetyState, joints_of};
@@ -124,7 +123,7 @@ fn an_ideal_chain_learns_as_the_simulator_does() {
         (scenario.seed, scenario.ticks) = (seed, ticks);
         let plan = scenario.plan().unwrap();
         let mut all = Vec::new();
-        tectum::runtime::in_process_seen(&plan, SimulatedPlant::of(&plan).unwrap(), |observation, _| {
+        tectum::runtime::in_process_seen(&plan, plan.simulated_plant().unwrap(), |observation, _| {
             all.push(*observation);
             true
         });

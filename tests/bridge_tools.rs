@@ -169,6 +169,7 @@ fn what_cannot_be_is_refused_in_a_sentence_and_torque_is_never_on() {
         tectum::servo::model::Protocol::Feetech,
         1_000_000,
         tectum::servo::tools::BUDGET,
+        Box::new(tectum::clock::monotonic_ns),
     );
     assert!(jog(&["--id", "1"]).contains("another program has the port"));
     drop(held);

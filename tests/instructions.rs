@@ -13,7 +13,6 @@ use nix::sys::ptrace;
 use nix::sys::signal::Signal;
 use nix::sys::wait::{WaitStatus, waitpid};
 use nix::unistd::Pid;
-use tectum::plant::SimulatedPlant;
 use tectum::runtime::{Controller, PlantSide};
 use tectum::scenario::Scenario;
 use tectum::simd::SimdPath;
@@ -106,7 +105,7 @@ fn counted(part: &str) {
     let (what, path) = part.split_once(' ').unwrap();
     let path = SimdPath::all().find(|here| here.to_string() == path).unwrap();
     let plan = Scenario::find("paper").unwrap().plan().unwrap();
-    let mut plant = PlantSide::new(SimulatedPlant::of(&plan).unwrap(), &plan);
+    let mut plant = PlantSide::new(plan.simulated_plant().unwrap(), &plan);
     let mut controller = Controller::new(&plan).on(path);
     let mut encoder = plan.encoder().on(path);
     let mut features = encoder.features();

@@ -7,7 +7,6 @@ use std::fmt::Write as _;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use tectum::plant::SimulatedPlant;
 use tectum::report::Window;
 use tectum::runtime::{Controller, ControllerReport, PlantReport, PlantSide};
 use tectum::scenario::{Plan, Scenario};
@@ -75,7 +74,7 @@ fn cells() -> Vec<Cell> {
 
 /// The run, with what must hold in every tick of it, whatever goes wrong.
 fn run(plan: &Plan) -> (PlantReport, ControllerReport) {
-    let mut side = PlantSide::new(SimulatedPlant::of(plan).unwrap(), plan);
+    let mut side = PlantSide::new(plan.simulated_plant().unwrap(), plan);
     let mut controller = Controller::new(plan);
     let (mut observation, mut command, mut learning) =
         (Observation::default(), Command::default(), Learning::default());

@@ -29,7 +29,7 @@ fn end(mut emulator: Emulator, signal: &str) -> ExitStatus {
 }
 
 fn open(path: &Path, protocol: Protocol) -> Result<Bus, BusError> {
-    Bus::open(path.to_str().unwrap(), protocol, 1_000_000, BUDGET)
+    Bus::open(path.to_str().unwrap(), protocol, 1_000_000, BUDGET, Box::new(tectum::clock::monotonic_ns))
 }
 
 #[test]
@@ -92,8 +92,14 @@ fn faults_come_from_the_scenario_and_from_the_command_line() {
     let mut emulator = Emulator::start(&place, &arguments);
     emulator.line();
     let budget = BusBudget { read_ns: 300_000_000, ..BUDGET };
-    let mut bus =
-        Bus::open(place.path().join("arm").to_str().unwrap(), Protocol::Dynamixel, 1_000_000, budget).unwrap();
+    let mut bus = Bus::open(
+        place.path().join("arm").to_str().unwrap(),
+        Protocol::Dynamixel,
+        1_000_000,
+        budget,
+        Box::new(tectum::clock::monotonic_ns),
+    )
+    .unwrap();
     // The first two are there, though one never answers; the third has no cable.
     let model = bus.series().model;
     assert_eq!(bus.read(1, model).unwrap(), 1020);

@@ -6,7 +6,7 @@
 
 use std::process::{Command, ExitCode};
 
-use tectum::clock::{ProcessHandle, TerminationSignals};
+use tectum::clock::{ProcessHandle, TerminationSignals, monotonic_ns};
 use tectum::servo::bus::{Bus, BusBudget};
 use tectum::servo::model::Protocol;
 
@@ -44,7 +44,7 @@ pub fn run(arguments: &Arguments) -> ExitCode {
     }
     let protocol = Protocol::named(&arguments.protocol);
     let budget = BusBudget { read_ns: 20_000_000, write_ns: 20_000_000 };
-    match Bus::open(&arguments.port, protocol, arguments.baud, budget) {
+    match Bus::open(&arguments.port, protocol, arguments.baud, budget, Box::new(monotonic_ns)) {
         Ok(mut bus) => {
             bus.torque_off(&arguments.ids);
             ExitCode::SUCCESS

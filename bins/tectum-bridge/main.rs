@@ -129,7 +129,7 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
 fn open(port: &str, protocol: Protocol, baud: u32, budget: BusBudget) -> Result<Bus, BusError> {
     let until = monotonic_ns() + 500_000_000;
     loop {
-        match Bus::open(port, protocol, baud, budget) {
+        match Bus::open(port, protocol, baud, budget, Box::new(monotonic_ns)) {
             Err(BusError::Busy(_)) if monotonic_ns() < until => pause(20_000_000),
             opened => return opened,
         }

@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use tectum::clock::{TerminationSignals, pause};
+use tectum::clock::{TerminationSignals, monotonic_ns, pause};
 use tectum::servo::bus::{Bus, BusBudget};
 use tectum::servo::model::Protocol;
 use tectum::servo::tools::{self, Calibration, Jog, ToolError};
@@ -147,7 +147,7 @@ impl Which {
         if let Err(known) = series.check_baud(self.baud) {
             return Err(ToolError::Refused(format!("--baud {}: {} has {known}", self.baud, series.name)));
         }
-        Ok(Bus::open(&self.port, series.protocol, self.baud, tools::BUDGET)?)
+        Ok(Bus::open(&self.port, series.protocol, self.baud, tools::BUDGET, Box::new(monotonic_ns))?)
     }
 }
 
@@ -184,7 +184,7 @@ fn find(scan: &Scan, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
             // A slow line needs its time besides: some thirty bytes there and back.
             let wire = 30 * 10 * 1_000_000_000 / u64::from(baud);
             let budget = BusBudget { read_ns: tools::SEARCH.read_ns + 2 * wire, ..tools::SEARCH };
-            let mut bus = Bus::open(&scan.port, series.protocol, baud, budget)?;
+            let mut bus = Bus::open(&scan.port, series.protocol, baud, budget, Box::new(monotonic_ns))?;
             for found in tools::scan(&mut bus, 0..=scan.max_id.min(series.max_id), stop) {
                 let model = match (found.garbled, found.model) {
                     (true, _) => "cannot be read: two servos with this id?".to_owned(),

@@ -82,7 +82,7 @@ struct Running {
 impl Running {
     fn new(plan: &Plan, path: SimdPath) -> Result<Self, BenchError> {
         let body =
-            SimulatedPlant::of(plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+            plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
         let mut running = Self {
             plant: PlantSide::new(body, plan),
             controller: Controller::new(plan).on(path),

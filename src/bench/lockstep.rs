@@ -10,7 +10,6 @@ use serde::Serialize;
 use super::run_block::{self, RunBlock};
 use super::{BenchError, BenchProgress, Machine, PeerExchange, Transport, Usage, latency::PERIOD_NS, usage::core_of};
 use crate::clock::{TerminationSignals, monotonic_ns};
-use crate::plant::SimulatedPlant;
 use crate::report::thousands;
 use crate::runtime::{Mode, in_process};
 use crate::study::Spread;
@@ -131,8 +130,7 @@ pub fn lockstep(asked: &LockstepSettings) -> Result<LockstepOutcome, BenchError>
 /// Plant and controller in this process: ticks a second.
 fn alone(block: &RunBlock, signals: &TerminationSignals) -> Result<f64, BenchError> {
     let plan = run_block::plan(block)?;
-    let body =
-        SimulatedPlant::of(&plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+    let body = plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
     let began = monotonic_ns();
     let _ = in_process(&plan, body, |_, _| signals.received() == 0);
     let ns = monotonic_ns() - began;

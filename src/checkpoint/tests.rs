@@ -12,7 +12,7 @@ fn plan(name: &str) -> Plan {
 
 /// Plant and controller after some ticks.
 fn lived(plan: &Plan, ticks: u64) -> (PlantSide<SimulatedPlant>, Controller) {
-    let mut plant = PlantSide::new(SimulatedPlant::of(plan).unwrap(), plan);
+    let mut plant = PlantSide::new(plan.simulated_plant().unwrap(), plan);
     let mut controller = Controller::new(plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     for tick in 0..ticks {

@@ -81,7 +81,7 @@ impl Controller {
             policy: LinearPolicy::new(len, order, outputs),
             exploration: Exploration::new(scenario.seed, scenario.policy.sigma as f32, outputs)
                 .distributed(scenario.policy.noise),
-            rule: Learner::of(plan, &encoder),
+            rule: Learner::of(&plan.learner_spec(), &encoder),
             inputs: plan.inputs.len(),
             ticks: scenario.ticks,
             hash_every: scenario.log.hash_every,
@@ -309,5 +309,9 @@ impl Persist for Controller {
     }
 }
 
+#[cfg(test)]
+mod learner_tests;
+#[cfg(test)]
+mod state_tests;
 #[cfg(test)]
 mod tests;

@@ -129,9 +129,9 @@ impl ControllerLoopState {
 impl Persist for ControllerLoopState {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.nested("controller", &mut self.controller);
-        visitor.sample("command", &mut self.command);
-        visitor.sample("learning", &mut self.learning);
-        visitor.sample("seen", &mut self.seen);
+        visitor.words("command", &mut self.command);
+        visitor.words("learning", &mut self.learning);
+        visitor.words("seen", &mut self.seen);
         visitor.number("count", &mut self.count);
     }
 }

@@ -220,7 +220,7 @@ impl<T: Faultable> Persist for FaultyChannel<T> {
         [_, _, self.frozen_until] = counts;
         self.waiting = (counts[0] as usize).min(UNDER_WAY);
         let mut last = self.last.unwrap_or_default();
-        visitor.sample("last", &mut last);
+        visitor.words("last", &mut last);
         self.last = (counts[1] != 0).then_some(last);
         // All of them, so that what is to be remembered always has the same size.
         for (i, w) in self.under_way.iter_mut().enumerate() {
@@ -229,7 +229,7 @@ impl<T: Faultable> Persist for FaultyChannel<T> {
             }
             let mut when = [w.due, u64::from(w.behind)];
             visitor.numbers("due", &mut when);
-            visitor.sample("under_way", &mut w.sample);
+            visitor.words("under_way", &mut w.sample);
             (w.due, w.behind) = (when[0], when[1] != 0);
         }
     }

@@ -88,7 +88,8 @@ impl Gate {
     /// which nobody is asked. Of a plant that does not tell, nothing moves.
     pub fn spans(&self, joints: impl FnOnce() -> Option<JointState>) -> Option<CommandRanges> {
         let positions = self.positions.as_ref()?;
-        let spans = |joints: JointState| std::array::from_fn(|output| joints.span(output, positions[output]));
+        let spans =
+            |joints: JointState| std::array::from_fn(|output| command_range(&joints, output, positions[output]));
         Some(joints().map_or([[0.0; 2]; MAX_OUTPUTS], spans))
     }
 
@@ -178,25 +179,23 @@ fn reach(from: f32, by: f32) -> CommandRange {
     [low, high]
 }
 
-impl JointState {
-    /// The commands that do not carry joint `output` over `limits`, rad; 0 is always among them.
-    ///
-    /// With the position `p` and the travel `k`, the joint comes to `p + k u`. That has to lie between the limits, or, for a
-    /// joint outside, between where it is and the limit beyond. A hair's breadth of margin, 1e-6 of the largest angle at
-    /// hand, takes care of what single precision makes of the sum in the plant.
-    fn span(&self, output: usize, [low, high]: [f64; 2]) -> CommandRange {
-        let (p, k) = (f64::from(self.position[output]), f64::from(self.travel[output]));
-        if !(p.is_finite() && k.is_finite()) {
-            return [0.0; 2];
-        }
-        if k == 0.0 {
-            return [f32::MIN, f32::MAX];
-        }
-        let hair = 1e-6 * p.abs().max(low.abs()).max(high.abs()).max(1.0);
-        let (low, high) = ((low + hair).min(p), (high - hair).max(p));
-        let (a, b) = ((low - p) / k, (high - p) / k);
-        [toward_zero(a.min(b)), toward_zero(a.max(b))]
+/// The commands that do not carry joint `output` over `limits`, rad; 0 is always among them.
+///
+/// With the position `p` and the travel `k`, the joint comes to `p + k u`. That has to lie between the limits, or, for a
+/// joint outside, between where it is and the limit beyond. A hair's breadth of margin, 1e-6 of the largest angle at
+/// hand, takes care of what single precision makes of the sum in the plant.
+fn command_range(joints: &JointState, output: usize, [low, high]: [f64; 2]) -> CommandRange {
+    let (p, k) = (f64::from(joints.position[output]), f64::from(joints.travel[output]));
+    if !(p.is_finite() && k.is_finite()) {
+        return [0.0; 2];
     }
+    if k == 0.0 {
+        return [f32::MIN, f32::MAX];
+    }
+    let hair = 1e-6 * p.abs().max(low.abs()).max(high.abs()).max(1.0);
+    let (low, high) = ((low + hair).min(p), (high - hair).max(p));
+    let (a, b) = ((low - p) / k, (high - p) / k);
+    [toward_zero(a.min(b)), toward_zero(a.max(b))]
 }
 
 /// The nearest single-precision number that is not larger in magnitude.

@@ -83,7 +83,7 @@ struct PlantLoopState<P> {
 impl<P: Plant> Persist for PlantLoopState<P> {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.nested("plant", &mut self.side);
-        visitor.sample("observation", &mut self.observation);
+        visitor.words("observation", &mut self.observation);
         visitor.number("said", &mut self.sent_count);
         visitor.number("expected", &mut self.expected);
     }

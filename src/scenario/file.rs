@@ -3,16 +3,13 @@
 //! Unknown keys are refused. What the types cannot say (ranges, references between tables) is checked by
 //! [`Scenario::plan`](super::Scenario::plan).
 
-use std::fmt;
+use serde::{Deserialize, Serialize};
 
-use serde::{
-    Deserialize, Deserializer, Serialize,
-    de::{Error, IgnoredAny, SeqAccess, Visitor},
-};
+use tectum_core::serde_pairs::pairs;
 
 use super::{
-    ArmConfig, EmulatorConfig, FaultsConfig, GateConfig, LearnerConfig, OverrunConfig, RealtimeConfig, RestartConfig,
-    ScenarioSource, ServosConfig,
+    ArmConfig, EmulatorConfig, EyeConfig, FaultsConfig, GateConfig, LearnerConfig, Noise, OverrunConfig,
+    RealtimeConfig, RestartConfig, ScenarioSource, ServosConfig, SignalConfig,
 };
 
 /// A whole scenario file.
@@ -98,45 +95,6 @@ pub struct PlantConfig {
     pub emulator: Option<EmulatorConfig>,
 }
 
-/// One input or output: its name, unit and range.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SignalConfig {
-    /// Name, as maps refer to it.
-    pub name: String,
-    /// Unit, for people and logs.
-    #[serde(default)]
-    pub unit: String,
-    /// Lower end of the range, in the unit.
-    pub min: f64,
-    /// Upper end of the range, in the unit.
-    pub max: f64,
-}
-
-/// `[plant.eye]`: the saccades of section 4.1, one tick one saccade.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct EyeConfig {
-    /// How the retina reports position and velocity.
-    pub retina: Retina,
-    /// The log-polar distortion B.
-    pub distortion: f64,
-    /// Standard deviation of each component of position and velocity.
-    pub spread: f64,
-    /// The constant b in the reward.
-    pub bonus: f64,
-}
-
-/// What the retina reports.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Retina {
-    /// Cartesian x and y.
-    Linear,
-    /// `log(1 + B rho) / log(1 + B)` and the direction.
-    LogPolar,
-}
-
 /// `[encoder]`: topographic maps, concatenated (section 3.3).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -177,16 +135,6 @@ pub struct PolicyConfig {
     pub noise: Noise,
 }
 
-/// Distributions of the exploration noise, each of mean 0 and standard deviation `sigma` on every output by itself.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Noise {
-    /// The paper's normal distribution.
-    Gaussian,
-    /// The double exponential one, of which the paper's section 5 speaks: many small deviations, a few large ones.
-    Laplace,
-}
-
 /// `[log]`: what is written down.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -224,43 +172,6 @@ impl Scenario {
     }
 }
 
-/// Two numbers, and no third: serde's own reader of arrays passes over what follows them.
-struct ExactPair([f64; 2]);
-
-impl<'de> Deserialize<'de> for ExactPair {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct PairVisitor;
-        impl<'de> Visitor<'de> for PairVisitor {
-            type Value = ExactPair;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("an array of length 2")
-            }
-
-            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<ExactPair, A::Error> {
-                let mut pair = [0.0; 2];
-                for (i, number) in pair.iter_mut().enumerate() {
-                    *number = list.next_element()?.ok_or_else(|| A::Error::invalid_length(i, &self))?;
-                }
-                let mut length = 2;
-                while list.next_element::<IgnoredAny>()?.is_some() {
-                    length += 1;
-                }
-                if length == 2 { Ok(ExactPair(pair)) } else { Err(A::Error::invalid_length(length, &self)) }
-            }
-        }
-        deserializer.deserialize_seq(PairVisitor)
-    }
-}
-
-pub(super) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
-    ExactPair::deserialize(deserializer).map(|ExactPair(pair)| pair)
-}
-
-pub(super) fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f64; 2]>, D::Error> {
-    Vec::<ExactPair>::deserialize(deserializer).map(|pairs| pairs.into_iter().map(|ExactPair(pair)| pair).collect())
-}
-
 fn one() -> u64 {
     1
 }
@@ -275,12 +186,6 @@ fn yes() -> bool {
 
 fn simulator() -> String {
     "tectum-simulator".to_owned()
-}
-
-impl Default for EyeConfig {
-    fn default() -> Self {
-        Self { retina: Retina::LogPolar, distortion: 4.0, spread: 0.3, bonus: 0.5 }
-    }
 }
 
 impl Default for PolicyConfig {

@@ -9,10 +9,10 @@ use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::error::Violation;
-use super::file::pairs;
 use super::validate::{number, show};
 use super::{PlantConfig, SignalConfig, limits};
 use crate::wire::MAX_OUTPUTS;
+use tectum_core::serde_pairs::pairs;
 
 /// `[gate]`: between a command and the actuators.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -6,13 +6,11 @@
 //! number and every reference between tables and fills in what the file leaves out. Past that point nothing is checked
 //! again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions panic.
 
-mod arm;
 mod emulator;
 mod error;
 mod faults;
 mod file;
 mod gate;
-mod learner;
 pub mod limits;
 mod plant_signals;
 mod presets;
@@ -28,26 +26,34 @@ mod validate_plant;
 #[cfg(test)]
 mod tests;
 
-pub use arm::*;
-pub use emulator::{EmulatorConfig, ServoFault, ServoFaultKind};
 pub use error::{FilePosition, ScenarioError};
 pub use faults::{
     ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsConfig, ProcessFault, ProcessFaultKind,
 };
 pub use file::*;
 pub use gate::{GateConfig, OverrunConfig, PerOutput};
-pub use learner::*;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeConfig, RealtimeProcess};
 pub use restart::{RestartConfig, RestartPolicy};
 pub use servos::{JointConfig, PoseSource, ServoGoal, ServosConfig, check_joints};
 pub use source::ScenarioSource;
+pub use tectum_core::SignalConfig;
+pub use tectum_core::learner::{
+    BaselineConfig, CriticConfig, CriticFeatures, LearnerConfig, ModelBasis, ModelConfig, Rule,
+};
+pub use tectum_core::plant::{
+    Angles, ArmConfig, ArmRewardConfig, BlockConfig, EyeConfig, MirrorAxis, MirrorConfig, Retina, ShortenConfig,
+};
+pub use tectum_core::policy::Noise;
+pub use tectum_servo::emulator::{EmulatorConfig, ServoFault, ServoFaultKind};
 
 use std::{fs::File, io::Read, path::Path};
 
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::encoder::{Axis, Encoder, Map};
+use crate::learner::LearnerSpec;
+use crate::plant::SimulatedPlant;
 use error::{Violation, tables};
 use plant_signals::signals;
 
@@ -79,6 +85,25 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// What the scenario's learner is built for.
+    pub fn learner_spec(&self) -> LearnerSpec {
+        LearnerSpec {
+            inputs: self.inputs.clone(),
+            outputs: self.outputs.len(),
+            maps: self.maps.clone(),
+            normalise: self.scenario.encoder.normalise,
+            sigma: self.scenario.policy.sigma,
+            seed: self.scenario.seed,
+            learner: self.scenario.learner.clone(),
+        }
+    }
+
+    /// The simulated plant that the scenario names, or `None` when it names another program's.
+    pub fn simulated_plant(&self) -> Option<SimulatedPlant> {
+        let (plant, period_s) = (&self.scenario.plant, self.scenario.period_ms / 1000.0);
+        SimulatedPlant::new(plant.arm.as_ref(), plant.eye.as_ref(), period_s, self.scenario.seed)
+    }
+
     /// The encoder that the scenario describes.
     pub fn encoder(&self) -> Encoder {
         Encoder::new(&self.maps, self.scenario.encoder.normalise).with_scalars(&self.scalars)
@@ -128,7 +153,7 @@ impl Scenario {
         // What a file leaves out of a rule's settings is the rule's own, not the paper's.
         let given = text.parse::<toml::Table>().ok().and_then(|mut file| file.remove("learner"));
         if let Some(toml::Value::Table(given)) = given {
-            scenario.learner = scenario.learner.over_preset(given);
+            scenario.learner = over_preset(scenario.learner, given);
         }
         Ok(Self { source, ..scenario })
     }
@@ -198,6 +223,13 @@ impl Scenario {
         };
         if overridden { None } else { self.source.line_of(key) }
     }
+}
+
+/// The preset of the file's rule, with what the file gives in place of its values; `file` is what the file alone says.
+fn over_preset(file: LearnerConfig, given: toml::Table) -> LearnerConfig {
+    let Ok(mut table) = toml::Table::try_from(LearnerConfig::preset(file.rule)) else { return file };
+    merge(&mut table, given);
+    table.try_into().unwrap_or(file)
 }
 
 /// Puts the values of one table over those of another, table by table.

@@ -5,8 +5,7 @@
 //! bytes out at an instant, with no clock and no files; [`pty`] puts it behind a terminal in real time.
 
 pub mod bridge;
-pub mod bus;
-pub mod emulator;
-pub mod model;
 pub mod pseudo_terminal;
 pub mod tools;
+
+pub use tectum_servo::{bus, emulator, model};

@@ -5,7 +5,6 @@ use super::progress::RunProgress;
 use super::summary::{RunOutcome, RunSummary};
 use super::{Launch, LaunchError};
 use crate::clock::{TerminationSignals, monotonic_ns};
-use crate::plant::SimulatedPlant;
 use crate::runtime::in_process;
 
 /// Runs a scenario with plant and controller in this process: the numbers of lockstep, without log.
@@ -15,8 +14,7 @@ use crate::runtime::in_process;
 pub fn study(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let plan = &launch.plan;
-    let body =
-        SimulatedPlant::of(plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+    let body = plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.write_scenario(plan)?;
     folder.keep();

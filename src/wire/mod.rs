@@ -15,9 +15,4 @@ pub use boards::{Control, Phase, ProcessState, Role, Status};
 pub use samples::{Command, Gap, Header, Learning, Observation, Vision, flag};
 pub use schema::{Field, Sample, schema_hash};
 
-/// Most inputs that an observation can carry.
-pub const MAX_INPUTS: usize = 16;
-/// Most outputs that a command can carry.
-pub const MAX_OUTPUTS: usize = 8;
-/// Most measures that an observation can carry beside its inputs.
-pub const MAX_MEASURES: usize = 6;
+pub use tectum_core::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};

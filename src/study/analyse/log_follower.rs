@@ -38,7 +38,7 @@ impl LogFollower {
     pub fn new(plan: &Plan) -> Option<Self> {
         let encoder = Encoder::new(&plan.maps, plan.scenario.encoder.normalise);
         Some(Self {
-            body: SimulatedPlant::of(plan)?,
+            body: plan.simulated_plant()?,
             controller: Controller::new(plan),
             gate: Gate::new(&plan.scenario.gate, plan.outputs.len()),
             features: encoder.features(),
@@ -131,7 +131,7 @@ mod tests {
 
     /// What a log of a run of `plan` holds.
     fn log(plan: &Plan) -> Vec<(Observation, Command)> {
-        let mut side = PlantSide::new(SimulatedPlant::of(plan).unwrap(), plan);
+        let mut side = PlantSide::new(plan.simulated_plant().unwrap(), plan);
         let mut controller = Controller::new(plan);
         let (mut observation, mut command) = (Observation::default(), Command::default());
         (0..plan.scenario.ticks)

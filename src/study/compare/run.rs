@@ -3,7 +3,6 @@
 use std::time::Instant;
 
 use super::LearnerEntry;
-use crate::plant::SimulatedPlant;
 use crate::runtime::{Controller, PlantSide};
 use crate::study::JobProgress;
 use crate::study::reference::{Score, TestSet};
@@ -59,7 +58,7 @@ pub fn spacing(since: u64) -> u64 {
 /// study is to end before the run does.
 pub fn run(entry: &LearnerEntry, seed: u64, tests: &[TestSet], progress: &JobProgress) -> Option<LearnerRun> {
     let plan = entry.plan(seed);
-    let mut side = PlantSide::new(SimulatedPlant::of(&plan)?, &plan);
+    let mut side = PlantSide::new(plan.simulated_plant()?, &plan);
     let mut controller = Controller::new(&plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let ticks = plan.scenario.ticks;

@@ -129,7 +129,7 @@ impl PlantReplay {
     pub fn new(plan: &Plan) -> Self {
         // Another program may be given the simulator's tables, and be something else all the same.
         let program = Path::new(&plan.scenario.plant.program).file_name();
-        let body = SimulatedPlant::of(plan).filter(|_| program.is_some_and(|name| name == "tectum-simulator"));
+        let body = plan.simulated_plant().filter(|_| program.is_some_and(|name| name == "tectum-simulator"));
         let simulated = body.is_some();
         let own = plan.scenario.plant.servos.as_ref().map(|_| PlantOwnLimits::default());
         let told = SensedBy::Told { inputs: [0.0; MAX_INPUTS], fresh: false, outcome: Outcome::default(), own };

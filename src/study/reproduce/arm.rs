@@ -8,7 +8,6 @@ use serde::Serialize;
 
 use super::{ReproduceSettings, StudyError, cell, in_words, write_lines};
 use crate::clock::{facts, monotonic_ns};
-use crate::plant::SimulatedPlant;
 use crate::report::figure::{LossFigure, draw_loss};
 use crate::report::{Reach, Window, columns, thousands};
 use crate::runtime::{RunStatistics, Snapshot, Switch, in_process_seen};
@@ -147,7 +146,7 @@ fn run(plan: &Plan, ticks: &JobProgress) -> ArmRun {
     let mut statistics = RunStatistics::with_windows(plan, step(plan.scenario.ticks));
     let mut switch = Switch::default();
     let mut switches: [Vec<Snapshot>; 4] = Default::default();
-    let Some(body) = SimulatedPlant::of(plan) else { unreachable!("the built-in arm is the simulator's") };
+    let Some(body) = plan.simulated_plant() else { unreachable!("the built-in arm is the simulator's") };
     let result = in_process_seen(plan, body, |observation, _| {
         statistics.observe(observation);
         if let Some(switch) = switch.see(observation) {

@@ -8,7 +8,6 @@ use serde::Serialize;
 
 use super::{ReproduceSettings, StudyError, in_words, write_lines};
 use crate::clock::{facts, monotonic_ns};
-use crate::plant::SimulatedPlant;
 use crate::report::figure::{ErrorFigure, ErrorPanel, Polyline, draw_miss};
 use crate::report::{columns, figures, thousands};
 use crate::runtime::in_process_seen;
@@ -194,7 +193,7 @@ fn plan(retina: Retina, scalar: bool, seed: u64, trials: u64) -> Result<Plan, St
 fn run(plan: &Plan, ticks: &JobProgress) -> EyeRun {
     let length = plan.scenario.ticks.div_ceil(POINTS);
     let mut windows = vec![(0, 0.0, 0.0)];
-    let Some(body) = SimulatedPlant::of(plan) else { unreachable!("the built-in eye is the simulator's") };
+    let Some(body) = plan.simulated_plant() else { unreachable!("the built-in eye is the simulator's") };
     let result = in_process_seen(plan, body, |observation, _| {
         let tick = observation.header.tick;
         if tick > 0 {

@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use super::{ReproduceSettings, StudyError, in_words, write_lines};
 use crate::clock::{facts, monotonic_ns};
-use crate::plant::{Arm, Plant, SimulatedPlant, posture};
+use crate::plant::{Arm, Plant, posture};
 use crate::report::figure::{Polyline, PosturesFigure, PosturesRow, SeedPostures, draw_ways};
 use crate::report::{columns, figures, thousands};
 use crate::runtime::{Controller, in_process_seen};
@@ -145,7 +145,7 @@ fn run(plan: &Plan, ticks: &JobProgress) -> OpenLoopRun {
     let length = trials.div_ceil(POINTS);
     let mut windows = vec![(0, 0.0)];
     let mut test_set = Vec::new();
-    let Some(body) = SimulatedPlant::of(plan) else { unreachable!("the built-in arm is the simulator's") };
+    let Some(body) = plan.simulated_plant() else { unreachable!("the built-in arm is the simulator's") };
     let result = in_process_seen(plan, body, |observation, controller| {
         let tick = observation.header.tick;
         if tick > 0 {

@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use super::{ReproduceSettings, StudyError, write_lines};
 use crate::clock::{facts, monotonic_ns};
-use crate::plant::{Arm, Plant, SimulatedPlant, noise_share};
+use crate::plant::{Arm, Plant, noise_share};
 use crate::report::{columns, figures, thousands};
 use crate::runtime::{Controller, in_process_seen};
 use crate::scenario::{ArmConfig, Plan, Scenario};
@@ -251,7 +251,7 @@ impl OutlookSums {
 
 fn run(plan: &Plan, ticks: &JobProgress) -> OutlookRun {
     let table = plan.scenario.plant.arm.clone().unwrap_or_default();
-    let Some(body) = SimulatedPlant::of(plan) else { unreachable!("the built-in arms are the simulator's") };
+    let Some(body) = plan.simulated_plant() else { unreachable!("the built-in arms are the simulator's") };
     let length = plan.scenario.ticks;
     let mut sums = OutlookSums::default();
     let mut movements = Vec::new();

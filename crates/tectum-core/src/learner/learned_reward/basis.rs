@@ -1,0 +1,170 @@
+//! One-dimensional bases over the inputs, from whose products the reward model is built.
+//!
+//! Two families. The Gaussian one is the paper's: a row of kernels whose radius is their spacing. The smooth one is a
+//! Fourier series over an input that wraps round and Legendre polynomials over one that does not (Konidaris, Osentoski &
+//! Thomas 2011, *Value Function Approximation in Reinforcement Learning using the Fourier Basis*). Each function has a
+//! prior spread; in the smooth family it falls with the order, which is what lets a few ticks at a few targets speak for
+//! the whole box: of all rewards that fit, the smoothest is believed.
+
+use std::f32::consts::{LOG2_E, PI};
+
+use crate::SignalConfig;
+use crate::learner::ModelBasis;
+
+/// A row of Gaussian kernels, the values and slopes of which are computed together.
+#[derive(Debug, Clone)]
+pub(super) struct KernelRow {
+    pub units: usize,
+    centres: Vec<f32>,
+    /// One over the squared radius.
+    steep: f32,
+}
+
+impl KernelRow {
+    /// `units` kernels with centres from `min` to `max`.
+    pub fn new(units: usize, min: f64, max: f64, radius: f64) -> Self {
+        let spacing = (max - min) / (units - 1) as f64;
+        let centres = (0..units).map(|i| (min + spacing * i as f64) as f32).collect();
+        Self { units, centres, steep: (1.0 / (radius * radius)) as f32 }
+    }
+
+    /// The kernels' values and their slopes at `x`.
+    pub fn eval(&self, x: f32, values: &mut [f32], slopes: &mut [f32]) {
+        let (values, slopes) = (&mut values[..self.units], &mut slopes[..self.units]);
+        let (steep, sharp) = (self.steep, 0.5 * LOG2_E * self.steep);
+        for ((value, slope), centre) in values.iter_mut().zip(slopes).zip(&self.centres) {
+            let distance = centre - x;
+            let v = exp2_negative(sharp * distance * distance);
+            *value = v;
+            *slope = steep * distance * v;
+        }
+    }
+}
+
+/// `2^-y` for `y >= 0`, to 1e-7, never less than `2^-43`: no library's exponential, so the same on every machine.
+#[inline(always)]
+fn exp2_negative(y: f32) -> f32 {
+    /// `1.5 * 2^23`: adding it rounds to the nearest integer and leaves that in the lowest bits.
+    const MAGIC: f32 = 12_582_912.0;
+    let y = if y < 43.0 { y } else { 43.0 };
+    let n = y + MAGIC;
+    let g = y - (n - MAGIC);
+    let g2 = g * g;
+    let p = ((-0.001_323_709_6 * g + 0.009_671_954) * g2 + (-0.055_508_06 * g + 0.240_222_35)) * g2
+        + (-0.693_146_94 * g + 1.0);
+    f32::from_bits(p.to_bits().wrapping_sub(n.to_bits() << 23))
+}
+
+/// A basis over one input.
+#[derive(Debug, Clone)]
+pub(super) enum Basis {
+    /// The paper's kernels.
+    Kernels(KernelRow),
+    /// `cos x, sin x, cos 2x, ..` up to the order, and `(x / pi)^2`, which a series of waves would need many terms for.
+    Waves(usize),
+    /// Legendre polynomials from the first order on, over a range scaled to [-1, 1].
+    Polynomials { order: usize, centre: f32, half: f32 },
+}
+
+impl Basis {
+    /// The basis over `signal`: of `size` kernels, or of order `size`.
+    pub fn of(family: ModelBasis, size: usize, signal: &SignalConfig) -> Self {
+        let (min, max) = (signal.min, signal.max);
+        match family {
+            ModelBasis::Maps => Self::Kernels(KernelRow::new(size, min, max, (max - min) / (size - 1) as f64)),
+            ModelBasis::Smooth if wraps(signal) => Self::Waves(size),
+            ModelBasis::Smooth => {
+                let (centre, half) = (((min + max) / 2.0) as f32, ((max - min) / 2.0) as f32);
+                Self::Polynomials { order: size, centre, half }
+            }
+        }
+    }
+
+    /// Number of functions.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Kernels(row) => row.units,
+            Self::Waves(order) => 2 * order + 1,
+            Self::Polynomials { order, .. } => *order,
+        }
+    }
+
+    /// The prior standard deviation of function `i`'s weight, with `smoothness` for every order above the first.
+    pub fn spread(&self, i: usize, smoothness: f64) -> f64 {
+        match self {
+            Self::Kernels(_) => 1.0,
+            Self::Waves(order) if i == 2 * order => smoothness,
+            Self::Waves(_) => smoothness.powi((i / 2) as i32),
+            Self::Polynomials { .. } => smoothness.powi(i as i32),
+        }
+    }
+
+    /// The functions' values and slopes at `x`.
+    pub fn eval(&self, x: f32, values: &mut [f32], slopes: &mut [f32]) {
+        match self {
+            Self::Kernels(row) => row.eval(x, values, slopes),
+            Self::Waves(order) => {
+                let (sin, cos) = libm::sincosf(x);
+                let (mut s, mut c) = (0.0, 1.0);
+                for k in 0..*order {
+                    (s, c) = (s * cos + c * sin, c * cos - s * sin);
+                    let n = (k + 1) as f32;
+                    values[2 * k..][..2].copy_from_slice(&[c, s]);
+                    slopes[2 * k..][..2].copy_from_slice(&[-n * s, n * c]);
+                }
+                values[2 * order] = x * x / (PI * PI);
+                slopes[2 * order] = 2.0 * x / (PI * PI);
+            }
+            Self::Polynomials { order, centre, half } => {
+                let z = (x - centre) / half;
+                // Bonnet's recursion, and the one for the derivatives: P'(n+1) = P'(n-1) + (2n + 1) P(n).
+                let (mut p, mut slope) = ([1.0, z], [0.0, 1.0]);
+                for i in 0..*order {
+                    (values[i], slopes[i]) = (p[1], slope[1] / half);
+                    let n = (i + 1) as f32;
+                    p = [p[1], ((2.0 * n + 1.0) * z * p[1] - n * p[0]) / (n + 1.0)];
+                    slope = [slope[1], slope[0] + (2.0 * n + 1.0) * p[0]];
+                }
+            }
+        }
+    }
+}
+
+/// Whether an input comes round: an angle over a full turn.
+pub(super) fn wraps(signal: &SignalConfig) -> bool {
+    signal.unit == "rad" && ((signal.max - signal.min) / std::f64::consts::TAU - 1.0).abs() < 1e-6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slopes_are_the_numerical_ones() {
+        let bases = [
+            Basis::Kernels(KernelRow::new(8, -3.0, 3.0, 0.9)),
+            Basis::Waves(3),
+            Basis::Polynomials { order: 4, centre: 0.5, half: 2.0 },
+        ];
+        for basis in bases {
+            let n = basis.len();
+            for x in [-2.5, -0.7, 0.1, 1.9] {
+                let [mut low, mut high, mut at, mut slopes, mut none] = [(); 5].map(|()| vec![0.0; n]);
+                basis.eval(x - 1e-2, &mut low, &mut none);
+                basis.eval(x + 1e-2, &mut high, &mut none);
+                basis.eval(x, &mut at, &mut slopes);
+                for i in 0..n {
+                    let numerical = (high[i] - low[i]) / 2e-2;
+                    assert!((slopes[i] - numerical).abs() < 2e-3, "{basis:?} {i} at {x}: {} {numerical}", slopes[i]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_exponential_is_one() {
+        for y in [0.0, 0.3, 1.5, 20.0, 42.0_f32] {
+            assert!((exp2_negative(y) / (-y).exp2() - 1.0).abs() < 1e-6);
+        }
+    }
+}

@@ -1,0 +1,192 @@
+//! The models against a known world, and the slope against a numerical one.
+
+use super::*;
+use crate::learner::test_specs::arm;
+use crate::learner::{LearnerConfig, ModelBasis, Rule};
+use crate::policy::Exploration;
+
+fn spec(basis: ModelBasis) -> LearnerSpec {
+    let mut learner = LearnerConfig::preset(Rule::LearnedReward);
+    learner.model.get_or_insert_default().basis = basis;
+    LearnerSpec { learner, ..arm() }
+}
+
+fn encoder(spec: &LearnerSpec) -> Encoder {
+    Encoder::new(&spec.maps, spec.normalise)
+}
+
+/// The arm's reward, in double precision.
+fn reward(inputs: &[f32], changes: &[f32]) -> f32 {
+    let [mut x, mut y] = [-f64::from(inputs[0]), -1.0 - f64::from(inputs[1])];
+    let (mut angles, mut effort) = (0.0, 0.0);
+    for (&theta, &change) in inputs[2..6].iter().zip(changes) {
+        let theta = f64::from(theta);
+        (x, y) = (x + 0.5 * theta.cos(), y + 0.5 * theta.sin());
+        angles += theta * theta;
+        effort += f64::from(change).powi(2) * 400.0;
+    }
+    (-0.1 * (x * x + y * y + 0.025 * effort + 0.01 * angles)) as f32
+}
+
+fn draw(rng: &mut Rng) -> [f32; 6] {
+    let mut inputs: [f32; 6] = std::array::from_fn(|_| rng.random::<f32>() * 2.0 - 1.0);
+    inputs[2..].iter_mut().for_each(|x| *x *= std::f32::consts::PI);
+    inputs
+}
+
+/// A learner that has seen `ticks` states drawn from the whole box.
+fn taught(basis: ModelBasis, ticks: usize) -> LearnedReward {
+    let spec = spec(basis);
+    let mut rule = LearnedReward::of(&spec, &encoder(&spec));
+    let mut rng = stream(3, "test");
+    let mut exploration = Exploration::new(3, 0.003, 4);
+    for _ in 0..ticks {
+        let (inputs, u) = (draw(&mut rng), exploration.draw());
+        let changes: [f32; 4] = std::array::from_fn(|j| 31.4 * u[j]);
+        assert!(rule.reward.learn(&inputs, &changes, reward(&inputs, &changes), true).is_some());
+        rule.movement.learn(&u, &changes);
+    }
+    rule.reward.freeze();
+    rule
+}
+
+#[test]
+fn the_smooth_model_knows_the_arms_reward_after_as_many_ticks_as_it_has_weights() {
+    let mut rule = taught(ModelBasis::Smooth, 300);
+    assert_eq!(rule.model_size(), 263);
+    let mut rng = stream(4, "test");
+    for _ in 0..100 {
+        let inputs = draw(&mut rng);
+        let changes = [0.1, -0.2, 0.0, 0.05];
+        let (predicted, told) = (rule.reward.predict(&inputs, &changes), reward(&inputs, &changes));
+        assert!((predicted - f64::from(told)).abs() < 0.01, "{predicted} {told}");
+    }
+}
+
+#[test]
+fn maps_have_the_size_that_the_reading_states() {
+    let spec = spec(ModelBasis::Maps);
+    assert_eq!(LearnedReward::of(&spec, &encoder(&spec)).model_size(), 965);
+}
+
+/// What an imagined movement from `state` costs, in double precision where it matters.
+fn imagined_cost(rule: &mut LearnedReward, spec: &LearnerSpec, policy: &LinearPolicy, state: &[f32; 6]) -> f64 {
+    let mut encoder = encoder(spec);
+    let mut features = encoder.features();
+    let mut state = *state;
+    let mut cost = 0.0;
+    for tick in 0..rule.table.horizon {
+        encoder.encode(&state, &mut features);
+        let u = policy.mean(features.as_slice());
+        let changes: [f32; 4] =
+            std::array::from_fn(|i| rule.movement.gains[i].iter().zip(&u).map(|(b, u)| b * u).sum());
+        for (theta, change) in state[2..].iter_mut().zip(changes) {
+            *theta = wrap(*theta + change);
+        }
+        let times = if tick + 1 == rule.table.horizon { rule.table.last_counts } else { 1.0 };
+        // Effort is counted once, however often the last place is.
+        let there = rule.reward.predict(&state, &[0.0; 4]);
+        cost -= times * there + rule.reward.predict(&state, &changes) - there;
+    }
+    cost
+}
+
+#[test]
+fn the_slope_is_the_numerical_one() {
+    let spec = spec(ModelBasis::Smooth);
+    let mut rule = taught(ModelBasis::Smooth, 400);
+    let encoder = encoder(&spec);
+    let mut policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
+    let mut rng = stream(5, "test");
+    for (place, output) in (0..encoder.len()).flat_map(|place| (0..4).map(move |output| (place, output))) {
+        *policy.weights_mut().get_mut(output, place) = 0.02 * (rng.random::<f32>() - 0.5);
+    }
+    let state = [0.4, -0.3, 0.5, -1.0, 0.8, 2.0];
+    rule.champion.take(&policy, &rule.rehearsal.sights);
+    rule.rehearsal.imagine(&mut rule.champion, &mut rule.reward, &rule.movement, &state);
+    let positions = rule.rehearsal.sights.clone().map(|sight| sight.positions);
+    let slopes = rule.champion.slope.clone();
+    let cost = imagined_cost(&mut rule, &spec, &policy, &state);
+    assert!((f64::from(rule.champion.cost) - cost).abs() < 1e-3 * cost, "{} {cost}", rule.champion.cost);
+    for (sight, feature, output) in [(0, 100, 0), (0, 200, 3), (1, 5, 1), (1, 30, 2), (1, 40, 0), (1, 60, 3)] {
+        let at = positions[sight][feature];
+        let mut along = |step: f32| {
+            *policy.weights_mut().get_mut(output, at) += step;
+            let cost = imagined_cost(&mut rule, &spec, &policy, &state);
+            *policy.weights_mut().get_mut(output, at) -= step;
+            cost
+        };
+        let numerical = (along(1e-3) - along(-1e-3)) / 2e-3;
+        let slope = f64::from(slopes[sight][output * positions[sight].len() + feature]);
+        assert!((slope - numerical).abs() < 0.02 * numerical.abs() + 2e-3, "{sight} {feature}: {slope} {numerical}");
+    }
+}
+
+#[test]
+fn a_number_that_is_not_finite_stops_it() {
+    let spec = spec(ModelBasis::Smooth);
+    let encoder = encoder(&spec);
+    let mut policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
+    let mut rule = LearnedReward::of(&spec, &encoder);
+    let (features, none) = (vec![0.1; encoder.len()], [0.0; 8]);
+    let mut tick = |reward| {
+        let tick = Transition {
+            features: &features,
+            inputs: &[0.1; 6],
+            noise: &none,
+            applied: &none,
+            reward,
+            next_features: &features,
+            next_inputs: &[0.1; 6],
+        };
+        rule.learn(&mut policy, &tick);
+        rule.improve(&mut policy);
+        rule.halted()
+    };
+    assert!(!tick(-1.0));
+    assert!(tick(f32::NAN));
+    assert!(tick(-1.0));
+}
+
+#[test]
+fn it_rests_when_nothing_changes_and_wakes_when_something_does() {
+    let mut spec = spec(ModelBasis::Smooth);
+    let table = spec.learner.model.get_or_insert_default();
+    (table.rest, table.movements, table.steps, table.horizon) = (4, 1, 1, 2);
+    let encoder = encoder(&spec);
+    let mut policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
+    let mut rule = LearnedReward::of(&spec, &encoder);
+    let (mut rng, mut exploration) = (stream(6, "test"), Exploration::new(6, 0.003, 4));
+    let (features, none) = (vec![0.1; encoder.len()], [0.0; 8]);
+    let mut live = |rule: &mut LearnedReward, ticks: usize, factor: f32| {
+        let mut worked = 0;
+        for _ in 0..ticks {
+            let (inputs, applied, before) = (draw(&mut rng), exploration.draw(), policy.hash());
+            let mut next = inputs;
+            for i in 0..4 {
+                next[2 + i] = wrap(next[2 + i] + 31.4 * applied[i]);
+            }
+            let changes: [f32; 4] = std::array::from_fn(|i| 31.4 * applied[i]);
+            let tick = Transition {
+                features: &features,
+                inputs: &inputs,
+                noise: &none,
+                applied: &applied,
+                reward: factor * reward(&next, &changes),
+                next_features: &features,
+                next_inputs: &next,
+            };
+            rule.learn(&mut policy, &tick);
+            rule.improve(&mut policy);
+            worked += usize::from(policy.hash() != before);
+        }
+        worked
+    };
+    live(&mut rule, 1500, 1.0);
+    // Each tick is still heard, but hardly one is worked in.
+    assert!((1..=4).contains(&live(&mut rule, 512, 1.0)));
+    let rested = rule.unchanged;
+    assert!(rested > 1000, "{rested}");
+    assert!(live(&mut rule, 40, 1.3) > 10);
+    assert!(rule.unchanged < 40, "{}", rule.unchanged);
+}

@@ -1,0 +1,166 @@
+//! `[plant.arm]` as it stands in its file: the body, its task, what a tick is worth, and what changes on the way.
+
+use serde::{Deserialize, Serialize};
+
+use crate::serde_pairs::{pair, pairs};
+
+/// `[plant.arm]`: the planar arm of section 4.2.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ArmConfig {
+    /// Lengths of the segments, m; 1 to 8 of them.
+    pub lengths: Vec<f64>,
+    /// Position of the first joint, m.
+    #[serde(deserialize_with = "pair")]
+    pub base: [f64; 2],
+    /// What a joint's angle is measured from.
+    pub angles: Angles,
+    /// Least and greatest angle of each joint, rad, with 0 between them; empty: joints turn freely and come round.
+    #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
+    pub limits: Vec<[f64; 2]>,
+    /// One tick, one trial (the open-loop setup of section 4.2): every tick begins with all angles 0 and is moved for one
+    /// period, so that a command `u` is the posture `gain * period * u`; the inputs are the target alone.
+    pub open_loop: bool,
+    /// Angular rate for a command of 1, rad/s.
+    pub gain: f64,
+    /// Targets lie in the square from `arena[0]` to `arena[1]` on both axes, m.
+    #[serde(deserialize_with = "pair")]
+    pub arena: [f64; 2],
+    /// A new target every so many ticks; 1 in an open loop.
+    pub target_every: u64,
+    /// Given targets, m, taken in turn and from the start again; empty: drawn uniformly from what the arm, as long as it
+    /// is when the target appears, can reach with joints that turn freely.
+    #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
+    pub targets: Vec<[f64; 2]>,
+    /// What a tick costs.
+    pub reward: ArmRewardConfig,
+    /// Joints that block during the run.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub block: Vec<BlockConfig>,
+    /// Segments that change their length during the run.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub shorten: Vec<ShortenConfig>,
+    /// Axes along which targets are reported the wrong way round.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub mirror: Vec<MirrorConfig>,
+}
+
+/// What a joint's angle is measured from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Angles {
+    /// From the x axis: the direction of the joint's segment.
+    Absolute,
+    /// From the segment before, the first from the x axis: directions are running sums.
+    Relative,
+}
+
+/// `[plant.arm.reward]`: `r = -scale (|e|^2 + speed |theta_dot|^2 + angle |theta|^2 + collision c)`, in m, rad/s, rad and
+/// pairs of segments that cross. With `near`, the error's term `-|e|^2` is `max(0, near^2 - |e|^2)` instead.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ArmRewardConfig {
+    /// Factor of the whole.
+    pub scale: f64,
+    /// Weight of the squared angular rates.
+    pub speed: f64,
+    /// Weight of the squared angles.
+    pub angle: f64,
+    /// Weight of the number of pairs of segments that cross or touch; neighbours, which share a joint, are no pair.
+    pub collision: f64,
+    /// The error counts within this distance from the target alone, m, where it earns something (section 5).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub near: Option<f64>,
+}
+
+/// `[[plant.arm.block]]`: from a tick on, a joint stands still at an angle whatever is commanded.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BlockConfig {
+    /// Joint, counted from 1 at the base.
+    pub joint: usize,
+    /// First tick of the block.
+    pub tick: u64,
+    /// Angle that the joint is held at, rad.
+    #[serde(default)]
+    pub angle: f64,
+}
+
+/// `[[plant.arm.shorten]]`: from a tick on, a segment has another length.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ShortenConfig {
+    /// Segment, counted from 1 at the base.
+    pub segment: usize,
+    /// First tick with the new length.
+    pub tick: u64,
+    /// The new length, m.
+    pub length: f64,
+}
+
+/// `[[plant.arm.mirror]]`: from a tick on, a coordinate of the target is reported with the other sign. The target itself,
+/// and with it reward and error, stays where it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MirrorConfig {
+    /// The coordinate.
+    pub axis: MirrorAxis,
+    /// First tick with the other sign; a second one for the same axis turns the sign back.
+    pub tick: u64,
+}
+
+/// The coordinates of a target.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MirrorAxis {
+    /// `target_x`.
+    X,
+    /// `target_y`.
+    Y,
+}
+
+impl ArmConfig {
+    /// The length of `segment`, from 0, in `tick`, m.
+    pub fn length(&self, segment: usize, tick: u64) -> f64 {
+        let changes = self.shorten.iter().filter(|s| s.segment == segment + 1 && s.tick <= tick);
+        changes.max_by_key(|s| s.tick).map_or(self.lengths[segment], |s| s.length)
+    }
+
+    /// The arm as it is in `tick`: the same with the lengths that it has then.
+    pub fn at(&self, tick: u64) -> Self {
+        let lengths = (0..self.lengths.len()).map(|segment| self.length(segment, tick)).collect();
+        Self { lengths, shorten: Vec::new(), ..self.clone() }
+    }
+
+    /// Whether x and y of the target are reported with the other sign in `tick`.
+    pub fn mirrored(&self, tick: u64) -> [bool; 2] {
+        [MirrorAxis::X, MirrorAxis::Y]
+            .map(|axis| self.mirror.iter().filter(|m| m.axis == axis && m.tick <= tick).count() % 2 == 1)
+    }
+}
+
+impl Default for ArmConfig {
+    fn default() -> Self {
+        Self {
+            lengths: vec![0.5; 4],
+            base: [0.0, -1.0],
+            angles: Angles::Absolute,
+            limits: Vec::new(),
+            open_loop: false,
+            gain: 200.0 * std::f64::consts::PI,
+            arena: [-1.0, 1.0],
+            target_every: 80,
+            targets: Vec::new(),
+            reward: ArmRewardConfig::default(),
+            block: Vec::new(),
+            shorten: Vec::new(),
+            mirror: Vec::new(),
+        }
+    }
+}
+
+impl Default for ArmRewardConfig {
+    fn default() -> Self {
+        Self { scale: 0.1, speed: 0.025, angle: 0.01, collision: 0.0, near: None }
+    }
+}
