@@ -1,8 +1,8 @@
 //! `[plant.emulator]`: what the emulated chain of servos is like, and the checks of it. Left out, it is ideal: as fast as it is told to
 //! be, without delay, noise or faults.
 
+use super::check::{number, show};
 use super::error::{Violation, quoted};
-use super::validate::{number, show};
 use super::{EmulatorConfig, ServoFault, ServoFaultKind, limits};
 use crate::servo::model::MODELS;
 

@@ -5,9 +5,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::check::{number, show, ticks};
 use super::error::Violation;
 use super::limits;
-use super::validate::{number, show, ticks};
 use crate::wire::Role;
 
 /// `[faults]`: what goes wrong.

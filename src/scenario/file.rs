@@ -5,11 +5,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use tectum_core::serde_pairs::pairs;
-
 use super::{
-    ArmConfig, EmulatorConfig, EyeConfig, FaultsConfig, GateConfig, LearnerConfig, Noise, OverrunConfig,
-    RealtimeConfig, RestartConfig, ScenarioSource, ServosConfig, SignalConfig,
+    EncoderConfig, FaultsConfig, GateConfig, LearnerConfig, Noise, OverrunConfig, PlantConfig, RealtimeConfig,
+    RestartConfig, ScenarioSource,
 };
 
 /// A whole scenario file.
@@ -60,69 +58,6 @@ pub struct Scenario {
     /// Where the scenario came from, for messages; not a key of the file, not compared and not hashed.
     #[serde(skip)]
     pub source: ScenarioSource,
-}
-
-/// `[plant]`: the program in the plant's place, and what it says and takes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PlantConfig {
-    /// The program: a name is looked up beside `tectum` and then in `PATH`, a path is taken as it is.
-    #[serde(default = "simulator")]
-    pub program: String,
-    /// Arguments for the program, before those that the launcher adds.
-    #[serde(default)]
-    pub args: Vec<String>,
-    /// The inputs of an observation. Left out for `arm` and `eye`, which know theirs.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub inputs: Vec<SignalConfig>,
-    /// The outputs of a command. Left out for `arm` and `eye`.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub outputs: Vec<SignalConfig>,
-    /// Names of the measures, at most 6; one called `error` is reported as the error at the end of a target.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub measures: Vec<String>,
-    /// The simulator's arm.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub arm: Option<ArmConfig>,
-    /// The simulator's eye.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub eye: Option<EyeConfig>,
-    /// The servos of `tectum-bridge`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub servos: Option<ServosConfig>,
-    /// An emulated chain of servos.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub emulator: Option<EmulatorConfig>,
-}
-
-/// `[encoder]`: topographic maps, concatenated (section 3.3).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EncoderConfig {
-    /// Scale the concatenated features to unit Euclidean norm.
-    #[serde(default = "yes")]
-    pub normalise: bool,
-    /// Inputs, by name, that are features as they are, behind the maps' and never normalised.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub scalars: Vec<String>,
-    /// The maps; at most 64, with at most 65,536 units together; none only beside scalars.
-    pub maps: Vec<MapConfig>,
-}
-
-/// `[[encoder.maps]]`: one map over one or two inputs.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MapConfig {
-    /// One or two inputs by name.
-    pub inputs: Vec<String>,
-    /// Units along each input; 2 to 4096. Default 16 each.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub units: Vec<usize>,
-    /// Radius of the Gaussian kernel, in the unit of the inputs.
-    pub radius: f64,
-    /// Centre of the first and of the last unit along each input. Default: the input's range.
-    #[serde(default, deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
-    pub ranges: Vec<[f64; 2]>,
 }
 
 /// `[policy]`: `u = W g + noise` (section 3.2).
@@ -178,14 +113,6 @@ fn one() -> u64 {
 
 fn fifty() -> f64 {
     50.0
-}
-
-fn yes() -> bool {
-    true
-}
-
-fn simulator() -> String {
-    "tectum-simulator".to_owned()
 }
 
 impl Default for PolicyConfig {

@@ -8,8 +8,8 @@ use std::fmt;
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::check::{number, show};
 use super::error::Violation;
-use super::validate::{number, show};
 use super::{PlantConfig, SignalConfig, limits};
 use crate::wire::MAX_OUTPUTS;
 use tectum_core::serde_pairs::pairs;

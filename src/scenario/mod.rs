@@ -6,12 +6,16 @@
 //! number and every reference between tables and fills in what the file leaves out. Past that point nothing is checked
 //! again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions panic.
 
+mod check;
 mod emulator;
+mod encoder;
 mod error;
 mod faults;
 mod file;
 mod gate;
+mod learner;
 pub mod limits;
+mod plant;
 mod plant_signals;
 mod presets;
 mod realtime;
@@ -20,18 +24,18 @@ mod servos;
 mod source;
 mod steps;
 mod validate;
-mod validate_learner;
-mod validate_plant;
 
 #[cfg(test)]
 mod tests;
 
+pub use encoder::{EncoderConfig, MapConfig};
 pub use error::{FilePosition, ScenarioError};
 pub use faults::{
     ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsConfig, ProcessFault, ProcessFaultKind,
 };
-pub use file::*;
+pub use file::{ChannelsConfig, LogConfig, PolicyConfig, Scenario};
 pub use gate::{GateConfig, OverrunConfig, PerOutput};
+pub use plant::PlantConfig;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeConfig, RealtimeProcess};
 pub use restart::{RestartConfig, RestartPolicy};

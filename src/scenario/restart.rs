@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::check::{number, show};
 use super::error::Violation;
-use super::validate::{number, show};
 use crate::wire::Role;
 
 /// When a process that has ended is started again.

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::check::{number, show};
 use super::error::{Violation, quoted};
-use super::validate::{number, show};
 use super::{ArmConfig, PlantConfig, limits};
 use crate::servo::model::Protocol;
 

@@ -7,8 +7,8 @@
 use crate::encoder::Encoder;
 use crate::seed::stream;
 
+use super::check::show;
 use super::error::Violation;
-use super::validate::show;
 use super::{CriticFeatures, Plan, Rule};
 use rand::RngExt as _;
 

@@ -4,10 +4,10 @@ use std::ops::RangeInclusive;
 
 use super::{
     BaselineConfig, CriticConfig, LearnerConfig, ModelConfig, Rule,
+    check::{known_input, number, show},
     error::Violation,
     limits,
     plant_signals::PlantSignals,
-    validate::{known_input, number, show},
 };
 
 pub(super) fn check(learner: &LearnerConfig, signals: &PlantSignals) -> Result<(), Violation> {

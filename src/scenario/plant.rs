@@ -1,11 +1,53 @@
-//! The checks of the `[plant]` table: which tables go with which program, and the geometry of arm and eye.
+//! `[plant]` as it stands in its file, and its checks: which tables go with which program, the geometry of arm and eye, and
+//! the lists of signals.
 
 use std::f64::consts::PI;
 
+use serde::{Deserialize, Serialize};
+
+use super::check::{different, number, ordered, range_end, show, signal_name, ticks};
 use super::{
-    ArmConfig, EyeConfig, PlantConfig, error::Violation, error::quoted, limits, plant_signals::is_simulator,
-    validate::number, validate::ordered, validate::show, validate::ticks,
+    ArmConfig, EmulatorConfig, EyeConfig, ServosConfig, SignalConfig, error::Violation, error::quoted, limits,
+    plant_signals::is_simulator,
 };
+use crate::wire::MAX_MEASURES;
+
+/// `[plant]`: the program in the plant's place, and what it says and takes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlantConfig {
+    /// The program: a name is looked up beside `tectum` and then in `PATH`, a path is taken as it is.
+    #[serde(default = "simulator")]
+    pub program: String,
+    /// Arguments for the program, before those that the launcher adds.
+    #[serde(default)]
+    pub args: Vec<String>,
+    /// The inputs of an observation. Left out for `arm` and `eye`, which know theirs.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub inputs: Vec<SignalConfig>,
+    /// The outputs of a command. Left out for `arm` and `eye`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub outputs: Vec<SignalConfig>,
+    /// Names of the measures, at most 6; one called `error` is reported as the error at the end of a target.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub measures: Vec<String>,
+    /// The simulator's arm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub arm: Option<ArmConfig>,
+    /// The simulator's eye.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub eye: Option<EyeConfig>,
+    /// The servos of `tectum-bridge`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub servos: Option<ServosConfig>,
+    /// An emulated chain of servos.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub emulator: Option<EmulatorConfig>,
+}
+
+fn simulator() -> String {
+    "tectum-simulator".to_owned()
+}
 
 /// Checks the table; the lists of signals are checked where they are resolved.
 pub(super) fn check(plant: &PlantConfig) -> Result<(), Violation> {
@@ -248,4 +290,44 @@ fn eye(eye: &EyeConfig) -> Result<(), Violation> {
     number("plant.eye.distortion", eye.distortion, limits::DISTORTION, "give 0.001 to 1e6")?;
     number("plant.eye.spread", eye.spread, limits::SPREAD, "give 1e-6 to 10, in retina coordinates")?;
     number("plant.eye.bonus", eye.bonus, -limits::BONUS..=limits::BONUS, "give -1000 to 1000")
+}
+
+pub(super) fn signal_list(key: &str, signals: &[SignalConfig], most: usize) -> Result<(), Violation> {
+    if signals.is_empty() {
+        let text = "is empty; a program other than tectum-simulator lists its inputs and outputs";
+        return Err(Violation::new(key, text));
+    }
+    if signals.len() > most {
+        return Err(Violation::new(key, format_args!("has {} entries; give at most {most}", signals.len())));
+    }
+    for (i, signal) in signals.iter().enumerate() {
+        signal_name(&format!("{key}[{i}].name"), &signal.name)?;
+        let unit = &signal.unit;
+        if unit.chars().count() > limits::NAME_CHARS || unit.chars().any(char::is_control) {
+            let remedy = "give at most 32 characters, none of them a control character";
+            return Err(Violation::value(format_args!("{key}[{i}].unit"), quoted(unit), remedy));
+        }
+        let (min, max) = (signal.min, signal.max);
+        let ends = [("min", min), ("max", max)];
+        for (end, value) in ends {
+            range_end(format_args!("{key}[{i}].{end}"), value)?;
+        }
+        if min >= max {
+            let remedy = format!("give more than min, which is {}", show(min));
+            return Err(Violation::value(format_args!("{key}[{i}].max"), show(max), remedy));
+        }
+    }
+    let names: Vec<_> = signals.iter().map(|signal| signal.name.as_str()).collect();
+    different(key, ".name", &names)
+}
+
+pub(super) fn measures(names: &[String]) -> Result<(), Violation> {
+    if names.len() > MAX_MEASURES {
+        let text = format!("has {} entries; give at most {MAX_MEASURES}", names.len());
+        return Err(Violation::new("plant.measures", text));
+    }
+    for (i, name) in names.iter().enumerate() {
+        signal_name(&format!("plant.measures[{i}]"), name)?;
+    }
+    different("plant.measures", "", names)
 }
