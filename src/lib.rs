@@ -18,6 +18,7 @@ pub mod report;
 pub mod runtime;
 pub mod scenario;
 pub mod servo;
+pub mod stats;
 pub mod study;
 pub mod supervise;
 pub mod wire;

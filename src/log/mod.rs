@@ -44,12 +44,13 @@ mod repair;
 mod segments;
 mod writer;
 
+pub use crate::stats::{Percentiles, histogram};
 pub use csv::{CsvChannel, csv};
 pub use error::LogError;
 pub(crate) use header::flag_words;
 pub use header::{LogClock, LogHeader, LogSegment};
 pub use info::{ChannelInfo, LogInfo, LogState, SegmentInfo};
-pub use latency_histograms::{LatencyHistograms, Percentiles, histogram};
+pub use latency_histograms::LatencyHistograms;
 pub use message_counts::{ChannelCounts, MessageCounts};
 pub use reader::LogReader;
 pub use recovery::LogRecovery;

@@ -10,9 +10,8 @@ mod error;
 pub mod reference;
 pub mod replay;
 pub mod reproduce;
-mod spread;
 mod worker_pool;
 
+pub use crate::stats::Spread;
 pub use error::StudyError;
-pub use spread::Spread;
 pub use worker_pool::{ChildProcesses, JobProgress};

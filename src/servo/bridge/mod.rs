@@ -37,12 +37,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use hdrhistogram::Histogram;
 
 use super::bus::{Bus, BusBudget};
-use crate::log::histogram;
 use crate::plant::{Arm, JointState, Outcome, Plant};
 use crate::policy::Outputs;
-use crate::runtime::Percentiles;
 use crate::scenario::{Angles, JointConfig, Plan, ServosConfig};
 use crate::state::{Persist, StateVisitor};
+use crate::stats::{Percentiles, histogram};
 use crate::wire::{MAX_MEASURES, MAX_OUTPUTS, Vision, flag};
 use vision::VisionInput;
 

@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::stats::Percentiles;
+
 use super::safety::TripCause;
 use super::vision::VisionReport;
-use crate::runtime::Percentiles;
 
 /// Torque went off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

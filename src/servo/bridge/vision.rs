@@ -5,9 +5,8 @@
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 
-use crate::log::histogram;
-use crate::runtime::Percentiles;
 use crate::scenario::ServosConfig;
+use crate::stats::{Percentiles, histogram};
 use crate::wire::Vision;
 
 /// What the bridge's account says of the trackers.

@@ -14,16 +14,15 @@ mod cutter;
 mod error;
 pub mod log_follower;
 pub mod movement;
-mod statistics;
 mod text;
 
 use std::path::{Path, PathBuf};
 
 use serde::{Serialize, Serializer};
 
+pub use crate::stats::{Fit, Quartiles};
 pub use cutter::{LeftOut, MovementCut, MovementCutter};
 pub use error::AnalyseError;
-pub use statistics::{Fit, Quartiles};
 
 use crate::log::{LogRecord, RunLog};
 use crate::report::figure::{MovementDots, MovementsFigure, SpeedProfile};
