@@ -274,7 +274,7 @@ fn yes() -> bool {
 }
 
 fn simulator() -> String {
-    "tectum-simulator".to_owned()
+    crate::programs::SIMULATOR.to_owned()
 }
 
 impl Default for EyeConfig {

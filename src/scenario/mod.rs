@@ -9,6 +9,7 @@
 mod arm;
 mod emulator;
 mod error;
+mod exploration_loss;
 mod faults;
 mod file;
 mod gate;

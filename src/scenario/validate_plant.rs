@@ -3,9 +3,10 @@
 use std::f64::consts::PI;
 
 use super::{
-    ArmConfig, EyeConfig, PlantConfig, error::Violation, error::quoted, limits, plant_signals::is_simulator,
-    validate::number, validate::ordered, validate::show, validate::ticks,
+    ArmConfig, EyeConfig, PlantConfig, error::Violation, error::quoted, limits, validate::number, validate::ordered,
+    validate::show, validate::ticks,
 };
+use crate::programs::is_simulator;
 
 /// Checks the table; the lists of signals are checked where they are resolved.
 pub(super) fn check(plant: &PlantConfig) -> Result<(), Violation> {
