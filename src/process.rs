@@ -1,5 +1,5 @@
-//! The `main` function of every program that joins a run: arguments, error messages and exit codes. The programs in
-//! `bins/`, and a plant of your own, consist of this function and their own loop.
+//! The `main` function of every program that joins a run: arguments, error messages and exit codes. The
+//! programs in `bins/`, and a plant of your own, consist of this function and their own loop.
 //!
 //! ```no_run
 //! use std::process::ExitCode;
@@ -35,8 +35,8 @@ struct Arguments {
     json: bool,
 }
 
-/// Runs one process of a run: parses the command line, joins the run as `role`, and calls `work`. `about` is one sentence
-/// for `--help`. The exit code is that of the error ([`RuntimeError::exit_code`]), or success.
+/// Runs one process of a run: parses the command line, joins the run as `role`, and calls `work`. `about` is
+/// one sentence for `--help`. The exit code is that of the error ([`RuntimeError::exit_code`]), or success.
 pub fn main<R: Serialize>(
     role: Role,
     about: &'static str,
@@ -70,8 +70,8 @@ pub fn main<R: Serialize>(
     }
 }
 
-/// Writes a line to standard error. Unlike `eprintln!`, it does not panic when standard error cannot be written (a full
-/// disk, a reader that has left), so that the process still ends as intended.
+/// Writes a line to standard error. Unlike `eprintln!`, it does not panic when standard error cannot be written
+/// (a full disk, a reader that has left), so that the process still ends as intended.
 pub fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 /// The folder of all runs that name no folder of their own.
 pub(crate) const RUNS: &str = "runs";
 
-/// Finds the run called `given`, which is a path or a name under `runs/`. The result is `runs/<given>` if only that one
-/// satisfies `exists`, and otherwise `given` itself.
+/// Finds the run called `given`, which is a path or a name under `runs/`. The result is `runs/<given>` if only
+/// that one satisfies `exists`, and otherwise `given` itself.
 pub(crate) fn find(given: &Path, exists: impl Fn(&Path) -> bool) -> PathBuf {
     let named = Path::new(RUNS).join(given);
     if !exists(given) && exists(&named) { named } else { given.to_owned() }

@@ -1,10 +1,10 @@
-//! Which processes have a file mapped. This tells shared memory in use from shared memory that a dead process left
-//! behind.
+//! Which processes have a file mapped. This tells shared memory in use from shared memory that a dead process
+//! left behind.
 
 use std::path::Path;
 
-/// The sorted ids of the processes that have a file mapped whose path begins with `prefix`. Processes of other users are
-/// left out, because their maps cannot be read.
+/// The sorted ids of the processes that have a file mapped whose path begins with `prefix`. Processes of other
+/// users are left out, because their maps cannot be read.
 pub(crate) fn processes_mapping(prefix: &Path) -> Vec<u32> {
     let Ok(processes) = std::fs::read_dir("/proc") else { return Vec::new() };
     let prefix = prefix.as_os_str().to_string_lossy().into_owned();

@@ -1,9 +1,10 @@
-//! The operating system's limits on real-time priority and locked memory for this process, and how to raise them.
+//! The operating system's limits on real-time priority and locked memory for this process, and how to raise
+//! them.
 
 use rustix::process::{Resource, getrlimit};
 
-/// The most memory that this process may lock, bytes; `None` where there is no limit, or where it does not bind this
-/// process.
+/// The most memory that this process may lock, bytes; `None` where there is no limit, or where it does not bind
+/// this process.
 pub(crate) fn lock_limit() -> Option<u64> {
     /// CAP_IPC_LOCK of `linux/capability.h`.
     const IPC_LOCK: u32 = 14;

@@ -1,8 +1,9 @@
-//! The operating-system boundary: time, signals, handles on other processes, real-time scheduling, and facts about the
-//! machine.
+//! The operating-system boundary: time, signals, handles on other processes, real-time scheduling, and facts
+//! about the machine.
 //!
-//! Only this module and `channel` ask the operating system for the time or sleep. The loops take a [`TimeSource`], which
-//! is real (absolute deadlines on CLOCK_MONOTONIC) or stepped (the tick's own virtual time).
+//! Only this module and `channel` ask the operating system for the time or sleep. The loops take a
+//! [`TimeSource`], which is real (absolute deadlines on CLOCK_MONOTONIC) or stepped (the tick's own virtual
+//! time).
 
 mod holders;
 mod limits;
@@ -34,8 +35,8 @@ pub(crate) fn wall_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::Realtime))
 }
 
-/// Sleeps until the absolute instant `at` on CLOCK_MONOTONIC, ns; returns at once if it has passed. A signal ends the
-/// sleep early, so callers check their flags and call again.
+/// Sleeps until the absolute instant `at` on CLOCK_MONOTONIC, ns; returns at once if it has passed. A signal
+/// ends the sleep early, so callers check their flags and call again.
 pub(crate) fn sleep_until(at: u64) {
     // The result tells only whether a signal interrupted the sleep. Callers find that out from the clock.
     let _ = clock_nanosleep_absolute(ClockId::Monotonic, &timespec(at));
@@ -49,8 +50,8 @@ pub fn pause(ns: u64) {
     }
 }
 
-/// Sets the calling thread's timer slack to 1 ns. With the default slack of an ordinary thread, timers fire up to 50 us
-/// late.
+/// Sets the calling thread's timer slack to 1 ns. With the default slack of an ordinary thread, timers fire up
+/// to 50 us late.
 pub fn precise_timers() {
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
 }

@@ -1,5 +1,5 @@
-//! A handle on another process, to see whether it has ended and to signal it. A pidfd avoids the race in which the
-//! system gives a process id to a new process.
+//! A handle on another process, to see whether it has ended and to signal it. A pidfd avoids the race in which
+//! the system gives a process id to a new process.
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::OwnedFd;

@@ -1,10 +1,10 @@
 //! Real-time settings of a process: they are requested from the operating system and then read back.
 //!
-//! A request that succeeds proves little. The kernel drops cores from a set without an error, and a memory lock may cover
-//! present memory but not future allocations. So every setting is read back from the kernel (`/proc`, the affinity mask).
-//! A setting that does not hold as requested becomes a [`RealtimeRefusal`] with its remedy. A refusal never ends a run.
-//! Requests apply to the calling thread, which must be the thread that runs the loop. The memory lock applies to the
-//! whole process.
+//! A request that succeeds proves little. The kernel drops cores from a set without an error, and a memory lock
+//! may cover present memory but not future allocations. So every setting is read back from the kernel (`/proc`,
+//! the affinity mask). A setting that does not hold as requested becomes a [`RealtimeRefusal`] with its remedy.
+//! A refusal never ends a run. Requests apply to the calling thread, which must be the thread that runs the
+//! loop. The memory lock applies to the whole process.
 
 use std::hint::black_box;
 use std::num::NonZeroU64;
@@ -80,9 +80,9 @@ pub struct RealtimeRefusal {
 }
 
 impl RealtimeReport {
-    /// Requests all settings in `asked`, and reports which of them are in force. `table` is the place of the settings in
-    /// the scenario (`realtime.plant`), for the remedies. The thread that runs the loop must call it, after it has
-    /// allocated most of its memory.
+    /// Requests all settings in `asked`, and reports which of them are in force. `table` is the place of the
+    /// settings in the scenario (`realtime.plant`), for the remedies. The thread that runs the loop must call
+    /// it, after it has allocated most of its memory.
     pub fn request(asked: RealtimeRequest, table: &str) -> Self {
         let mut refused = Vec::new();
         refused.extend(restrict_to_cores(&asked.cores, table));
@@ -193,8 +193,8 @@ fn program() -> String {
     std::env::current_exe().map_or_else(|_| "PROGRAM".to_owned(), |path| path.display().to_string())
 }
 
-/// The system's text of an error without its number: "Operation not permitted" of "Operation not permitted (os error
-/// 1)".
+/// The system's text of an error without its number: "Operation not permitted" of "Operation not permitted (os
+/// error 1)".
 fn system_text(error: std::io::Error) -> String {
     let text = error.to_string();
     text.split(" (os error").next().unwrap_or(&text).to_owned()
@@ -231,7 +231,8 @@ fn restrict_to_cores(asked: &[u32], table: &str) -> Option<RealtimeRefusal> {
 fn lock_memory() -> Result<(), RealtimeRefusal> {
     let refusal = |why| RealtimeRefusal { what: "lock_memory".to_owned(), why, remedy: lock_remedy(&program()) };
     let limit = lock_limit();
-    // Under a limit, a process that had locked future allocations would die of its next allocation beyond the limit.
+    // Under a limit, a process that had locked future allocations would die of its next allocation beyond the
+    // limit.
     let range = if limit.is_none() { MlockAllFlags::CURRENT | MlockAllFlags::FUTURE } else { MlockAllFlags::CURRENT };
     mlockall(range).map_err(|error| refusal(system_text(error.into())))?;
     match limit {
@@ -280,8 +281,8 @@ fn short_stack(kib: u32, held: &RealtimeGranted) -> Option<RealtimeRefusal> {
 /// Scheduling policy and real-time priority of the calling thread, from `/proc/thread-self/stat`.
 fn scheduler() -> Option<(String, u32)> {
     let stat = std::fs::read_to_string("/proc/thread-self/stat").ok()?;
-    // The program's name may hold blanks and parentheses. Fields 3 and on follow it. Field 40 is the priority and
-    // field 41 the policy.
+    // The program's name may hold blanks and parentheses. Fields 3 and on follow it. Field 40 is the priority
+    // and field 41 the policy.
     let fields: Vec<&str> = stat.rsplit_once(") ")?.1.split_whitespace().collect();
     let (priority, policy) = (fields.get(37)?.parse().ok()?, *fields.get(38)?);
     let name = match policy {

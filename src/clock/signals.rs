@@ -1,5 +1,5 @@
-//! Signals as flags that the loops check: SIGINT and SIGTERM end a process in good order, and SIGUSR1 requests a
-//! checkpoint.
+//! Signals as flags that the loops check: SIGINT and SIGTERM end a process in good order, and SIGUSR1 requests
+//! a checkpoint.
 
 use std::sync::{
     Arc,
@@ -16,8 +16,8 @@ pub struct TerminationSignals {
 }
 
 impl TerminationSignals {
-    /// Handles SIGINT, SIGTERM and SIGUSR1 for this process. SIGXFSZ is handled too, so that a file-size limit shows as
-    /// a write error instead of killing the logger.
+    /// Handles SIGINT, SIGTERM and SIGUSR1 for this process. SIGXFSZ is handled too, so that a file-size limit
+    /// shows as a write error instead of killing the logger.
     ///
     /// # Errors
     /// When the operating system refuses the registration.

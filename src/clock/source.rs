@@ -1,8 +1,8 @@
 //! The loops' source of time: the real clock, or virtual time that the arrival of the peer's sample steps.
 //!
-//! In real time a tick begins at its absolute deadline, and a sample that has not arrived by then is missed. In stepped
-//! time a tick begins as soon as the awaited sample has arrived. The clock then reads the tick's scheduled instant, so
-//! that every time stamp is a function of the tick alone.
+//! In real time a tick begins at its absolute deadline, and a sample that has not arrived by then is missed. In
+//! stepped time a tick begins as soon as the awaited sample has arrived. The clock then reads the tick's
+//! scheduled instant, so that every time stamp is a function of the tick alone.
 
 use super::{monotonic_ns, pause, sleep_until};
 
@@ -85,9 +85,9 @@ impl TimeSource {
         }
     }
 
-    /// Waits until `tick` begins. In real time that is its deadline, and `arrived` is not called. In stepped time it is
-    /// the moment when `arrived` returns true: the peer's sample is there. `cancel` is called during the wait, at least
-    /// about every 50 ms. When it returns true, the wait is cancelled.
+    /// Waits until `tick` begins. In real time that is its deadline, and `arrived` is not called. In stepped
+    /// time it is the moment when `arrived` returns true: the peer's sample is there. `cancel` is called during
+    /// the wait, at least about every 50 ms. When it returns true, the wait is cancelled.
     pub fn await_tick(
         &mut self,
         tick: u64,
@@ -118,8 +118,8 @@ impl TimeSource {
     }
 }
 
-/// Waits for a peer that answers in microseconds and may share this core: it yields the core on every turn, and after
-/// some milliseconds sleeps between turns.
+/// Waits for a peer that answers in microseconds and may share this core: it yields the core on every turn, and
+/// after some milliseconds sleeps between turns.
 #[derive(Debug, Default)]
 pub struct Backoff {
     turns: u32,
@@ -131,8 +131,8 @@ impl Backoff {
     /// The sleep in each turn after that, ns.
     const SLEEP_NS: u64 = 50_000;
 
-    /// Waits for one turn. Returns true when the caller should check whether to cancel: on every 64th turn, and after
-    /// each sleep.
+    /// Waits for one turn. Returns true when the caller should check whether to cancel: on every 64th turn, and
+    /// after each sleep.
     #[inline]
     pub fn pause(&mut self) -> bool {
         if self.turns < Self::YIELDS {

@@ -1,8 +1,8 @@
-//! How the controller of a real-time run spends the time of its ticks: the command that the plant waits for, the learner
-//! after it, and the slack until the next tick.
+//! How the controller of a real-time run spends the time of its ticks: the command that the plant waits for,
+//! the learner after it, and the slack until the next tick.
 //!
-//! The budget is for reports only and does not influence learning. All memory is allocated at the start. A lockstep run has
-//! no budget.
+//! The budget is for reports only and does not influence learning. All memory is allocated at the start. A
+//! lockstep run has no budget.
 
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
@@ -25,16 +25,18 @@ pub struct SlackPercentiles {
 pub struct TickBudget {
     /// The tick's period, us.
     pub period_us: f64,
-    /// The plant, from waking up to having sent its observation, as in its report; null where it left no report.
+    /// The plant, from waking up to having sent its observation, as in its report; null where it left no
+    /// report.
     pub plant_us: Option<Percentiles>,
-    /// From the arrival of the observation at the controller to the sending of the command: encode, learn, draw, send.
+    /// From the arrival of the observation at the controller to the sending of the command: encode, learn,
+    /// draw, send.
     pub answer_us: Option<Percentiles>,
     /// The time that the learner took to improve the policy, after the command had been sent.
     pub learner_us: Option<Percentiles>,
     /// The learner's mean share of the period.
     pub learner_share: f64,
-    /// Ticks in which the learner still worked when the next tick was due. The command of the next tick is then late by
-    /// the remaining time, and missed if the learner takes more than another period.
+    /// Ticks in which the learner still worked when the next tick was due. The command of the next tick is then
+    /// late by the remaining time, and missed if the learner takes more than another period.
     pub learner_overruns: u64,
     /// From the end of the controller's work, including learning record and statistics, to the next tick.
     pub slack_us: Option<SlackPercentiles>,

@@ -27,9 +27,10 @@ impl CommandInbox {
         Self { expected, command: None, late: 0, failure: None, response_times: histogram(), real }
     }
 
-    /// Receives from `channel`, and returns whether the command of `tick` has arrived. Commands of other ticks are counted as
-    /// late and dropped. In lockstep only duplicates and commands of later ticks can follow the one of `tick`, so the channel
-    /// is not read again once it has arrived. Also returns true when the channel failed, to end the caller's wait.
+    /// Receives from `channel`, and returns whether the command of `tick` has arrived. Commands of other ticks
+    /// are counted as late and dropped. In lockstep only duplicates and commands of later ticks can follow the
+    /// one of `tick`, so the channel is not read again once it has arrived. Also returns true when the channel
+    /// failed, to end the caller's wait.
     pub fn poll_for(&mut self, channel: &Receiver<Command>, tick: u64) -> bool {
         while self.real || self.command.is_none() {
             match channel.receive() {

@@ -11,25 +11,27 @@ use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, flag}
 
 /// Encoder, policy and learner: the controller's half of every tick, without clock and transport.
 ///
-/// A tick has two parts. [`respond`](Self::respond) computes the command. [`after_command`](Self::after_command) and
-/// [`record`](Self::record) follow after the command has been sent.
+/// A tick has two parts. [`respond`](Self::respond) computes the command.
+/// [`after_command`](Self::after_command) and [`record`](Self::record) follow after the command has been sent.
 ///
 /// # Credit for a limited command
 ///
-/// The policy draws `u = m + n`, with the mean `m` and the noise `n` of standard deviation `sigma`. The gate applies
-/// `a = c(u)`, limited in size, step or position. Credit goes to the applied command: the rules get `a - m` in place of `n`,
-/// for whatever reason the gate limited the command. They get nothing where the hold policy chose the command, or where no
-/// gate could have made `a` from `u`: then the command was corrupted on its way, and the corrupted one was limited.
+/// The policy draws `u = m + n`, with the mean `m` and the noise `n` of standard deviation `sigma`. The gate
+/// applies `a = c(u)`, limited in size, step or position. Credit goes to the applied command: the rules get
+/// `a - m` in place of `n`, for whatever reason the gate limited the command. They get nothing where the hold
+/// policy chose the command, or where no gate could have made `a` from `u`: then the command was corrupted on
+/// its way, and the corrupted one was limited.
 ///
-/// This credit is biased. To the policy the gate is a part of the world, so `n` itself, limited or not, would give the true
-/// gradient of the expected reward, at a greater variance. The best estimate given that `u` exceeded a limit `l` is the mean
-/// of `n` there, `sigma phi(z) / (1 - Phi(z))` with `z = (l - m) / sigma` (Fujita & Maeda 2018; Chou et al. 2017 on the
-/// effect of clipping on Gaussian policies). `l - m = sigma z` is always less than that. So commands near a limit get too
-/// little credit, by `0.8 sigma` where the mean is right at the limit. As limited noise no longer has mean 0, a constant in
-/// the reward does not cancel: where the mean is beyond a limit, punishment drives it further out and reward brings it back.
-/// Rules with a baseline or a critic are hardly affected. The paper's own rule is, because its rewards are all negative.
-/// The reasons for this credit are: the applied command is what happened, the credit is bounded by the limits and not by
-/// the tails of the noise, and a model of movement and reward must learn from the same number.
+/// This credit is biased. To the policy the gate is a part of the world, so `n` itself, limited or not, would
+/// give the true gradient of the expected reward, at a greater variance. The best estimate given that `u`
+/// exceeded a limit `l` is the mean of `n` there, `sigma phi(z) / (1 - Phi(z))` with `z = (l - m) / sigma`
+/// (Fujita & Maeda 2018; Chou et al. 2017 on the effect of clipping on Gaussian policies). `l - m = sigma z` is
+/// always less than that. So commands near a limit get too little credit, by `0.8 sigma` where the mean is
+/// right at the limit. As limited noise no longer has mean 0, a constant in the reward does not cancel: where
+/// the mean is beyond a limit, punishment drives it further out and reward brings it back. Rules with a
+/// baseline or a critic are hardly affected. The paper's own rule is, because its rewards are all negative. The
+/// reasons for this credit are: the applied command is what happened, the credit is bounded by the limits and
+/// not by the tails of the noise, and a model of movement and reward must learn from the same number.
 #[derive(Debug, Clone)]
 pub struct Controller {
     /// The receiving end of the observation channel, with the scenario's faults.
@@ -106,19 +108,21 @@ impl Controller {
         Self { off_policy: true, ..self }
     }
 
-    /// The same controller with its inner loops on `path` instead of the machine's best path. The numbers are the same, bit
-    /// for bit.
+    /// The same controller with its inner loops on `path` instead of the machine's best path. The numbers are
+    /// the same, bit for bit.
     pub fn on(self, path: SimdPath) -> Self {
         Self { encoder: self.encoder.on(path), policy: self.policy.on(path), ..self }
     }
 
-    /// Learns from the observation's reward and computes the command for its inputs: mean, drawn output, tick and flags.
+    /// Learns from the observation's reward and computes the command for its inputs: mean, drawn output, tick
+    /// and flags.
     ///
-    /// Credit goes to the applied command. When the gate limited the command, the noise is the difference between the applied
-    /// command and the mean, and the rules get its score. When the command was not applied at all, or observations are
-    /// missing in between, nothing is learned and the trace is cut. An observation with a value that is not finite, or beyond
-    /// any range that a scenario may have, is answered with zero. The scenario's faults act on the observation first. When
-    /// they leave no observation of this tick, the command has the flag [`flag::UNHEARD`].
+    /// Credit goes to the applied command. When the gate limited the command, the noise is the difference
+    /// between the applied command and the mean, and the rules get its score. When the command was not applied
+    /// at all, or observations are missing in between, nothing is learned and the trace is cut. An observation
+    /// with a value that is not finite, or beyond any range that a scenario may have, is answered with zero.
+    /// The scenario's faults act on the observation first. When they leave no observation of this tick, the
+    /// command has the flag [`flag::UNHEARD`].
     pub fn respond(&mut self, observation: &Observation, command: &mut Command) {
         if self.observations.is_fault_free() {
             return self.answer(observation, command);
@@ -136,8 +140,8 @@ impl Controller {
         }
     }
 
-    /// The command for a tick without an observation. The last command of the policy stays recorded: when the next
-    /// observation arrives, one is missing in between.
+    /// The command for a tick without an observation. The last command of the policy stays recorded: when the
+    /// next observation arrives, one is missing in between.
     fn answer_unheard(&mut self, tick: u64, command: &mut Command) {
         self.report.unheard += 1;
         (self.flags, self.step) = (0, 0.0);
@@ -154,7 +158,8 @@ impl Controller {
         let invalid = !inputs.iter().fold(true, |all, x| all & (f64::from(x.abs()) <= RANGE));
         let mut drawn = [0.0; MAX_OUTPUTS];
         if !invalid {
-            // Drawn first, because it is a long chain of dependent operations that the others need not wait for.
+            // Drawn first, because it is a long chain of dependent operations that the others need not wait
+            // for.
             drawn = self.exploration.draw();
             self.encoder.encode(inputs, &mut self.next);
         }
@@ -195,9 +200,9 @@ impl Controller {
         self.noise = [0.0; MAX_OUTPUTS];
     }
 
-    /// Whether a gate could have made `applied` from the policy's command. The limits of size, ramp and position move a
-    /// command towards zero, and the step limit moves it towards the previously applied one, so it must lie between these.
-    /// Otherwise the gate limited a corrupted command.
+    /// Whether a gate could have made `applied` from the policy's command. The limits of size, ramp and
+    /// position move a command towards zero, and the step limit moves it towards the previously applied one, so
+    /// it must lie between these. Otherwise the gate limited a corrupted command.
     fn gate_could_apply(&self, applied: &Outputs) -> bool {
         let drawn = self.mean.iter().zip(&self.noise).map(|(mean, noise)| mean + noise);
         drawn.zip(&self.applied_before).zip(applied).all(|((drawn, &before), &applied)| {
@@ -206,8 +211,8 @@ impl Controller {
         })
     }
 
-    /// Learns from the observation's reward, or cuts the trace. Returns true if `mean` is now the policy's mean for the next
-    /// features, because the rule has computed it in the same pass.
+    /// Learns from the observation's reward, or cuts the trace. Returns true if `mean` is now the policy's mean
+    /// for the next features, because the rule has computed it in the same pass.
     fn learn(&mut self, observation: &Observation, invalid: bool) -> bool {
         let flags = observation.header.flags;
         self.flags = 0;
@@ -246,7 +251,8 @@ impl Controller {
         }
     }
 
-    /// The work after the command has been sent: improves the policy, and adds the observation to the statistics.
+    /// The work after the command has been sent: improves the policy, and adds the observation to the
+    /// statistics.
     pub fn after_command(&mut self, observation: &Observation) {
         self.rule.improve(&mut self.policy);
         if self.rule.halted() {

@@ -1,10 +1,11 @@
-//! The controller's loop: receives observations, sends commands and learning records, and keeps its state in the crash store.
+//! The controller's loop: receives observations, sends commands and learning records, and keeps its state in
+//! the crash store.
 //!
-//! Every observation is appended to the crash store's journal before it is answered, and the whole state is stored every
-//! [`SAVE_EVERY`] observations. A controller that is restarted after a SIGKILL restores the newest complete state and replays
-//! the observations of the journal since then. As its state is a function of its observations alone, that is exactly the
-//! state in which it died. It then sends its last command and learning record again, under the same sequence numbers.
-//! Receivers that have received them drop them.
+//! Every observation is appended to the crash store's journal before it is answered, and the whole state is
+//! stored every [`SAVE_EVERY`] observations. A controller that is restarted after a SIGKILL restores the newest
+//! complete state and replays the observations of the journal since then. As its state is a function of its
+//! observations alone, that is exactly the state in which it died. It then sends its last command and learning
+//! record again, under the same sequence numbers. Receivers that have received them drop them.
 
 use std::time::Duration;
 
@@ -73,8 +74,8 @@ impl ControllerLoopState {
         self.record(observation);
     }
 
-    /// Restores the state from the crash store, or from the checkpoint with which the run resumes, if there is one. Returns
-    /// true if it was the crash store: the process has been restarted.
+    /// Restores the state from the crash store, or from the checkpoint with which the run resumes, if there is
+    /// one. Returns true if it was the crash store: the process has been restarted.
     fn restore(&mut self, crash_store: &mut CrashStore, participant: &Participant) -> Result<bool, RuntimeError> {
         if let Some((_, bytes)) = crash_store.newest() {
             if !state::load(self, bytes) {
@@ -140,7 +141,8 @@ impl Persist for ControllerLoopState {
     }
 }
 
-/// Longest sleep while waiting for an observation in real time: the longest time until the end of a run is noticed.
+/// Longest sleep while waiting for an observation in real time: the longest time until the end of a run is
+/// noticed.
 const WAKE_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// The controller's loop.
@@ -155,7 +157,8 @@ pub fn run_controller(participant: Participant) -> Result<ControllerReport, Runt
     controller_loop.finish()
 }
 
-/// The loop in progress. Fields are dropped in this order, so that a loop that fails publishes so before its ports close.
+/// The loop in progress. Fields are dropped in this order, so that a loop that fails publishes so before its
+/// ports close.
 struct ControllerLoop {
     /// In real time only.
     meter: Option<BudgetMeter>,
@@ -178,7 +181,8 @@ impl ControllerLoop {
         let mut crash_store = participant.crash_store(state::size(&mut state), [JOURNAL, size_of::<Observation>()])?;
         let restarted = state.restore(&mut crash_store, &participant)?;
         let writer = participant.checkpoint_writer()?;
-        // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the logger.
+        // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the
+        // logger.
         let (session, time) = participant.begin(status_board, || {
             Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 2 && ports.learning.connect()? >= 1)
         })?;
@@ -215,8 +219,8 @@ impl ControllerLoop {
     fn await_observation(&mut self) -> Result<Option<Observation>, RuntimeError> {
         let mut backoff = Backoff::default();
         loop {
-            // Read before the channel is, so that samples sent before the plant finished are still received. A plant that
-            // failed may be restarted; the launcher decides that.
+            // Read before the channel is, so that samples sent before the plant finished are still received. A
+            // plant that failed may be restarted; the launcher decides that.
             let finished = self.ports.plant.get().state() == ProcessState::Finished;
             if let Some(mut newest) = self.ports.observation.receive()? {
                 // After a stall only the newest observation counts. The sequence numbers show the skipped ones.
@@ -238,7 +242,8 @@ impl ControllerLoop {
         }
     }
 
-    /// One tick: answers an observation, then learns from it. An observation that was answered before is answered again.
+    /// One tick: answers an observation, then learns from it. An observation that was answered before is
+    /// answered again.
     fn run_tick(&mut self, observation: &Observation) -> Result<(), RuntimeError> {
         if self.session.interrupted() {
             self.session.check()?;
@@ -253,7 +258,8 @@ impl ControllerLoop {
         self.after_command(observation, arrived, answered, checkpoint)
     }
 
-    /// Computes and sends the command. Returns the instants at which the observation had arrived and the command was sent.
+    /// Computes and sends the command. Returns the instants at which the observation had arrived and the
+    /// command was sent.
     fn answer(&mut self, observation: &Observation) -> Result<(u64, u64), RuntimeError> {
         let header = &observation.header;
         self.time.step_to(header.tick);
@@ -267,8 +273,8 @@ impl ControllerLoop {
         Ok((arrived, self.time.now()))
     }
 
-    /// The work for which the plant does not wait: improves the policy, sends the learning record, saves the state, and
-    /// publishes the status.
+    /// The work for which the plant does not wait: improves the policy, sends the learning record, saves the
+    /// state, and publishes the status.
     fn after_command(
         &mut self,
         observation: &Observation,

@@ -11,7 +11,8 @@ pub mod exit {
     pub const OK: u8 = 0;
     /// An error that no other code covers.
     pub const ERROR: u8 = 1;
-    /// Bad input: arguments, scenario, folder, or a disk without room, including one that fills up during the run.
+    /// Bad input: arguments, scenario, folder, or a disk without room, including one that fills up during the
+    /// run.
     pub const INPUT: u8 = 2;
     /// A process does not fit the run that it should join.
     pub const MISMATCH: u8 = 3;
@@ -74,8 +75,8 @@ pub enum RuntimeError {
     /// The plant could not keep its deadlines.
     #[error(
         "the plant passed over {overruns} ticks in a row up to tick {tick}, and {most} are allowed \
-         (`max_consecutive` under [overrun]); give it more than {period_ms} ms a tick, a priority and a core of its own \
-         under [realtime], or a machine with less to do"
+         (`max_consecutive` under [overrun]); give it more than {period_ms} ms a tick, a priority and a core of its \
+         own under [realtime], or a machine with less to do"
     )]
     Overrun {
         /// Ticks skipped in a row.

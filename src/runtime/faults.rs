@@ -1,14 +1,15 @@
-//! Channel faults on demand (`[faults]`): a receiver gets other samples than were sent, and the same ones in every run.
+//! Channel faults on demand (`[faults]`): a receiver gets other samples than were sent, and the same ones in
+//! every run.
 //!
-//! A [`FaultyChannel`] is placed where samples are received: by the controller for observations, by the plant for commands,
-//! by the logger for learning records. In each tick one sample or none enters, and none, one or more leave. The transport
-//! itself is not affected. So lockstep works, the log has the samples that were sent, and a run in one process has the same
-//! faults as a run of three processes, and as its replay. The header of a sample has its tick; receivers find out from it
-//! which samples are late.
+//! A [`FaultyChannel`] is placed where samples are received: by the controller for observations, by the plant
+//! for commands, by the logger for learning records. In each tick one sample or none enters, and none, one or
+//! more leave. The transport itself is not affected. So lockstep works, the log has the samples that were sent,
+//! and a run in one process has the same faults as a run of three processes, and as its replay. The header of a
+//! sample has its tick; receivers find out from it which samples are late.
 //!
-//! Whether a fault occurs in a tick depends on a hash of the run's seed, the fault's index in the scenario's list and the
-//! tick, not on a generator. So an additional fault changes no other fault, and the only state of a channel is its delayed
-//! samples.
+//! Whether a fault occurs in a tick depends on a hash of the run's seed, the fault's index in the scenario's
+//! list and the tick, not on a generator. So an additional fault changes no other fault, and the only state of
+//! a channel is its delayed samples.
 
 use xxhash_rust::xxh3::xxh3_64_with_seed;
 
@@ -16,8 +17,8 @@ use crate::scenario::{ChannelFault, FaultChannel, FaultKind, FaultValue, Plan};
 use crate::state::{Persist, StateVisitor};
 use crate::wire::{Command, Learning, Observation, Sample};
 
-/// Limit on delayed samples in a channel. With more, the sample that has been delayed for longest is lost. One fault delays
-/// at most 16 samples, so only three or more faults with long delays can reach the limit.
+/// Limit on delayed samples in a channel. With more, the sample that has been delayed for longest is lost. One
+/// fault delays at most 16 samples, so only three or more faults with long delays can reach the limit.
 const MAX_DELAYED: usize = 32;
 
 /// A sample whose channel can have faults.
@@ -113,8 +114,8 @@ impl<T: Faultable> FaultyChannel<T> {
         self.faults.is_empty()
     }
 
-    /// One tick: `sample` enters the channel, and `receive` is called with each sample that leaves it, in order. Ticks must
-    /// increase from call to call.
+    /// One tick: `sample` enters the channel, and `receive` is called with each sample that leaves it, in
+    /// order. Ticks must increase from call to call.
     pub fn pass(&mut self, tick: u64, sample: Option<&T>, mut receive: impl FnMut(&T)) {
         if self.is_fault_free() {
             sample.map(receive);
@@ -142,8 +143,8 @@ impl<T: Faultable> FaultyChannel<T> {
         self.remove_delivered(tick);
     }
 
-    /// Applies the faults that occur in `tick` to the sample that enters. Returns by how many ticks they delay it, and
-    /// whether it then leaves after the sample of that tick.
+    /// Applies the faults that occur in `tick` to the sample that enters. Returns by how many ticks they delay
+    /// it, and whether it then leaves after the sample of that tick.
     fn apply_faults(&mut self, tick: u64, present: &mut Option<T>) -> (u64, bool) {
         let (mut delay, mut behind) = (0, false);
         for i in 0..self.faults.len() {
@@ -358,7 +359,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { cases: 100, failure_persistence: None, ..ProptestConfig::default() })]
 
-        /// With any faults, no sample leaves before its tick, and a channel that is restored in mid-run continues identically.
+        /// With any faults, no sample leaves before its tick, and a channel that is restored in mid-run
+        /// continues identically.
         #[test]
         fn no_sample_is_early_and_a_restored_channel_continues(faults in prop::collection::vec(any_fault(), 1..6)) {
             let mut original = channel(&faults.concat());

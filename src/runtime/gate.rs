@@ -1,22 +1,25 @@
 //! The gate between commands and actuators: hold policy and limits, independent of who sends the commands.
 //!
-//! Invariant I7: for any command (none, late, not a number, huge), the applied command is finite and within limits. In each
-//! tick the gate starts from the *wanted* command: the one that arrived, or, without one, the hold policy's (hold the last
-//! command, then decay it to zero, then zero). It then limits each output by itself:
+//! Invariant I7: for any command (none, late, not a number, huge), the applied command is finite and within
+//! limits. In each tick the gate starts from the *wanted* command: the one that arrived, or, without one, the
+//! hold policy's (hold the last command, then decay it to zero, then zero). It then limits each output by
+//! itself:
 //!
-//! 1. *Rate.* A command is limited to `max_command` in magnitude. In a *ramp* it is limited to a share of that, which grows
-//!    from `1 / (ramp_ticks + 1)` to 1 by one step per command. A ramp starts when commands start to arrive, or arrive again
-//!    after the gate has begun to let the last one decay.
-//! 2. *Step.* The applied command differs by at most `max_step` from the one applied in the previous tick, also in hold,
-//!    decay and stop.
-//! 3. *Position.* Only the part of the command that does not carry the joint beyond its limits is applied. A joint that is
-//!    already outside (pushed, or started there) may stay or return, and goes no further out. A joint whose position is not
-//!    known does not move.
+//! 1. *Rate.* A command is limited to `max_command` in magnitude. In a *ramp* it is limited to a share of that,
+//!    which grows from `1 / (ramp_ticks + 1)` to 1 by one step per command. A ramp starts when commands start
+//!    to arrive, or arrive again after the gate has begun to let the last one decay.
+//! 2. *Step.* The applied command differs by at most `max_step` from the one applied in the previous tick, also
+//!    in hold, decay and stop.
+//! 3. *Position.* Only the part of the command that does not carry the joint beyond its limits is applied. A
+//!    joint that is already outside (pushed, or started there) may stay or return, and goes no further out. A
+//!    joint whose position is not known does not move.
 //!
-//! Where two limits conflict, position goes before step, and step before ramp. The rate limit always holds, because zero and
-//! the previous tick's command are within it. Zero never carries a joint anywhere, so there is always a command to apply.
+//! Where two limits conflict, position goes before step, and step before ramp. The rate limit always holds,
+//! because zero and the previous tick's command are within it. Zero never carries a joint anywhere, so there is
+//! always a command to apply.
 //!
-//! [`Controller`](super::Controller#credit-for-a-limited-command) documents what is learned from a limited command.
+//! [`Controller`](super::Controller#credit-for-a-limited-command) documents what is learned from a limited
+//! command.
 
 use crate::plant::JointState;
 use crate::policy::Outputs;
@@ -30,8 +33,8 @@ pub struct Applied {
     /// The command for the actuators. Outputs beyond the plant's are 0.
     pub command: Outputs,
     /// The gate's actions as bits of [`flag`]: [`flag::MISSED`] with one of `HELD`, `DECAYED` and `STOPPED`;
-    /// [`flag::NON_FINITE`]; and [`flag::CLAMPED`], with `RAMPED`, `STEP_LIMITED` and `POSITION_LIMITED` where one of these
-    /// limits applied.
+    /// [`flag::NON_FINITE`]; and [`flag::CLAMPED`], with `RAMPED`, `STEP_LIMITED` and `POSITION_LIMITED` where
+    /// one of these limits applied.
     pub flags: u32,
 }
 
@@ -87,16 +90,16 @@ impl Gate {
         }
     }
 
-    /// The ranges of commands that the position limits leave in the current state of the joints; `None` without position
-    /// limits, and then `joints` is not called. When `joints` returns `None`, no joint may move.
+    /// The ranges of commands that the position limits leave in the current state of the joints; `None` without
+    /// position limits, and then `joints` is not called. When `joints` returns `None`, no joint may move.
     pub fn command_ranges(&self, joints: impl FnOnce() -> Option<JointState>) -> Option<CommandRanges> {
         let positions = self.positions.as_ref()?;
         let ranges = |joints: JointState| std::array::from_fn(|output| joints.command_range(output, positions[output]));
         Some(joints().map_or([[0.0; 2]; MAX_OUTPUTS], ranges))
     }
 
-    /// One tick: takes the command that arrived for it, or `None`, and the ranges that the position limits leave
-    /// ([`Gate::command_ranges`]). A command with a value that is not finite counts as none.
+    /// One tick: takes the command that arrived for it, or `None`, and the ranges that the position limits
+    /// leave ([`Gate::command_ranges`]). A command with a value that is not finite counts as none.
     pub fn pass(&mut self, command: Option<&Outputs>, ranges: Option<&CommandRanges>) -> Applied {
         let finite = |command: &&Outputs| command[..self.outputs].iter().all(|u| u.is_finite());
         let arrived = command.filter(finite);
@@ -149,8 +152,8 @@ impl Gate {
         (wanted, flags)
     }
 
-    /// The wanted command for a tick without one: the last command for `hold` ticks, then decaying to zero over `decay`
-    /// ticks, then zero.
+    /// The wanted command for a tick without one: the last command for `hold` ticks, then decaying to zero over
+    /// `decay` ticks, then zero.
     fn hold_policy(&mut self) -> (Outputs, u32) {
         self.missing = self.missing.saturating_add(1);
         let (share, flags) = if self.missing <= self.hold {
@@ -186,9 +189,9 @@ fn step_range(from: f32, by: f32) -> CommandRange {
 impl JointState {
     /// The range of commands that do not carry joint `output` beyond its limits, rad. It always contains 0.
     ///
-    /// With the position `p` and the travel `k`, the joint moves to `p + k u`. That must lie between the limits, or, for a
-    /// joint outside them, between its position and the far limit. A margin of 1e-6 of the largest angle covers the rounding
-    /// of the sum to single precision in the plant.
+    /// With the position `p` and the travel `k`, the joint moves to `p + k u`. That must lie between the
+    /// limits, or, for a joint outside them, between its position and the far limit. A margin of 1e-6 of the
+    /// largest angle covers the rounding of the sum to single precision in the plant.
     fn command_range(&self, output: usize, [low, high]: [f64; 2]) -> CommandRange {
         let (p, k) = (f64::from(self.position[output]), f64::from(self.travel[output]));
         if !(p.is_finite() && k.is_finite()) {

@@ -1,5 +1,5 @@
-//! Runs plant and controller in one process, without transport and log, for studies. Beside lockstep and real time it is
-//! the third way to run a tick.
+//! Runs plant and controller in one process, without transport and log, for studies. Beside lockstep and real
+//! time it is the third way to run a tick.
 
 use super::{Controller, ControllerReport, PlantReport, PlantSide, RunStatistics};
 use crate::plant::Plant;
@@ -15,8 +15,9 @@ pub struct InProcess {
     pub controller: ControllerReport,
 }
 
-/// Runs `plan` with the plant `body`: the same ticks in the same order as three processes in lockstep. `watch` is called
-/// every 4096 ticks with the ticks done and the statistics so far. When it returns false, the run ends there.
+/// Runs `plan` with the plant `body`: the same ticks in the same order as three processes in lockstep. `watch`
+/// is called every 4096 ticks with the ticks done and the statistics so far. When it returns false, the run
+/// ends there.
 pub fn in_process<P: Plant>(plan: &Plan, body: P, mut watch: impl FnMut(u64, &RunStatistics) -> bool) -> InProcess {
     in_process_seen(plan, body, |observation, controller| {
         let tick = observation.header.tick;
@@ -24,8 +25,8 @@ pub fn in_process<P: Plant>(plan: &Plan, body: P, mut watch: impl FnMut(u64, &Ru
     })
 }
 
-/// Like [`in_process`], with a call of `see` in every tick: it gets the observation before the controller answers it. When
-/// it returns false, the run ends there.
+/// Like [`in_process`], with a call of `see` in every tick: it gets the observation before the controller
+/// answers it. When it returns false, the run ends there.
 pub fn in_process_seen<P: Plant>(
     plan: &Plan,
     body: P,

@@ -1,8 +1,9 @@
 //! The logger's loop: receives all samples of the run, merges them by tick, and writes them into one log.
 //!
-//! A restarted logger writes a new segment of the log (see [`crate::log`]). It reads the existing segments, and states which
-//! samples are missing between them and the first sample that it receives. When the disk is full, it continues to receive, so
-//! that no process waits for it in vain, and closes the log with a statement of the samples that are missing.
+//! A restarted logger writes a new segment of the log (see [`crate::log`]). It reads the existing segments, and
+//! states which samples are missing between them and the first sample that it receives. When the disk is full,
+//! it continues to receive, so that no process waits for it in vain, and closes the log with a statement of the
+//! samples that are missing.
 
 use super::faults::FaultyChannel;
 use super::merge::{LogMerger, MergeOutcome};
@@ -44,8 +45,9 @@ impl SenderProgress {
 /// The logger's loop.
 ///
 /// # Errors
-/// When the process does not fit the run, the log cannot be created, or the run ends abnormally. The log is closed wherever
-/// that is possible. A log that can no longer be written is no error of the loop; the report states it.
+/// When the process does not fit the run, the log cannot be created, or the run ends abnormally. The log is
+/// closed wherever that is possible. A log that can no longer be written is no error of the loop; the report
+/// states it.
 pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError> {
     let (mut ports, status_board) = participant.open(LoggerPorts::open)?;
     let (mut session, time) = participant.begin(status_board, || {
@@ -81,7 +83,8 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
     Ok(report)
 }
 
-/// What the log already contains: the segments of earlier incarnations, behind the point at which the run resumes.
+/// What the log already contains: the segments of earlier incarnations, behind the point at which the run
+/// resumes.
 fn recover(session: &Session) -> LogRecovery {
     let participant = &session.participant;
     let period_ns = participant.plan.period_ns;
@@ -102,7 +105,8 @@ fn open_log(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> Re
     let header = header(session, time, recovered);
     let log = LogWriter::create(&segment_path(&session.participant.folder, session.incarnation()), &header);
     match log {
-        // A log exists already. Without room for another segment, the run goes on, so that nothing waits for the logger.
+        // A log exists already. Without room for another segment, the run goes on, so that nothing waits for
+        // the logger.
         Err(error) if session.incarnation() > 0 && error.is_full() => {
             Ok(LogMerger::new(Err(error), recovered, header.every, time.is_real()))
         }
@@ -110,8 +114,8 @@ fn open_log(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> Re
     }
 }
 
-/// In lockstep the plant waits for the logger, so lost samples are a bug of this program, unless a process was restarted, the
-/// disk was full, or the scenario injects faults.
+/// In lockstep the plant waits for the logger, so lost samples are a bug of this program, unless a process was
+/// restarted, the disk was full, or the scenario injects faults.
 fn check_losses(session: &Session, time: &TimeSource, report: &LoggerReport) -> Result<(), RuntimeError> {
     let restarted = Role::ALL.iter().any(|&role| session.incarnation_of(role) > 0);
     let faulty =
@@ -132,8 +136,8 @@ fn follow(
     session: &mut Session,
     time: &TimeSource,
 ) -> Result<(), RuntimeError> {
-    // No process waits for a particular sample to be logged, so the logger polls instead of being woken: often enough to
-    // stay far from the end of its buffer, and seldom enough to cost nothing.
+    // No process waits for a particular sample to be logged, so the logger polls instead of being woken: often
+    // enough to stay far from the end of its buffer, and seldom enough to cost nothing.
     let real = time.is_real();
     let poll_ns = if real { session.participant.plan.period_ns.clamp(200_000, 50_000_000) } else { 200_000 };
     // In real time a sample may never arrive. Its tick is then written without it after two periods.
@@ -160,8 +164,8 @@ fn follow(
     }
 }
 
-/// Writes all samples that have arrived and flushes them, so that a kill after the status is published loses none of them.
-/// Returns false when none had arrived.
+/// Writes all samples that have arrived and flushes them, so that a kill after the status is published loses
+/// none of them. Returns false when none had arrived.
 fn drain(
     merger: &mut LogMerger,
     ports: &LoggerPorts,
@@ -183,8 +187,8 @@ fn drain(
     Ok(any)
 }
 
-/// The next learning record that the scenario's faults let pass. A record that they delay beyond its tick is not logged,
-/// because the log is in the order of ticks.
+/// The next learning record that the scenario's faults let pass. A record that they delay beyond its tick is
+/// not logged, because the log is in the order of ticks.
 fn receive_learning(
     channel: &Receiver<Learning>,
     faulty: &mut FaultyChannel<Learning>,

@@ -1,9 +1,9 @@
-//! Merges the samples of the three channels into one log: in the order of ticks, each sample once, with a statement of the
-//! missing ones.
+//! Merges the samples of the three channels into one log: in the order of ticks, each sample once, with a
+//! statement of the missing ones.
 //!
-//! It knows no channels and no clock: the logger's loop passes in the samples that it receives. A restarted logger continues
-//! behind the existing log ([`LogRecovery`]). When the log can no longer be written (its disk is full), the merger still
-//! consumes samples, so that no process waits for the logger.
+//! It knows no channels and no clock: the logger's loop passes in the samples that it receives. A restarted
+//! logger continues behind the existing log ([`LogRecovery`]). When the log can no longer be written (its disk
+//! is full), the merger still consumes samples, so that no process waits for the logger.
 
 use crate::log::{LatencyHistograms, LogError, LogRecord, LogRecovery, LogTotals, LogWriter};
 use crate::wire::{Gap, Header};
@@ -49,8 +49,8 @@ impl MergeInput {
         }
     }
 
-    /// Puts a sample into the empty head. Returns the gap that must be stated before it. A sample whose number is below the
-    /// expected one is dropped: it is a duplicate that a restarted process has sent again.
+    /// Puts a sample into the empty head. Returns the gap that must be stated before it. A sample whose number
+    /// is below the expected one is dropped: it is a duplicate that a restarted process has sent again.
     fn accept(&mut self, header: &Header, record: &LogRecord) -> Option<Gap> {
         if header.sequence < self.expected {
             self.duplicates += 1;
@@ -64,8 +64,8 @@ impl MergeInput {
         gap
     }
 
-    /// Counts the samples from the expected one up to but without `sequence` as lost. A log that can no longer be written
-    /// states all its missing samples at the end instead.
+    /// Counts the samples from the expected one up to but without `sequence` as lost. A log that can no longer
+    /// be written states all its missing samples at the end instead.
     fn gap_until(&mut self, sequence: u64) -> Option<Gap> {
         let (first, count) = (self.expected, sequence.saturating_sub(self.expected));
         self.expected = self.expected.max(sequence);
@@ -102,7 +102,8 @@ impl MergeInput {
 struct NextHead {
     tick: u64,
     input: usize,
-    /// No sample that belongs before it can still arrive: every other input has a later head, or is through the tick.
+    /// No sample that belongs before it can still arrive: every other input has a later head, or is through the
+    /// tick.
     settled: bool,
 }
 
@@ -163,8 +164,9 @@ impl LogMerger {
         merger
     }
 
-    /// Fills the head of input `i`, if it is empty, with the next sample from `receive`. In lockstep, all samples of ticks
-    /// before `known` had been sent before the call. Those that have not arrived will not arrive.
+    /// Fills the head of input `i`, if it is empty, with the next sample from `receive`. In lockstep, all
+    /// samples of ticks before `known` had been sent before the call. Those that have not arrived will not
+    /// arrive.
     pub fn fill<E>(
         &mut self,
         i: usize,
@@ -189,8 +191,8 @@ impl LogMerger {
         Ok(())
     }
 
-    /// Writes the first head, if no earlier sample can still arrive; with `force` in any case. Returns false when nothing
-    /// was written.
+    /// Writes the first head, if no earlier sample can still arrive; with `force` in any case. Returns false
+    /// when nothing was written.
     pub fn write_first(&mut self, force: bool) -> bool {
         let Some(NextHead { tick, input: first, settled }) = first_head(&self.inputs) else { return false };
         if !settled && !force {
@@ -230,8 +232,8 @@ impl LogMerger {
         }
     }
 
-    /// Drops a log that cannot even be closed. Part of the appended samples may be missing from the file, so the counts are
-    /// read from the file.
+    /// Drops a log that cannot even be closed. Part of the appended samples may be missing from the file, so
+    /// the counts are read from the file.
     fn abandon(&mut self) {
         let Some(log) = self.log.take() else { return };
         let path = log.path().to_owned();

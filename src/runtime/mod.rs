@@ -1,13 +1,14 @@
 //! The loops of plant, controller and logger: they join the pure halves of a tick to channels and time.
 //!
-//! Plant and controller each have an inner half without transport and clock ([`PlantSide`], [`Controller`]), which contains
-//! the whole logic of a tick, and a loop around it that waits, receives and sends. The loops run in real or stepped time.
-//! [`in_process`] joins the same two halves directly. That is why all three ways give the same numbers.
+//! Plant and controller each have an inner half without transport and clock ([`PlantSide`], [`Controller`]),
+//! which contains the whole logic of a tick, and a loop around it that waits, receives and sends. The loops run
+//! in real or stepped time. [`in_process`] joins the same two halves directly. That is why all three ways give
+//! the same numbers.
 //!
-//! The contract of a tick (`ARCHITECTURE.md` has the reasons): at tick k the plant takes the command of tick k-1, or the hold
-//! policy's when there is none. The gate limits it, and the plant advances through tick k-1 with it. Observation k contains
-//! the current inputs and the reward of tick k-1. The controller learns from that reward, encodes, draws command k and
-//! sends it.
+//! The contract of a tick (`ARCHITECTURE.md` has the reasons): at tick k the plant takes the command of tick
+//! k-1, or the hold policy's when there is none. The gate limits it, and the plant advances through tick k-1
+//! with it. Observation k contains the current inputs and the reward of tick k-1. The controller learns from
+//! that reward, encodes, draws command k and sends it.
 
 mod budget;
 mod command_inbox;

@@ -1,8 +1,9 @@
 //! Joining a run: a process finds the run, checks that it fits, and goes through the phases with the others.
 //!
-//! The launcher writes a manifest into the run's folder. A process becomes a participant by it: it reads the run's scenario,
-//! opens the run's channels (which checks schema, scenario and build), and then follows the phases on the launcher's board:
-//! ports created, ports connected, run. No process sends a first sample before all processes are connected.
+//! The launcher writes a manifest into the run's folder. A process becomes a participant by it: it reads the
+//! run's scenario, opens the run's channels (which checks schema, scenario and build), and then follows the
+//! phases on the launcher's board: ports created, ports connected, run. No process sends a first sample before
+//! all processes are connected.
 
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
@@ -93,7 +94,8 @@ impl RunManifest {
         folder.join(crate::log::LOG_FILE)
     }
 
-    /// Finds the run called `run` (a folder, or a name under `runs/`): its folder, its manifest, and its launcher.
+    /// Finds the run called `run` (a folder, or a name under `runs/`): its folder, its manifest, and its
+    /// launcher.
     pub(super) fn find(run: &Path) -> Result<(PathBuf, Self, ProcessHandle), RuntimeError> {
         let folder = run_folder::find(run, |folder| Self::path(folder).exists());
         let none = |cause: String| RuntimeError::NoRun { path: folder.display().to_string(), cause };
@@ -125,11 +127,12 @@ pub struct Participant {
 }
 
 impl Participant {
-    /// Finds the run called `run` (a folder, or a name under `runs/`) and takes `role` in it. With `scenario`, the process
-    /// reads that file instead of the run's own copy, and the handshake checks that it is the same.
+    /// Finds the run called `run` (a folder, or a name under `runs/`) and takes `role` in it. With `scenario`,
+    /// the process reads that file instead of the run's own copy, and the handshake checks that it is the same.
     ///
     /// # Errors
-    /// [`RuntimeError::NoRun`] when there is no such run or it is over, [`RuntimeError::Scenario`] for a bad scenario.
+    /// [`RuntimeError::NoRun`] when there is no such run or it is over, [`RuntimeError::Scenario`] for a bad
+    /// scenario.
     pub fn take(run: &Path, role: Role, scenario: Option<&Path>) -> Result<Self, RuntimeError> {
         let signals = TerminationSignals::install().map_err(RuntimeError::Signals)?;
         let (folder, manifest, launcher) = RunManifest::find(run)?;
@@ -139,7 +142,7 @@ impl Participant {
     }
 
     /// The identity that the handshake compares.
-    pub(crate) fn identity(&self) -> Identity {
+    pub fn identity(&self) -> Identity {
         identity(&self.plan)
     }
 
@@ -154,8 +157,8 @@ impl Participant {
         Ok(open(&self.manifest.domain, &self.identity(), &self.plan.scenario.channels)?)
     }
 
-    /// The process's crash store, for a state of `size` bytes and the last `entries[0]` journal entries of `entries[1]`
-    /// bytes each.
+    /// The process's crash store, for a state of `size` bytes and the last `entries[0]` journal entries of
+    /// `entries[1]` bytes each.
     ///
     /// # Errors
     /// When shared memory has no room for it.
@@ -189,14 +192,14 @@ impl Participant {
         CheckpointWriter::new(&self.folder, self.role).map_err(RuntimeError::Thread)
     }
 
-    /// In real time, requests the scenario's settings from the operating system. Then goes through the phases ready and
-    /// connected, and returns the time source with which the ticks begin. `connected` is called until it returns true: every
-    /// port has its peers. A restarted process calls it once, because its peers may be restarting themselves; every port
-    /// connects to peers that join later on its own.
+    /// In real time, requests the scenario's settings from the operating system. Then goes through the phases
+    /// ready and connected, and returns the time source with which the ticks begin. `connected` is called until
+    /// it returns true: every port has its peers. A restarted process calls it once, because its peers may be
+    /// restarting themselves; every port connects to peers that join later on its own.
     ///
     /// # Errors
-    /// When the run ends before it begins, or a port fails. A setting that the operating system refuses is no error; it is
-    /// in the process's [`RealtimeReport`].
+    /// When the run ends before it begins, or a port fails. A setting that the operating system refuses is no
+    /// error; it is in the process's [`RealtimeReport`].
     pub fn begin(
         self,
         status_board: StatusBoard,
@@ -256,7 +259,8 @@ fn realtime_request(process: &RealtimeProcess) -> RealtimeRequest {
     }
 }
 
-/// The number of bytes by which a process's state may grow during the run: mainly the windows of the statistics.
+/// The number of bytes by which a process's state may grow during the run: mainly the windows of the
+/// statistics.
 const GROWTH: usize = 64 << 10;
 
 /// Interval at which the phase is polled while a run is set up, ns.
@@ -313,8 +317,8 @@ impl Session {
         }
     }
 
-    /// Whether the run is ending. It is the cheap part of [`Session::end_reason`], for every tick: it checks signals and the
-    /// board without a system call.
+    /// Whether the run is ending. It is the cheap part of [`Session::end_reason`], for every tick: it checks
+    /// signals and the board without a system call.
     #[inline]
     pub fn stopping(&self) -> bool {
         self.participant.signals.received() != 0 || self.status_board.control.get().phase() >= Phase::Stop
@@ -372,7 +376,8 @@ impl Session {
         self.check()
     }
 
-    /// Leaves the run in good order: writes `report` into the run's folder, then publishes that the process has finished.
+    /// Leaves the run in good order: writes `report` into the run's folder, then publishes that the process has
+    /// finished.
     ///
     /// # Errors
     /// When the report cannot be written.

@@ -18,8 +18,8 @@ impl PeerMonitor {
         Self { role, restarting: false }
     }
 
-    /// Checks whether the process has been restarted, and moves the reader to the board page of the new incarnation. Returns
-    /// true once per restart, when all ports of the new incarnation are connected.
+    /// Checks whether the process has been restarted, and moves the reader to the board page of the new
+    /// incarnation. Returns true once per restart, when all ports of the new incarnation are connected.
     pub fn check(&mut self, board: &mut BoardReader<Status>, session: &Session) -> Result<bool, RuntimeError> {
         self.restarting |= board.set_incarnation(session.incarnation_of(self.role))?;
         let returned = self.restarting && board.get().state() >= ProcessState::Running;

@@ -14,7 +14,8 @@ pub struct PlantSide<P> {
     gate: Gate,
     /// The receiving end of the command channel, with the scenario's faults.
     commands: FaultyChannel<Command>,
-    /// The ranges that the position limits leave, where the plant cannot report its joints and a replay knows the ranges.
+    /// The ranges that the position limits leave, where the plant cannot report its joints and a replay knows
+    /// the ranges.
     known_ranges: Option<CommandRanges>,
     outputs: usize,
     outcome: Outcome,
@@ -46,7 +47,8 @@ impl<P: Plant> PlantSide<P> {
         self.commands.is_fault_free()
     }
 
-    /// Sets the ranges that the position limits leave in the following ticks, in place of those from the plant's joints.
+    /// Sets the ranges that the position limits leave in the following ticks, in place of those from the
+    /// plant's joints.
     pub(crate) fn set_command_ranges(&mut self, ranges: CommandRanges) {
         self.known_ranges = Some(ranges);
     }
@@ -86,15 +88,15 @@ impl<P: Plant> PlantSide<P> {
         self.body
     }
 
-    /// Advances the plant by `tick`, with the command that arrived for it; `None` if it was missed. A command with the flag
-    /// `UNHEARD` counts as none. The scenario's faults act on the command before the gate.
+    /// Advances the plant by `tick`, with the command that arrived for it; `None` if it was missed. A command
+    /// with the flag `UNHEARD` counts as none. The scenario's faults act on the command before the gate.
     pub fn step(&mut self, tick: u64, command: Option<&Command>) {
         self.apply(tick, command, true);
         self.finish_step(tick);
     }
 
-    /// The first half of [`step`](Self::step): determines the applied command of `tick`. With `act`, passes it on to a plant
-    /// that acts within the tick.
+    /// The first half of [`step`](Self::step): determines the applied command of `tick`. With `act`, passes it
+    /// on to a plant that acts within the tick.
     pub fn apply(&mut self, tick: u64, command: Option<&Command>, act: bool) {
         let command = command.filter(|c| c.header.flags & flag::UNHEARD == 0);
         let (mut received, mut late) = (None, 0);
@@ -130,7 +132,8 @@ impl<P: Plant> PlantSide<P> {
         self.flags = applied.flags | if late > 0 { flag::LATE } else { 0 };
     }
 
-    /// The second half of [`step`](Self::step): the tick is over. Advances the plant and keeps the tick's outcome.
+    /// The second half of [`step`](Self::step): the tick is over. Advances the plant and keeps the tick's
+    /// outcome.
     pub fn finish_step(&mut self, tick: u64) {
         self.outcome = self.body.advance(tick, &self.applied[..self.outputs]);
     }
@@ -140,7 +143,8 @@ impl<P: Plant> PlantSide<P> {
         self.body.acts_within()
     }
 
-    /// Advances the plant by the ticks from `tick` up to but without `until`, which the loop skipped because it was late.
+    /// Advances the plant by the ticks from `tick` up to but without `until`, which the loop skipped because it
+    /// was late.
     pub fn skip(&mut self, tick: u64, until: u64) {
         if self.body.acts_within().is_some() {
             // Hardware has moved through all skipped ticks by now, so it acts and is read only once.
@@ -158,8 +162,8 @@ impl<P: Plant> PlantSide<P> {
         self.report.skipped += until - tick;
     }
 
-    /// Senses at the start of `tick` and fills the observation. `more` are flags that the loop adds; `skipped` ticks were
-    /// skipped right before this one.
+    /// Senses at the start of `tick` and fills the observation. `more` are flags that the loop adds; `skipped`
+    /// ticks were skipped right before this one.
     pub fn observe(&mut self, tick: u64, more: u32, skipped: u32, observation: &mut Observation) {
         let fresh = self.body.sense(tick, &mut observation.inputs);
         let skip = if skipped > 0 { flag::SKIPPED } else { 0 };

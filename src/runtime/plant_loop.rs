@@ -1,9 +1,9 @@
 //! The plant's loop: waits for its tick and for the command, advances the plant, and sends the observation.
 //!
-//! Before each observation is sent, the observation and the plant's whole state are kept in the crash store. A plant that is
-//! restarted after a SIGKILL restores that state and sends its last observation again, under the same sequence number.
-//! Receivers that have received it drop it, and the controller answers it again. So in lockstep the restart of either process
-//! changes no result.
+//! Before each observation is sent, the observation and the plant's whole state are kept in the crash store. A
+//! plant that is restarted after a SIGKILL restores that state and sends its last observation again, under the
+//! same sequence number. Receivers that have received it drop it, and the controller answers it again. So in
+//! lockstep the restart of either process changes no result.
 
 use hdrhistogram::Histogram;
 
@@ -19,11 +19,13 @@ use crate::plant::Plant;
 use crate::state::{self, Persist, StateVisitor};
 use crate::wire::{Observation, Role, Status, flag};
 
-/// Ticks between two checks of the logger's progress. In lockstep the plant never runs ahead of the logger by more than the
-/// logger's buffer, so that no sample overflows. This flow control costs one check per so many ticks.
+/// Ticks between two checks of the logger's progress. In lockstep the plant never runs ahead of the logger by
+/// more than the logger's buffer, so that no sample overflows. This flow control costs one check per so many
+/// ticks.
 const CREDIT_TICKS: u64 = LOG_BUFFER as u64 / 4;
 
-/// Interval at which a plant that acts within the tick polls for its command, ns: far less than the bus of servos takes.
+/// Interval at which a plant that acts within the tick polls for its command, ns: far less than the bus of
+/// servos takes.
 const COMMAND_POLL_NS: u64 = 100_000;
 
 /// The plant's loop: runs `body` as the plant of the run.
@@ -56,8 +58,8 @@ impl<P: Plant> PlantLoopState<P> {
         checkpoint::encode(&participant.facts(tick, self.sent_count), self, None)
     }
 
-    /// Restores the state from the crash store, or from the checkpoint with which the run resumes, if there is one. Returns
-    /// true if it was the crash store: the process has been restarted.
+    /// Restores the state from the crash store, or from the checkpoint with which the run resumes, if there is
+    /// one. Returns true if it was the crash store: the process has been restarted.
     fn restore(&mut self, crash_store: &mut CrashStore, participant: &Participant) -> Result<bool, RuntimeError> {
         let restarted = crash_store.newest().is_some();
         if let Some((_, bytes)) = crash_store.newest() {
@@ -81,7 +83,8 @@ impl<P: Plant> Persist for PlantLoopState<P> {
     }
 }
 
-/// The loop in progress. Fields are dropped in this order, so that a loop that fails publishes so before its ports close.
+/// The loop in progress. Fields are dropped in this order, so that a loop that fails publishes so before its
+/// ports close.
 struct PlantLoop<P> {
     stopwatch: Stopwatch,
     controller: PeerMonitor,
@@ -206,8 +209,8 @@ impl<P: Plant> PlantLoop<P> {
         Ok(true)
     }
 
-    /// Waits until the tick begins: in real time until its scheduled instant, in lockstep until the command of the tick
-    /// before has arrived.
+    /// Waits until the tick begins: in real time until its scheduled instant, in lockstep until the command of
+    /// the tick before has arrived.
     fn wake(&mut self) -> Result<WakeReason, RuntimeError> {
         let (tick, real) = (self.tick, self.real);
         let mut failure = None;
@@ -219,7 +222,8 @@ impl<P: Plant> PlantLoop<P> {
                     // The next tick may be a second away.
                     return self.session.end_reason().is_some();
                 }
-                // The command is on its way, unless the controller was killed before it had received the observation.
+                // The command is on its way, unless the controller was killed before it had received the
+                // observation.
                 failure = match self.controller.check(&mut self.ports.controller, &self.session) {
                     Ok(true) if !self.advanced => {
                         self.ports.observation.send(&self.state.observation).err().map(RuntimeError::from)
@@ -251,8 +255,8 @@ impl<P: Plant> PlantLoop<P> {
         Ok(())
     }
 
-    /// Skips the ticks whose whole period has passed before the plant woke up, and returns their number. They are never made
-    /// up for in a burst.
+    /// Skips the ticks whose whole period has passed before the plant woke up, and returns their number. They
+    /// are never made up for in a burst.
     fn skip_overrun_ticks(&mut self) -> u64 {
         let due = self.time.due().min(self.ticks).max(self.tick);
         if self.real {
@@ -278,7 +282,8 @@ impl<P: Plant> PlantLoop<P> {
         self.session.publish_status();
     }
 
-    /// Counts ticks skipped in a row. Returns true when there are more than the scenario allows, so that the run ends.
+    /// Counts ticks skipped in a row. Returns true when there are more than the scenario allows, so that the
+    /// run ends.
     fn gives_up(&mut self, skipped: u64) -> bool {
         self.overruns = if skipped == 0 || self.first_after_restart { 0 } else { self.overruns + skipped };
         self.first_after_restart = false;
@@ -292,7 +297,8 @@ impl<P: Plant> PlantLoop<P> {
         gives_up
     }
 
-    /// Waits until the logger has room for the next [`CREDIT_TICKS`] ticks. Returns false when the run ends first.
+    /// Waits until the logger has room for the next [`CREDIT_TICKS`] ticks. Returns false when the run ends
+    /// first.
     fn await_logger(&mut self) -> Result<bool, RuntimeError> {
         let board: &mut BoardReader<Status> = &mut self.ports.logger;
         let mut backoff = Backoff::default();
@@ -313,8 +319,8 @@ impl<P: Plant> PlantLoop<P> {
             self.state.expected = self.inbox.expected;
             self.writer.write(self.tick, self.state.checkpoint(self.tick, &self.session.participant));
         }
-        // A checkpoint is announced one tick ahead, before the observation is sent. The controller then takes its own
-        // checkpoint after its command.
+        // A checkpoint is announced one tick ahead, before the observation is sent. The controller then takes
+        // its own checkpoint after its command.
         let requested = self.session.checkpoints_requested();
         let next = self.tick + 1;
         if requested != self.checkpoints_requested
@@ -337,8 +343,8 @@ impl<P: Plant> PlantLoop<P> {
         self.stopwatch.begin();
     }
 
-    /// Keeps the whole state with the observation in the crash store, then sends the observation. `woken` is the instant at
-    /// which the plant woke up for the tick.
+    /// Keeps the whole state with the observation in the crash store, then sends the observation. `woken` is
+    /// the instant at which the plant woke up for the tick.
     fn send(&mut self, woken: u64) -> Result<(), RuntimeError> {
         let state = &mut self.state;
         state.sent_count += 1;
@@ -356,7 +362,8 @@ impl<P: Plant> PlantLoop<P> {
         Ok(())
     }
 
-    /// For a plant that acts within the tick: waits for the tick's command, up to the plant's limit, and passes it on.
+    /// For a plant that acts within the tick: waits for the tick's command, up to the plant's limit, and passes
+    /// it on.
     fn act(&mut self) -> Result<(), RuntimeError> {
         self.acted = false;
         if let Some(within) = self.state.side.acts_within() {

@@ -1,4 +1,5 @@
-//! The reports that processes write into the run's folder when their loops are over, for the launcher's summary.
+//! The reports that processes write into the run's folder when their loops are over, for the launcher's
+//! summary.
 
 use std::fs::File;
 use std::io::Write as _;
@@ -14,7 +15,8 @@ use crate::report::Window;
 use crate::state::{Persist, StateVisitor};
 use crate::wire::Role;
 
-/// A histogram of durations up to a minute, ns, with three significant digits. Longer durations count as a minute.
+/// A histogram of durations up to a minute, ns, with three significant digits. Longer durations count as a
+/// minute.
 pub(super) fn histogram() -> Histogram<u64> {
     crate::log::histogram()
 }
@@ -24,7 +26,8 @@ pub(super) fn histogram() -> Histogram<u64> {
 pub struct PlantReport {
     /// Ticks begun.
     pub ticks: u64,
-    /// Ticks whose command was not applied: it had not arrived in time, was not finite, or the plant skipped the tick.
+    /// Ticks whose command was not applied: it had not arrived in time, was not finite, or the plant skipped
+    /// the tick.
     pub missed: u64,
     /// Commands that arrived after their tick and were dropped.
     pub late: u64,
@@ -80,7 +83,8 @@ pub struct ControllerReport {
     pub unseen: u64,
     /// Ticks whose observation a channel fault withheld. The controller answers them with the flag `UNHEARD`.
     pub unheard: u64,
-    /// Observations that a channel fault delayed beyond their tick. The controller neither answers nor learns from them.
+    /// Observations that a channel fault delayed beyond their tick. The controller neither answers nor learns
+    /// from them.
     pub stale: u64,
     /// Ticks learned from.
     pub learned: u64,
@@ -124,8 +128,8 @@ impl Persist for ControllerReport {
     }
 }
 
-/// The logger's report. It covers the whole run, including what earlier incarnations of the logger wrote. The three channels
-/// are in the order observation, command, learning.
+/// The logger's report. It covers the whole run, including what earlier incarnations of the logger wrote. The
+/// three channels are in the order observation, command, learning.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct LoggerReport {
     /// Messages written.
@@ -142,7 +146,8 @@ pub struct LoggerReport {
     pub failure: Option<String>,
     /// Size of the log, all segments, bytes.
     pub bytes: u64,
-    /// Real time: from a tick's scheduled instant to its sensing; see [`LatencyHistograms`](crate::log::LatencyHistograms).
+    /// Real time: from a tick's scheduled instant to its sensing; see
+    /// [`LatencyHistograms`](crate::log::LatencyHistograms).
     pub wake_up_lateness: Option<Percentiles>,
     /// Real time: from the sensing of an observation to the sending of the command that answers it.
     pub observation_to_command: Option<Percentiles>,
@@ -155,8 +160,8 @@ fn report_path(folder: &Path, role: Role) -> PathBuf {
     folder.join(format!("{}.json", role.name()))
 }
 
-/// The file with the real-time settings of `role` in the run's folder. It is separate from the report because launcher and
-/// logger read it before the first tick.
+/// The file with the real-time settings of `role` in the run's folder. It is separate from the report because
+/// launcher and logger read it before the first tick.
 pub(crate) fn realtime_path(folder: &Path, role: Role) -> PathBuf {
     folder.join(format!("{}.realtime.json", role.name()))
 }
@@ -174,8 +179,8 @@ pub(super) fn write_realtime(folder: &Path, role: Role, report: &RealtimeReport)
 /// Disk space reserved for a report, bytes. The controller's report contains its windows.
 const RESERVED_BYTES: u64 = 256 << 10;
 
-/// Reserves disk space for the report of `role`, so that it can still be written when the disk fills up during the run.
-/// Does nothing on file systems that cannot reserve space.
+/// Reserves disk space for the report of `role`, so that it can still be written when the disk fills up during
+/// the run. Does nothing on file systems that cannot reserve space.
 pub(super) fn reserve_space(folder: &Path, role: Role) {
     if let Ok(file) = open_draft(&report_path(folder, role)) {
         let _ = rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::KEEP_SIZE, 0, RESERVED_BYTES);

@@ -1,7 +1,7 @@
 //! Statistics of learning over a run: losses and errors by window, and the inputs around target switches.
 //!
-//! The controller collects them, because it receives every observation of any plant. They are for reports only and do not
-//! influence learning. All memory is allocated at the start.
+//! The controller collects them, because it receives every observation of any plant. They are for reports only
+//! and do not influence learning. All memory is allocated at the start.
 
 use crate::report::Window;
 use crate::scenario::Plan;
@@ -156,8 +156,8 @@ impl RunStatistics {
         self.exploration_loss.iter().rev().find(|(from, _)| *from <= tick).map_or(0.0, |&(_, loss)| loss)
     }
 
-    /// Mean loss per tick and mean error at the end of a target, in the current window, or in the previous one while the
-    /// current one is less than half full. NaN where there is no value.
+    /// Mean loss per tick and mean error at the end of a target, in the current window, or in the previous one
+    /// while the current one is less than half full. NaN where there is no value.
     pub fn now(&self) -> (f32, f32) {
         let incomplete = self.current.ticks < self.length / 2;
         match self.windows.last() {

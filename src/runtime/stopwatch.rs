@@ -1,5 +1,5 @@
-//! The real instants of a lockstep run's ticks, for `tectum bench`. The run's samples do not have them, because their
-//! stamps are virtual time.
+//! The real instants of a lockstep run's ticks, for `tectum bench`. The run's samples do not have them, because
+//! their stamps are virtual time.
 //!
 //! A run without a stopwatch spends no time on it. A stopwatch does not influence learning.
 
@@ -64,9 +64,10 @@ fn path(folder: &Path, role: Role) -> PathBuf {
     folder.join(format!("{}.tick_times", role.name()))
 }
 
-/// The instants that the process in `role` has written into a run's folder, tick by tick from the first. Of the plant: when
-/// it had sensed, and when it had received the command. Of the controller: when it had received the observation, and when
-/// it sent the command. CLOCK_MONOTONIC, ns; 0 for an instant that is missing. `None` where there is no file.
+/// The instants that the process in `role` has written into a run's folder, tick by tick from the first. Of the
+/// plant: when it had sensed, and when it had received the command. Of the controller: when it had received the
+/// observation, and when it sent the command. CLOCK_MONOTONIC, ns; 0 for an instant that is missing. `None`
+/// where there is no file.
 pub(crate) fn tick_times(folder: &Path, role: Role) -> Option<Vec<[u64; 2]>> {
     let bytes = std::fs::read(path(folder, role)).ok()?;
     Some(bytes.as_chunks::<16>().0.iter().map(|instants| bytemuck::pod_read_unaligned(instants)).collect())

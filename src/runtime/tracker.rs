@@ -1,7 +1,8 @@
-//! The tracker's side of a run: a program that measures the positions of target and end-effector, and publishes them.
+//! The tracker's side of a run: a program that measures the positions of target and end-effector, and publishes
+//! them.
 //!
-//! A tracker is not a process of the run. It may join late, leave, or be killed, and another tracker may replace it. It can
-//! also receive the plant's observations, like a viewer.
+//! A tracker is not a process of the run. It may join late, leave, or be killed, and another tracker may
+//! replace it. It can also receive the plant's observations, like a viewer.
 
 use std::path::Path;
 
@@ -24,8 +25,8 @@ impl Tracker {
     /// Joins the run called `run` (a folder, or a name under `runs/`).
     ///
     /// # Errors
-    /// [`RuntimeError::NoRun`] when there is no such run, it is over, or its scenario has no tracker; otherwise as for
-    /// [`TrackerPorts::open`].
+    /// [`RuntimeError::NoRun`] when there is no such run, it is over, or its scenario has no tracker; otherwise
+    /// as for [`TrackerPorts::open`].
     pub fn join(run: &Path) -> Result<Self, RuntimeError> {
         let (folder, manifest, launcher) = RunManifest::find(run)?;
         let plan = Scenario::load(&RunManifest::scenario_path(&folder))?.plan()?;

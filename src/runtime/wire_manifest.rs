@@ -1,5 +1,5 @@
-//! What a program in another language needs to join a run, as plain JSON in the run's manifest. So such a program need
-//! neither read TOML nor compute a hash. `docs/wire.md` describes its use.
+//! What a program in another language needs to join a run, as plain JSON in the run's manifest. So such a
+//! program need neither read TOML nor compute a hash. `docs/wire.md` describes its use.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;

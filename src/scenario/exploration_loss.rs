@@ -4,8 +4,8 @@ use super::Plan;
 use crate::plant::noise_share;
 
 impl Plan {
-    /// The mean loss per tick that exploration alone causes, as steps of (first tick, loss) in the order of ticks; empty
-    /// where it is not known. It changes only when a joint blocks.
+    /// The mean loss per tick that exploration alone causes, as steps of (first tick, loss) in the order of
+    /// ticks; empty where it is not known. It changes only when a joint blocks.
     pub(crate) fn exploration_loss(&self) -> Vec<(u64, f64)> {
         let Some(arm) = &self.scenario.plant.arm else { return Vec::new() };
         let mut ticks: Vec<u64> = std::iter::once(0).chain(arm.block.iter().map(|block| block.tick)).collect();

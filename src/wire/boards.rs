@@ -1,5 +1,5 @@
-//! The boards on which the launcher and the processes publish their state. Readers see the latest value only, and a
-//! writer never waits for a reader.
+//! The boards on which the launcher and the processes publish their state. Readers see the latest value only,
+//! and a writer never waits for a reader.
 
 use super::schema::sample;
 
@@ -24,9 +24,11 @@ sample! {
         state: u32,
         /// Operating-system id of the process.
         pid: u32,
-        /// Heartbeat: counts the process's updates of its board. A count that does not change for long is a hang.
+        /// Heartbeat: counts the process's updates of its board. A count that does not change for long is a
+        /// hang.
         beat: u64,
-        /// Plant: one more than the tick at whose start the announced or last checkpoint is taken; 0 before the first.
+        /// Plant: one more than the tick at whose start the announced or last checkpoint is taken; 0 before the
+        /// first.
         checkpoint: u64,
         /// Ticks done.
         ticks: u64,

@@ -37,8 +37,8 @@ sample! {
         reward: f32,
         /// Ticks skipped right before this one because the plant itself was late.
         skipped: u32,
-        /// Measures of tick k-1, named by the scenario. They are for logs and reports; the learner never receives
-        /// them. The arm gives its error (m) and its end-effector's x and y (m).
+        /// Measures of tick k-1, named by the scenario. They are for logs and reports; the learner never
+        /// receives them. The arm gives its error (m) and its end-effector's x and y (m).
         measures: [f32; MAX_MEASURES],
     }
 }
@@ -56,7 +56,8 @@ sample! {
 }
 
 sample! {
-    /// The learner's record of tick k: its step with the reward of tick k-1, and the exploration noise for tick k.
+    /// The learner's record of tick k: its step with the reward of tick k-1, and the exploration noise for tick
+    /// k.
     Learning, "1" {
         /// Writer, tick and instants.
         header: Header,
@@ -79,8 +80,8 @@ sample! {
     /// A tracker's measurement: the target and the arm's end-effector. In its header, `tick`, `scheduled_ns`,
     /// `incarnation` and `flags` are 0.
     Vision, "1" {
-        /// Writer and instants. `sensed_ns` is the instant at which the picture was taken. `sequence` counts from 0 in
-        /// each tracker.
+        /// Writer and instants. `sensed_ns` is the instant at which the picture was taken. `sequence` counts
+        /// from 0 in each tracker.
         header: Header,
         /// Position of the target, x and y in the arm's coordinates, m.
         target: [f32; 2],
@@ -115,7 +116,8 @@ pub mod flag {
     pub const DECAYED: u32 = 1 << 3;
     /// Observation: the hold policy stopped the plant (command zero).
     pub const STOPPED: u32 = 1 << 4;
-    /// Observation: the gate limited the command. Another flag gives the reason unless it was the command's size alone.
+    /// Observation: the gate limited the command. Another flag gives the reason unless it was the command's
+    /// size alone.
     pub const CLAMPED: u32 = 1 << 5;
     /// Observation: the command contained a value that is not finite. It counts as missed.
     pub const NON_FINITE: u32 = 1 << 6;
@@ -127,23 +129,25 @@ pub mod flag {
     pub const LATE: u32 = 1 << 9;
     /// Command: an input was not a number or out of range, so the command is zero.
     pub const INVALID: u32 = 1 << 10;
-    /// Command and learning: learning produced a number that is not finite, and the learner has stopped. When the
-    /// policy's output is not finite either, the command is zero.
+    /// Command and learning: learning produced a number that is not finite, and the learner has stopped. When
+    /// the policy's output is not finite either, the command is zero.
     pub const DIVERGED: u32 = 1 << 11;
     /// Observation: the gate limited the change of the applied command from tick to tick.
     pub const STEP_LIMITED: u32 = 1 << 12;
     /// Observation: the gate kept a joint within its position limits.
     pub const POSITION_LIMITED: u32 = 1 << 13;
-    /// Observation: commands had just started to arrive, or to arrive again, and the gate's ramp limited the command.
+    /// Observation: commands had just started to arrive, or to arrive again, and the gate's ramp limited the
+    /// command.
     pub const RAMPED: u32 = 1 << 14;
-    /// Command: the controller received no observation of this tick. The sample states this, and counts as missed.
+    /// Command: the controller received no observation of this tick. The sample states this, and counts as
+    /// missed.
     pub const UNHEARD: u32 = 1 << 15;
     /// Observation: the plant is hardware with torque off, because it has not been armed. Nothing was applied.
     pub const UNARMED: u32 = 1 << 19;
     /// Observation: the plant is hardware, and its own safety has turned torque off. Nothing was applied.
     pub const TRIPPED: u32 = 1 << 20;
-    /// Observation: the plant could not be read, or its tracker had no measurement new enough, in tick k-1 or for this
-    /// observation. Values that could not be updated, and the reward, are the previous ones.
+    /// Observation: the plant could not be read, or its tracker had no measurement new enough, in tick k-1 or
+    /// for this observation. Values that could not be updated, and the reward, are the previous ones.
     pub const BLIND: u32 = 1 << 21;
     /// Learning: the weights were changed with the reward of tick k-1.
     pub const LEARNED: u32 = 1 << 16;

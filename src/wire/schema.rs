@@ -77,7 +77,10 @@ impl<T: FieldElement, const N: usize> FieldElement for [T; N] {
 
 /// Declares a sample: the `repr(C)` type, its name and version, and its description.
 macro_rules! sample {
-    ($(#[doc = $doc:literal])* $name:ident, $version:literal { $($(#[doc = $fdoc:literal])* $field:ident: $ty:ty,)+ }) => {
+    (
+        $(#[doc = $doc:literal])*
+        $name:ident, $version:literal { $($(#[doc = $fdoc:literal])* $field:ident: $ty:ty,)+ }
+    ) => {
         $(#[doc = $doc])*
         #[repr(C)]
         #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -110,8 +113,8 @@ macro_rules! sample {
 }
 pub(super) use sample;
 
-/// Hash over the names, versions, fields and offsets of every sample and board. Two programs with equal hashes agree
-/// on every byte that they exchange.
+/// Hash over the names, versions, fields and offsets of every sample and board. Two programs with equal hashes
+/// agree on every byte that they exchange.
 pub fn schema_hash() -> u64 {
     let mut text = String::new();
     fn add<S: Sample>(text: &mut String) {
@@ -136,8 +139,8 @@ mod tests {
     use super::*;
     use crate::wire::{Command, Gap, Header, Learning, Observation, Vision};
 
-    /// CDR aligns each primitive to its size, counted from the start of the body. Without implicit padding in the
-    /// `repr(C)` layout (`Pod` proves it) and with 8-byte sizes, body and struct have the same bytes.
+    /// CDR aligns each primitive to its size, counted from the start of the body. Without implicit padding in
+    /// the `repr(C)` layout (`Pod` proves it) and with 8-byte sizes, body and struct have the same bytes.
     fn assert_cdr<S: Sample>() {
         let mut at = 0;
         for f in S::FIELDS {

@@ -144,8 +144,8 @@ fn joints_stay_within_their_limits_and_return_from_outside() {
     assert_eq!(pass_one(&mut gate, Some(0.3), Some(&joints(0.5))), (0.0, p));
 }
 
-/// An arbitrary tick: the command, if one arrives, as arbitrary bits, and the measured position as arbitrary bits or, more
-/// often, the true position.
+/// An arbitrary tick: the command, if one arrives, as arbitrary bits, and the measured position as arbitrary
+/// bits or, more often, the true position.
 fn arbitrary_tick() -> impl Strategy<Value = (Option<[u32; 2]>, Option<u32>)> {
     let ordinary = (-1.0_f32..1.0).prop_map(f32::to_bits);
     let bits = prop_oneof![any::<u32>(), ordinary];
@@ -155,8 +155,8 @@ fn arbitrary_tick() -> impl Strategy<Value = (Option<[u32; 2]>, Option<u32>)> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// I7 over arbitrary bits: the applied command is finite and within rate, step and ramp, and no joint moves beyond its
-    /// limits.
+    /// I7 over arbitrary bits: the applied command is finite and within rate, step and ramp, and no joint moves
+    /// beyond its limits.
     #[test]
     fn applied_commands_stay_within_limits(
         ticks in prop::collection::vec(arbitrary_tick(), 1..150),
@@ -219,7 +219,8 @@ proptest! {
             let ranges = gate.command_ranges(|| arm.joints());
             let applied = gate.pass(drawn.map(|_| command).as_ref(), ranges.as_ref());
             arm.advance(tick, &applied.command[..2]);
-            prop_assert!(arm.angles().iter().all(|&x| low <= f64::from(x) && f64::from(x) <= high), "{:?}", arm.angles());
+            let angles = arm.angles();
+            prop_assert!(angles.iter().all(|&x| low <= f64::from(x) && f64::from(x) <= high), "{angles:?}");
         }
     }
 }

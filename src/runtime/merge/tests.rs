@@ -1,5 +1,5 @@
-//! Tests of the merger with loggers that are killed and restarted, on real files: written samples stay, and missing samples
-//! are stated.
+//! Tests of the merger with loggers that are killed and restarted, on real files: written samples stay, and
+//! missing samples are stated.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -183,7 +183,8 @@ impl<'a> LoggedRun<'a> {
         }
     }
 
-    /// Kills the logger. Its file loses what was not flushed, and `bytes` of what was, as after a loss of power.
+    /// Kills the logger. Its file loses what was not flushed, and `bytes` of what was, as after a loss of
+    /// power.
     fn kill(&mut self, downtime: u64, bytes: u64) {
         let path = segment_path(self.folder, self.number);
         let flushed = std::fs::metadata(&path).unwrap().len();
@@ -231,7 +232,8 @@ impl<'a> LoggedRun<'a> {
         Ok(())
     }
 
-    /// The descriptions of the log and of each segment agree with their contents, and so do the stored histograms.
+    /// The descriptions of the log and of each segment agree with their contents, and so do the stored
+    /// histograms.
     fn check_info(&self, segments: &[PathBuf], outcome: &MergeOutcome) -> Result<(), TestCaseError> {
         let info = LogInfo::of(segments).unwrap();
         prop_assert!(info.agrees(), "{:?}", info);
@@ -255,8 +257,8 @@ impl<'a> LoggedRun<'a> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// With any events, the segments together state what is missing from them, and totals and histograms are those of the
-    /// run.
+    /// With any events, the segments together state what is missing from them, and totals and histograms are
+    /// those of the run.
     #[test]
     fn segments_together_state_what_is_missing(
         events in prop::collection::btree_map(FIRST..TICKS, any_event(), 0..30),
