@@ -18,19 +18,19 @@
 #define TECTUM_MAX_OUTPUTS 8
 #define TECTUM_MAX_MEASURES 6
 
-/* Opens every sample: who wrote it, for which tick, and when. */
+/* The start of every sample: its writer, its tick and its instants. */
 typedef struct tectum_header {
     /* Id of the run, the same in all its processes. */
     uint64_t run;
     /* The tick that the sample belongs to. */
     uint64_t tick;
-    /* Counts the writer's samples on this channel from 0: a gap is a loss, a repeat a duplicate. */
+    /* Counts the samples of this channel from 0. A gap is a loss, and a repeated number is a duplicate. */
     uint64_t sequence;
     /* The instant for which the tick was scheduled, `t0 + tick * period`, ns. */
     uint64_t scheduled_ns;
-    /* When the plant had sensed the observation that this sample belongs to, ns. */
+    /* The instant at which the plant had sensed the observation of this tick, ns. */
     uint64_t sensed_ns;
-    /* When the writer handed the sample to the channel, ns. */
+    /* The instant at which the writer sent the sample, ns. */
     uint64_t published_ns;
     /* The writer's start number within the run, from 0. */
     uint32_t incarnation;
@@ -48,9 +48,9 @@ TECTUM_ASSERT(offsetof(tectum_header, published_ns) == 40);
 TECTUM_ASSERT(offsetof(tectum_header, incarnation) == 48);
 TECTUM_ASSERT(offsetof(tectum_header, flags) == 52);
 
-/* What the plant tells at tick k: the inputs now, and what came of tick k-1. */
+/* The plant's sample at tick k: the current inputs, and the result of tick k-1. */
 typedef struct tectum_observation {
-    /* Who, which tick, when. */
+    /* Writer, tick and instants. */
     tectum_header header;
     /* The controller's inputs, in the scenario's order and units; unused entries are 0. */
     float inputs[16];
@@ -58,10 +58,10 @@ typedef struct tectum_observation {
     float applied[8];
     /* The reward of tick k-1. */
     float reward;
-    /* Ticks passed over right before this one because the plant itself was late. */
+    /* Ticks skipped right before this one because the plant itself was late. */
     uint32_t skipped;
-    /* What an outside observer measured of tick k-1, named by the scenario. For logs and reports: the learner never
-     * sees it. The arm gives its error (m) and its end-effector's x and y (m). */
+    /* Measures of tick k-1, named by the scenario. They are for logs and reports; the learner never receives them. The
+     * arm gives its error (m) and its end-effector's x and y (m). */
     float measures[6];
 } tectum_observation;
 #define TECTUM_TYPE_OBSERVATION "tectum.Observation.v1"
@@ -75,11 +75,11 @@ TECTUM_ASSERT(offsetof(tectum_observation, measures) == 160);
 
 /* The controller's answer to the observation of the same tick. */
 typedef struct tectum_command {
-    /* Who, which tick, when. */
+    /* Writer, tick and instants. */
     tectum_header header;
     /* The policy's mean output. */
     float mean[8];
-    /* The drawn output, mean plus exploration noise: what the plant is asked to apply. */
+    /* The drawn output: mean plus exploration noise. This is the command for the plant. */
     float drawn[8];
 } tectum_command;
 #define TECTUM_TYPE_COMMAND "tectum.Command.v1"
@@ -88,15 +88,15 @@ TECTUM_ASSERT(offsetof(tectum_command, header) == 0);
 TECTUM_ASSERT(offsetof(tectum_command, mean) == 56);
 TECTUM_ASSERT(offsetof(tectum_command, drawn) == 88);
 
-/* What the learner did at tick k, with the reward of tick k-1, and the noise that it drew for tick k. */
+/* The learner's record of tick k: its step with the reward of tick k-1, and the exploration noise for tick k. */
 typedef struct tectum_learning {
-    /* Who, which tick, when. */
+    /* Writer, tick and instants. */
     tectum_header header;
     /* The exploration noise in the command of this tick. */
     float noise[8];
-    /* The reward that was used; meaningless unless `flag::LEARNED` is set. */
+    /* The reward that was used; valid only if `flag::LEARNED` is set. */
     float reward;
-    /* The factor with which the trace was added to the weights. */
+    /* The factor by which the trace was multiplied before it was added to the weights. */
     float step;
     /* Euclidean norm of the weights after the step. */
     float weights_norm;
@@ -115,15 +115,15 @@ TECTUM_ASSERT(offsetof(tectum_learning, weights_norm) == 96);
 TECTUM_ASSERT(offsetof(tectum_learning, trace_norm) == 100);
 TECTUM_ASSERT(offsetof(tectum_learning, weights_hash) == 104);
 
-/* What a tracker sees: the target and the arm's end-effector. Of its header, `tick`, `scheduled_ns`, `incarnation` and
- * `flags` are 0. */
+/* A tracker's measurement: the target and the arm's end-effector. In its header, `tick`, `scheduled_ns`, `incarnation`
+ * and `flags` are 0. */
 typedef struct tectum_vision {
-    /* Who, and when: `sensed_ns` is the instant at which the picture was taken, `sequence` counts from 0 in each
+    /* Writer and instants. `sensed_ns` is the instant at which the picture was taken. `sequence` counts from 0 in each
      * tracker. */
     tectum_header header;
-    /* Where the target is, x and y in the arm's coordinates, m. */
+    /* Position of the target, x and y in the arm's coordinates, m. */
     float target[2];
-    /* Where the end-effector is, x and y in the arm's coordinates, m. */
+    /* Position of the end-effector, x and y in the arm's coordinates, m. */
     float end[2];
 } tectum_vision;
 #define TECTUM_TYPE_VISION "tectum.Vision.v1"
@@ -136,7 +136,7 @@ TECTUM_ASSERT(offsetof(tectum_vision, end) == 64);
 typedef struct tectum_control {
     /* A `Phase` as a number. */
     uint32_t phase;
-    /* Checkpoints that were asked for by a signal so far. */
+    /* Checkpoints that were requested by a signal so far. */
     uint32_t checkpoints;
     /* Start of tick 0 on the run's clock, ns; valid from `Run` on. */
     uint64_t t0_ns;
@@ -150,30 +150,29 @@ TECTUM_ASSERT(offsetof(tectum_control, checkpoints) == 4);
 TECTUM_ASSERT(offsetof(tectum_control, t0_ns) == 8);
 TECTUM_ASSERT(offsetof(tectum_control, incarnations) == 16);
 
-/* A process's board: how far it is. */
+/* A process's board: its state and its counts. */
 typedef struct tectum_status {
-    /* A `State` as a number. */
+    /* A `ProcessState` as a number. */
     uint32_t state;
     /* Operating-system id of the process. */
     uint32_t pid;
-    /* Counts the process's signs of life; one that stands still for long is a hang. */
+    /* Heartbeat: counts the process's updates of its board. A count that does not change for long is a hang. */
     uint64_t beat;
-    /* Plant: one more than the tick at whose beginning the next checkpoint is, or the last one was, cut; 0 before the
-     * first. */
+    /* Plant: one more than the tick at whose start the announced or last checkpoint is taken; 0 before the first. */
     uint64_t checkpoint;
     /* Ticks done. */
     uint64_t ticks;
     /* Samples sent on each of its channels. */
     uint64_t sent;
-    /* Plant: ticks whose command was not there in time. Logger: 0. */
+    /* Plant: ticks whose command had not arrived in time. Logger: 0. */
     uint64_t missed;
-    /* Plant: commands that came after their tick. */
+    /* Plant: commands that arrived after their tick. */
     uint64_t late;
-    /* Plant: ticks passed over. Controller: observations that it never saw. Logger: samples lost. */
+    /* Plant: ticks skipped. Controller: observations that it never received. Logger: samples lost. */
     uint64_t lost;
-    /* Logger: observation ticks consumed, the credit of a lossless run. */
+    /* Logger: ticks consumed. In lockstep the plant waits for this count, so that no sample is lost. */
     uint64_t consumed;
-    /* Controller, in real time: what its learner has taken after the commands had gone out, ns in all. */
+    /* Controller, in real time: total time that its learner has taken after commands were sent, ns. */
     uint64_t learner_ns;
     /* Controller: mean loss over the window in progress. */
     float loss;
@@ -181,7 +180,7 @@ typedef struct tectum_status {
     float end_error;
     /* Schema hash of the process's build. */
     uint64_t schema;
-    /* Scenario hash as the process read it. */
+    /* Hash of the scenario that the process read. */
     uint64_t scenario;
     /* Hash of the process's build identity. */
     uint64_t build;
@@ -211,9 +210,9 @@ typedef struct tectum_gap {
     uint64_t channel;
     /* Sequence number of the first missing sample. */
     uint64_t first;
-    /* How many are missing in a row. */
+    /* Number of consecutive missing samples. */
     uint64_t count;
-    /* How many are missing on this channel up to and including these. */
+    /* Number of missing samples on this channel up to and including these. */
     uint64_t total;
 } tectum_gap;
 #define TECTUM_TYPE_GAP "tectum.Gap.v1"
@@ -225,9 +224,9 @@ TECTUM_ASSERT(offsetof(tectum_gap, total) == 24);
 
 /* Bits of a header's flags. */
 enum tectum_flag {
-    /* Observation: the first of its writer; reward and applied command belong to no tick. */
+    /* Observation: the first of its writer. Its reward and applied command belong to no tick. */
     TECTUM_FIRST = 1 << 0,
-    /* Observation: the command of tick k-1 was not there in time; the hold policy applied. */
+    /* Observation: the command of tick k-1 had not arrived in time, so the hold policy chose the command. */
     TECTUM_MISSED = 1 << 1,
     /* Observation: the hold policy held the last command. */
     TECTUM_HELD = 1 << 2,
@@ -235,39 +234,39 @@ enum tectum_flag {
     TECTUM_DECAYED = 1 << 3,
     /* Observation: the hold policy stopped the plant (command zero). */
     TECTUM_STOPPED = 1 << 4,
-    /* Observation: the gate limited the command; why it did stands beside it where it was not the command's size alone. */
+    /* Observation: the gate limited the command. Another flag gives the reason unless it was the command's size alone. */
     TECTUM_CLAMPED = 1 << 5,
-    /* Observation: the command held a value that is not a number; it counts as missed. */
+    /* Observation: the command contained a value that is not finite. It counts as missed. */
     TECTUM_NON_FINITE = 1 << 6,
-    /* Observation: the plant passed over `skipped` ticks because it was late itself. */
+    /* Observation: the plant skipped `skipped` ticks because it was late itself. */
     TECTUM_SKIPPED = 1 << 7,
-    /* Observation: a new target (or trial) starts with these inputs; the reward belongs to the one before. */
+    /* Observation: a new target (or trial) starts with these inputs. The reward belongs to the one before. */
     TECTUM_NEW_TARGET = 1 << 8,
     /* Observation: a command arrived after its tick and was dropped. */
     TECTUM_LATE = 1 << 9,
-    /* Command: an input was not a number, so the answer is zero. */
+    /* Command: an input was not a number or out of range, so the command is zero. */
     TECTUM_INVALID = 1 << 10,
-    /* Command and learning: a number that is not finite was met in learning. The learner has stopped, and where the
-     * weights themselves are no longer numbers the answer is zero. */
+    /* Command and learning: learning produced a number that is not finite, and the learner has stopped. When the
+     * policy's output is not finite either, the command is zero. */
     TECTUM_DIVERGED = 1 << 11,
     /* Observation: the gate limited the change of the applied command from tick to tick. */
     TECTUM_STEP_LIMITED = 1 << 12,
-    /* Observation: the gate kept a joint from going over its limits. */
+    /* Observation: the gate kept a joint within its position limits. */
     TECTUM_POSITION_LIMITED = 1 << 13,
-    /* Observation: commands had just begun to come, or come back, and the gate let them grow. */
+    /* Observation: commands had just started to arrive, or to arrive again, and the gate's ramp limited the command. */
     TECTUM_RAMPED = 1 << 14,
-    /* Command: the controller heard nothing of this tick; the sample stands for silence, and counts as missed. */
+    /* Command: the controller received no observation of this tick. The sample states this, and counts as missed. */
     TECTUM_UNHEARD = 1 << 15,
-    /* Observation: the body is real and torque is off, because nobody has armed it; nothing was applied. */
+    /* Observation: the plant is hardware with torque off, because it has not been armed. Nothing was applied. */
     TECTUM_UNARMED = 1 << 19,
-    /* Observation: the body is real and its own safety has turned torque off; nothing was applied. */
+    /* Observation: the plant is hardware, and its own safety has turned torque off. Nothing was applied. */
     TECTUM_TRIPPED = 1 << 20,
-    /* Observation: the body could not be read, or its tracker had nothing new enough to say, in tick k-1 or for this
-     * observation; what is not known anew, and the reward, are those of before. */
+    /* Observation: the plant could not be read, or its tracker had no measurement new enough, in tick k-1 or for this
+     * observation. Values that could not be updated, and the reward, are the previous ones. */
     TECTUM_BLIND = 1 << 21,
     /* Learning: the weights were changed with the reward of tick k-1. */
     TECTUM_LEARNED = 1 << 16,
-    /* Learning: the trace was cleared, because what happened in tick k-1 is not what the policy asked for. */
+    /* Learning: the trace was cleared, because the command applied in tick k-1 was not the policy's. */
     TECTUM_TRACE_CUT = 1 << 17,
     /* Learning: `weights_hash` is valid. */
     TECTUM_HASHED = 1 << 18,

@@ -1,5 +1,14 @@
-//! The front of every program that takes a place in a run: arguments, errors, exit codes. The programs in `bins/`, and a
-//! plant of your own, are this and a body.
+//! The `main` function of every program that joins a run: arguments, error messages and exit codes. The
+//! programs in `bins/`, and a plant of your own, consist of this function and their own loop.
+//!
+//! ```no_run
+//! use std::process::ExitCode;
+//! use tectum::{process, runtime::run_controller, wire::Role};
+//!
+//! fn main() -> ExitCode {
+//!     process::main(Role::Controller, "Runs the controller of a run", run_controller)
+//! }
+//! ```
 
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -11,7 +20,7 @@ use serde::Serialize;
 use crate::runtime::{Participant, RuntimeError};
 use crate::wire::Role;
 
-/// What every process of a run is told.
+/// The command line of every process of a run.
 #[derive(Debug, Parser)]
 #[command(version = crate::BUILD)]
 struct Arguments {
@@ -21,13 +30,13 @@ struct Arguments {
     /// Read this scenario instead of the run's own copy; it must be the same
     #[arg(long, value_name = "FILE")]
     scenario: Option<PathBuf>,
-    /// Print the process's account as one JSON object when its loop is over
+    /// Print the process's report as one JSON object when its loop is over
     #[arg(long)]
     json: bool,
 }
 
-/// Runs one process of a run: parses the command line, takes the place of `role`, and hands over to `work`. `about` is
-/// one sentence for `--help`.
+/// Runs one process of a run: parses the command line, joins the run as `role`, and calls `work`. `about` is
+/// one sentence for `--help`. The exit code is that of the error ([`RuntimeError::exit_code`]), or success.
 pub fn main<R: Serialize>(
     role: Role,
     about: &'static str,
@@ -61,8 +70,8 @@ pub fn main<R: Serialize>(
     }
 }
 
-/// Writes a line to standard error. A standard error that cannot be written (a full disk, a reader that left) is no reason
-/// to end otherwise than meant, as `eprintln!` would.
+/// Writes a line to standard error. Unlike `eprintln!`, it does not panic when standard error cannot be written
+/// (a full disk, a reader that has left), so that the process still ends as intended.
 pub fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }

@@ -8,7 +8,6 @@ use std::sync::LazyLock;
 
 use libfuzzer_sys::fuzz_target;
 use tectum::checkpoint::Checkpoint;
-use tectum::plant::SimulatedPlant;
 use tectum::runtime::PlantSide;
 use tectum::scenario::{Plan, Scenario};
 
@@ -17,7 +16,7 @@ static PLAN: LazyLock<Plan> = LazyLock::new(|| Scenario::built_in("paper").unwra
 fuzz_target!(|bytes: &[u8]| {
     match Checkpoint::parse(Path::new("7.plant.safetensors"), bytes) {
         Ok(checkpoint) => {
-            let mut side = PlantSide::new(SimulatedPlant::of(&PLAN).unwrap(), &PLAN);
+            let mut side = PlantSide::new(PLAN.simulated_plant().unwrap(), &PLAN);
             if let Err(error) = checkpoint.restore(&mut side) {
                 assert!(error.to_string().starts_with("7.plant.safetensors: "));
             }

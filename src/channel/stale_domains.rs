@@ -19,7 +19,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::domain::{DomainName, SHM, remove_domain_in};
-use crate::clock::{mapping, pause};
+use crate::clock::{pause, processes_mapping};
 
 /// The file in a domain's root on which its launcher holds a lock.
 pub(super) const LOCK_FILE: &str = "launcher.lock";
@@ -213,7 +213,7 @@ fn examine(shm: &Path, name: &DomainName, lock: fn(&File) -> Result<(), TryLockE
     if lock.is_none() && youngest(shm, name).is_none_or(|age| age < YOUNG) {
         return owned(DomainOwner::Young);
     }
-    let pids = mapping(&name.root_in(shm));
+    let pids = processes_mapping(&name.root_in(shm));
     let owner = match (pids.is_empty(), &lock) {
         (true, _) => DomainOwner::Nobody,
         (false, Some(_)) => DomainOwner::Processes { pids },

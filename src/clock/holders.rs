@@ -1,10 +1,11 @@
-//! Which processes use a piece of shared memory: what tells a file in use from one that was left behind.
+//! Which processes have a file mapped. This tells shared memory in use from shared memory that a dead process
+//! left behind.
 
 use std::path::Path;
 
-/// The ids of the processes that have a file mapped whose path begins with `prefix`; sorted. Other users' processes
-/// cannot be asked, and are left out.
-pub fn mapping(prefix: &Path) -> Vec<u32> {
+/// The sorted ids of the processes that have a file mapped whose path begins with `prefix`. Processes of other
+/// users are left out, because their maps cannot be read.
+pub(crate) fn processes_mapping(prefix: &Path) -> Vec<u32> {
     let Ok(processes) = std::fs::read_dir("/proc") else { return Vec::new() };
     let prefix = prefix.as_os_str().to_string_lossy().into_owned();
     let mut holders: Vec<u32> = processes
@@ -12,7 +13,7 @@ pub fn mapping(prefix: &Path) -> Vec<u32> {
         .filter_map(|entry| entry.file_name().to_str()?.parse().ok())
         .filter(|pid| {
             let maps = std::fs::read(format!("/proc/{pid}/maps")).unwrap_or_default();
-            // address permissions offset device inode path
+            // The columns of a line: address, permissions, offset, device, inode, path.
             String::from_utf8_lossy(&maps).lines().any(|line| {
                 line.find('/').and_then(|start| line.get(start..)).is_some_and(|path| path.starts_with(&prefix))
             })

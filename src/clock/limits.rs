@@ -1,28 +1,31 @@
-//! How much real time this process is allowed, and what would allow it more.
+//! The operating system's limits on real-time priority and locked memory for this process, and how to raise
+//! them.
 
 use rustix::process::{Resource, getrlimit};
 
-/// The most memory that may be locked, bytes; `None` where there is no limit, or none for this process.
-pub fn lock_limit() -> Option<u64> {
+/// The most memory that this process may lock, bytes; `None` where there is no limit, or where it does not bind
+/// this process.
+pub(crate) fn lock_limit() -> Option<u64> {
     /// CAP_IPC_LOCK of `linux/capability.h`.
     const IPC_LOCK: u32 = 14;
     if capable(IPC_LOCK) { None } else { getrlimit(Resource::Memlock).current }
 }
 
-/// The highest real-time priority that may be asked for; 0 for none.
-pub fn priority_limit() -> u64 {
+/// The highest real-time priority that this process may request; 0 where it may request none.
+pub(crate) fn priority_limit() -> u64 {
     /// CAP_SYS_NICE of `linux/capability.h`.
     const SYS_NICE: u32 = 23;
     if capable(SYS_NICE) { 99 } else { getrlimit(Resource::Rtprio).current.unwrap_or(99).min(99) }
 }
 
+/// Whether the process has the Linux capability with this number.
 fn capable(capability: u32) -> bool {
     let set = status("CapEff").and_then(|hex| u64::from_str_radix(&hex, 16).ok());
     set.is_some_and(|set| set >> capability & 1 == 1)
 }
 
-/// What allows `program` SCHED_FIFO up to `priority`.
-pub fn priority_remedy(priority: u32, program: &str) -> String {
+/// How a user can allow `program` to run under SCHED_FIFO up to `priority`.
+pub(crate) fn priority_remedy(priority: u32, program: &str) -> String {
     format!(
         "allow it with a line `USER - rtprio {priority}` in /etc/security/limits.conf and a new login (or `ulimit -r \
          {priority}` where the hard limit is as high), or with {}",
@@ -30,8 +33,8 @@ pub fn priority_remedy(priority: u32, program: &str) -> String {
     )
 }
 
-/// What allows `program` to lock memory.
-pub fn lock_remedy(program: &str) -> String {
+/// How a user can allow `program` to lock memory.
+pub(crate) fn lock_remedy(program: &str) -> String {
     format!(
         "allow it with a line `USER - memlock unlimited` in /etc/security/limits.conf and a new login (or `ulimit -l \
          unlimited`), or with {}",
@@ -39,12 +42,12 @@ pub fn lock_remedy(program: &str) -> String {
     )
 }
 
-/// Both capabilities, because setting one takes the other away.
+/// The command that grants both capabilities. It names both, because `setcap` with one removes the other.
 fn setcap(program: &str) -> String {
     format!("`sudo setcap cap_sys_nice,cap_ipc_lock=ep {program}`")
 }
 
-/// A line of `/proc/self/status`.
+/// The value behind `key` in `/proc/self/status`.
 pub(super) fn status(key: &str) -> Option<String> {
     let text = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(':'))?;
@@ -56,9 +59,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_system_says_what_is_allowed() {
+    fn limits_and_capabilities_can_be_read() {
         assert!(status("CapEff").is_some_and(|hex| u64::from_str_radix(&hex, 16).is_ok()));
-        assert!(status("Cap").is_none(), "a whole key");
+        assert!(status("Cap").is_none(), "only whole keys match");
         assert!(priority_limit() <= 99);
         assert!(lock_remedy("x").contains("ep x`") && priority_remedy(7, "x").contains("rtprio 7"));
     }

@@ -1,9 +1,9 @@
-//! What machine a run happened on, for the log's header: a number without its machine says little.
+//! The machine of a run, for the log's header: a measured duration means little without its machine.
 
 use std::collections::BTreeMap;
 
-/// Kernel, processor, cores and memory as far as the system tells.
-pub fn facts() -> BTreeMap<String, String> {
+/// Kernel, architecture, host, cores, processor and memory, as far as the system reports them.
+pub(crate) fn facts() -> BTreeMap<String, String> {
     let mut facts = BTreeMap::new();
     let mut put = |key: &str, value: String| facts.insert(key.to_owned(), value);
     let uname = rustix::system::uname();
@@ -16,6 +16,7 @@ pub fn facts() -> BTreeMap<String, String> {
     facts
 }
 
+/// The model name of the first processor.
 fn processor() -> Option<String> {
     let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;
     let line = text.lines().find(|l| l.starts_with("model name"))?;

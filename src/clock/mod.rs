@@ -1,7 +1,9 @@
-//! The operating-system boundary: time, signals, other processes' lives, scheduling, and what machine this is.
+//! The operating-system boundary: time, signals, handles on other processes, real-time scheduling, and facts
+//! about the machine.
 //!
-//! Nothing outside this room and [`crate::channel`] asks the operating system for the time or sleeps. The loops take
-//! a [`TimeSource`], which is real (absolute deadlines on CLOCK_MONOTONIC) or stepped (the tick's own virtual time).
+//! Only this module and `channel` ask the operating system for the time or sleep. The loops take a
+//! [`TimeSource`], which is real (absolute deadlines on CLOCK_MONOTONIC) or stepped (the tick's own virtual
+//! time).
 
 mod holders;
 mod limits;
@@ -11,11 +13,12 @@ mod realtime;
 mod signals;
 mod source;
 
-pub use holders::mapping;
-pub use limits::{lock_limit, lock_remedy, priority_limit, priority_remedy};
-pub use machine::facts;
+pub(crate) use holders::processes_mapping;
+pub(crate) use limits::{lock_limit, lock_remedy, priority_limit, priority_remedy};
+pub(crate) use machine::facts;
 pub use process_handle::ProcessHandle;
-pub use realtime::{RealtimeGranted, RealtimeRefusal, RealtimeReport, RealtimeRequest, fifo};
+pub(crate) use realtime::set_fifo_priority;
+pub use realtime::{RealtimeGranted, RealtimeRefusal, RealtimeReport, RealtimeRequest};
 pub use signals::TerminationSignals;
 pub use source::{Backoff, TimeSource, WakeReason};
 
@@ -27,19 +30,19 @@ pub fn monotonic_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::Monotonic))
 }
 
-/// The wall clock, ns since 1970. Read once a run, to give its log a date.
-pub fn wall_ns() -> u64 {
+/// The wall clock, ns since 1970. It is read once per run, to date the log.
+pub(crate) fn wall_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::Realtime))
 }
 
-/// Sleeps until the absolute instant `at` on CLOCK_MONOTONIC, ns; returns at once if it has passed. A signal that
-/// interrupts the sleep ends it early: callers look at their flags and come back.
-pub fn sleep_until(at: u64) {
-    // The result says only whether a signal came between, which the caller finds out from the clock.
+/// Sleeps until the absolute instant `at` on CLOCK_MONOTONIC, ns; returns at once if it has passed. A signal
+/// ends the sleep early, so callers check their flags and call again.
+pub(crate) fn sleep_until(at: u64) {
+    // The result tells only whether a signal interrupted the sleep. Callers find that out from the clock.
     let _ = clock_nanosleep_absolute(ClockId::Monotonic, &timespec(at));
 }
 
-/// Sleeps for `ns` nanoseconds, for pacing that no deadline hangs on; a signal ends it early.
+/// Sleeps for `ns` nanoseconds, for pacing without a deadline. A signal ends the sleep early.
 pub fn pause(ns: u64) {
     match nanosleep(&timespec(ns)) {
         NanosleepRelativeResult::Ok | NanosleepRelativeResult::Interrupted(_) => {}
@@ -47,7 +50,8 @@ pub fn pause(ns: u64) {
     }
 }
 
-/// Asks for timers that fire when they are due instead of up to 50 us later (the default slack of a normal thread).
+/// Sets the calling thread's timer slack to 1 ns. With the default slack of an ordinary thread, timers fire up
+/// to 50 us late.
 pub fn precise_timers() {
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
 }

@@ -1,17 +1,18 @@
-//! Whether another process is still alive, without the races of process ids.
+//! A handle on another process, to see whether it has ended and to signal it. A pidfd avoids the race in which
+//! the system gives a process id to a new process.
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::OwnedFd;
 use rustix::process::{Pid, PidfdFlags, pidfd_open, pidfd_send_signal};
 
-/// A handle on a process that stays valid when its id is reused.
+/// A handle on a process. It never refers to another process, even when the process id is used again.
 #[derive(Debug)]
 pub struct ProcessHandle {
     fd: OwnedFd,
 }
 
 impl ProcessHandle {
-    /// A handle on process `pid`, or `None` when there is no such process any more (or no pidfd on this kernel).
+    /// A handle on process `pid`; `None` when the process no longer exists, or when this kernel has no pidfd.
     pub fn of(pid: u32) -> Option<Self> {
         let pid = Pid::from_raw(i32::try_from(pid).ok()?)?;
         pidfd_open(pid, PidfdFlags::empty()).ok().map(|fd| Self { fd })
@@ -25,15 +26,15 @@ impl ProcessHandle {
     }
 
     /// Waits until one of the processes has ended, or for `ns` nanoseconds.
-    pub fn await_any<'a>(lives: impl Iterator<Item = &'a Self>, ns: u64) {
-        let mut fds: Vec<_> = lives.map(|life| PollFd::new(&life.fd, PollFlags::IN)).collect();
+    pub fn await_any<'a>(processes: impl Iterator<Item = &'a Self>, ns: u64) {
+        let mut fds: Vec<_> = processes.map(|process| PollFd::new(&process.fd, PollFlags::IN)).collect();
         let limit = Timespec { tv_sec: (ns / 1_000_000_000) as i64, tv_nsec: (ns % 1_000_000_000) as i64 };
-        // A signal ends the wait early: callers look at their flags and come back.
+        // A signal ends the wait early, so callers check their flags and call again.
         let _ = poll(&mut fds, Some(&limit));
     }
 
-    /// Stops the process (SIGSTOP), or lets it go on (SIGCONT).
-    pub fn stop(&self, stop: bool) {
+    /// Stops the process (SIGSTOP), or continues it (SIGCONT).
+    pub(crate) fn stop(&self, stop: bool) {
         let signal = if stop { rustix::process::Signal::STOP } else { rustix::process::Signal::CONT };
         let _ = pidfd_send_signal(&self.fd, signal);
     }
@@ -43,7 +44,7 @@ impl ProcessHandle {
         let _ = pidfd_send_signal(&self.fd, rustix::process::Signal::TERM);
     }
 
-    /// Kills the process; one that has ended already is left alone.
+    /// Kills the process (SIGKILL); does nothing when it has already ended.
     pub fn kill(&self) {
         let _ = pidfd_send_signal(&self.fd, rustix::process::Signal::KILL);
     }
@@ -54,13 +55,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_child_lives_until_it_is_killed() {
+    fn a_child_has_ended_only_after_it_was_killed() {
         let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
-        let life = ProcessHandle::of(child.id()).unwrap();
-        assert!(!life.ended());
-        life.kill();
+        let process = ProcessHandle::of(child.id()).unwrap();
+        assert!(!process.ended());
+        process.kill();
         child.wait().unwrap();
-        assert!(life.ended());
+        assert!(process.ended());
         assert!(ProcessHandle::of(0).is_none());
     }
 }

@@ -1,9 +1,10 @@
-//! What a process asks of the operating system for itself in real time, and what it then has: asked first, checked after.
+//! Real-time settings of a process: they are requested from the operating system and then read back.
 //!
-//! A request that succeeded says little: a set of cores is cut down in silence, a lock may cover what is there and not what
-//! comes. So everything is read back from the kernel (`/proc`, the affinity mask), and what is not as it was asked for is
-//! a [`RealtimeRefusal`] with its remedy. None of them ends a run. Requests hold for the calling thread, which must be the one that
-//! runs the loop; the lock holds for the whole process.
+//! A request that succeeds proves little. The kernel drops cores from a set without an error, and a memory lock
+//! may cover present memory but not future allocations. So every setting is read back from the kernel (`/proc`,
+//! the affinity mask). A setting that does not hold as requested becomes a [`RealtimeRefusal`] with its remedy.
+//! A refusal never ends a run. Requests apply to the calling thread, which must be the thread that runs the
+//! loop. The memory lock applies to the whole process.
 
 use std::hint::black_box;
 use std::num::NonZeroU64;
@@ -18,94 +19,93 @@ use thread_priority::{
 };
 
 use super::limits::{lock_limit, lock_remedy, priority_remedy, status};
-use crate::scenario::RealtimeProcess;
 
-/// The timer slack that is always asked for in real time, ns: the least that there is.
+/// The timer slack that is always requested in real time, ns: the smallest possible one.
 const TIMER_SLACK_NS: u64 = 1;
-/// Stack that is left alone when the rest is touched, KiB.
+/// Stack that prefaulting leaves untouched, KiB.
 const SPARE_STACK_KIB: u64 = 512;
 
-/// What a process asked for, what it has, and what it was refused.
+/// What a process requested, what it has, and what it was refused.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RealtimeReport {
-    /// What was asked for.
+    /// The requested settings.
     pub asked: RealtimeRequest,
-    /// What holds, read back after the requests.
+    /// The settings in force, read back after the requests.
     pub held: RealtimeGranted,
-    /// What was asked for and does not hold.
+    /// The requested settings that are not in force.
     pub refused: Vec<RealtimeRefusal>,
 }
 
-/// What was asked for: the scenario's table, and the timer slack.
+/// The settings that a process requests. The default requests nothing but the timer slack.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RealtimeRequest {
     /// Priority under SCHED_FIFO.
     pub priority: Option<u32>,
-    /// Cores; none named means all.
+    /// Cores on which the thread may run; an empty list means all.
     pub cores: Vec<u32>,
-    /// All memory in RAM.
+    /// Whether to lock all memory in RAM.
     pub lock_memory: bool,
-    /// Stack touched beforehand, KiB.
+    /// Stack that is touched before the loop starts, KiB.
     pub prefault_stack_kib: u32,
     /// Timer slack, ns.
     pub timer_slack_ns: u64,
 }
 
-/// What holds, as the kernel says it.
+/// The settings in force, as the kernel reports them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RealtimeGranted {
     /// The thread's scheduling policy: `other`, `fifo`, `round-robin`, `batch`, `idle`, `deadline`.
     pub scheduler: String,
-    /// Its real-time priority; 0 under the ordinary scheduler.
+    /// The thread's real-time priority; 0 under the ordinary scheduler.
     pub priority: u32,
     /// The cores on which it may run.
     pub cores: Vec<u32>,
     /// Memory locked in RAM, KiB.
     pub locked_kib: u64,
-    /// The main thread's stack, as far as it has been in use, KiB.
+    /// The part of the main thread's stack that has been in use, KiB.
     pub stack_kib: u64,
     /// Timer slack, ns; 0 under a real-time policy, which has none.
     pub timer_slack_ns: u64,
 }
 
-/// Something that was asked for and does not hold.
+/// A requested setting that is not in force.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RealtimeRefusal {
-    /// What: the key and the value that was asked for.
+    /// The key and the requested value.
     pub what: String,
-    /// Why, as far as the system says.
+    /// The reason, as far as the system reports one.
     pub why: String,
     /// What a user can do about it.
     pub remedy: String,
 }
 
 impl RealtimeReport {
-    /// Asks for everything in `process`, with `table` its place in the scenario (`realtime.plant`), and says what came of
-    /// it. To be called by the thread that runs the loop, when most of its memory is there.
-    pub fn request(process: &RealtimeProcess, table: &str) -> Self {
+    /// Requests all settings in `asked`, and reports which of them are in force. `table` is the place of the
+    /// settings in the scenario (`realtime.plant`), for the remedies. The thread that runs the loop must call
+    /// it, after it has allocated most of its memory.
+    pub fn request(asked: RealtimeRequest, table: &str) -> Self {
         let mut refused = Vec::new();
-        refused.extend(take_cores(&process.cores, table));
-        let stack = touch_stack(process.prefault_stack_kib, table);
-        let lock = if process.lock_memory { lock_memory().err() } else { None };
-        // Before the policy, because a real-time thread has no slack to set.
+        refused.extend(restrict_to_cores(&asked.cores, table));
+        let stack = touch_stack(asked.prefault_stack_kib, table);
+        let lock = if asked.lock_memory { lock_memory().err() } else { None };
+        // Before the scheduling policy, because a real-time thread has no slack to set.
         let _ = NonZeroU64::new(TIMER_SLACK_NS).map(|slack| set_current_timer_slack(Some(slack)));
-        let priority = process.priority.and_then(|priority| fifo(priority).err().map(|why| (priority, why)));
+        let priority_error = asked.priority.and_then(|priority| set_fifo_priority(priority).err());
 
         let held = RealtimeGranted::now();
-        refused.extend(stack.or_else(|| short_stack(process.prefault_stack_kib, &held)));
+        refused.extend(stack.or_else(|| short_stack(asked.prefault_stack_kib, &held)));
         refused.extend(lock.or_else(|| {
-            (process.lock_memory && held.locked_kib == 0).then(|| RealtimeRefusal {
+            (asked.lock_memory && held.locked_kib == 0).then(|| RealtimeRefusal {
                 what: "lock_memory".to_owned(),
-                why: "the request was taken, and nothing is locked".to_owned(),
+                why: "the request was accepted, but nothing is locked".to_owned(),
                 remedy: lock_remedy(&program()),
             })
         }));
-        let fallen = |wanted: &u32| held.scheduler != "fifo" || held.priority != *wanted;
-        if let Some(wanted) = process.priority.filter(fallen) {
-            let (_, why) = priority.unwrap_or((wanted, "the request was taken, and does not hold".to_owned()));
+        let not_in_force = |wanted: &u32| held.scheduler != "fifo" || held.priority != *wanted;
+        if let Some(wanted) = asked.priority.filter(not_in_force) {
             refused.push(RealtimeRefusal {
                 what: format!("priority = {wanted}"),
-                why,
+                why: priority_error.unwrap_or("the request was accepted, but it is not in force".to_owned()),
                 remedy: priority_remedy(wanted, &program()),
             });
         }
@@ -116,15 +116,15 @@ impl RealtimeReport {
                 remedy: "a sandbox may forbid prctl(PR_SET_TIMERSLACK); wake-ups are later by that much".to_owned(),
             });
         }
-        Self { asked: RealtimeRequest::of(process), held, refused }
+        Self { asked, held, refused }
     }
 
-    /// Whether nothing was asked for beyond what always is, and nothing was refused.
+    /// Whether only the timer slack was requested, and nothing was refused.
     pub fn is_usual(&self) -> bool {
-        self.asked == RealtimeRequest::of(&RealtimeProcess::default()) && self.refused.is_empty()
+        self.asked == RealtimeRequest::default() && self.refused.is_empty()
     }
 
-    /// What holds, and what was refused, on one line.
+    /// The settings in force and the refused ones, on one line.
     pub fn to_text(&self) -> String {
         let held = &self.held;
         let mut parts = vec![match held.priority {
@@ -145,20 +145,20 @@ impl RealtimeReport {
     }
 }
 
-impl RealtimeRequest {
-    fn of(process: &RealtimeProcess) -> Self {
+impl Default for RealtimeRequest {
+    fn default() -> Self {
         Self {
-            priority: process.priority,
-            cores: process.cores.clone(),
-            lock_memory: process.lock_memory,
-            prefault_stack_kib: process.prefault_stack_kib,
+            priority: None,
+            cores: Vec::new(),
+            lock_memory: false,
+            prefault_stack_kib: 0,
             timer_slack_ns: TIMER_SLACK_NS,
         }
     }
 }
 
 impl RealtimeGranted {
-    /// What holds for the calling thread now.
+    /// The settings in force for the calling thread now.
     pub fn now() -> Self {
         let (scheduler, priority) = scheduler().unwrap_or_else(|| ("unknown".to_owned(), 0));
         Self {
@@ -175,32 +175,33 @@ impl RealtimeGranted {
 /// Puts the calling thread under SCHED_FIFO with `priority`, 1 to 99.
 ///
 /// # Errors
-/// The operating system's reason in words.
-pub fn fifo(priority: u32) -> Result<(), String> {
+/// The operating system's reason, as text.
+pub(crate) fn set_fifo_priority(priority: u32) -> Result<(), String> {
     let value = u8::try_from(priority).map_err(|_| "no such priority".to_owned())?;
     let value = ThreadPriorityValue::try_from(value).map_err(|why| why.to_string())?;
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
     set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(value), policy).map_err(|error| {
         match error {
-            Error::OS(code) => system(std::io::Error::from_raw_os_error(code)),
+            Error::OS(code) => system_text(std::io::Error::from_raw_os_error(code)),
             other => format!("{other:?}"),
         }
     })
 }
 
-/// This program's file.
+/// The path of this program's file.
 fn program() -> String {
     std::env::current_exe().map_or_else(|_| "PROGRAM".to_owned(), |path| path.display().to_string())
 }
 
-fn system(error: std::io::Error) -> String {
-    // "Operation not permitted (os error 1)": the number says nothing more.
+/// The system's text of an error without its number: "Operation not permitted" of "Operation not permitted (os
+/// error 1)".
+fn system_text(error: std::io::Error) -> String {
     let text = error.to_string();
     text.split(" (os error").next().unwrap_or(&text).to_owned()
 }
 
-/// Moves the calling thread to `asked`.
-fn take_cores(asked: &[u32], table: &str) -> Option<RealtimeRefusal> {
+/// Restricts the calling thread to the cores `asked`.
+fn restrict_to_cores(asked: &[u32], table: &str) -> Option<RealtimeRefusal> {
     if asked.is_empty() {
         return None;
     }
@@ -209,13 +210,13 @@ fn take_cores(asked: &[u32], table: &str) -> Option<RealtimeRefusal> {
     let answer = sched_setaffinity(None, &set);
     let held = cores();
     let missing: Vec<u32> = asked.iter().copied().filter(|core| !held.contains(core)).collect();
-    // A request that failed changed nothing, and the thread may run on the asked cores and on others.
+    // A request that failed changed nothing. The thread may then run on the requested cores and on others.
     if missing.is_empty() && answer.is_ok() {
         return None;
     }
     let online = std::fs::read_to_string("/sys/devices/system/cpu/online").unwrap_or_default();
     let why = match (missing.is_empty(), answer) {
-        (true, Err(error)) => system(error.into()),
+        (true, Err(error)) => system_text(error.into()),
         _ => format!("the machine has the cores {}, and the process may run on {}", online.trim(), ranges(&held)),
     };
     let what = if missing.is_empty() { asked } else { &missing };
@@ -226,13 +227,14 @@ fn take_cores(asked: &[u32], table: &str) -> Option<RealtimeRefusal> {
     })
 }
 
-/// Locks what is there and, where no limit could be met later, what will come.
+/// Locks present memory, and future allocations where no limit can be reached.
 fn lock_memory() -> Result<(), RealtimeRefusal> {
     let refusal = |why| RealtimeRefusal { what: "lock_memory".to_owned(), why, remedy: lock_remedy(&program()) };
     let limit = lock_limit();
-    // Under a limit, a process that had locked all that is to come would die of its next allocation beyond it.
-    let what = if limit.is_none() { MlockAllFlags::CURRENT | MlockAllFlags::FUTURE } else { MlockAllFlags::CURRENT };
-    mlockall(what).map_err(|error| refusal(system(error.into())))?;
+    // Under a limit, a process that had locked future allocations would die of its next allocation beyond the
+    // limit.
+    let range = if limit.is_none() { MlockAllFlags::CURRENT | MlockAllFlags::FUTURE } else { MlockAllFlags::CURRENT };
+    mlockall(range).map_err(|error| refusal(system_text(error.into())))?;
     match limit {
         None => Ok(()),
         Some(bytes) => Err(refusal(format!(
@@ -242,7 +244,7 @@ fn lock_memory() -> Result<(), RealtimeRefusal> {
     }
 }
 
-/// Touches `kib` of stack below the caller, so that no tick is the first to need it.
+/// Touches `kib` of stack below the caller, so that no tick causes a page fault there.
 fn touch_stack(kib: u32, table: &str) -> Option<RealtimeRefusal> {
     let limit = getrlimit(Resource::Stack).current.map_or(u64::MAX, |bytes| bytes >> 10);
     if u64::from(kib) + SPARE_STACK_KIB + status_kib("VmStk") > limit {
@@ -256,7 +258,7 @@ fn touch_stack(kib: u32, table: &str) -> Option<RealtimeRefusal> {
     None
 }
 
-/// One page and those below it.
+/// Touches `pages` pages and this function's own.
 #[inline(never)]
 fn touch(pages: u32) {
     let mut page = [0_u8; 4096];
@@ -267,6 +269,7 @@ fn touch(pages: u32) {
     black_box(&page);
 }
 
+/// The refusal for a stack that is still smaller than the prefaulted size.
 fn short_stack(kib: u32, held: &RealtimeGranted) -> Option<RealtimeRefusal> {
     (held.stack_kib < u64::from(kib)).then(|| RealtimeRefusal {
         what: format!("prefault_stack_kib = {kib}"),
@@ -275,10 +278,11 @@ fn short_stack(kib: u32, held: &RealtimeGranted) -> Option<RealtimeRefusal> {
     })
 }
 
-/// Policy and priority of the calling thread, out of its `stat`.
+/// Scheduling policy and real-time priority of the calling thread, from `/proc/thread-self/stat`.
 fn scheduler() -> Option<(String, u32)> {
     let stat = std::fs::read_to_string("/proc/thread-self/stat").ok()?;
-    // The name may hold blanks and parentheses. Behind it come fields 3 and on; priority is field 40, policy field 41.
+    // The program's name may hold blanks and parentheses. Fields 3 and on follow it. Field 40 is the priority
+    // and field 41 the policy.
     let fields: Vec<&str> = stat.rsplit_once(") ")?.1.split_whitespace().collect();
     let (priority, policy) = (fields.get(37)?.parse().ok()?, *fields.get(38)?);
     let name = match policy {
@@ -299,11 +303,12 @@ fn cores() -> Vec<u32> {
     (0..CpuSet::MAX_CPU).filter(|&core| set.is_set(core)).map(|core| core as u32).collect()
 }
 
+/// A size in `/proc/self/status`, KiB; 0 when it is missing.
 fn status_kib(key: &str) -> u64 {
     status(key).and_then(|value| value.split(' ').next()?.parse().ok()).unwrap_or(0)
 }
 
-/// Numbers in order as the kernel writes them: `0-3,6`.
+/// Sorted numbers as the kernel writes them: `0-3,6`.
 fn ranges(cores: &[u32]) -> String {
     let mut text = String::new();
     let mut rest = cores;
@@ -321,37 +326,37 @@ fn ranges(cores: &[u32]) -> String {
 mod tests {
     use super::*;
 
-    /// In a thread of its own, so that neither cores nor slack stay with the test's.
-    fn asked(process: RealtimeProcess) -> RealtimeReport {
-        std::thread::spawn(move || RealtimeReport::request(&process, "realtime.plant")).join().unwrap()
+    /// Requests in a separate thread, so that the test's own thread keeps its cores and timer slack.
+    fn request(asked: RealtimeRequest) -> RealtimeReport {
+        std::thread::spawn(move || RealtimeReport::request(asked, "realtime.plant")).join().unwrap()
     }
 
     #[test]
-    fn nothing_asked_is_nothing_refused_but_the_slack_is_set() {
-        let report = asked(RealtimeProcess::default());
+    fn an_empty_request_sets_only_the_timer_slack() {
+        let report = request(RealtimeRequest::default());
         assert!(report.refused.is_empty(), "{report:?}");
         assert!(report.held.timer_slack_ns <= 1 && !report.held.cores.is_empty(), "{report:?}");
         assert!(report.to_text().starts_with("scheduler "), "{}", report.to_text());
     }
 
     #[test]
-    fn a_core_is_held_alone_and_one_that_is_not_there_is_refused() {
+    fn a_core_is_granted_and_a_missing_core_is_refused() {
         let first = RealtimeGranted::now().cores[0];
-        let report = asked(RealtimeProcess { cores: vec![first], ..RealtimeProcess::default() });
+        let report = request(RealtimeRequest { cores: vec![first], ..RealtimeRequest::default() });
         assert_eq!((report.held.cores.as_slice(), report.refused.len()), ([first].as_slice(), 0));
-        // The kernel takes this request and drops the core in silence.
-        let report = asked(RealtimeProcess { cores: vec![first, 1023], ..RealtimeProcess::default() });
+        // The kernel accepts this request and drops the missing core without an error.
+        let report = request(RealtimeRequest { cores: vec![first, 1023], ..RealtimeRequest::default() });
         assert_eq!(report.held.cores, [first]);
         assert_eq!(report.refused[0].what, "cores = [1023]");
         assert!(report.refused[0].remedy.contains("realtime.plant.cores") && report.to_text().contains("refused"));
-        // This one it refuses.
-        let report = asked(RealtimeProcess { cores: vec![1023], ..RealtimeProcess::default() });
+        // The kernel refuses this request.
+        let report = request(RealtimeRequest { cores: vec![1023], ..RealtimeRequest::default() });
         assert_eq!(report.refused.len(), 1, "{report:?}");
     }
 
     #[test]
-    fn a_priority_holds_or_is_refused_with_a_remedy() {
-        let report = asked(RealtimeProcess { priority: Some(7), ..RealtimeProcess::default() });
+    fn a_priority_is_in_force_or_refused_with_a_remedy() {
+        let report = request(RealtimeRequest { priority: Some(7), ..RealtimeRequest::default() });
         match report.refused.as_slice() {
             [] => assert_eq!((report.held.scheduler.as_str(), report.held.priority), ("fifo", 7)),
             [refusal] => {
@@ -363,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn cores_in_the_kernels_words() {
+    fn cores_are_written_as_the_kernel_writes_them() {
         for (cores, text) in [(&[][..], ""), (&[3], "3"), (&[0, 1, 2, 3, 6], "0-3,6"), (&[1, 3, 4], "1,3-4")] {
             assert_eq!(ranges(cores), text);
         }

@@ -1,8 +1,8 @@
-//! One loop, two kinds of time: a source that is real, or stepped by the arrival of the peer's sample.
+//! The loops' source of time: the real clock, or virtual time that the arrival of the peer's sample steps.
 //!
-//! In real time a tick begins at its absolute deadline and whatever has not arrived by then is missed. Stepped, a tick
-//! begins as soon as the awaited sample is there, and the clock reads the tick's scheduled instant, so that every stamp
-//! is a function of the tick alone.
+//! In real time a tick begins at its absolute deadline, and a sample that has not arrived by then is missed. In
+//! stepped time a tick begins as soon as the awaited sample has arrived. The clock then reads the tick's
+//! scheduled instant, so that every time stamp is a function of the tick alone.
 
 use super::{monotonic_ns, pause, sleep_until};
 
@@ -11,11 +11,11 @@ use super::{monotonic_ns, pause, sleep_until};
 pub enum WakeReason {
     /// The tick begins.
     Tick,
-    /// The caller's look-around said to give up.
+    /// The caller's check cancelled the wait.
     Cancelled,
 }
 
-/// Where a loop's time comes from. Tick k is scheduled at `t0 + k * period`.
+/// The source of a loop's time. Tick k is scheduled at `t0 + k * period`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TimeSource {
     /// CLOCK_MONOTONIC.
@@ -25,16 +25,16 @@ pub enum TimeSource {
         /// Period, ns.
         period_ns: u64,
     },
-    /// Virtual time, which starts at 0 and stands at the tick in progress.
+    /// Virtual time. It starts at 0 and equals the scheduled instant of the tick in progress.
     Stepped {
         /// Period, ns.
         period_ns: u64,
-        /// The virtual now, ns.
+        /// The current virtual time, ns.
         now_ns: u64,
     },
 }
 
-/// Longest uninterrupted sleep, ns: how soon a waiting loop notices that the run is to end.
+/// Longest uninterrupted sleep, ns: the longest time until a waiting loop notices the end of the run.
 const SLICE_NS: u64 = 50_000_000;
 
 impl TimeSource {
@@ -56,7 +56,7 @@ impl TimeSource {
         }
     }
 
-    /// Now, ns.
+    /// The current time, ns.
     pub fn now(&self) -> u64 {
         match *self {
             Self::Real { .. } => monotonic_ns(),
@@ -64,7 +64,7 @@ impl TimeSource {
         }
     }
 
-    /// The last tick whose scheduled instant has come; stepped, the tick in progress.
+    /// The last tick whose scheduled instant has passed; in stepped time, the tick in progress.
     pub fn due(&self) -> u64 {
         match *self {
             Self::Real { t0_ns, period_ns } => self.now().saturating_sub(t0_ns) / period_ns,
@@ -77,7 +77,7 @@ impl TimeSource {
         matches!(self, Self::Real { .. })
     }
 
-    /// Moves a stepped source to `tick`, for a loop that is paced by its peer. A real source takes care of itself.
+    /// Moves a stepped source to `tick`, for a loop that its peer paces. Does nothing to a real source.
     pub fn step_to(&mut self, tick: u64) {
         let scheduled = self.scheduled(tick);
         if let Self::Stepped { now_ns, .. } = self {
@@ -85,31 +85,31 @@ impl TimeSource {
         }
     }
 
-    /// Waits until `tick` begins. In real time that is its deadline, and `arrived` is not asked; stepped, it is the
-    /// moment when `arrived` says that the peer's sample is there. `look_around` is asked now and then, about every
-    /// 50 ms at the latest; when it says true, the wait is cancelled.
+    /// Waits until `tick` begins. In real time that is its deadline, and `arrived` is not called. In stepped
+    /// time it is the moment when `arrived` returns true: the peer's sample is there. `cancel` is called during
+    /// the wait, at least about every 50 ms. When it returns true, the wait is cancelled.
     pub fn await_tick(
         &mut self,
         tick: u64,
         mut arrived: impl FnMut() -> bool,
-        mut look_around: impl FnMut() -> bool,
+        mut cancel: impl FnMut() -> bool,
     ) -> WakeReason {
         let scheduled = self.scheduled(tick);
         if self.is_real() {
             loop {
                 let now = self.now();
                 if now >= scheduled {
-                    return if look_around() { WakeReason::Cancelled } else { WakeReason::Tick };
+                    return if cancel() { WakeReason::Cancelled } else { WakeReason::Tick };
                 }
                 sleep_until(scheduled.min(now + SLICE_NS));
-                if scheduled > now + SLICE_NS && look_around() {
+                if scheduled > now + SLICE_NS && cancel() {
                     return WakeReason::Cancelled;
                 }
             }
         }
         let mut backoff = Backoff::default();
         while !arrived() {
-            if backoff.pause() && look_around() {
+            if backoff.pause() && cancel() {
                 return WakeReason::Cancelled;
             }
         }
@@ -118,20 +118,21 @@ impl TimeSource {
     }
 }
 
-/// How to wait for a peer that answers in microseconds without starving it of the core that both may share: yield on
-/// every turn, and after a while sleep.
+/// Waits for a peer that answers in microseconds and may share this core: it yields the core on every turn, and
+/// after some milliseconds sleeps between turns.
 #[derive(Debug, Default)]
 pub struct Backoff {
     turns: u32,
 }
 
 impl Backoff {
-    /// Turns of pure yielding: some milliseconds, far longer than a healthy peer takes.
+    /// Turns that only yield: some milliseconds, far longer than a healthy peer takes.
     const YIELDS: u32 = 4096;
-    /// The sleep after that, ns.
-    const NAP_NS: u64 = 50_000;
+    /// The sleep in each turn after that, ns.
+    const SLEEP_NS: u64 = 50_000;
 
-    /// Gives way once. True when it is time to look around: every 64th turn, and after each nap.
+    /// Waits for one turn. Returns true when the caller should check whether to cancel: on every 64th turn, and
+    /// after each sleep.
     #[inline]
     pub fn pause(&mut self) -> bool {
         if self.turns < Self::YIELDS {
@@ -139,7 +140,7 @@ impl Backoff {
             rustix::thread::sched_yield();
             self.turns.is_multiple_of(64)
         } else {
-            pause(Self::NAP_NS);
+            pause(Self::SLEEP_NS);
             true
         }
     }
@@ -152,16 +153,16 @@ mod tests {
     #[test]
     fn stepped_time_is_a_function_of_the_tick() {
         let mut time = TimeSource::stepped(50_000_000);
-        let mut asked = 0;
+        let mut calls = 0;
         let wake = time.await_tick(
             7,
             || {
-                asked += 1;
-                asked == 3
+                calls += 1;
+                calls == 3
             },
             || false,
         );
-        assert_eq!((wake, asked, time.now()), (WakeReason::Tick, 3, 350_000_000));
+        assert_eq!((wake, calls, time.now()), (WakeReason::Tick, 3, 350_000_000));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use super::Check;
-use crate::clock::{fifo, monotonic_ns, precise_timers, priority_limit, sleep_until};
+use crate::clock::{monotonic_ns, precise_timers, priority_limit, set_fifo_priority, sleep_until};
 use crate::runtime::Percentiles;
 
 /// From one wake-up to the next, ns: much shorter than a tick, for the sake of many of them.
@@ -41,7 +41,7 @@ pub fn measure(seconds: u32) -> Lateness {
     let priority = priority_limit().clamp(1, PRIORITY) as u32;
     let ticks = u64::from(seconds) * 1_000_000_000 / PERIOD_NS;
     let start = monotonic_ns() + PERIOD_NS;
-    let real = std::thread::spawn(move || fifo(priority).map(|()| wake(start + PERIOD_NS / 2, ticks)));
+    let real = std::thread::spawn(move || set_fifo_priority(priority).map(|()| wake(start + PERIOD_NS / 2, ticks)));
     let ordinary = std::thread::spawn(move || wake(start, ticks));
     // A measurement cannot panic; should it, nothing was measured.
     let ordinary = ordinary.join().ok().flatten();

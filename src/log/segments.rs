@@ -12,8 +12,7 @@ use super::{LOG_FILE, LogError, LogReader, LogRecord, LogSegment, LogTotals, Mes
 ///
 /// [`LogError::NoLog`] if there is none.
 pub fn find(given: &Path) -> Result<Vec<PathBuf>, LogError> {
-    let named = Path::new("runs").join(given);
-    let place = if !given.exists() && named.exists() { named } else { given.to_owned() };
+    let place = crate::run_folder::find(given, Path::exists);
     let log = if place.is_dir() { segments(&place) } else { vec![place.clone()] };
     if log.first().is_some_and(|log| log.exists()) {
         return Ok(log);

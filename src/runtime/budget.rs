@@ -1,22 +1,22 @@
-//! How the controller of a real-time run spends its ticks: the answer that the plant waits for, the learner after it, and
-//! what is left until the next tick.
+//! How the controller of a real-time run spends the time of its ticks: the command that the plant waits for,
+//! the learner after it, and the slack until the next tick.
 //!
-//! It is for people alone and touches nothing that is learned. All memory is taken at the start. In lockstep there is no
-//! time to spend, and no budget.
+//! The budget is for reports only and does not influence learning. All memory is allocated at the start. A
+//! lockstep run has no budget.
 
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 
 use super::reports::{Percentiles, histogram};
 
-/// What is left of a tick, us.
+/// Percentiles of the slack: the time from the end of the controller's work to the next tick, us.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SlackPercentiles {
     /// Median.
     pub p50: f64,
-    /// First percentile: 99 ticks in a hundred leave more.
+    /// First percentile: 99 of 100 ticks have more slack.
     pub p1: f64,
-    /// Least; 0 where a tick was overrun.
+    /// Minimum; 0 where a tick was overrun.
     pub min: f64,
 }
 
@@ -25,33 +25,35 @@ pub struct SlackPercentiles {
 pub struct TickBudget {
     /// The tick's period, us.
     pub period_us: f64,
-    /// The plant: from its waking up to its observation's being sent. Its own account; null where it left none.
+    /// The plant, from waking up to having sent its observation, as in its report; null where it left no
+    /// report.
     pub plant_us: Option<Percentiles>,
-    /// From the observation's arrival at the controller to the sending of the command: encode, learn, draw, send.
+    /// From the arrival of the observation at the controller to the sending of the command: encode, learn,
+    /// draw, send.
     pub answer_us: Option<Percentiles>,
-    /// What the learner took to improve the policy, after the command had gone out.
+    /// The time that the learner took to improve the policy, after the command had been sent.
     pub learner_us: Option<Percentiles>,
     /// The learner's mean share of the period.
     pub learner_share: f64,
-    /// Ticks in which the learner was still at work when the next tick was due. The command of the next tick is then
-    /// late by the rest, and missed if that takes longer than a period.
+    /// Ticks in which the learner still worked when the next tick was due. The command of the next tick is then
+    /// late by the remaining time, and missed if the learner takes more than another period.
     pub learner_overruns: u64,
-    /// From the end of the controller's work, learning record and account included, to the next tick.
+    /// From the end of the controller's work, including learning record and statistics, to the next tick.
     pub slack_us: Option<SlackPercentiles>,
 }
 
 /// The instants of one tick of the controller, ns.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TickInstants {
-    /// For which the tick was scheduled.
+    /// The instant for which the tick was scheduled.
     pub scheduled: u64,
-    /// The observation was there.
-    pub seen: u64,
-    /// The command was out.
+    /// The observation had arrived.
+    pub arrived: u64,
+    /// The command was sent.
     pub answered: u64,
-    /// The learner had done.
+    /// The learner had finished.
     pub improved: u64,
-    /// Nothing was left to do.
+    /// All work of the tick was done.
     pub done: u64,
 }
 
@@ -62,7 +64,7 @@ pub(super) struct BudgetMeter {
     answer: Histogram<u64>,
     learner: Histogram<u64>,
     slack: Histogram<u64>,
-    /// All that the learner has taken, ns.
+    /// Total time of the learner, ns.
     pub learner_ns: u64,
     overruns: u64,
 }
@@ -73,11 +75,11 @@ impl BudgetMeter {
         Self { period, answer: histogram(), learner: histogram(), slack: histogram(), learner_ns: 0, overruns: 0 }
     }
 
-    /// Takes a tick into the account.
+    /// Adds a tick.
     pub fn record(&mut self, at: TickInstants) {
         let next = at.scheduled + self.period;
         let learner = at.improved.saturating_sub(at.answered);
-        self.answer.saturating_record(at.answered.saturating_sub(at.seen));
+        self.answer.saturating_record(at.answered.saturating_sub(at.arrived));
         self.learner.saturating_record(learner);
         self.learner_ns += learner;
         self.overruns += u64::from(at.improved > next);
@@ -105,23 +107,24 @@ impl BudgetMeter {
 }
 
 impl TickBudget {
-    /// Two lines for people, without a line's end; `label` columns are left free in front of the second.
+    /// Two lines for the summary, without a newline at the end. The second line is indented by `label` columns.
     pub fn to_text(&self, label: usize) -> String {
         let ms = |us: f64| {
             let ms = us / 1000.0;
-            // As exact as it is short: 0.08, 4.0, 48.5.
+            // Two or three significant digits: 0.08, 4.0, 48.5.
             if ms < 0.995 { format!("{ms:.2} ms") } else { format!("{ms:.1} ms") }
         };
-        let both = |name: &str, p: &Option<Percentiles>| {
+        let p50_and_p99 = |name: &str, p: &Option<Percentiles>| {
             p.as_ref().map_or(String::new(), |p| format!("{name} p50 {}  p99 {}", ms(p.p50), ms(p.p99)))
         };
         let period = self.period_us / 1000.0;
         let mut text = format!("{period} ms: ");
         if self.plant_us.is_some() {
-            text += &format!("{}, ", both("plant", &self.plant_us));
+            text += &format!("{}, ", p50_and_p99("plant", &self.plant_us));
         }
-        text += &format!("{},\n{:label$}", both("answer", &self.answer_us), "");
-        text += &format!("{} ({:.1} % of the tick)", both("learner", &self.learner_us), 100.0 * self.learner_share);
+        text += &format!("{},\n{:label$}", p50_and_p99("answer", &self.answer_us), "");
+        text +=
+            &format!("{} ({:.1} % of the tick)", p50_and_p99("learner", &self.learner_us), 100.0 * self.learner_share);
         if let Some(slack) = &self.slack_us {
             text += &format!(", slack p50 {}  p1 {}", ms(slack.p50), ms(slack.p1));
         }
@@ -140,12 +143,12 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    fn at(scheduled: u64, seen: u64, answered: u64, improved: u64, done: u64) -> TickInstants {
-        TickInstants { scheduled, seen, answered, improved, done }
+    fn at(scheduled: u64, arrived: u64, answered: u64, improved: u64, done: u64) -> TickInstants {
+        TickInstants { scheduled, arrived, answered, improved, done }
     }
 
     #[test]
-    fn a_budget_adds_up() {
+    fn a_budget_sums_up_its_ticks() {
         let mut meter = BudgetMeter::new(50 * MS);
         assert_eq!(meter.finish(), None);
         for tick in 0..100 {
@@ -155,7 +158,7 @@ mod tests {
         let budget = meter.finish().unwrap();
         assert_eq!((budget.period_us, budget.learner_overruns), (50_000.0, 0));
         assert!((budget.learner_share - 0.1).abs() < 1e-12);
-        // A histogram keeps three digits.
+        // A histogram keeps three significant digits.
         for (found, expected) in [
             (budget.answer_us.unwrap().p50, 1000.0),
             (budget.learner_us.unwrap().p99, 5000.0),
@@ -172,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_learner_that_is_still_at_work_when_the_next_tick_is_due_is_counted() {
+    fn a_learner_that_overruns_the_next_tick_is_counted() {
         let mut meter = BudgetMeter::new(50 * MS);
         meter.record(at(0, MS, 2 * MS, 50 * MS, 51 * MS));
         assert_eq!(meter.finish().unwrap().learner_overruns, 0);

@@ -11,29 +11,31 @@ use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, flag}
 
 /// Encoder, policy and learner: the controller's half of every tick, without clock and transport.
 ///
-/// A tick has two parts. [`respond`](Self::respond) is what a command waits for; [`settle`](Self::settle) and
-/// [`record`](Self::record) come after it has gone out.
+/// A tick has two parts. [`respond`](Self::respond) computes the command.
+/// [`after_command`](Self::after_command) and [`record`](Self::record) follow after the command has been sent.
 ///
 /// # Credit for a limited command
 ///
-/// The policy draws `u = m + n`, with the mean `m` and the noise `n` of standard deviation `sigma`; the gate applies
-/// `a = c(u)`, limited in size, step or position. Credit goes to what was applied: the rules are handed `a - m` in the place
-/// of `n`, for whatever reason the gate limited the command, and nothing at all where the hold policy chose it, or where no
-/// gate could have made `a` of `u`: then the command was corrupted on its way, and it was that which was limited.
+/// The policy draws `u = m + n`, with the mean `m` and the noise `n` of standard deviation `sigma`. The gate
+/// applies `a = c(u)`, limited in size, step or position. Credit goes to the applied command: the rules get
+/// `a - m` in place of `n`, for whatever reason the gate limited the command. They get nothing where the hold
+/// policy chose the command, or where no gate could have made `a` from `u`: then the command was corrupted on
+/// its way, and the corrupted one was limited.
 ///
-/// That is biased. To the policy the gate is a part of the world, so that `n` itself, limited or not, would give the true
-/// gradient of the expected reward, at a greater variance; the best that can be said given that `u` went beyond a limit `l`
-/// is `n`'s mean there, `sigma phi(z) / (1 - Phi(z))` with `z = (l - m) / sigma` (Fujita & Maeda 2018; Chou et al. 2017 on
-/// what clipping does to Gaussian policies). `l - m = sigma z` is always less than that: commands near a limit are credited
-/// with too little, by `0.8 sigma` where the mean stands right at it, and as limited noise no longer has mean 0, a constant
-/// in the reward does not cancel: where the mean is beyond a limit, punishment drives it further out and reward brings it
-/// back. Rules with a baseline or a critic hardly feel it; the paper's own rule, whose rewards are all negative, does.
-/// What speaks for it all the same: it is what happened, it is bounded by the limits and not by the tails of the noise, and
-/// it is the same number that a model of movement and reward has to learn from.
+/// This credit is biased. To the policy the gate is a part of the world, so `n` itself, limited or not, would
+/// give the true gradient of the expected reward, at a greater variance. The best estimate given that `u`
+/// exceeded a limit `l` is the mean of `n` there, `sigma phi(z) / (1 - Phi(z))` with `z = (l - m) / sigma`
+/// (Fujita & Maeda 2018; Chou et al. 2017 on the effect of clipping on Gaussian policies). `l - m = sigma z` is
+/// always less than that. So commands near a limit get too little credit, by `0.8 sigma` where the mean is
+/// right at the limit. As limited noise no longer has mean 0, a constant in the reward does not cancel: where
+/// the mean is beyond a limit, punishment drives it further out and reward brings it back. Rules with a
+/// baseline or a critic are hardly affected. The paper's own rule is, because its rewards are all negative. The
+/// reasons for this credit are: the applied command is what happened, the credit is bounded by the limits and
+/// not by the tails of the noise, and a model of movement and reward must learn from the same number.
 #[derive(Debug, Clone)]
 pub struct Controller {
-    /// The observations' way to here.
-    line: FaultyChannel<Observation>,
+    /// The receiving end of the observation channel, with the scenario's faults.
+    observations: FaultyChannel<Observation>,
     encoder: Encoder,
     policy: LinearPolicy,
     exploration: Exploration,
@@ -41,33 +43,33 @@ pub struct Controller {
     inputs: usize,
     ticks: u64,
     hash_every: u64,
-    /// The tick answered last, unless its answer was not the policy's.
+    /// The tick answered last; `None` when its command was not the policy's.
     answered: Option<u64>,
-    /// Inputs, features, mean and noise of that answer.
-    shown: [f32; MAX_INPUTS],
+    /// Inputs, features, mean and noise of that command.
+    answered_inputs: [f32; MAX_INPUTS],
     features: Features,
     mean: Outputs,
     noise: Outputs,
-    /// What was applied in the tick before that answer.
-    before: Outputs,
-    /// Whatever was applied is credited, whoever chose it.
+    /// The command applied in the tick before that command.
+    applied_before: Outputs,
+    /// Whether every applied command is credited, also those of another policy.
     off_policy: bool,
-    /// Features of the observation in hand.
+    /// Features of the current observation.
     next: Features,
-    /// What the learner did in this tick.
+    /// Flags and step size of the learner in this tick.
     flags: u32,
     step: f32,
     statistics: RunStatistics,
     pub(super) report: ControllerReport,
 }
 
-/// Whether all are numbers: without a branch for each, since they nearly always are.
+/// Whether all values are finite. There is no branch per value, because they nearly always are.
 fn finite(values: &[f32]) -> bool {
     values.iter().fold(true, |all, x| all & x.is_finite())
 }
 
-/// What makes an observation's reward another tick's than the one that the policy answered and the gate let through.
-const NOT_OURS: u32 = flag::FIRST | flag::MISSED | flag::SKIPPED | flag::UNARMED | flag::TRIPPED | flag::BLIND;
+/// Flags of observations whose reward does not belong to a command that the policy chose and the gate applied.
+const NOT_THE_POLICYS: u32 = flag::FIRST | flag::MISSED | flag::SKIPPED | flag::UNARMED | flag::TRIPPED | flag::BLIND;
 
 impl Controller {
     /// The controller of `plan`, with weights 0.
@@ -77,7 +79,7 @@ impl Controller {
         let encoder = plan.encoder();
         let (len, order) = (encoder.len(), encoder.positions().collect());
         Self {
-            line: FaultyChannel::of(plan),
+            observations: FaultyChannel::of(plan),
             policy: LinearPolicy::new(len, order, outputs),
             exploration: Exploration::new(scenario.seed, scenario.policy.sigma as f32, outputs)
                 .distributed(scenario.policy.noise),
@@ -86,13 +88,13 @@ impl Controller {
             ticks: scenario.ticks,
             hash_every: scenario.log.hash_every,
             answered: None,
-            shown: [0.0; MAX_INPUTS],
+            answered_inputs: [0.0; MAX_INPUTS],
             features: encoder.features(),
             next: encoder.features(),
             encoder,
             mean: [0.0; MAX_OUTPUTS],
             noise: [0.0; MAX_OUTPUTS],
-            before: [0.0; MAX_OUTPUTS],
+            applied_before: [0.0; MAX_OUTPUTS],
             off_policy: false,
             flags: 0,
             step: 0.0,
@@ -101,43 +103,46 @@ impl Controller {
         }
     }
 
-    /// The same for commands that another policy chose: whatever was applied is credited.
+    /// The same controller for commands that another policy chose: every applied command is credited.
     pub fn off_policy(self) -> Self {
         Self { off_policy: true, ..self }
     }
 
-    /// The same controller with its inner loops on another path than the machine's best: the same numbers, bit for bit.
+    /// The same controller with its inner loops on `path` instead of the machine's best path. The numbers are
+    /// the same, bit for bit.
     pub fn on(self, path: SimdPath) -> Self {
         Self { encoder: self.encoder.on(path), policy: self.policy.on(path), ..self }
     }
 
-    /// Learns from the observation's reward and answers its inputs. Fills mean, drawn output, tick and flags.
+    /// Learns from the observation's reward and computes the command for its inputs: mean, drawn output, tick
+    /// and flags.
     ///
-    /// Credit goes to what was applied: when the gate limited the command, the noise is what the applied command differs
-    /// from the mean by; the rules are handed its score. When the command was not applied at all, or observations are missing in between, nothing is
-    /// learned and the trace is cut. An observation with a value that is not a number, or beyond any range that a scenario may
-    /// name, is answered with zero. What the scenario's faults make of the observation is between here and that; when they
-    /// leave nothing of this tick, the answer stands for silence ([`flag::UNHEARD`]).
+    /// Credit goes to the applied command. When the gate limited the command, the noise is the difference
+    /// between the applied command and the mean, and the rules get its score. When the command was not applied
+    /// at all, or observations are missing in between, nothing is learned and the trace is cut. An observation
+    /// with a value that is not finite, or beyond any range that a scenario may have, is answered with zero.
+    /// The scenario's faults act on the observation first. When they leave no observation of this tick, the
+    /// command has the flag [`flag::UNHEARD`].
     pub fn respond(&mut self, observation: &Observation, command: &mut Command) {
-        if self.line.is_clean() {
+        if self.observations.is_fault_free() {
             return self.answer(observation, command);
         }
         let tick = observation.header.tick;
-        let mut heard = None;
+        let mut received = None;
         let stale = &mut self.report.stale;
-        self.line.pass(tick, Some(observation), |o| match o.header.tick == tick {
-            true => heard = Some(*o),
+        self.observations.pass(tick, Some(observation), |o| match o.header.tick == tick {
+            true => received = Some(*o),
             false => *stale += 1,
         });
-        match heard {
-            Some(heard) => self.answer(&heard, command),
-            None => self.say_nothing(tick, command),
+        match received {
+            Some(received) => self.answer(&received, command),
+            None => self.answer_unheard(tick, command),
         }
     }
 
-    /// The answer to an observation that was not heard. What the policy answered last stays what it was: when the next
-    /// observation is heard, one is missing in between.
-    fn say_nothing(&mut self, tick: u64, command: &mut Command) {
+    /// The command for a tick without an observation. The last command of the policy stays recorded: when the
+    /// next observation arrives, one is missing in between.
+    fn answer_unheard(&mut self, tick: u64, command: &mut Command) {
         self.report.unheard += 1;
         (self.flags, self.step) = (0, 0.0);
         (self.mean, self.noise) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
@@ -145,30 +150,32 @@ impl Controller {
         (command.mean, command.drawn) = (self.mean, self.noise);
     }
 
+    /// Learns from an observation and computes the command for it.
     fn answer(&mut self, observation: &Observation, command: &mut Command) {
         let tick = observation.header.tick;
         let inputs = &observation.inputs[..self.inputs];
-        // False for what is not a number, too; without a branch for each, since they nearly always are.
-        let blind = !inputs.iter().fold(true, |all, x| all & (f64::from(x.abs()) <= RANGE));
+        // A NaN fails the comparison, too. There is no branch per value, because they are nearly always valid.
+        let invalid = !inputs.iter().fold(true, |all, x| all & (f64::from(x.abs()) <= RANGE));
         let mut drawn = [0.0; MAX_OUTPUTS];
-        if !blind {
-            // First of all, because it is a long chain of dependent operations that others need not wait for.
+        if !invalid {
+            // Drawn first, because it is a long chain of dependent operations that the others need not wait
+            // for.
             drawn = self.exploration.draw();
             self.encoder.encode(inputs, &mut self.next);
         }
-        let answered = self.learn(observation, blind);
-        self.before = observation.applied;
+        let has_mean = self.learn(observation, invalid);
+        self.applied_before = observation.applied;
 
         command.header.tick = tick;
         command.header.flags = 0;
-        if blind {
+        if invalid {
             self.answer_zero();
             command.header.flags = flag::INVALID;
             self.report.invalid += 1;
         } else {
             std::mem::swap(&mut self.features, &mut self.next);
-            self.shown = observation.inputs;
-            if !answered {
+            self.answered_inputs = observation.inputs;
+            if !has_mean {
                 self.mean = self.policy.mean(self.features.as_slice());
             }
             self.noise = drawn;
@@ -186,34 +193,36 @@ impl Controller {
         }
     }
 
-    /// An answer that is not the policy's.
+    /// Sets the command to zero and marks it as not the policy's.
     fn answer_zero(&mut self) {
         self.answered = None;
         self.mean = [0.0; MAX_OUTPUTS];
         self.noise = [0.0; MAX_OUTPUTS];
     }
 
-    /// Whether `applied` can be what a gate made of the policy's command. Size, ramp and position bring a command nearer to
-    /// zero, a step nearer to what was applied before: so it lies within these. Else it was another's command that was limited.
-    fn explains(&self, applied: &Outputs) -> bool {
-        let asked = self.mean.iter().zip(&self.noise).map(|(mean, noise)| mean + noise);
-        asked.zip(&self.before).zip(applied).all(|((asked, &before), &applied)| {
-            let (low, high) = (asked.min(before).min(0.0), asked.max(before).max(0.0));
+    /// Whether a gate could have made `applied` from the policy's command. The limits of size, ramp and
+    /// position move a command towards zero, and the step limit moves it towards the previously applied one, so
+    /// it must lie between these. Otherwise the gate limited a corrupted command.
+    fn gate_could_apply(&self, applied: &Outputs) -> bool {
+        let drawn = self.mean.iter().zip(&self.noise).map(|(mean, noise)| mean + noise);
+        drawn.zip(&self.applied_before).zip(applied).all(|((drawn, &before), &applied)| {
+            let (low, high) = (drawn.min(before).min(0.0), drawn.max(before).max(0.0));
             low <= applied && applied <= high
         })
     }
 
-    /// Learns. True if the mean is that of the next features by now: the rule has worked it out on its way.
-    fn learn(&mut self, observation: &Observation, blind: bool) -> bool {
+    /// Learns from the observation's reward, or cuts the trace. Returns true if `mean` is now the policy's mean
+    /// for the next features, because the rule has computed it in the same pass.
+    fn learn(&mut self, observation: &Observation, invalid: bool) -> bool {
         let flags = observation.header.flags;
         self.flags = 0;
         self.step = 0.0;
         let Some(answered) = self.answered else { return false };
         let clamped = flags & flag::CLAMPED != 0;
-        let ours = flags & NOT_OURS == 0
+        let credited = flags & NOT_THE_POLICYS == 0
             && observation.header.tick == answered + 1
-            && (!clamped || self.off_policy || self.explains(&observation.applied));
-        if ours && !blind && observation.reward.is_finite() {
+            && (!clamped || self.off_policy || self.gate_could_apply(&observation.applied));
+        if credited && !invalid && observation.reward.is_finite() {
             let mut applied: Outputs = std::array::from_fn(|i| self.mean[i] + self.noise[i]);
             if clamped {
                 applied = observation.applied;
@@ -223,7 +232,7 @@ impl Controller {
             }
             let tick = Transition {
                 features: self.features.as_slice(),
-                inputs: &self.shown[..self.inputs],
+                inputs: &self.answered_inputs[..self.inputs],
                 noise: &self.exploration.score(&self.noise),
                 applied: &applied,
                 reward: observation.reward,
@@ -242,7 +251,8 @@ impl Controller {
         }
     }
 
-    /// What nobody waits for: lets the learner use the time, and brings the account up to date with the observation.
+    /// The work after the command has been sent: improves the policy, and adds the observation to the
+    /// statistics.
     pub fn after_command(&mut self, observation: &Observation) {
         self.rule.improve(&mut self.policy);
         if self.rule.halted() {
@@ -252,7 +262,7 @@ impl Controller {
         self.report.ticks += 1;
     }
 
-    /// Fills the learning record of the tick that was answered last.
+    /// Fills the learning record of the last answered tick.
     pub fn record(&self, observation: &Observation, learning: &mut Learning) {
         let tick = observation.header.tick;
         let hashed = tick.is_multiple_of(self.hash_every) || tick + 1 == self.ticks;
@@ -267,22 +277,22 @@ impl Controller {
         learning.weights_hash = if hashed { self.policy.hash() } else { 0 };
     }
 
-    /// The policy as it is now.
+    /// The current policy.
     pub fn policy(&self) -> &LinearPolicy {
         &self.policy
     }
 
-    /// Whether the learner met a number that is not finite and has stopped learning.
+    /// Whether the learner has stopped because of a number that is not finite.
     pub fn halted(&self) -> bool {
         self.rule.halted()
     }
 
-    /// The account as it is now.
+    /// The current statistics.
     pub fn statistics(&self) -> &RunStatistics {
         &self.statistics
     }
 
-    /// Ends the run: the account, with the hash of the final weights.
+    /// Ends the run and returns the report, with the hash of the final weights.
     pub fn finish(self) -> ControllerReport {
         let (windows, first_switch, last_switch) = self.statistics.finish();
         let weights_hash = format!("{:016x}", self.policy.hash());
@@ -292,16 +302,16 @@ impl Controller {
 
 impl Persist for Controller {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
-        visitor.nested("line", &mut self.line);
+        visitor.nested("line", &mut self.observations);
         visitor.nested("policy", &mut self.policy);
         visitor.nested("exploration", &mut self.exploration);
         visitor.nested("learner", &mut self.rule);
         visitor.optional("answered", &mut self.answered);
-        visitor.numbers("shown", &mut self.shown);
+        visitor.numbers("shown", &mut self.answered_inputs);
         visitor.numbers("features", self.features.as_mut_slice());
         visitor.numbers("mean", &mut self.mean);
         visitor.numbers("noise", &mut self.noise);
-        visitor.numbers("before", &mut self.before);
+        visitor.numbers("before", &mut self.applied_before);
         visitor.number("flags", &mut self.flags);
         visitor.number("step", &mut self.step);
         visitor.nested("tally", &mut self.statistics);

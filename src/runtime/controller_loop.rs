@@ -1,9 +1,11 @@
-//! The controller's loop: observations in, commands and learning records out, and what survives its death.
+//! The controller's loop: receives observations, sends commands and learning records, and keeps its state in
+//! the crash store.
 //!
-//! Every observation is noted in the vault before it is answered, and the whole state is kept there every [`KEEP`]
-//! observations. A controller that comes back after a SIGKILL takes up the newest whole state and goes through what was
-//! noted since. As it is a function of its observations alone, that brings it to the very state in which it died. What it
-//! may have been about to say then it says again, under the same sequence number: who has heard it drops it.
+//! Every observation is appended to the crash store's journal before it is answered, and the whole state is
+//! stored every [`SAVE_EVERY`] observations. A controller that is restarted after a SIGKILL restores the newest
+//! complete state and replays the observations of the journal since then. As its state is a function of its
+//! observations alone, that is exactly the state in which it died. It then sends its last command and learning
+//! record again, under the same sequence numbers. Receivers that have received them drop them.
 
 use std::time::Duration;
 
@@ -12,24 +14,24 @@ use super::peer_monitor::PeerMonitor;
 use super::stopwatch::Stopwatch;
 use super::{Controller, ControllerReport, Participant, RuntimeError, Session};
 use crate::channel::{ControllerPorts, CrashStore};
-use crate::checkpoint;
+use crate::checkpoint::{self, CheckpointWriter};
 use crate::clock::{Backoff, TimeSource};
 use crate::scenario::Plan;
 use crate::state::{self, Persist, StateVisitor};
 use crate::wire::{Command, Header, Learning, Observation, ProcessState, Role};
 
-/// Observations between two states that are kept.
-const KEEP: u64 = 64;
-/// Observations that stay noted: enough for the older of two states, should the newer one be torn.
-const NOTED: usize = 4 * KEEP as usize;
+/// Observations between two states in the crash store.
+const SAVE_EVERY: u64 = 64;
+/// Observations in the journal: enough for the older of the two states, in case the newer one is torn.
+const JOURNAL: usize = 4 * SAVE_EVERY as usize;
 
-/// The controller and what it said last.
+/// The part of the loop that survives the process: the controller and its last samples.
 struct ControllerLoopState {
     controller: Controller,
     command: Command,
     learning: Learning,
     /// Header of the observation that they answer.
-    seen: Header,
+    answered: Header,
     /// Observations answered.
     count: u64,
 }
@@ -37,42 +39,44 @@ struct ControllerLoopState {
 impl ControllerLoopState {
     fn new(plan: &Plan) -> Self {
         let (command, learning) = (Command::default(), Learning::default());
-        Self { controller: Controller::new(plan), command, learning, seen: Header::default(), count: 0 }
+        Self { controller: Controller::new(plan), command, learning, answered: Header::default(), count: 0 }
     }
 
     /// The sequence number of the next observation, if none is lost.
     fn expected(&self) -> u64 {
-        if self.count == 0 { 0 } else { self.seen.sequence + 1 }
+        if self.count == 0 { 0 } else { self.answered.sequence + 1 }
     }
 
-    /// What a command waits for.
+    /// Computes the command.
     fn respond(&mut self, observation: &Observation) {
         self.controller.report.unseen += observation.header.sequence - self.expected();
-        self.seen = observation.header;
+        self.answered = observation.header;
         self.controller.respond(observation, &mut self.command);
         self.command.header.sequence = self.count;
     }
 
-    /// What nobody waits for, but for the learning record.
+    /// Improves the policy and updates the statistics, after the command has been sent.
     fn after_command(&mut self, observation: &Observation) {
         self.controller.after_command(observation);
     }
 
+    /// Fills the learning record and counts the observation as answered.
     fn record(&mut self, observation: &Observation) {
         self.controller.record(observation, &mut self.learning);
         self.learning.header.sequence = self.count;
         self.count += 1;
     }
 
-    /// Goes through an observation that was answered by the one before.
-    fn relive(&mut self, observation: &Observation) {
+    /// Repeats the tick of an observation that the process's predecessor had received.
+    fn replay(&mut self, observation: &Observation) {
         self.respond(observation);
         self.after_command(observation);
         self.record(observation);
     }
 
-    /// Takes up what the vault holds, or the checkpoint that the run begins with. True if it was the vault.
-    fn reopen(&mut self, crash_store: &mut CrashStore, participant: &Participant) -> Result<bool, RuntimeError> {
+    /// Restores the state from the crash store, or from the checkpoint with which the run resumes, if there is
+    /// one. Returns true if it was the crash store: the process has been restarted.
+    fn restore(&mut self, crash_store: &mut CrashStore, participant: &Participant) -> Result<bool, RuntimeError> {
         if let Some((_, bytes)) = crash_store.newest() {
             if !state::load(self, bytes) {
                 return Err(RuntimeError::Memory(Role::Controller.name()));
@@ -80,45 +84,46 @@ impl ControllerLoopState {
         } else {
             participant.resume(self)?;
         }
-        let before = (crash_store.newest().is_some(), self.count);
+        let (stored, count) = (crash_store.newest().is_some(), self.count);
         crash_store.reopen();
         while let Some(bytes) = crash_store.entry(self.count) {
             let observation = bytemuck::pod_read_unaligned(bytes);
-            self.relive(&observation);
+            self.replay(&observation);
         }
-        Ok(before.0 || self.count > before.1)
+        Ok(stored || self.count > count)
     }
 
-    /// Tells the readers which run and which start of the process speaks.
-    fn introduce(&mut self, run: u64, incarnation: u32) {
+    /// Sets run and incarnation in the headers.
+    fn set_writer(&mut self, run: u64, incarnation: u32) {
         for header in [&mut self.command.header, &mut self.learning.header] {
             (header.run, header.incarnation) = (run, incarnation);
         }
     }
 
-    /// The state as a checkpoint, as of when `tick` begins.
+    /// The state as a checkpoint at the start of `tick`.
     fn checkpoint(&mut self, tick: u64, participant: &Participant) -> Vec<u8> {
         let facts = participant.facts(tick, self.count);
         let policy = self.controller.policy().clone();
         checkpoint::encode(&facts, self, Some(&policy))
     }
 
+    /// Fills in the instants of command and learning record, just before they are sent.
     fn stamp(&mut self, time: &TimeSource) {
-        stamp(&mut self.command.header, &self.seen, time);
-        stamp(&mut self.learning.header, &self.seen, time);
+        stamp(&mut self.command.header, &self.answered, time);
+        stamp(&mut self.learning.header, &self.answered, time);
     }
 
-    /// Shows how far the controller is.
+    /// Publishes the counts on the controller's board.
     fn publish_status(&self, session: &mut Session) {
         let status = &mut session.status;
-        status.ticks = self.seen.tick + 1;
+        status.ticks = self.answered.tick + 1;
         status.sent = self.count;
         status.lost = self.controller.report.unseen;
         (status.loss, status.end_error) = self.controller.statistics().now();
         session.publish_status();
     }
 
-    /// Says the last answer, again.
+    /// Sends the last command and learning record.
     fn send(&self, ports: &ControllerPorts) -> Result<(), RuntimeError> {
         ports.command.send(&self.command)?;
         ports.learning.send(&self.learning)?;
@@ -131,132 +136,195 @@ impl Persist for ControllerLoopState {
         visitor.nested("controller", &mut self.controller);
         visitor.words("command", &mut self.command);
         visitor.words("learning", &mut self.learning);
-        visitor.words("seen", &mut self.seen);
+        visitor.words("seen", &mut self.answered);
         visitor.number("count", &mut self.count);
     }
 }
 
-/// Longest sleep while waiting for an observation in real time: how soon the end of a run is noticed.
+/// Longest sleep while waiting for an observation in real time: the longest time until the end of a run is
+/// noticed.
 const WAKE_TIMEOUT: Duration = Duration::from_millis(100);
-
-/// Waits for the next observation; in real time for the newest. `None` when there will be none.
-fn await_observation(
-    ports: &mut ControllerPorts,
-    plant: &mut PeerMonitor,
-    session: &Session,
-    real: bool,
-) -> Result<Option<Observation>, RuntimeError> {
-    let mut backoff = Backoff::default();
-    loop {
-        // Asked before the channel is: what the plant sent before it finished is still received. A plant that failed may
-        // come back; whether it does, the launcher says.
-        let over = ports.plant.get().state() == ProcessState::Finished;
-        if let Some(mut newest) = ports.observation.receive()? {
-            // After a stall only the present counts; what was passed by shows in the sequence numbers.
-            while let Some(newer) = if real { ports.observation.receive()? } else { None } {
-                newest = newer;
-            }
-            return Ok(Some(newest));
-        }
-        if over {
-            return Ok(None);
-        }
-        if real {
-            ports.wake.wait(WAKE_TIMEOUT);
-            session.check()?;
-            plant.check(&mut ports.plant, session)?;
-        } else if backoff.pause() {
-            session.check()?;
-            plant.check(&mut ports.plant, session)?;
-        }
-    }
-}
 
 /// The controller's loop.
 ///
 /// # Errors
-/// When the process does not fit the run, or the run ends in disorder.
+/// When the process does not fit the run, or the run ends abnormally.
 pub fn run_controller(participant: Participant) -> Result<ControllerReport, RuntimeError> {
-    let mut loop_state = ControllerLoopState::new(&participant.plan);
-    let (mut ports, status_board) = participant.open(ControllerPorts::open)?;
-    let mut crash_store = participant.crash_store(state::size(&mut loop_state), [NOTED, size_of::<Observation>()])?;
-    let returned = loop_state.reopen(&mut crash_store, &participant)?;
-    let writer = participant.writer()?;
-    // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the logger.
-    let (mut session, mut time) = participant.begin(status_board, || {
-        Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 2 && ports.learning.connect()? >= 1)
-    })?;
-    let mut plant = PeerMonitor::new(Role::Plant);
-    let real = time.is_real();
-    loop_state.introduce(session.participant.manifest.run_id(), session.incarnation());
-    if returned {
-        time.step_to(loop_state.seen.tick);
-        loop_state.stamp(&time);
-        loop_state.send(&ports)?;
-        loop_state.publish_status(&mut session);
+    let mut controller_loop = ControllerLoop::start(participant)?;
+    while let Some(observation) = controller_loop.await_observation()? {
+        controller_loop.run_tick(&observation)?;
     }
-    let mut watch = Stopwatch::of(&session.participant);
-    let mut meter = real.then(|| BudgetMeter::new(session.participant.plan.period_ns));
-
-    while let Some(observation) = await_observation(&mut ports, &mut plant, &session, real)? {
-        let seen = &observation.header;
-        if session.interrupted() {
-            session.check()?;
-        }
-        if seen.sequence < loop_state.expected() {
-            // A plant that has come back says its last word again, and may not have heard the answer.
-            loop_state.send(&ports)?;
-            continue;
-        }
-        // Looked at while the plant waits: it announces its next checkpoint with the observation before it.
-        let cut = ports.plant.get().checkpoint == seen.tick + 2;
-        time.step_to(seen.tick);
-        let arrived = time.now();
-        watch.begin();
-        crash_store.append(loop_state.count, bytemuck::bytes_of(&observation));
-        loop_state.respond(&observation);
-        stamp(&mut loop_state.command.header, seen, &time);
-        watch.end();
-        ports.command.send(&loop_state.command)?;
-
-        // From here on nobody waits.
-        let answered = time.now();
-        loop_state.after_command(&observation);
-        let improved = time.now();
-        loop_state.record(&observation);
-        stamp(&mut loop_state.learning.header, seen, &time);
-        ports.learning.send(&loop_state.learning)?;
-
-        if cut {
-            writer.write(seen.tick + 1, loop_state.checkpoint(seen.tick + 1, &session.participant));
-        }
-        if loop_state.count.is_multiple_of(KEEP)
-            && !crash_store.store(loop_state.count, |to| state::save(&mut loop_state, to))
-        {
-            return Err(RuntimeError::Memory(Role::Controller.name()));
-        }
-        if let Some(meter) = &mut meter {
-            let (scheduled, done) = (seen.scheduled_ns, time.now());
-            meter.record(TickInstants { scheduled, seen: arrived, answered, improved, done });
-            session.status.learner_ns = meter.learner_ns;
-        }
-        loop_state.publish_status(&mut session);
-    }
-    let end = loop_state.seen.tick + u64::from(loop_state.count > 0);
-    writer.write_last(end, loop_state.checkpoint(end, &session.participant), session.stopping());
-    let report = &mut loop_state.controller.report;
-    match writer.finish() {
-        Ok(written) => report.checkpoints = written,
-        Err(cause) => report.checkpoint_failure = Some(cause),
-    }
-    loop_state.controller.report.tick_budget = meter.and_then(|meter| meter.finish());
-    let report = loop_state.controller.finish();
-    watch.leave()?;
-    session.finish(&report)?;
-    Ok(report)
+    controller_loop.finish()
 }
 
-/// Stamps a sample of the observation's tick just before it is sent.
+/// The loop in progress. Fields are dropped in this order, so that a loop that fails publishes so before its
+/// ports close.
+struct ControllerLoop {
+    /// In real time only.
+    meter: Option<BudgetMeter>,
+    stopwatch: Stopwatch,
+    plant: PeerMonitor,
+    time: TimeSource,
+    session: Session,
+    writer: CheckpointWriter,
+    crash_store: CrashStore,
+    ports: ControllerPorts,
+    state: ControllerLoopState,
+    real: bool,
+}
+
+impl ControllerLoop {
+    /// Joins the run. After a restart, sends the last answer again.
+    fn start(participant: Participant) -> Result<Self, RuntimeError> {
+        let mut state = ControllerLoopState::new(&participant.plan);
+        let (ports, status_board) = participant.open(ControllerPorts::open)?;
+        let mut crash_store = participant.crash_store(state::size(&mut state), [JOURNAL, size_of::<Observation>()])?;
+        let restarted = state.restore(&mut crash_store, &participant)?;
+        let writer = participant.checkpoint_writer()?;
+        // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the
+        // logger.
+        let (session, time) = participant.begin(status_board, || {
+            Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 2 && ports.learning.connect()? >= 1)
+        })?;
+        let real = time.is_real();
+        state.set_writer(session.participant.manifest.run_id(), session.incarnation());
+        let mut controller_loop = Self {
+            meter: real.then(|| BudgetMeter::new(session.participant.plan.period_ns)),
+            stopwatch: Stopwatch::of(&session.participant),
+            plant: PeerMonitor::new(Role::Plant),
+            time,
+            session,
+            writer,
+            crash_store,
+            ports,
+            state,
+            real,
+        };
+        if restarted {
+            controller_loop.send_again()?;
+        }
+        Ok(controller_loop)
+    }
+
+    /// After a restart, sends the last command and learning record again.
+    fn send_again(&mut self) -> Result<(), RuntimeError> {
+        self.time.step_to(self.state.answered.tick);
+        self.state.stamp(&self.time);
+        self.state.send(&self.ports)?;
+        self.state.publish_status(&mut self.session);
+        Ok(())
+    }
+
+    /// Waits for the next observation; in real time for the newest. `None` when the plant has finished.
+    fn await_observation(&mut self) -> Result<Option<Observation>, RuntimeError> {
+        let mut backoff = Backoff::default();
+        loop {
+            // Read before the channel is, so that samples sent before the plant finished are still received. A
+            // plant that failed may be restarted; the launcher decides that.
+            let finished = self.ports.plant.get().state() == ProcessState::Finished;
+            if let Some(mut newest) = self.ports.observation.receive()? {
+                // After a stall only the newest observation counts. The sequence numbers show the skipped ones.
+                while let Some(newer) = if self.real { self.ports.observation.receive()? } else { None } {
+                    newest = newer;
+                }
+                return Ok(Some(newest));
+            }
+            if finished {
+                return Ok(None);
+            }
+            if self.real {
+                self.ports.wake.wait(WAKE_TIMEOUT);
+            } else if !backoff.pause() {
+                continue;
+            }
+            self.session.check()?;
+            self.plant.check(&mut self.ports.plant, &self.session)?;
+        }
+    }
+
+    /// One tick: answers an observation, then learns from it. An observation that was answered before is
+    /// answered again.
+    fn run_tick(&mut self, observation: &Observation) -> Result<(), RuntimeError> {
+        if self.session.interrupted() {
+            self.session.check()?;
+        }
+        if observation.header.sequence < self.state.expected() {
+            // A restarted plant sends its last observation again, and may not have received the command.
+            return self.state.send(&self.ports);
+        }
+        // Read while the plant waits: it announces its next checkpoint together with the observation before it.
+        let checkpoint = self.ports.plant.get().checkpoint == observation.header.tick + 2;
+        let (arrived, answered) = self.answer(observation)?;
+        self.after_command(observation, arrived, answered, checkpoint)
+    }
+
+    /// Computes and sends the command. Returns the instants at which the observation had arrived and the
+    /// command was sent.
+    fn answer(&mut self, observation: &Observation) -> Result<(u64, u64), RuntimeError> {
+        let header = &observation.header;
+        self.time.step_to(header.tick);
+        let arrived = self.time.now();
+        self.stopwatch.begin();
+        self.crash_store.append(self.state.count, bytemuck::bytes_of(observation));
+        self.state.respond(observation);
+        stamp(&mut self.state.command.header, header, &self.time);
+        self.stopwatch.end();
+        self.ports.command.send(&self.state.command)?;
+        Ok((arrived, self.time.now()))
+    }
+
+    /// The work for which the plant does not wait: improves the policy, sends the learning record, saves the
+    /// state, and publishes the status.
+    fn after_command(
+        &mut self,
+        observation: &Observation,
+        arrived: u64,
+        answered: u64,
+        checkpoint: bool,
+    ) -> Result<(), RuntimeError> {
+        let header = &observation.header;
+        self.state.after_command(observation);
+        let improved = self.time.now();
+        self.state.record(observation);
+        stamp(&mut self.state.learning.header, header, &self.time);
+        self.ports.learning.send(&self.state.learning)?;
+
+        if checkpoint {
+            let next = header.tick + 1;
+            self.writer.write(next, self.state.checkpoint(next, &self.session.participant));
+        }
+        let state = &mut self.state;
+        if state.count.is_multiple_of(SAVE_EVERY) && !self.crash_store.store(state.count, |to| state::save(state, to)) {
+            return Err(RuntimeError::Memory(Role::Controller.name()));
+        }
+        if let Some(meter) = &mut self.meter {
+            let (scheduled, done) = (header.scheduled_ns, self.time.now());
+            meter.record(TickInstants { scheduled, arrived, answered, improved, done });
+            self.session.status.learner_ns = meter.learner_ns;
+        }
+        self.state.publish_status(&mut self.session);
+        Ok(())
+    }
+
+    /// Ends the loop: writes the last checkpoint and the report.
+    fn finish(mut self) -> Result<ControllerReport, RuntimeError> {
+        let end = self.state.answered.tick + u64::from(self.state.count > 0);
+        let checkpoint = self.state.checkpoint(end, &self.session.participant);
+        self.writer.write_last(end, checkpoint, self.session.stopping());
+        let report = &mut self.state.controller.report;
+        match self.writer.finish() {
+            Ok(written) => report.checkpoints = written,
+            Err(cause) => report.checkpoint_failure = Some(cause),
+        }
+        self.state.controller.report.tick_budget = self.meter.and_then(|meter| meter.finish());
+        let report = self.state.controller.finish();
+        self.stopwatch.write()?;
+        self.session.finish(&report)?;
+        Ok(report)
+    }
+}
+
+/// Fills in the instants of a sample of the observation's tick, just before it is sent.
 fn stamp(header: &mut Header, observation: &Header, time: &TimeSource) {
     header.scheduled_ns = observation.scheduled_ns;
     header.sensed_ns = observation.sensed_ns;

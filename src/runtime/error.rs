@@ -1,4 +1,4 @@
-//! What ends a process before its time, and the exit codes of all programs.
+//! The errors of the loops, and the exit codes of all programs.
 
 use crate::channel::ChannelError;
 use crate::checkpoint::CheckpointError;
@@ -7,13 +7,14 @@ use crate::scenario::ScenarioError;
 
 /// Exit codes, the same for every program of the package.
 pub mod exit {
-    /// All went well.
+    /// Success.
     pub const OK: u8 = 0;
-    /// An error that no other code names.
+    /// An error that no other code covers.
     pub const ERROR: u8 = 1;
-    /// Bad input: arguments, scenario, folder, or a disk without room, also one that fills up while the run goes on.
+    /// Bad input: arguments, scenario, folder, or a disk without room, including one that fills up during the
+    /// run.
     pub const INPUT: u8 = 2;
-    /// A process does not fit the run it was to join.
+    /// A process does not fit the run that it should join.
     pub const MISMATCH: u8 = 3;
     /// A process of the run failed or died.
     pub const PROCESS: u8 = 4;
@@ -22,39 +23,39 @@ pub mod exit {
     /// Ended by SIGTERM.
     pub const TERMINATED: u8 = 143;
 
-    /// The exit code after termination by signal `number`, as shells have it.
+    /// The exit code after termination by signal `number`, as in shells: 128 plus the number.
     pub fn by_signal(number: u32) -> u8 {
         128_u8.saturating_add(u8::try_from(number).unwrap_or(0))
     }
 }
 
-/// Why a loop could not go on.
+/// Why a loop could not continue.
 #[derive(Debug, thiserror::Error)]
 pub enum RuntimeError {
-    /// The channels.
+    /// A channel failed.
     #[error(transparent)]
     Channel(#[from] ChannelError),
-    /// The run's scenario.
+    /// The run's scenario is invalid.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// The log.
+    /// The log failed.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// The checkpoint that the run begins with.
+    /// The checkpoint from which the run resumes cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// No thread for writing checkpoints.
+    /// The thread that writes checkpoints cannot be started.
     #[error("no thread can be started for checkpoints: {0}; look at the limits of the system (ulimit -u)")]
     Thread(std::io::Error),
     /// There is no such run.
     #[error("there is no run at {path}: {cause}; name a run that `tectum run` has started, or its folder")]
     NoRun {
-        /// Where it was looked for.
+        /// The folder in which it was expected.
         path: String,
-        /// What was wrong.
+        /// The reason.
         cause: String,
     },
-    /// A file of the run's folder.
+    /// A file in the run's folder cannot be written.
     #[error("{path} cannot be written: {cause}")]
     File {
         /// The file.
@@ -65,22 +66,24 @@ pub enum RuntimeError {
     /// The scenario names another plant than this program.
     #[error("the scenario names no arm and no eye: its plant is `{0}`, which must be started in the simulator's place")]
     NotSimulated(String),
-    /// The scenario limits positions of joints that the plant does not tell.
+    /// The scenario limits joint positions, but the plant does not report them.
     #[error(
-        "`positions` under [gate] needs a plant that tells where its joints are, and `{0}` does not; take it out, or give its `Plant` the method `joints`"
+        "`positions` under [gate] needs a plant that tells where its joints are, and `{0}` does not; \
+         take it out, or give its `Plant` the method `joints`"
     )]
     NoJoints(String),
     /// The plant could not keep its deadlines.
     #[error(
-        "the plant passed over {overruns} ticks in a row up to tick {tick}, and {most} are allowed (`max_consecutive` under [overrun]); \
-             give it more than {period_ms} ms a tick, a priority and a core of its own under [realtime], or a machine with less to do"
+        "the plant passed over {overruns} ticks in a row up to tick {tick}, and {most} are allowed \
+         (`max_consecutive` under [overrun]); give it more than {period_ms} ms a tick, a priority and a core of its \
+         own under [realtime], or a machine with less to do"
     )]
     Overrun {
-        /// Ticks passed over in a row.
+        /// Ticks skipped in a row.
         overruns: u64,
-        /// How many are allowed.
+        /// Number of skipped ticks that is allowed.
         most: u64,
-        /// The tick at which it gave up.
+        /// The tick at which the plant ended the run.
         tick: u64,
         /// The tick's period, ms.
         period_ms: f64,
@@ -88,23 +91,24 @@ pub enum RuntimeError {
     /// Signal handlers could not be installed.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
-    /// The launcher is gone.
+    /// The launcher has ended.
     #[error("the run's launcher has ended; so does the {0}")]
     Orphaned(&'static str),
-    /// The launcher ended the run at once.
+    /// The launcher aborted the run.
     #[error("the run was ended by its launcher")]
     Aborted,
-    /// A plant's state that has no room in its vault any more.
+    /// The process's state no longer fits into its crash store.
     #[error(
-        "what the {0} must remember has grown since its start, by more than its vault has room for; a plant lists as many numbers at every tick"
+        "the state of the {0} has grown beyond the room that its crash store reserved at the start; \
+         a plant must list as many numbers at every tick"
     )]
     Memory(&'static str),
-    /// A lossless run lost something.
+    /// Samples were lost in a lockstep run.
     #[error("{lost} samples of channel {channel} were lost in lockstep, which must not happen; the log states where")]
     Lost {
         /// The channel.
         channel: String,
-        /// How many.
+        /// Number of lost samples.
         lost: u64,
     },
     /// SIGINT or SIGTERM.
@@ -113,7 +117,7 @@ pub enum RuntimeError {
 }
 
 impl RuntimeError {
-    /// The exit code that tells this error.
+    /// The exit code for this error.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Channel(ChannelError::Mismatch(_)) => exit::MISMATCH,

@@ -1,48 +1,44 @@
-//! Faults of channels, on demand: what is sent is not what is read, the same every time.
+//! Channel faults on demand (`[faults]`): a receiver gets other samples than were sent, and the same ones in
+//! every run.
 //!
-//! A [`FaultyChannel`] stands where samples are read: the controller's for observations, the plant's for commands. In each tick one
-//! sample goes in, or none, and what comes out are none, one or more. The transport beneath stays whole, so that lockstep is
-//! kept, the log has what was sent, and a run in one process has the same faults as one of three, and as its replay. What
-//! each sample's tick is stands in its header; who reads must find out from there what is late.
+//! A [`FaultyChannel`] is placed where samples are received: by the controller for observations, by the plant
+//! for commands, by the logger for learning records. In each tick one sample or none enters, and none, one or
+//! more leave. The transport itself is not affected. So lockstep works, the log has the samples that were sent,
+//! and a run in one process has the same faults as a run of three processes, and as its replay. The header of a
+//! sample has its tick; receivers find out from it which samples are late.
 //!
-//! Whether a fault happens in a tick is drawn from a hash of the run's seed, the fault's place in the scenario's list and
-//! the tick, not from a generator: one more fault changes no other, and a line's only memory is what is under way in it.
+//! Whether a fault occurs in a tick depends on a hash of the run's seed, the fault's index in the scenario's
+//! list and the tick, not on a generator. So an additional fault changes no other fault, and the only state of
+//! a channel is its delayed samples.
 
 use xxhash_rust::xxh3::xxh3_64_with_seed;
 
 use crate::scenario::{ChannelFault, FaultChannel, FaultKind, FaultValue, Plan};
 use crate::state::{Persist, StateVisitor};
-use crate::wire::{Command, Header, Learning, Observation, Sample};
+use crate::wire::{Command, Learning, Observation, Sample};
 
-/// Most samples under way in a line; with more, the one that has been under way for longest is lost. One fault keeps at
-/// most 16 samples, so that only three or more of long delay can come to it.
-const UNDER_WAY: usize = 32;
+/// Limit on delayed samples in a channel. With more, the sample that has been delayed for longest is lost. One
+/// fault delays at most 16 samples, so only three or more faults with long delays can reach the limit.
+const MAX_DELAYED: usize = 32;
 
-/// What a line carries.
-pub trait Faultable: Sample + Default {
-    /// The channel.
+/// A sample whose channel can have faults.
+pub(crate) trait Faultable: Sample + Default {
+    /// The channel of the samples.
     const CHANNEL: FaultChannel;
 
-    /// Its header.
-    fn header(&self) -> &Header;
-
-    /// The values that corruption writes over, those of the scenario's signals.
-    fn values(&mut self, plan: SignalCounts) -> &mut [f32];
+    /// The values that corruption overwrites: those of the scenario's signals.
+    fn values(&mut self, signals: SignalCounts) -> &mut [f32];
 }
 
-/// How many inputs and outputs the scenario has.
+/// The numbers of inputs and outputs of the scenario.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SignalCounts {
+pub(crate) struct SignalCounts {
     inputs: usize,
     outputs: usize,
 }
 
 impl Faultable for Observation {
     const CHANNEL: FaultChannel = FaultChannel::Observation;
-
-    fn header(&self) -> &Header {
-        &self.header
-    }
 
     fn values(&mut self, signals: SignalCounts) -> &mut [f32] {
         &mut self.inputs[..signals.inputs]
@@ -52,10 +48,6 @@ impl Faultable for Observation {
 impl Faultable for Command {
     const CHANNEL: FaultChannel = FaultChannel::Command;
 
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
     fn values(&mut self, signals: SignalCounts) -> &mut [f32] {
         &mut self.drawn[..signals.outputs]
     }
@@ -64,173 +56,182 @@ impl Faultable for Command {
 impl Faultable for Learning {
     const CHANNEL: FaultChannel = FaultChannel::Learning;
 
-    fn header(&self) -> &Header {
-        &self.header
-    }
-
     fn values(&mut self, signals: SignalCounts) -> &mut [f32] {
         &mut self.noise[..signals.outputs]
     }
 }
 
-/// A fault with its place in the scenario's list.
+/// A fault with its index in the scenario's list.
 #[derive(Debug, Clone, PartialEq)]
 struct ActiveFault {
-    place: u64,
-    table: ChannelFault,
+    index: u64,
+    config: ChannelFault,
 }
 
-/// A sample under way.
+/// A delayed sample.
 #[derive(Debug, Clone, Copy)]
 struct DelayedSample<T> {
     sample: T,
-    /// The tick in which it comes out.
+    /// The tick in which the sample leaves the channel.
     due: u64,
-    /// It comes behind the sample of that tick, not before it.
+    /// Whether it leaves after the sample of that tick, not before it.
     behind: bool,
 }
 
-/// A channel's end with the scenario's faults.
+/// The receiving end of a channel, with the scenario's faults.
 #[derive(Debug, Clone)]
-pub struct FaultyChannel<T> {
+pub(crate) struct FaultyChannel<T> {
     faults: Vec<ActiveFault>,
     seed: u64,
     signals: SignalCounts,
-    /// In the order in which they went in; the first `waiting` are in use.
-    under_way: [DelayedSample<T>; UNDER_WAY],
-    waiting: usize,
-    /// What came out last, if anything did.
+    /// Delayed samples in the order in which they entered. The first `delayed_count` entries are in use.
+    delayed: [DelayedSample<T>; MAX_DELAYED],
+    delayed_count: usize,
+    /// The sample that left last.
     last: Option<T>,
     /// The first tick in which the channel is no longer frozen.
     frozen_until: u64,
 }
 
 impl<T: Faultable> FaultyChannel<T> {
-    /// The line of the run of `plan`.
+    /// The channel of `T` in a run of `plan`.
     pub fn of(plan: &Plan) -> Self {
         let list = (0..).zip(&plan.scenario.faults.channel);
-        let ours = list.filter(|(_, table)| table.channel == T::CHANNEL);
+        let of_channel = list.filter(|(_, config)| config.channel == T::CHANNEL);
         Self {
-            faults: ours.map(|(place, table)| ActiveFault { place, table: table.clone() }).collect(),
+            faults: of_channel.map(|(index, config)| ActiveFault { index, config: config.clone() }).collect(),
             seed: xxh3_64_with_seed(b"faults", plan.scenario.seed),
             signals: SignalCounts { inputs: plan.inputs.len(), outputs: plan.outputs.len() },
-            under_way: [DelayedSample { sample: T::default(), due: 0, behind: false }; UNDER_WAY],
-            waiting: 0,
+            delayed: [DelayedSample { sample: T::default(), due: 0, behind: false }; MAX_DELAYED],
+            delayed_count: 0,
             last: None,
             frozen_until: 0,
         }
     }
 
-    /// Whether nothing can go wrong on it.
-    pub fn is_clean(&self) -> bool {
+    /// Whether the channel has no faults.
+    pub fn is_fault_free(&self) -> bool {
         self.faults.is_empty()
     }
 
-    /// One tick: `sample` goes in, and what comes out is given to `read`, in order. Ticks only grow.
-    pub fn pass(&mut self, tick: u64, sample: Option<&T>, mut read: impl FnMut(&T)) {
-        if self.is_clean() {
-            sample.map(read);
+    /// One tick: `sample` enters the channel, and `receive` is called with each sample that leaves it, in
+    /// order. Ticks must increase from call to call.
+    pub fn pass(&mut self, tick: u64, sample: Option<&T>, mut receive: impl FnMut(&T)) {
+        if self.is_fault_free() {
+            sample.map(receive);
             return;
         }
         let mut present = sample.copied();
+        let (delay, behind) = self.apply_faults(tick, &mut present);
+        if tick < self.frozen_until {
+            // Samples that enter meanwhile are lost. Samples that were delayed before stay in the channel.
+            self.last.iter().for_each(receive);
+            return;
+        }
+        if let Some(sample) = present.take_if(|_| delay > 0 || behind) {
+            self.delay(DelayedSample { sample, due: tick + delay.max(1), behind });
+        }
+        let mut deliver = |sample: &T| {
+            self.last = Some(*sample);
+            receive(sample);
+        };
+        let due = |entry: &DelayedSample<T>, behind: bool| entry.due <= tick && entry.behind == behind;
+        let delayed = &self.delayed[..self.delayed_count];
+        delayed.iter().filter(|entry| due(entry, false)).for_each(|entry| deliver(&entry.sample));
+        present.iter().for_each(&mut deliver);
+        delayed.iter().filter(|entry| due(entry, true)).for_each(|entry| deliver(&entry.sample));
+        self.remove_delivered(tick);
+    }
+
+    /// Applies the faults that occur in `tick` to the sample that enters. Returns by how many ticks they delay
+    /// it, and whether it then leaves after the sample of that tick.
+    fn apply_faults(&mut self, tick: u64, present: &mut Option<T>) -> (u64, bool) {
         let (mut delay, mut behind) = (0, false);
         for i in 0..self.faults.len() {
-            let ActiveFault { place, table } = &self.faults[i];
-            if !happens(self.seed, *place, table, tick) {
+            let ActiveFault { index, config } = &self.faults[i];
+            if !occurs(self.seed, *index, config, tick) {
                 continue;
             }
-            let (kind, ticks) = (table.kind, table.ticks());
-            match (kind, &mut present) {
+            let (kind, ticks) = (config.kind, config.ticks());
+            match (kind, &mut *present) {
                 (FaultKind::Freeze, _) => self.frozen_until = self.frozen_until.max(tick + ticks),
                 (FaultKind::Drop, sample) => *sample = None,
                 (FaultKind::Delay, Some(_)) => delay = delay.max(ticks),
                 (FaultKind::Reorder, Some(_)) => behind = true,
                 (FaultKind::Duplicate, Some(sample)) => {
                     let sample = *sample;
-                    self.keep(DelayedSample { sample, due: tick + ticks, behind: false });
+                    self.delay(DelayedSample { sample, due: tick + ticks, behind: false });
                 }
                 (FaultKind::Corrupt, Some(sample)) => {
-                    let value = if table.value == Some(FaultValue::Huge) { HUGE } else { f32::NAN };
+                    let value = if config.value == Some(FaultValue::Huge) { HUGE } else { f32::NAN };
                     sample.values(self.signals).fill(value);
                 }
                 (_, None) => {}
             }
         }
-        if tick < self.frozen_until {
-            // What goes in meanwhile is lost; what was under way before stays there.
-            self.last.iter().for_each(read);
-            return;
-        }
-        if let Some(sample) = present.take_if(|_| delay > 0 || behind) {
-            self.keep(DelayedSample { sample, due: tick + delay.max(1), behind });
-        }
-        let mut give = |sample: &T| {
-            self.last = Some(*sample);
-            read(sample);
-        };
-        let due = |w: &DelayedSample<T>, behind: bool| w.due <= tick && w.behind == behind;
-        let under_way = &self.under_way[..self.waiting];
-        under_way.iter().filter(|w| due(w, false)).for_each(|w| give(&w.sample));
-        present.iter().for_each(&mut give);
-        under_way.iter().filter(|w| due(w, true)).for_each(|w| give(&w.sample));
-        let mut left = 0;
-        for i in 0..self.waiting {
-            if self.under_way[i].due > tick {
-                self.under_way[left] = self.under_way[i];
-                left += 1;
-            }
-        }
-        self.waiting = left;
+        (delay, behind)
     }
 
-    fn keep(&mut self, waiting: DelayedSample<T>) {
-        if self.waiting == UNDER_WAY {
-            self.under_way.rotate_left(1);
-            self.waiting -= 1;
+    /// Adds a delayed sample.
+    fn delay(&mut self, entry: DelayedSample<T>) {
+        if self.delayed_count == MAX_DELAYED {
+            self.delayed.rotate_left(1);
+            self.delayed_count -= 1;
         }
-        self.under_way[self.waiting] = waiting;
-        self.waiting += 1;
+        self.delayed[self.delayed_count] = entry;
+        self.delayed_count += 1;
+    }
+
+    /// Removes the delayed samples that were due by `tick`.
+    fn remove_delivered(&mut self, tick: u64) {
+        let mut kept = 0;
+        for i in 0..self.delayed_count {
+            if self.delayed[i].due > tick {
+                self.delayed[kept] = self.delayed[i];
+                kept += 1;
+            }
+        }
+        self.delayed_count = kept;
     }
 }
 
-/// The value of a corrupted sample that is a number.
+/// The finite value of a corrupted sample.
 const HUGE: f32 = 1e30;
 
-/// Whether the fault at `place` happens in `tick`.
-fn happens(seed: u64, place: u64, table: &ChannelFault, tick: u64) -> bool {
-    if tick < table.from.unwrap_or(0) || table.until.is_some_and(|until| tick >= until) {
+/// Whether the fault with this index occurs in `tick`.
+fn occurs(seed: u64, index: u64, config: &ChannelFault, tick: u64) -> bool {
+    if tick < config.from.unwrap_or(0) || config.until.is_some_and(|until| tick >= until) {
         return false;
     }
-    let Some(probability) = table.probability else { return true };
+    let Some(probability) = config.probability else { return true };
     let mut bytes = [0; 16];
-    bytes[..8].copy_from_slice(&place.to_le_bytes());
+    bytes[..8].copy_from_slice(&index.to_le_bytes());
     bytes[8..].copy_from_slice(&tick.to_le_bytes());
-    // 53 bits are a number in [0, 1).
+    // 53 bits of the hash are a number in [0, 1).
     ((xxh3_64_with_seed(&bytes, seed) >> 11) as f64) < probability * (1_u64 << 53) as f64
 }
 
 impl<T: Faultable> Persist for FaultyChannel<T> {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
-        if self.is_clean() {
+        if self.is_fault_free() {
             return;
         }
-        let waiting = self.waiting;
-        let mut counts = [waiting as u64, u64::from(self.last.is_some()), self.frozen_until];
+        let mut counts = [self.delayed_count as u64, u64::from(self.last.is_some()), self.frozen_until];
         visitor.numbers("line", &mut counts);
         [_, _, self.frozen_until] = counts;
-        self.waiting = (counts[0] as usize).min(UNDER_WAY);
+        self.delayed_count = (counts[0] as usize).min(MAX_DELAYED);
         let mut last = self.last.unwrap_or_default();
         visitor.words("last", &mut last);
         self.last = (counts[1] != 0).then_some(last);
-        // All of them, so that what is to be remembered always has the same size.
-        for (i, w) in self.under_way.iter_mut().enumerate() {
-            if i >= self.waiting {
-                *w = DelayedSample { sample: T::default(), due: 0, behind: false };
+        // All entries, so that the state always has the same size.
+        for (i, entry) in self.delayed.iter_mut().enumerate() {
+            if i >= self.delayed_count {
+                *entry = DelayedSample { sample: T::default(), due: 0, behind: false };
             }
-            let mut when = [w.due, u64::from(w.behind)];
-            visitor.numbers("due", &mut when);
-            visitor.words("under_way", &mut w.sample);
-            (w.due, w.behind) = (when[0], when[1] != 0);
+            let mut due = [entry.due, u64::from(entry.behind)];
+            visitor.numbers("due", &mut due);
+            visitor.words("under_way", &mut entry.sample);
+            (entry.due, entry.behind) = (due[0], due[1] != 0);
         }
     }
 }
@@ -242,7 +243,7 @@ mod tests {
     use crate::state::{load, save, size};
     use proptest::prelude::*;
 
-    fn line(faults: &str) -> FaultyChannel<Command> {
+    fn channel(faults: &str) -> FaultyChannel<Command> {
         let mut scenario = Scenario::find("paper").unwrap();
         scenario.faults = toml::from_str(faults).unwrap();
         FaultyChannel::of(&scenario.plan().unwrap())
@@ -258,18 +259,18 @@ mod tests {
         command
     }
 
-    /// The ticks of what comes out in each of the ticks.
-    fn ticks(line: &mut FaultyChannel<Command>, ticks: std::ops::Range<u64>) -> Vec<Vec<u64>> {
+    /// For each tick, the ticks of the samples that leave the channel.
+    fn ticks(channel: &mut FaultyChannel<Command>, ticks: std::ops::Range<u64>) -> Vec<Vec<u64>> {
         let one = |tick| {
             let mut out = Vec::new();
-            line.pass(tick, Some(&command(tick)), |c| out.push(c.header.tick));
+            channel.pass(tick, Some(&command(tick)), |c| out.push(c.header.tick));
             out
         };
         ticks.map(one).collect()
     }
 
     #[test]
-    fn each_kind_does_what_it_says() {
+    fn each_kind_of_fault_has_its_effect() {
         for (kind, more, expected) in [
             ("drop", "", vec![vec![0], vec![1], vec![], vec![], vec![4], vec![5], vec![6], vec![7]]),
             ("delay", "ticks = 3", vec![vec![0], vec![1], vec![], vec![], vec![4], vec![2, 5], vec![3, 6], vec![7]]),
@@ -286,50 +287,50 @@ mod tests {
             ),
         ] {
             let until = if more.contains("until") { "" } else { "\nuntil = 4" };
-            let mut line = line(&fault(kind, &format!("from = 2\n{more}{until}")));
-            assert_eq!(ticks(&mut line, 0..8), expected, "{kind}");
-            assert_eq!(line.waiting, 0);
+            let mut channel = channel(&fault(kind, &format!("from = 2\n{more}{until}")));
+            assert_eq!(ticks(&mut channel, 0..8), expected, "{kind}");
+            assert_eq!(channel.delayed_count, 0);
         }
-        // All of what is delayed lies in between, and in the end it comes.
-        let mut line = line(&fault("delay", "from = 0\nticks = 16\nuntil = 100"));
-        let out: Vec<u64> = ticks(&mut line, 0..130).concat();
+        // With a long delay many samples are in the channel at once, and all of them leave it in the end.
+        let mut channel = channel(&fault("delay", "from = 0\nticks = 16\nuntil = 100"));
+        let out: Vec<u64> = ticks(&mut channel, 0..130).concat();
         let mut sorted = out.clone();
         sorted.sort_unstable();
         assert_eq!(sorted, (0..130).collect::<Vec<_>>());
         assert_eq!(out[0], 0);
-        assert_eq!(ticks(&mut FaultyChannel::<Command>::clone(&line), 200..201), [[200]]);
+        assert_eq!(ticks(&mut FaultyChannel::<Command>::clone(&channel), 200..201), [[200]]);
     }
 
     #[test]
-    fn corruption_writes_over_what_is_in_use_and_nothing_else() {
+    fn corruption_overwrites_only_the_values_in_use() {
         for (value, is) in [("nan", f32::is_nan as fn(f32) -> bool), ("huge", |x| x == 1e30)] {
-            let mut line = line(&fault("corrupt", &format!("probability = 1\nvalue = \"{value}\"")));
-            let mut seen = None;
-            line.pass(3, Some(&command(3)), |c| seen = Some(*c));
-            let seen = seen.unwrap();
-            assert!(seen.drawn[..4].iter().all(|&u| is(u)) && seen.drawn[4..] == [3.0; 4]);
-            assert_eq!((seen.header, seen.mean), (command(3).header, command(3).mean));
+            let mut channel = channel(&fault("corrupt", &format!("probability = 1\nvalue = \"{value}\"")));
+            let mut received = None;
+            channel.pass(3, Some(&command(3)), |c| received = Some(*c));
+            let received = received.unwrap();
+            assert!(received.drawn[..4].iter().all(|&u| is(u)) && received.drawn[4..] == [3.0; 4]);
+            assert_eq!((received.header, received.mean), (command(3).header, command(3).mean));
         }
     }
 
-    /// A channel that carries nothing may still be frozen, and what is under way comes out.
+    /// A delayed sample leaves the channel in its tick even when no sample enters.
     #[test]
-    fn time_goes_on_without_samples() {
-        let mut line = line(&fault("delay", "from = 1\nuntil = 2\nticks = 3"));
+    fn delayed_samples_leave_when_no_sample_enters() {
+        let mut channel = channel(&fault("delay", "from = 1\nuntil = 2\nticks = 3"));
         let mut out = Vec::new();
         for tick in 0..6 {
-            line.pass(tick, (tick == 1).then_some(&command(1)), |c| out.push((tick, c.header.tick)));
+            channel.pass(tick, (tick == 1).then_some(&command(1)), |c| out.push((tick, c.header.tick)));
         }
         assert_eq!(out, [(4, 1)]);
     }
 
     #[test]
-    fn chance_is_a_matter_of_seed_place_and_tick() {
+    fn occurrence_depends_on_seed_index_and_tick() {
         let drops = |faults: &str, seed: u64| {
             let mut scenario = Scenario::find("paper").unwrap();
             (scenario.faults, scenario.seed) = (toml::from_str(faults).unwrap(), seed);
-            let mut line = FaultyChannel::<Command>::of(&scenario.plan().unwrap());
-            let out = ticks(&mut line, 0..20_000);
+            let mut channel = FaultyChannel::<Command>::of(&scenario.plan().unwrap());
+            let out = ticks(&mut channel, 0..20_000);
             (0..20_000).filter(|&tick| !out[tick as usize].contains(&tick)).collect::<Vec<_>>()
         };
         let tenth = fault("drop", "probability = 0.1");
@@ -337,7 +338,7 @@ mod tests {
         assert!((1_800..2_200).contains(&first.len()), "{}", first.len());
         assert!(drops(&tenth, 1) == first);
         assert!(drops(&tenth, 2) != first);
-        // Another fault behind it changes nothing of it; before it, its place is another.
+        // A fault behind it in the list changes nothing. A fault before it changes its index.
         let late = fault("duplicate", "probability = 0.5");
         assert!(drops(&(tenth.clone() + &late), 1) == first);
         assert!(drops(&(late + &tenth), 1) != first);
@@ -358,20 +359,20 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { cases: 100, failure_persistence: None, ..ProptestConfig::default() })]
 
-        /// Whatever goes wrong: nothing comes out before its tick, nothing that never went in, and a line that is restored in
-        /// the middle goes on as if nothing had been.
+        /// With any faults, no sample leaves before its tick, and a channel that is restored in mid-run
+        /// continues identically.
         #[test]
-        fn lines_invent_nothing_and_can_be_restored(faults in prop::collection::vec(any_fault(), 1..6)) {
-            let mut whole = line(&faults.concat());
-            let out = ticks(&mut whole, 0..100);
+        fn no_sample_is_early_and_a_restored_channel_continues(faults in prop::collection::vec(any_fault(), 1..6)) {
+            let mut original = channel(&faults.concat());
+            let out = ticks(&mut original, 0..100);
             for (tick, out) in out.iter().enumerate() {
                 prop_assert!(out.iter().all(|&t| t <= tick as u64), "{tick}: {out:?}");
             }
-            let mut bytes = vec![0; size(&mut whole)];
-            prop_assert_eq!(save(&mut whole, &mut bytes), Some(bytes.len()));
-            let mut back = line(&faults.concat());
-            prop_assert!(load(&mut back, &bytes));
-            prop_assert_eq!(ticks(&mut whole, 100..200), ticks(&mut back, 100..200));
+            let mut bytes = vec![0; size(&mut original)];
+            prop_assert_eq!(save(&mut original, &mut bytes), Some(bytes.len()));
+            let mut restored = channel(&faults.concat());
+            prop_assert!(load(&mut restored, &bytes));
+            prop_assert_eq!(ticks(&mut original, 100..200), ticks(&mut restored, 100..200));
         }
     }
 }

@@ -1,21 +1,23 @@
-//! Plant and controller in one process, without transport and log: the third way to run a tick, for studies.
+//! Runs plant and controller in one process, without transport and log, for studies. Beside lockstep and real
+//! time it is the third way to run a tick.
 
 use super::{Controller, ControllerReport, PlantReport, PlantSide, RunStatistics};
 use crate::plant::Plant;
 use crate::scenario::Plan;
 use crate::wire::{Command, Observation};
 
-/// What comes of a run in one process.
+/// The result of a run in one process.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InProcess {
-    /// The plant's account.
+    /// The plant's report.
     pub plant: PlantReport,
-    /// The controller's account.
+    /// The controller's report.
     pub controller: ControllerReport,
 }
 
-/// Runs `plan` with `body`: the same ticks, in the same order, as three processes in lockstep. `watch` is called with
-/// the ticks done and the account so far, every 4096 ticks; when it says false the run ends there.
+/// Runs `plan` with the plant `body`: the same ticks in the same order as three processes in lockstep. `watch`
+/// is called every 4096 ticks with the ticks done and the statistics so far. When it returns false, the run
+/// ends there.
 pub fn in_process<P: Plant>(plan: &Plan, body: P, mut watch: impl FnMut(u64, &RunStatistics) -> bool) -> InProcess {
     in_process_seen(plan, body, |observation, controller| {
         let tick = observation.header.tick;
@@ -23,8 +25,8 @@ pub fn in_process<P: Plant>(plan: &Plan, body: P, mut watch: impl FnMut(u64, &Ru
     })
 }
 
-/// The same for whoever wants to see every tick: `see` is called with the observation before it is answered; when it says
-/// false the run ends there.
+/// Like [`in_process`], with a call of `see` in every tick: it gets the observation before the controller
+/// answers it. When it returns false, the run ends there.
 pub fn in_process_seen<P: Plant>(
     plan: &Plan,
     body: P,

@@ -1,8 +1,9 @@
-//! The logger's loop: everything that the others send, merged by tick, into one log.
+//! The logger's loop: receives all samples of the run, merges them by tick, and writes them into one log.
 //!
-//! A logger that comes back into its run writes a segment of its own (see [`crate::log`]): it reads what is there, and states
-//! what is missing between that and the first sample that it receives. When the disk is full, it goes on receiving, so that
-//! nobody waits for it in vain, and closes the log with what it could not hold.
+//! A restarted logger writes a new segment of the log (see [`crate::log`]). It reads the existing segments, and
+//! states which samples are missing between them and the first sample that it receives. When the disk is full,
+//! it continues to receive, so that no process waits for it in vain, and closes the log with a statement of the
+//! samples that are missing.
 
 use super::faults::FaultyChannel;
 use super::merge::{LogMerger, MergeOutcome};
@@ -13,20 +14,21 @@ use crate::log::{LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWri
 use crate::scenario::FaultChannel;
 use crate::wire::{Learning, ProcessState, Role, Status};
 
-/// How far the senders are, by their boards, whichever of their incarnations has them.
+/// The progress of plant and controller, read from the boards of their current incarnations.
 struct SenderProgress {
+    /// Status of plant and controller.
     boards: [Status; 2],
     /// Samples sent on observation, command and learning.
     sent: [u64; 3],
 }
 
 impl SenderProgress {
-    /// Looks at the boards, at the pages of those who have, or will have, the places now.
+    /// Reads the boards of the incarnations that have, or will have, the roles now.
     fn update(&mut self, ports: &mut LoggerPorts, session: &Session) -> Result<(), RuntimeError> {
         ports.plant.set_incarnation(session.incarnation_of(Role::Plant))?;
         ports.controller.set_incarnation(session.incarnation_of(Role::Controller))?;
         self.boards = [ports.plant.get(), ports.controller.get()];
-        // The board of a process that comes back is empty at first.
+        // The board of a restarted process is empty at first, so the count must not decrease.
         let [plant, controller] = self.boards.map(|board| board.sent);
         for (sent, now) in self.sent.iter_mut().zip([plant, controller, controller]) {
             *sent = now.max(*sent);
@@ -34,6 +36,7 @@ impl SenderProgress {
         Ok(())
     }
 
+    /// Whether both senders have finished.
     fn finished(&self) -> bool {
         self.boards.iter().all(|board| board.state() == ProcessState::Finished)
     }
@@ -42,37 +45,24 @@ impl SenderProgress {
 /// The logger's loop.
 ///
 /// # Errors
-/// When the process does not fit the run, the log cannot be begun, or the run ends in disorder; the log is closed in every
-/// case in which that is possible. A log that cannot be written any more is no error of the loop, but told in the report.
+/// When the process does not fit the run, the log cannot be created, or the run ends abnormally. The log is
+/// closed wherever that is possible. A log that can no longer be written is no error of the loop; the report
+/// states it.
 pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError> {
     let (mut ports, status_board) = participant.open(LoggerPorts::open)?;
     let (mut session, time) = participant.begin(status_board, || {
         let channels = [ports.observation.connect()?, ports.command.connect()?, ports.learning.connect()?];
         Ok(channels.iter().all(|&writers| writers >= 1))
     })?;
-    let (folder, period_ns) = (session.participant.folder.clone(), session.participant.plan.period_ns);
+    let folder = session.participant.folder.clone();
     let incarnation = session.incarnation();
-    let past = match &session.participant.manifest.resumed {
-        Some(ResumePoint { tick, sequences: [observation, answer], .. }) => {
-            LogRecovery::none(period_ns, [*observation, *answer, *answer], *tick)
-        }
-        None => LogRecovery::none(period_ns, [0; 3], 0),
-    };
-    let past = if incarnation > 0 { past.with(&folder, || session.publish_status()) } else { past };
-    let header = header(&session, &time, &past);
-    let log = LogWriter::create(&segment_path(&folder, incarnation), &header);
-    let mut merge = match log {
-        // There was a log before; nobody shall wait for one who cannot make another.
-        Err(error) if incarnation > 0 && error.is_full() => {
-            LogMerger::new(Err(error), &past, header.every, time.is_real())
-        }
-        log => LogMerger::new(Ok(log?), &past, header.every, time.is_real()),
-    };
+    let recovered = recover(&session);
+    let mut merger = open_log(&session, &time, &recovered)?;
     let mut senders = SenderProgress { boards: Default::default(), sent: [0; 3] };
 
-    let ended = follow(&mut merge, &mut ports, &mut senders, &mut session, &time);
+    let ended = follow(&mut merger, &mut ports, &mut senders, &mut session, &time);
     let complete = senders.boards[Role::Plant as usize].ticks >= session.participant.plan.scenario.ticks;
-    let MergeOutcome { totals, written, failure, timings } = merge.close(senders.sent, complete);
+    let MergeOutcome { totals, written, failure, timings } = merger.close(senders.sent, complete);
     ended?;
     let [wake_up_lateness, observation_to_command, command_to_applied] =
         timings.map_or([None; 3], |timings| timings.percentiles());
@@ -83,117 +73,155 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
         duplicates: totals.duplicates,
         missing_from: totals.missing_from,
         failure,
-        bytes: past.bytes + std::fs::metadata(segment_path(&folder, incarnation)).map_or(0, |file| file.len()),
+        bytes: recovered.bytes + std::fs::metadata(segment_path(&folder, incarnation)).map_or(0, |file| file.len()),
         wake_up_lateness,
         observation_to_command,
         command_to_applied,
     };
     session.finish(&report)?;
-    // In lockstep the plant waits for the logger: a loss there is a fault of this program, unless somebody was away, there
-    // was no room, or the scenario wants it.
-    let returned = Role::ALL.iter().any(|&role| session.incarnation_of(role) > 0);
+    check_losses(&session, &time, &report)?;
+    Ok(report)
+}
+
+/// What the log already contains: the segments of earlier incarnations, behind the point at which the run
+/// resumes.
+fn recover(session: &Session) -> LogRecovery {
+    let participant = &session.participant;
+    let period_ns = participant.plan.period_ns;
+    let recovered = match &participant.manifest.resumed {
+        Some(ResumePoint { tick, sequences: [observation, answer], .. }) => {
+            LogRecovery::none(period_ns, [*observation, *answer, *answer], *tick)
+        }
+        None => LogRecovery::none(period_ns, [0; 3], 0),
+    };
+    match session.incarnation() {
+        0 => recovered,
+        _ => recovered.with(&participant.folder, || session.publish_status()),
+    }
+}
+
+/// Creates this incarnation's segment of the log.
+fn open_log(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> Result<LogMerger, RuntimeError> {
+    let header = header(session, time, recovered);
+    let log = LogWriter::create(&segment_path(&session.participant.folder, session.incarnation()), &header);
+    match log {
+        // A log exists already. Without room for another segment, the run goes on, so that nothing waits for
+        // the logger.
+        Err(error) if session.incarnation() > 0 && error.is_full() => {
+            Ok(LogMerger::new(Err(error), recovered, header.every, time.is_real()))
+        }
+        log => Ok(LogMerger::new(Ok(log?), recovered, header.every, time.is_real())),
+    }
+}
+
+/// In lockstep the plant waits for the logger, so lost samples are a bug of this program, unless a process was
+/// restarted, the disk was full, or the scenario injects faults.
+fn check_losses(session: &Session, time: &TimeSource, report: &LoggerReport) -> Result<(), RuntimeError> {
+    let restarted = Role::ALL.iter().any(|&role| session.incarnation_of(role) > 0);
     let faulty =
         session.participant.plan.scenario.faults.channel.iter().any(|fault| fault.channel == FaultChannel::Learning);
-    let excused = time.is_real() || returned || faulty || report.failure.is_some();
+    let excused = time.is_real() || restarted || faulty || report.failure.is_some();
     if let (false, Some(i)) = (excused, report.lost.iter().position(|&lost| lost > 0)) {
         let channel = ["observation", "command", "learning"][i].to_owned();
         return Err(RuntimeError::Lost { channel, lost: report.lost[i] });
     }
-    Ok(report)
+    Ok(())
 }
 
-/// Writes until both senders have finished and everything is written.
+/// Receives and writes until both senders have finished and everything is written.
 fn follow(
-    merge: &mut LogMerger,
+    merger: &mut LogMerger,
     ports: &mut LoggerPorts,
     senders: &mut SenderProgress,
     session: &mut Session,
     time: &TimeSource,
 ) -> Result<(), RuntimeError> {
-    // Nobody waits for the logger, so it looks in now and then instead of being woken: often enough to keep far from its
-    // buffer's end, seldom enough to cost nothing.
+    // No process waits for a particular sample to be logged, so the logger polls instead of being woken: often
+    // enough to stay far from the end of its buffer, and seldom enough to cost nothing.
     let real = time.is_real();
-    let nap = if real { session.participant.plan.period_ns.clamp(200_000, 50_000_000) } else { 200_000 };
-    // In real time a sample may never come; two periods later its tick is written without it.
-    let patience = (2 * session.participant.plan.period_ns / nap).max(8);
-    let mut naps = 0;
-    let mut line = FaultyChannel::of(&session.participant.plan);
+    let poll_ns = if real { session.participant.plan.period_ns.clamp(200_000, 50_000_000) } else { 200_000 };
+    // In real time a sample may never arrive. Its tick is then written without it after two periods.
+    let max_idle_polls = (2 * session.participant.plan.period_ns / poll_ns).max(8);
+    let mut idle_polls = 0;
+    let mut learning = FaultyChannel::of(&session.participant.plan);
     loop {
         senders.update(ports, session)?;
         let ended = session.check();
         let last = senders.finished() || ended.is_err();
-        let force = last || (real && naps >= patience);
+        let force = last || (real && idle_polls >= max_idle_polls);
         // In lockstep a sample's sequence number is its tick.
         let known = if real { [0; 3] } else { senders.sent };
-        let any = drain(merge, ports, &mut line, known, force)?;
-        session.status.consumed = merge.consumed();
+        let any = drain(merger, ports, &mut learning, known, force)?;
+        session.status.consumed = merger.consumed();
         session.status.ticks = session.status.consumed;
-        session.status.lost = merge.lanes.iter().map(|lane| lane.lost).sum();
+        session.status.lost = merger.inputs.iter().map(|input| input.lost).sum();
         session.publish_status();
         if last {
             return ended;
         }
-        naps = if any { 0 } else { naps + 1 };
-        pause(nap);
+        idle_polls = if any { 0 } else { idle_polls + 1 };
+        pause(poll_ns);
     }
 }
 
-/// Writes all that has come, beyond the reach of a kill before anybody is told. False when nothing had.
+/// Writes all samples that have arrived and flushes them, so that a kill after the status is published loses
+/// none of them. Returns false when none had arrived.
 fn drain(
-    merge: &mut LogMerger,
+    merger: &mut LogMerger,
     ports: &LoggerPorts,
-    line: &mut FaultyChannel<Learning>,
+    learning: &mut FaultyChannel<Learning>,
     known: [u64; 3],
     force: bool,
 ) -> Result<bool, RuntimeError> {
     let mut any = false;
     loop {
-        merge.fill(0, known[0], || ports.observation.receive().map(|sample| sample.map(LogRecord::Observation)))?;
-        merge.fill(1, known[1], || ports.command.receive().map(|sample| sample.map(LogRecord::Command)))?;
-        merge.fill(2, known[2], || read_learning(&ports.learning, line))?;
-        if !merge.write_first(force) {
+        merger.fill(0, known[0], || ports.observation.receive().map(|sample| sample.map(LogRecord::Observation)))?;
+        merger.fill(1, known[1], || ports.command.receive().map(|sample| sample.map(LogRecord::Command)))?;
+        merger.fill(2, known[2], || receive_learning(&ports.learning, learning))?;
+        if !merger.write_first(force) {
             break;
         }
         any = true;
     }
-    merge.flush();
+    merger.flush();
     Ok(any)
 }
 
-/// The next learning record that the scenario's faults let through. One that comes out in another tick than its own is not
-/// waited for: the log is in the order of ticks.
-fn read_learning(
+/// The next learning record that the scenario's faults let pass. A record that they delay beyond its tick is
+/// not logged, because the log is in the order of ticks.
+fn receive_learning(
     channel: &Receiver<Learning>,
-    line: &mut FaultyChannel<Learning>,
+    faulty: &mut FaultyChannel<Learning>,
 ) -> Result<Option<LogRecord>, ChannelError> {
     while let Some(sample) = channel.receive()? {
-        let (tick, mut read) = (sample.header.tick, None);
-        line.pass(tick, Some(&sample), |out| {
+        let (tick, mut received) = (sample.header.tick, None);
+        faulty.pass(tick, Some(&sample), |out| {
             if out.header.tick == tick {
-                read = Some(*out);
+                received = Some(*out);
             }
         });
-        if let Some(sample) = read {
+        if let Some(sample) = received {
             return Ok(Some(LogRecord::Learning(sample)));
         }
     }
     Ok(None)
 }
 
-fn header(session: &Session, time: &TimeSource, past: &LogRecovery) -> LogHeader {
+/// The header of this incarnation's segment.
+fn header(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> LogHeader {
     let participant = &session.participant;
     let (plan, manifest) = (&participant.plan, &participant.manifest);
     let mut header = LogHeader::new(plan, manifest.run_id(), manifest.mode.name(), facts());
-    header.segment = LogSegment { number: session.incarnation(), ..past.segment };
+    header.segment = LogSegment { number: session.incarnation(), ..recovered.segment };
     if manifest.mode == Mode::Realtime {
         header.clock = LogClock::Monotonic;
         header.t0_ns = time.scheduled(0);
         header.wall_at_t0_ns = (wall_ns() + header.t0_ns).saturating_sub(monotonic_ns());
-        // Every process has left its account before it was ready.
-        let accounts = Role::ALL.map(|role| (role, read_realtime(&participant.folder, role)));
+        // Every process has written its real-time settings before it was ready.
+        let reports = Role::ALL.map(|role| (role, read_realtime(&participant.folder, role)));
         let text = |report| serde_json::to_string(&report).unwrap_or_default();
         header.realtime =
-            accounts.into_iter().filter_map(|(role, report)| Some((role.name().to_owned(), text(report?)))).collect();
+            reports.into_iter().filter_map(|(role, report)| Some((role.name().to_owned(), text(report?)))).collect();
     }
     header
 }

@@ -1,17 +1,19 @@
-//! Three channels on their way into one log: merged by tick, each sample once, and what is missing stated.
+//! Merges the samples of the three channels into one log: in the order of ticks, each sample once, with a
+//! statement of the missing ones.
 //!
-//! Without channels and clock: the logger's loop hands in what it receives. A logger that comes back goes on from what the log
-//! holds ([`LogRecovery`]); a log that takes nothing more (its disk is full) does not hold up those whose samples it would have held.
+//! It knows no channels and no clock: the logger's loop passes in the samples that it receives. A restarted
+//! logger continues behind the existing log ([`LogRecovery`]). When the log can no longer be written (its disk
+//! is full), the merger still consumes samples, so that no process waits for the logger.
 
 use crate::log::{LatencyHistograms, LogError, LogRecord, LogRecovery, LogTotals, LogWriter};
 use crate::wire::{Gap, Header};
 
-/// One channel on its way into the log.
+/// One channel's input to the log.
 #[derive(Debug, Clone, Default)]
 pub(super) struct MergeInput {
     /// 0 observation, 1 command, 2 learning.
     channel: u64,
-    /// Received and not yet written.
+    /// The sample that was received and is not yet written.
     head: Option<LogRecord>,
     /// Sequence number of the run's first sample.
     first: u64,
@@ -19,32 +21,36 @@ pub(super) struct MergeInput {
     expected: u64,
     /// The last tick received.
     last: Option<u64>,
-    /// No sample of this tick or an earlier one will still come.
+    /// No sample of this tick or an earlier one can still arrive.
     through: Option<u64>,
-    /// Sequence number of the first sample that the log did not take.
+    /// Sequence number of the first sample that could not be written; `None` while the log can be written.
     missing_since: Option<u64>,
+    /// Samples lost.
     pub lost: u64,
+    /// Samples left out on purpose.
     pub thinned: u64,
+    /// Samples that arrived twice.
     pub duplicates: u64,
 }
 
 impl MergeInput {
-    fn after(past: &LogRecovery, i: usize) -> Self {
+    /// The input of channel `i` behind the existing log.
+    fn after(recovered: &LogRecovery, i: usize) -> Self {
         Self {
             channel: i as u64,
-            first: past.segment.first(i),
-            expected: past.segment.begins[i],
-            last: past.last_ticks[i],
-            through: past.last_ticks[i],
-            lost: past.segment.lost[i],
-            thinned: past.segment.thinned[i],
-            duplicates: past.segment.duplicates[i],
+            first: recovered.segment.first(i),
+            expected: recovered.segment.begins[i],
+            last: recovered.last_ticks[i],
+            through: recovered.last_ticks[i],
+            lost: recovered.segment.lost[i],
+            thinned: recovered.segment.thinned[i],
+            duplicates: recovered.segment.duplicates[i],
             ..Self::default()
         }
     }
 
-    /// Takes a sample into the empty head; gives what is to be stated before it. A sample that the channel has had, or a later
-    /// one, is dropped: a process that was started anew says again what it had said last.
+    /// Puts a sample into the empty head. Returns the gap that must be stated before it. A sample whose number
+    /// is below the expected one is dropped: it is a duplicate that a restarted process has sent again.
     fn accept(&mut self, header: &Header, record: &LogRecord) -> Option<Gap> {
         if header.sequence < self.expected {
             self.duplicates += 1;
@@ -58,8 +64,8 @@ impl MergeInput {
         gap
     }
 
-    /// Counts the samples from the expected one up to but without `sequence` as lost. A log that takes nothing more states
-    /// at its end all that it lacks.
+    /// Counts the samples from the expected one up to but without `sequence` as lost. A log that can no longer
+    /// be written states all its missing samples at the end instead.
     fn gap_until(&mut self, sequence: u64) -> Option<Gap> {
         let (first, count) = (self.expected, sequence.saturating_sub(self.expected));
         self.expected = self.expected.max(sequence);
@@ -70,13 +76,13 @@ impl MergeInput {
         Some(Gap { channel: self.channel, first, count, total: self.lost })
     }
 
-    /// From here on, nothing is written.
-    fn close(&mut self) {
+    /// Marks that nothing is written from here on.
+    fn stop_writing(&mut self) {
         let waiting = self.head.as_ref().and_then(LogRecord::header).map(|header| header.sequence);
         self.missing_since = Some(waiting.unwrap_or(self.expected));
     }
 
-    /// The run is over, and `sent` samples were sent: what is missing behind all that was written.
+    /// The run is over, and `sent` samples were sent. Returns the gap behind the last written sample.
     fn end(&mut self, sent: u64) -> Option<Gap> {
         let end = self.expected.max(sent);
         if let Some(first) = self.missing_since.take() {
@@ -85,87 +91,96 @@ impl MergeInput {
         self.gap_until(end)
     }
 
+    /// The number of ticks of which no sample can still arrive.
     fn consumed(&self) -> u64 {
         self.through.map_or(0, |tick| tick + 1)
     }
 }
 
-/// The head that comes first by (tick, channel).
+/// The head that is first in the order of (tick, channel).
 #[derive(Debug, PartialEq)]
 struct NextHead {
     tick: u64,
-    lane: usize,
-    /// No sample that belongs before it can still come: every other lane has a later head, or has had the tick.
+    input: usize,
+    /// No sample that belongs before it can still arrive: every other input has a later head, or is through the
+    /// tick.
     settled: bool,
 }
 
-fn first(lanes: &[MergeInput; 3]) -> Option<NextHead> {
-    let tick_of = |lane: &MergeInput| Some(lane.head.as_ref()?.header()?.tick);
-    let heads = lanes.iter().enumerate().filter_map(|(i, lane)| Some((tick_of(lane)?, i)));
-    let (tick, lane) = heads.min()?;
-    let settled = lanes.iter().all(|lane| lane.head.is_some() || lane.through.is_some_and(|through| through >= tick));
-    Some(NextHead { tick, lane, settled })
+/// Finds the head that is written next.
+fn first_head(inputs: &[MergeInput; 3]) -> Option<NextHead> {
+    let tick_of = |input: &MergeInput| Some(input.head.as_ref()?.header()?.tick);
+    let heads = inputs.iter().enumerate().filter_map(|(i, input)| Some((tick_of(input)?, i)));
+    let (tick, input) = heads.min()?;
+    let settled =
+        inputs.iter().all(|input| input.head.is_some() || input.through.is_some_and(|through| through >= tick));
+    Some(NextHead { tick, input, settled })
 }
 
-/// The three lanes and the log.
+/// The three inputs and the log.
 pub(super) struct LogMerger {
-    pub lanes: [MergeInput; 3],
-    /// `None` once it could not be written any more, or could not be made for want of room.
+    /// Observations, commands and learning records.
+    pub inputs: [MergeInput; 3],
+    /// `None` when it can no longer be written, or could not be created because the disk is full.
     log: Option<LogWriter>,
+    /// The log contains every `every`-th tick.
     every: u64,
-    /// Real time: the durations of the ticks.
+    /// In real time: histograms of the ticks' durations.
     timings: Option<LatencyHistograms>,
-    /// The tick from which on samples are missing because the log did not take them.
+    /// The tick from which on samples are missing because the log could not be written.
     missing_from: Option<u64>,
-    /// Why it did not.
+    /// Why it could not.
     failure: Option<String>,
 }
 
-/// What came of a log.
+/// The result of a log.
 #[derive(Debug, Clone)]
 pub(super) struct MergeOutcome {
-    /// The run's, with all segments.
+    /// Totals of the run, over all segments.
     pub totals: LogTotals,
-    /// Samples written, with all segments.
+    /// Samples written, over all segments.
     pub written: [u64; 3],
+    /// Why the log could not be written or closed.
     pub failure: Option<String>,
+    /// In real time: histograms of the ticks' durations.
     pub timings: Option<LatencyHistograms>,
 }
 
 impl LogMerger {
-    /// Goes on from `past`, into `log`; without one, for the reason given, everything from now on is missing.
-    pub fn new(log: Result<LogWriter, LogError>, past: &LogRecovery, every: u64, real: bool) -> Self {
-        let mut merge = Self {
-            lanes: [0, 1, 2].map(|i| MergeInput::after(past, i)),
+    /// Continues behind `recovered`, into `log`. When `log` is an error, all samples from now on are missing.
+    pub fn new(log: Result<LogWriter, LogError>, recovered: &LogRecovery, every: u64, real: bool) -> Self {
+        let mut merger = Self {
+            inputs: [0, 1, 2].map(|i| MergeInput::after(recovered, i)),
             log: None,
             every,
-            timings: real.then(|| past.timings.clone()),
-            missing_from: past.missing_from,
+            timings: real.then(|| recovered.timings.clone()),
+            missing_from: recovered.missing_from,
             failure: None,
         };
         match log {
-            Ok(log) => merge.log = Some(log),
-            Err(error) => merge.give_up(merge.consumed(), &error),
+            Ok(log) => merger.log = Some(log),
+            Err(error) => merger.give_up(merger.consumed(), &error),
         }
-        merge
+        merger
     }
 
-    /// Fills the head of lane `i`, if it is empty, with what `receive` gives. In lockstep, all samples of ticks before
-    /// `known` had been sent before the call: those that are not there will not come.
+    /// Fills the head of input `i`, if it is empty, with the next sample from `receive`. In lockstep, all
+    /// samples of ticks before `known` had been sent before the call. Those that have not arrived will not
+    /// arrive.
     pub fn fill<E>(
         &mut self,
         i: usize,
         known: u64,
         mut receive: impl FnMut() -> Result<Option<LogRecord>, E>,
     ) -> Result<(), E> {
-        let lane = &mut self.lanes[i];
-        while lane.head.is_none() {
+        let input = &mut self.inputs[i];
+        while input.head.is_none() {
             let Some(record) = receive()? else {
-                lane.through = lane.through.max(known.checked_sub(1));
+                input.through = input.through.max(known.checked_sub(1));
                 return Ok(());
             };
             let Some(header) = record.header() else { continue };
-            if let Some(gap) = lane.accept(header, &record)
+            if let Some(gap) = input.accept(header, &record)
                 && let Some(log) = &mut self.log
                 && let Err(error) = log.gap(&gap)
             {
@@ -176,40 +191,40 @@ impl LogMerger {
         Ok(())
     }
 
-    /// Writes the head that comes first, if no earlier sample can still come; with `force` in any case. False when there
-    /// was nothing to write.
+    /// Writes the first head, if no earlier sample can still arrive; with `force` in any case. Returns false
+    /// when nothing was written.
     pub fn write_first(&mut self, force: bool) -> bool {
-        let Some(NextHead { tick, lane: first, settled }) = first(&self.lanes) else { return false };
+        let Some(NextHead { tick, input: first, settled }) = first_head(&self.inputs) else { return false };
         if !settled && !force {
             return false;
         }
-        let lane = &mut self.lanes[first];
-        let Some(record) = &lane.head else { return false };
+        let input = &mut self.inputs[first];
+        let Some(record) = &input.head else { return false };
         if let Some(timings) = &mut self.timings {
             timings.take(record);
         }
-        if lane.missing_since.is_none() {
+        if input.missing_since.is_none() {
             if !tick.is_multiple_of(self.every) {
-                lane.thinned += 1;
+                input.thinned += 1;
             } else if let Some(Err(error)) = self.log.as_mut().map(|log| log.append(record)) {
                 self.give_up(tick, &error);
             }
         }
-        self.lanes[first].head = None;
+        self.inputs[first].head = None;
         true
     }
 
-    /// Hands all that was written to the operating system: a kill cannot take it back.
+    /// Passes everything written to the operating system, so that a kill cannot lose it.
     pub fn flush(&mut self) {
         if let Some(Err(error)) = self.log.as_mut().map(LogWriter::flush) {
             self.give_up(self.consumed(), &error);
         }
     }
 
-    /// The log takes nothing more from `tick` on. Those who are waited for go on all the same.
+    /// The log is not written any more from `tick` on. The merger still consumes samples.
     fn give_up(&mut self, tick: u64, error: &LogError) {
         self.failure.get_or_insert_with(|| error.to_string());
-        self.lanes.iter_mut().filter(|lane| lane.missing_since.is_none()).for_each(MergeInput::close);
+        self.inputs.iter_mut().filter(|input| input.missing_since.is_none()).for_each(MergeInput::stop_writing);
         let from = *self.missing_from.get_or_insert(tick);
         let Some(log) = &mut self.log else { return };
         if log.broken() || log.missing_from(from, error).is_err() {
@@ -217,49 +232,51 @@ impl LogMerger {
         }
     }
 
-    /// Leaves a log that cannot even be closed. What it holds, it says itself: part of what was appended may be gone.
+    /// Drops a log that cannot even be closed. Part of the appended samples may be missing from the file, so
+    /// the counts are read from the file.
     fn abandon(&mut self) {
         let Some(log) = self.log.take() else { return };
         let path = log.path().to_owned();
         drop(log);
         let Ok(held) = LogRecovery::of_torn(&path) else { return };
-        for (i, lane) in self.lanes.iter_mut().enumerate() {
-            (lane.missing_since, lane.lost) = (Some(held.segment.begins[i]), held.segment.lost[i]);
-            lane.thinned = held.segment.thinned[i];
+        for (i, input) in self.inputs.iter_mut().enumerate() {
+            (input.missing_since, input.lost) = (Some(held.segment.begins[i]), held.segment.lost[i]);
+            input.thinned = held.segment.thinned[i];
         }
-        let whole = held.last_ticks.into_iter().flatten().map(|tick| tick + 1).min();
-        self.missing_from = self.missing_from.min(whole.or(self.missing_from));
+        let complete_until = held.last_ticks.into_iter().flatten().map(|tick| tick + 1).min();
+        self.missing_from = self.missing_from.min(complete_until.or(self.missing_from));
     }
 
-    /// Every lane has received, or need not wait for, the ticks up to but without this one.
+    /// Every input has received, or need not wait for, the ticks up to but without this one.
     pub fn consumed(&self) -> u64 {
-        self.lanes.iter().map(MergeInput::consumed).min().unwrap_or(0)
+        self.inputs.iter().map(MergeInput::consumed).min().unwrap_or(0)
     }
 
-    /// States what was sent and never came, by the senders' own account, and closes the log.
+    /// States the samples that were sent, by the senders' own counts, and never arrived. Then closes the log.
     pub fn close(mut self, sent: [u64; 3], complete: bool) -> MergeOutcome {
-        let gaps: Vec<Gap> = self.lanes.iter_mut().zip(sent).filter_map(|(lane, sent)| lane.end(sent)).collect();
-        let lanes = &self.lanes;
+        let gaps: Vec<Gap> = self.inputs.iter_mut().zip(sent).filter_map(|(input, sent)| input.end(sent)).collect();
+        let inputs = &self.inputs;
         let totals = LogTotals {
-            lost: lanes.each_ref().map(|lane| lane.lost),
-            thinned: lanes.each_ref().map(|lane| lane.thinned),
-            duplicates: lanes.each_ref().map(|lane| lane.duplicates),
+            lost: inputs.each_ref().map(|input| input.lost),
+            thinned: inputs.each_ref().map(|input| input.thinned),
+            duplicates: inputs.each_ref().map(|input| input.duplicates),
             missing_from: self.missing_from,
-            last_tick: lanes.iter().filter_map(|lane| lane.last).max(),
+            last_tick: inputs.iter().filter_map(|input| input.last).max(),
             complete,
         };
-        let written = lanes.each_ref().map(|lane| lane.expected.saturating_sub(lane.first + lane.lost + lane.thinned));
-        let mut closed = MergeOutcome { totals, written, failure: self.failure, timings: self.timings };
-        let Some(mut log) = self.log else { return closed };
+        let written =
+            inputs.each_ref().map(|input| input.expected.saturating_sub(input.first + input.lost + input.thinned));
+        let mut outcome = MergeOutcome { totals, written, failure: self.failure, timings: self.timings };
+        let Some(mut log) = self.log else { return outcome };
         let ended = gaps
             .iter()
             .try_for_each(|gap| log.append(&LogRecord::Gap(*gap)))
-            .and_then(|()| closed.timings.as_ref().map_or(Ok(()), |timings| log.timings(timings)))
+            .and_then(|()| outcome.timings.as_ref().map_or(Ok(()), |timings| log.timings(timings)))
             .and_then(|()| log.finish(&totals));
         if let Err(error) = ended {
-            closed.failure.get_or_insert_with(|| error.to_string());
+            outcome.failure.get_or_insert_with(|| error.to_string());
         }
-        closed
+        outcome
     }
 }
 

@@ -1,14 +1,17 @@
-//! The loops: plant, controller and logger, joined to channels and time.
+//! The loops of plant, controller and logger: they join the pure halves of a tick to channels and time.
 //!
-//! Each of the plant and the controller has an inner half without transport and clock ([`PlantSide`], [`Controller`]),
-//! which holds the tick's whole logic, and a loop around it that waits, receives and sends. The loops run over real or
-//! stepped time; [`in_process`] joins the same two halves directly. That is why the three ways give the same numbers.
+//! Plant and controller each have an inner half without transport and clock ([`PlantSide`], [`Controller`]),
+//! which contains the whole logic of a tick, and a loop around it that waits, receives and sends. The loops run
+//! in real or stepped time. [`in_process`] joins the same two halves directly. That is why all three ways give
+//! the same numbers.
 //!
-//! The contract of a tick (`ARCHITECTURE.md` has the reasons): at tick k the plant takes the command of tick k-1, or
-//! lets the hold policy answer; the gate limits it; the body lives through tick k-1 with it; observation k tells the
-//! inputs now and the reward of tick k-1. The controller learns from that reward, encodes, draws command k and sends it.
+//! The contract of a tick (`ARCHITECTURE.md` has the reasons): at tick k the plant takes the command of tick
+//! k-1, or the hold policy's when there is none. The gate limits it, and the plant advances through tick k-1
+//! with it. Observation k contains the current inputs and the reward of tick k-1. The controller learns from
+//! that reward, encodes, draws command k and sends it.
 
 mod budget;
+mod command_inbox;
 mod controller;
 mod controller_loop;
 mod error;
@@ -31,18 +34,17 @@ pub use budget::{SlackPercentiles, TickBudget};
 pub use controller::Controller;
 pub use controller_loop::run_controller;
 pub use error::{RuntimeError, exit};
-pub use faults::{Faultable, FaultyChannel, SignalCounts};
+pub(crate) use faults::FaultyChannel;
 pub use gate::{Applied, CommandRange, CommandRanges, Gate};
 pub use in_process::{InProcess, in_process, in_process_seen};
 pub use logger::run_logger;
 pub use participant::{EndReason, Mode, Participant, ResumePoint, RunManifest, Session, identity};
 pub use plant::PlantSide;
 pub use plant_loop::run_plant;
-pub use reports::{
-    ControllerReport, LoggerReport, Percentiles, PlantReport, read as read_report, read_realtime, realtime_path,
-    sweep_drafts,
-};
-pub use statistics::{RunStatistics, Snapshot, Switch};
-pub use stopwatch::tick_times;
+pub use reports::{ControllerReport, LoggerReport, Percentiles, PlantReport};
+pub(crate) use reports::{read as read_report, read_realtime, realtime_path, sweep_drafts};
+pub(crate) use statistics::Switch;
+pub use statistics::{RunStatistics, Snapshot};
+pub(crate) use stopwatch::tick_times;
 pub use tracker::Tracker;
 pub use wire_manifest::{Services, WireManifest};

@@ -1,8 +1,9 @@
-//! A process's place in a run: finding the run, proving that it fits, and going through the phases together.
+//! Joining a run: a process finds the run, checks that it fits, and goes through the phases with the others.
 //!
-//! The launcher leaves a card in the run's folder. A process takes its seat with it: it reads the run's scenario, opens
-//! the run's channels (which checks schema, scenario and build), and then follows the launcher's board: ports made,
-//! ports connected, go. Nobody sends a first sample before everybody is connected.
+//! The launcher writes a manifest into the run's folder. A process becomes a participant by it: it reads the
+//! run's scenario, opens the run's channels (which checks schema, scenario and build), and then follows the
+//! phases on the launcher's board: ports created, ports connected, run. No process sends a first sample before
+//! all processes are connected.
 
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
@@ -12,16 +13,17 @@ use serde::{Deserialize, Serialize};
 use super::{RuntimeError, WireManifest};
 use crate::channel::{ChannelError, CrashStore, DomainName, Identity, StatusBoard};
 use crate::checkpoint::{self, Checkpoint, CheckpointFacts, CheckpointWriter};
-use crate::clock::{ProcessHandle, RealtimeReport, TerminationSignals, TimeSource, pause};
-use crate::scenario::{ChannelsConfig, Plan, Scenario};
+use crate::clock::{ProcessHandle, RealtimeReport, RealtimeRequest, TerminationSignals, TimeSource, pause};
+use crate::run_folder;
+use crate::scenario::{ChannelsConfig, Plan, RealtimeProcess, Scenario};
 use crate::state::Persist;
 use crate::wire::{Phase, ProcessState, Role, Status, schema_hash};
 
-/// How ticks follow each other.
+/// The mode of a run: how its ticks follow each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mode {
-    /// As fast as the processes go; nothing is missed and nothing is lost.
+    /// As fast as the processes can. No command is missed and no sample is lost.
     Lockstep,
     /// At the scenario's period, on the real clock.
     Realtime,
@@ -40,62 +42,62 @@ impl Mode {
     }
 }
 
-/// What the launcher leaves in the run's folder for those who join.
+/// The run's manifest: the file in the run's folder by which processes join.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RunManifest {
     /// The run's id, hexadecimal.
     pub run: String,
-    /// How ticks follow each other.
+    /// The run's mode.
     pub mode: Mode,
-    /// The run's domain.
+    /// The run's iceoryx2 domain.
     pub domain: DomainName,
     /// The launcher's process id.
     pub launcher: u32,
-    /// A checkpoint every so many ticks; 0: only at the end, and when one is asked for.
+    /// Ticks between checkpoints; 0: only at the end, and when one is requested.
     #[serde(default)]
     pub checkpoint_every: u64,
-    /// In lockstep: leave the real instants of each tick in the run's folder ([`tick_times`](super::tick_times)).
+    /// In lockstep: whether to write the real instants of each tick into the run's folder, for `tectum bench`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stopwatch: bool,
-    /// The run that this one goes on with.
+    /// The checkpoint from which this run resumes another one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resumed: Option<ResumePoint>,
-    /// For programs that are not this library's.
+    /// The facts that programs in other languages need.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wire: Option<WireManifest>,
 }
 
-/// Where a run that goes on with another one begins.
+/// The point at which a run resumes another one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ResumePoint {
     /// The other run's folder, with the checkpoints.
     pub from: PathBuf,
-    /// The tick that begins.
+    /// The first tick.
     pub tick: u64,
     /// Sequence numbers of the next observation, and of the next command and learning record.
     pub sequences: [u64; 2],
 }
 
 impl RunManifest {
-    /// The card's file in a run's folder.
+    /// The manifest's file in a run's folder.
     pub fn path(folder: &Path) -> PathBuf {
         folder.join("run.json")
     }
 
-    /// The run's scenario, every default filled in.
+    /// The file of the run's scenario, with every default filled in.
     pub fn scenario_path(folder: &Path) -> PathBuf {
         folder.join("scenario.toml")
     }
 
-    /// The run's log.
-    pub fn log_path(folder: &Path) -> PathBuf {
+    /// The file of the run's log.
+    pub(crate) fn log_path(folder: &Path) -> PathBuf {
         folder.join(crate::log::LOG_FILE)
     }
 
-    /// Finds the run called `run` (a folder, or a name under `runs/`): its folder, its card, and the launcher's life.
+    /// Finds the run called `run` (a folder, or a name under `runs/`): its folder, its manifest, and its
+    /// launcher.
     pub(super) fn find(run: &Path) -> Result<(PathBuf, Self, ProcessHandle), RuntimeError> {
-        let named = Path::new("runs").join(run);
-        let folder = if !Self::path(run).exists() && Self::path(&named).exists() { named } else { run.to_owned() };
+        let folder = run_folder::find(run, |folder| Self::path(folder).exists());
         let none = |cause: String| RuntimeError::NoRun { path: folder.display().to_string(), cause };
         let text = std::fs::read_to_string(Self::path(&folder)).map_err(|e| none(e.to_string()))?;
         let manifest: Self = serde_json::from_str(&text).map_err(|e| none(e.to_string()))?;
@@ -109,27 +111,28 @@ impl RunManifest {
     }
 }
 
-/// A process's place in a run.
+/// A process that has found its run and has a role in it.
 #[derive(Debug)]
 pub struct Participant {
     /// The run's folder.
     pub folder: PathBuf,
-    /// The run's card.
+    /// The run's manifest.
     pub manifest: RunManifest,
     /// The run's scenario.
     pub plan: Plan,
-    /// Which part of the run the process is.
+    /// The process's role.
     pub role: Role,
     signals: TerminationSignals,
     launcher: ProcessHandle,
 }
 
 impl Participant {
-    /// Finds the run called `run` (a folder, or a name under `runs/`) and takes the place of `role` in it. With
-    /// `scenario`, the process reads that file instead of the run's own copy, and the handshake says whether it fits.
+    /// Finds the run called `run` (a folder, or a name under `runs/`) and takes `role` in it. With `scenario`,
+    /// the process reads that file instead of the run's own copy, and the handshake checks that it is the same.
     ///
     /// # Errors
-    /// [`RuntimeError::NoRun`] when there is no such run or it is over, [`RuntimeError::Scenario`] for a bad scenario.
+    /// [`RuntimeError::NoRun`] when there is no such run or it is over, [`RuntimeError::Scenario`] for a bad
+    /// scenario.
     pub fn take(run: &Path, role: Role, scenario: Option<&Path>) -> Result<Self, RuntimeError> {
         let signals = TerminationSignals::install().map_err(RuntimeError::Signals)?;
         let (folder, manifest, launcher) = RunManifest::find(run)?;
@@ -138,7 +141,7 @@ impl Participant {
         Ok(Self { folder, manifest, plan, role, signals, launcher })
     }
 
-    /// What the handshake compares.
+    /// The identity that the handshake compares.
     pub fn identity(&self) -> Identity {
         identity(&self.plan)
     }
@@ -146,7 +149,7 @@ impl Participant {
     /// Opens the process's ports with `open`, one of the `open` functions of [`crate::channel`]'s ports.
     ///
     /// # Errors
-    /// As for those.
+    /// As for that function.
     pub fn open<P>(
         &self,
         open: impl FnOnce(&DomainName, &Identity, &ChannelsConfig) -> Result<(P, StatusBoard), ChannelError>,
@@ -154,16 +157,17 @@ impl Participant {
         Ok(open(&self.manifest.domain, &self.identity(), &self.plan.scenario.channels)?)
     }
 
-    /// The process's vault, for a state of `size` bytes and the last so many entries of so many bytes each.
+    /// The process's crash store, for a state of `size` bytes and the last `entries[0]` journal entries of
+    /// `entries[1]` bytes each.
     ///
     /// # Errors
     /// When shared memory has no room for it.
     pub(super) fn crash_store(&self, size: usize, entries: [usize; 2]) -> Result<CrashStore, RuntimeError> {
-        let room = size + GROWTH;
-        Ok(CrashStore::open(&self.manifest.domain, self.role, self.manifest.run_id(), room, entries)?)
+        let capacity = size + GROWTH;
+        Ok(CrashStore::open(&self.manifest.domain, self.role, self.manifest.run_id(), capacity, entries)?)
     }
 
-    /// Gives `part` the state of the checkpoint that the run begins with. False if it begins with none.
+    /// Restores `part` from the checkpoint from which the run resumes. Returns false if the run resumes none.
     ///
     /// # Errors
     /// When the checkpoint cannot be read or is not this process's.
@@ -175,36 +179,36 @@ impl Participant {
         Ok(true)
     }
 
-    /// The facts of a checkpoint of this process, which sends `sequence` next.
+    /// The facts of a checkpoint of this process, whose next sample has the number `sequence`.
     pub(super) fn facts(&self, tick: u64, sequence: u64) -> CheckpointFacts {
         CheckpointFacts::new(self.role, self.manifest.run_id(), tick, sequence, self.plan.hash)
     }
 
-    /// What writes this process's checkpoints.
+    /// Starts the writer of this process's checkpoints.
     ///
     /// # Errors
-    /// When there can be no more threads.
-    pub(super) fn writer(&self) -> Result<CheckpointWriter, RuntimeError> {
+    /// When its thread cannot be started.
+    pub(super) fn checkpoint_writer(&self) -> Result<CheckpointWriter, RuntimeError> {
         CheckpointWriter::new(&self.folder, self.role).map_err(RuntimeError::Thread)
     }
 
-    /// In real time, asks the operating system for what the scenario says. Then goes through the phases: ready, connected,
-    /// and then the time source with which the ticks begin. `connected` is asked until it says that every port has its
-    /// peers. A process that comes back into a run that goes on asks once: its peers may be away themselves, and every
-    /// port connects on its own to those who come.
+    /// In real time, requests the scenario's settings from the operating system. Then goes through the phases
+    /// ready and connected, and returns the time source with which the ticks begin. `connected` is called until
+    /// it returns true: every port has its peers. A restarted process calls it once, because its peers may be
+    /// restarting themselves; every port connects to peers that join later on its own.
     ///
     /// # Errors
-    /// When the run ends before it begins, or a port fails. What the operating system refuses is none: it is in the
-    /// process's [`RealtimeReport`].
+    /// When the run ends before it begins, or a port fails. A setting that the operating system refuses is no
+    /// error; it is in the process's [`RealtimeReport`].
     pub fn begin(
         self,
         status_board: StatusBoard,
         mut connected: impl FnMut() -> Result<bool, ChannelError>,
     ) -> Result<(Session, TimeSource), RuntimeError> {
-        // Ports and learner are there, and no peer waits yet. Whoever is connected has left its account of this.
+        // Ports and learner exist, and no peer waits yet. Peers find the report once this process is connected.
         if self.manifest.mode == Mode::Realtime {
             let table = format!("realtime.{}", self.role.name());
-            let report = RealtimeReport::request(self.plan.scenario.realtime.of(self.role), &table);
+            let report = RealtimeReport::request(realtime_request(self.plan.scenario.realtime.of(self.role)), &table);
             super::reports::write_realtime(&self.folder, self.role, &report)?;
         }
         let identity = self.identity();
@@ -219,16 +223,16 @@ impl Participant {
             end_error: f32::NAN,
             ..Status::default()
         };
-        let mut session = Session { participant: self, status_board, status, beat: Cell::new(0) };
+        let mut session = Session { participant: self, status_board, status, heartbeat: Cell::new(0) };
         session.enter(ProcessState::Ready);
         session.await_phase(Phase::Connect)?;
         while !connected()? && session.incarnation() == 0 {
             session.check()?;
-            pause(SET_UP_PACE_NS);
+            pause(SET_UP_POLL_NS);
         }
         session.enter(ProcessState::Connected);
         session.await_phase(Phase::Run)?;
-        super::reports::keep_room(&session.participant.folder, session.participant.role);
+        super::reports::reserve_space(&session.participant.folder, session.participant.role);
         session.enter(ProcessState::Running);
         let period = session.participant.plan.period_ns;
         let time = match session.participant.manifest.mode {
@@ -239,39 +243,51 @@ impl Participant {
     }
 }
 
-/// What the handshake compares, for a run of `plan` by this build.
+/// The identity that the handshake compares, for a run of `plan` by this build.
 pub fn identity(plan: &Plan) -> Identity {
     Identity { schema: schema_hash(), scenario: plan.hash, build: crate::BUILD.to_owned() }
 }
 
-/// By how much a state may grow while the run goes on: the account's windows, in the main.
+/// The scenario's settings of a process as a request to the operating system.
+fn realtime_request(process: &RealtimeProcess) -> RealtimeRequest {
+    RealtimeRequest {
+        priority: process.priority,
+        cores: process.cores.clone(),
+        lock_memory: process.lock_memory,
+        prefault_stack_kib: process.prefault_stack_kib,
+        ..RealtimeRequest::default()
+    }
+}
+
+/// The number of bytes by which a process's state may grow during the run: mainly the windows of the
+/// statistics.
 const GROWTH: usize = 64 << 10;
 
-/// How often the phases are looked at while a run is set up, ns.
-const SET_UP_PACE_NS: u64 = 500_000;
+/// Interval at which the phase is polled while a run is set up, ns.
+const SET_UP_POLL_NS: u64 = 500_000;
 
-/// Why a loop should end before its last tick.
+/// The reason for which a loop should end before its last tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EndReason {
-    /// The run is to end in good order.
+    /// The run ends in good order: the plant after its current tick, the others after their last sample.
     Stop,
-    /// The run ends now.
+    /// The run ends at once.
     Abort,
-    /// This process was asked to end by a signal.
+    /// This process received a termination signal.
     Signal(u32),
-    /// The launcher is gone.
+    /// The launcher has ended.
     Orphaned,
 }
 
 /// A process in a run that has begun.
 pub struct Session {
-    /// Its place.
+    /// The process's role and run.
     pub participant: Participant,
-    /// What it shows on its board; [`Session::show`] puts it there.
+    /// The process's status. [`Session::publish_status`] puts it on the board.
     pub status: Status,
     status_board: StatusBoard,
-    /// Signs of life given so far.
-    beat: Cell<u64>,
+    /// Number of heartbeats so far.
+    heartbeat: Cell<u64>,
 }
 
 impl Session {
@@ -280,13 +296,13 @@ impl Session {
         self.status_board.incarnation
     }
 
-    /// The start number of the process that has, or will have, the place of `role`.
+    /// The start number of the process that has, or will have, `role`.
     #[inline]
-    pub fn incarnation_of(&self, role: Role) -> u32 {
+    pub(crate) fn incarnation_of(&self, role: Role) -> u32 {
         self.status_board.control.get().incarnations[role as usize]
     }
 
-    /// Shows a sign of life, and says whether, and why, the loop should end.
+    /// Publishes a heartbeat, and returns whether, and why, the loop should end.
     pub fn end_reason(&self) -> Option<EndReason> {
         self.publish_status();
         if self.participant.signals.received() != 0 {
@@ -294,50 +310,51 @@ impl Session {
         }
         match self.status_board.control.get().phase() {
             Phase::Abort => Some(EndReason::Abort),
-            // A launcher that was killed cannot say so.
+            // A launcher that was killed cannot set a phase.
             _ if self.participant.launcher.ended() => Some(EndReason::Orphaned),
             Phase::Stop => Some(EndReason::Stop),
             _ => None,
         }
     }
 
-    /// The cheap part of [`Session::end`], for every tick: signals and the board, no system call.
+    /// Whether the run is ending. It is the cheap part of [`Session::end_reason`], for every tick: it checks
+    /// signals and the board without a system call.
     #[inline]
     pub fn stopping(&self) -> bool {
         self.participant.signals.received() != 0 || self.status_board.control.get().phase() >= Phase::Stop
     }
 
-    /// Checkpoints that were asked for so far.
+    /// Number of checkpoints requested so far.
     #[inline]
-    pub fn checkpoints_asked(&self) -> u32 {
+    pub(crate) fn checkpoints_requested(&self) -> u32 {
         self.status_board.control.get().checkpoints
     }
 
-    /// Whether a signal asked the process to end: cheap enough for every tick.
+    /// Whether the process received a termination signal. It is cheap enough for every tick.
     #[inline]
-    pub fn interrupted(&self) -> bool {
+    pub(crate) fn interrupted(&self) -> bool {
         self.participant.signals.received() != 0
     }
 
-    /// Whether the loop must end at once, its peers being beyond waiting for.
-    pub fn must_end(&self) -> bool {
+    /// Whether the loop must end at once, without waiting for its peers.
+    pub(crate) fn must_end(&self) -> bool {
         matches!(self.end_reason(), Some(EndReason::Abort | EndReason::Signal(_) | EndReason::Orphaned))
     }
 
-    /// Puts the status on the board.
+    /// Publishes the status and a heartbeat on the board.
     #[inline]
     pub fn publish_status(&self) {
-        self.beat.set(self.beat.get() + 1);
-        self.status_board.status.put(Status { beat: self.beat.get(), ..self.status });
+        self.heartbeat.set(self.heartbeat.get() + 1);
+        self.status_board.status.put(Status { beat: self.heartbeat.get(), ..self.status });
     }
 
-    /// Enters a state and shows it.
+    /// Enters a state and publishes it.
     pub fn enter(&mut self, state: ProcessState) {
         self.status.state = state as u32;
         self.publish_status();
     }
 
-    /// An end that is not the run's planned one, as an error.
+    /// An end other than the planned end of the run, as an error.
     ///
     /// # Errors
     /// When the loop must end at once.
@@ -350,15 +367,17 @@ impl Session {
         }
     }
 
+    /// Waits until the run has reached `phase`.
     fn await_phase(&self, phase: Phase) -> Result<(), RuntimeError> {
         while self.status_board.control.get().phase() < phase {
             self.check()?;
-            pause(SET_UP_PACE_NS);
+            pause(SET_UP_POLL_NS);
         }
         self.check()
     }
 
-    /// Leaves the run in good order: `report` goes into the run's folder, then the board says so.
+    /// Leaves the run in good order: writes `report` into the run's folder, then publishes that the process has
+    /// finished.
     ///
     /// # Errors
     /// When the report cannot be written.

@@ -1,28 +1,29 @@
-//! What a process knows of another one across that one's deaths and returns.
+//! Follows another process of the run across its restarts.
 
 use super::{RuntimeError, Session};
 use crate::channel::BoardReader;
 use crate::wire::{ProcessState, Role, Status};
 
-/// Another process of the run, whose board somebody else holds.
+/// The restarts of another process of the run. The caller holds the reader of its board.
 #[derive(Debug)]
 pub(super) struct PeerMonitor {
     role: Role,
-    /// A new incarnation has been announced and is not in its loop yet.
-    awaited: bool,
+    /// A new incarnation has been announced and does not run its loop yet.
+    restarting: bool,
 }
 
 impl PeerMonitor {
+    /// Monitors the process in `role`.
     pub fn new(role: Role) -> Self {
-        Self { role, awaited: false }
+        Self { role, restarting: false }
     }
 
-    /// Looks whether the process has come back, and turns its board to the page on which it then writes. True once for each
-    /// return, when all its ports are there.
+    /// Checks whether the process has been restarted, and moves the reader to the board page of the new
+    /// incarnation. Returns true once per restart, when all ports of the new incarnation are connected.
     pub fn check(&mut self, board: &mut BoardReader<Status>, session: &Session) -> Result<bool, RuntimeError> {
-        self.awaited |= board.set_incarnation(session.incarnation_of(self.role))?;
-        let back = self.awaited && board.get().state() >= ProcessState::Running;
-        self.awaited &= !back;
-        Ok(back)
+        self.restarting |= board.set_incarnation(session.incarnation_of(self.role))?;
+        let returned = self.restarting && board.get().state() >= ProcessState::Running;
+        self.restarting &= !returned;
+        Ok(returned)
     }
 }

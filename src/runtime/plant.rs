@@ -1,4 +1,4 @@
-//! The plant's side of the tick: a body behind its gate.
+//! The plant's side of the tick: a plant behind its gate.
 
 use super::{CommandRanges, FaultyChannel, Gate, PlantReport};
 use crate::plant::{Outcome, Plant};
@@ -7,15 +7,16 @@ use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor, save, size};
 use crate::wire::{Command, MAX_OUTPUTS, Observation, flag};
 
-/// A body behind its gate: the plant's half of every tick, without clock and transport.
+/// A plant behind its gate: the plant's half of every tick, without clock and transport.
 #[derive(Debug, Clone)]
 pub struct PlantSide<P> {
     body: P,
     gate: Gate,
-    /// The commands' way to here.
-    line: FaultyChannel<Command>,
-    /// What is left by limits of position, where the body cannot say and somebody else can.
-    told: Option<CommandRanges>,
+    /// The receiving end of the command channel, with the scenario's faults.
+    commands: FaultyChannel<Command>,
+    /// The ranges that the position limits leave, where the plant cannot report its joints and a replay knows
+    /// the ranges.
+    known_ranges: Option<CommandRanges>,
     outputs: usize,
     outcome: Outcome,
     applied: Outputs,
@@ -25,14 +26,14 @@ pub struct PlantSide<P> {
 }
 
 impl<P: Plant> PlantSide<P> {
-    /// `body` behind the gate of `plan`.
+    /// The plant `body` behind the gate of `plan`.
     pub fn new(body: P, plan: &Plan) -> Self {
         let outputs = plan.outputs.len();
         Self {
             body,
             gate: Gate::new(&plan.scenario.gate, outputs),
-            line: FaultyChannel::of(plan),
-            told: None,
+            commands: FaultyChannel::of(plan),
+            known_ranges: None,
             outputs,
             outcome: Outcome::default(),
             applied: [0.0; MAX_OUTPUTS],
@@ -41,32 +42,33 @@ impl<P: Plant> PlantSide<P> {
         }
     }
 
-    /// Whether nothing can go wrong on the commands' way to the gate, but for what the run itself does to them.
-    pub fn is_clean(&self) -> bool {
-        self.line.is_clean()
+    /// Whether the scenario has no faults on the command channel.
+    pub(crate) fn is_fault_free(&self) -> bool {
+        self.commands.is_fault_free()
     }
 
-    /// Tells what limits of position leave, for the ticks that follow: nobody is asked where the joints are.
-    pub(crate) fn tell(&mut self, spans: CommandRanges) {
-        self.told = Some(spans);
+    /// Sets the ranges that the position limits leave in the following ticks, in place of those from the
+    /// plant's joints.
+    pub(crate) fn set_command_ranges(&mut self, ranges: CommandRanges) {
+        self.known_ranges = Some(ranges);
     }
 
     /// Whether the gate limits positions.
     pub(crate) fn limits_positions(&self) -> bool {
-        self.gate.spans(|| None).is_some()
+        self.gate.command_ranges(|| None).is_some()
     }
 
-    /// Takes what was applied in the tick lived last, and what limited it, from `observation`.
-    pub(crate) fn take_over(&mut self, observation: &Observation) {
+    /// Takes the command applied in the last tick, and the flags of its limits, from `observation`.
+    pub(crate) fn adopt_applied(&mut self, observation: &Observation) {
         const LIMITS: u32 = flag::CLAMPED | flag::STEP_LIMITED | flag::POSITION_LIMITED;
         self.applied = observation.applied;
         self.flags = self.flags & !LIMITS | observation.header.flags & LIMITS;
-        self.gate.take_over(self.applied);
+        self.gate.set_applied(self.applied);
     }
 
-    /// All that decides how it goes on, as bytes.
-    pub(crate) fn standing(&mut self) -> Vec<u8> {
-        [&mut self.body as &mut dyn Persist, &mut self.gate, &mut self.line]
+    /// The state that determines the following ticks, as bytes.
+    pub(crate) fn state_bytes(&mut self) -> Vec<u8> {
+        [&mut self.body as &mut dyn Persist, &mut self.gate, &mut self.commands]
             .into_iter()
             .flat_map(|part| {
                 let mut bytes = vec![0; size(part)];
@@ -76,42 +78,43 @@ impl<P: Plant> PlantSide<P> {
             .collect()
     }
 
-    /// The body.
+    /// The plant.
     pub fn body_mut(&mut self) -> &mut P {
         &mut self.body
     }
 
-    /// The body, when all is over.
+    /// The plant, after the run.
     pub fn into_body(self) -> P {
         self.body
     }
 
-    /// Lives through `tick` with the command that arrived for it; `None` if it was missed. One that stands for silence is
-    /// none. What the scenario's faults make of it is between here and the gate.
+    /// Advances the plant by `tick`, with the command that arrived for it; `None` if it was missed. A command
+    /// with the flag `UNHEARD` counts as none. The scenario's faults act on the command before the gate.
     pub fn step(&mut self, tick: u64, command: Option<&Command>) {
         self.apply(tick, command, true);
         self.finish_step(tick);
     }
 
-    /// The first half of [`live`](Self::live): what is applied in `tick`; with `act` the body is told, if it acts at once.
+    /// The first half of [`step`](Self::step): determines the applied command of `tick`. With `act`, passes it
+    /// on to a plant that acts within the tick.
     pub fn apply(&mut self, tick: u64, command: Option<&Command>, act: bool) {
         let command = command.filter(|c| c.header.flags & flag::UNHEARD == 0);
-        let (mut found, mut late) = (None, 0);
-        if self.line.is_clean() {
-            found = command.map(|c| c.drawn);
+        let (mut received, mut late) = (None, 0);
+        if self.commands.is_fault_free() {
+            received = command.map(|c| c.drawn);
         } else {
-            self.line.pass(tick, command, |c| match c.header.tick == tick {
-                true => found = Some(c.drawn),
+            self.commands.pass(tick, command, |c| match c.header.tick == tick {
+                true => received = Some(c.drawn),
                 false => late += 1,
             });
         }
-        let spans = self.gate.spans(|| self.body.joints());
-        let mut applied = self.gate.pass(found.as_ref(), self.told.as_ref().or(spans.as_ref()));
+        let ranges = self.gate.command_ranges(|| self.body.joints());
+        let mut applied = self.gate.pass(received.as_ref(), self.known_ranges.as_ref().or(ranges.as_ref()));
         if act && self.body.acts_within().is_some() {
             let before = applied.command;
             applied.flags |= self.body.act(tick, &mut applied.command[..self.outputs], applied.flags);
             if applied.command != before {
-                self.gate.take_over(applied.command);
+                self.gate.set_applied(applied.command);
             }
         }
         self.report.late += late;
@@ -129,20 +132,22 @@ impl<P: Plant> PlantSide<P> {
         self.flags = applied.flags | if late > 0 { flag::LATE } else { 0 };
     }
 
-    /// The second half: the tick is over, and something came of it.
+    /// The second half of [`step`](Self::step): the tick is over. Advances the plant and keeps the tick's
+    /// outcome.
     pub fn finish_step(&mut self, tick: u64) {
         self.outcome = self.body.advance(tick, &self.applied[..self.outputs]);
     }
 
-    /// How long the body waits for a tick's command within that tick, ns ([`Plant::acts_within`]).
+    /// How long the plant waits for a tick's command within that tick, ns ([`Plant::acts_within`]).
     pub fn acts_within(&self) -> Option<u64> {
         self.body.acts_within()
     }
 
-    /// Lives through the ticks from `tick` up to but without `until` that nobody had time for.
+    /// Advances the plant by the ticks from `tick` up to but without `until`, which the loop skipped because it
+    /// was late.
     pub fn skip(&mut self, tick: u64, until: u64) {
         if self.body.acts_within().is_some() {
-            // What is real has lived through all of them at once.
+            // Hardware has moved through all skipped ticks by now, so it acts and is read only once.
             for tick in tick..until {
                 self.apply(tick, None, tick + 1 == until);
             }
@@ -157,7 +162,8 @@ impl<P: Plant> PlantSide<P> {
         self.report.skipped += until - tick;
     }
 
-    /// Senses at the beginning of `tick`. `more` are flags that the loop adds; `skipped` ticks were passed over.
+    /// Senses at the start of `tick` and fills the observation. `more` are flags that the loop adds; `skipped`
+    /// ticks were skipped right before this one.
     pub fn observe(&mut self, tick: u64, more: u32, skipped: u32, observation: &mut Observation) {
         let fresh = self.body.sense(tick, &mut observation.inputs);
         let skip = if skipped > 0 { flag::SKIPPED } else { 0 };
@@ -176,7 +182,7 @@ impl<P: Plant> Persist for PlantSide<P> {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.nested("body", &mut self.body);
         visitor.nested("gate", &mut self.gate);
-        visitor.nested("line", &mut self.line);
+        visitor.nested("line", &mut self.commands);
         visitor.number("reward", &mut self.outcome.reward);
         visitor.numbers("measures", &mut self.outcome.measures);
         visitor.numbers("applied", &mut self.applied);

@@ -1,83 +1,77 @@
-//! The plant's loop: waits for its tick and for the command, and survives its own death.
+//! The plant's loop: waits for its tick and for the command, advances the plant, and sends the observation.
 //!
-//! What the plant is about to say is kept in the vault, with the plant's whole state, before it is said. A plant that comes
-//! back after a SIGKILL takes that up and says its last observation again, under the same sequence number: who has heard it
-//! drops it, and the controller answers it again. So in lockstep nothing is changed by the death of either.
+//! Before each observation is sent, the observation and the plant's whole state are kept in the crash store. A
+//! plant that is restarted after a SIGKILL restores that state and sends its last observation again, under the
+//! same sequence number. Receivers that have received it drop it, and the controller answers it again. So in
+//! lockstep the restart of either process changes no result.
 
 use hdrhistogram::Histogram;
 
+use super::command_inbox::CommandInbox;
 use super::peer_monitor::PeerMonitor;
 use super::reports::{Percentiles, histogram};
 use super::stopwatch::Stopwatch;
 use super::{Participant, PlantReport, PlantSide, RuntimeError, Session};
-use crate::channel::{BoardReader, ChannelError, LOG_BUFFER, PlantPorts, Receiver};
-use crate::checkpoint;
-use crate::clock::{Backoff, WakeReason, pause, precise_timers};
+use crate::channel::{BoardReader, CrashStore, LOG_BUFFER, PlantPorts};
+use crate::checkpoint::{self, CheckpointWriter};
+use crate::clock::{Backoff, TimeSource, WakeReason, pause, precise_timers};
 use crate::plant::Plant;
 use crate::state::{self, Persist, StateVisitor};
-use crate::wire::{Command, Observation, Role, Status, flag};
+use crate::wire::{Observation, Role, Status, flag};
 
-/// Takes commands off the channel and sorts them by tick.
-struct CommandInbox<'a> {
-    channel: &'a Receiver<Command>,
-    /// The sequence number of the next command, if none is lost.
-    expected: u64,
-    found: Option<Command>,
-    /// Commands that came after their tick, since the loop asked last.
-    late: u64,
-    failure: Option<ChannelError>,
-    answered: &'a mut Histogram<u64>,
-    real: bool,
-}
+/// Ticks between two checks of the logger's progress. In lockstep the plant never runs ahead of the logger by
+/// more than the logger's buffer, so that no sample overflows. This flow control costs one check per so many
+/// ticks.
+const CREDIT_TICKS: u64 = LOG_BUFFER as u64 / 4;
 
-impl CommandInbox<'_> {
-    /// Whether the command of `tick` is there. Older ones are counted as late and dropped. In lockstep nothing can lie behind it
-    /// that is not of a later tick or said twice, so the channel is not asked again.
-    fn look_for(&mut self, tick: u64) -> bool {
-        while self.real || self.found.is_none() {
-            match self.channel.receive() {
-                Ok(None) => return self.found.is_some(),
-                // Said again by a controller that has come back.
-                Ok(Some(command)) if command.header.sequence < self.expected => {}
-                Ok(Some(command)) => {
-                    self.expected = command.header.sequence + 1;
-                    if self.real {
-                        // The command carries the instant at which its observation had been sensed.
-                        let header = &command.header;
-                        self.answered.saturating_record(header.published_ns.saturating_sub(header.sensed_ns));
-                    }
-                    if command.header.tick == tick {
-                        self.found = Some(command);
-                    } else {
-                        self.late += 1;
-                    }
-                }
-                Err(error) => {
-                    // The wait must end; the loop tells the error.
-                    self.failure = Some(error);
-                    return true;
-                }
-            }
-        }
-        true
+/// Interval at which a plant that acts within the tick polls for its command, ns: far less than the bus of
+/// servos takes.
+const COMMAND_POLL_NS: u64 = 100_000;
+
+/// The plant's loop: runs `body` as the plant of the run.
+///
+/// # Errors
+/// When the process does not fit the run, the run ends abnormally, or the plant missed too many deadlines
+/// ([`RuntimeError::Overrun`]). After an overrun, report, log and checkpoint are complete all the same.
+pub fn run_plant<P: Plant>(participant: Participant, body: P) -> Result<PlantReport, RuntimeError> {
+    if !participant.plan.scenario.gate.positions.is_empty() && body.joints().is_none() {
+        return Err(RuntimeError::NoJoints(participant.plan.scenario.plant.program.clone()));
     }
+    let mut plant_loop = PlantLoop::start(participant, body)?;
+    while plant_loop.run_tick()? {}
+    plant_loop.finish()
 }
 
-/// Ticks between two looks at how far the logger is. In lockstep the plant never runs further ahead of it than its
-/// buffer, so that nothing overflows: the logger is inside the barrier, at the price of one look in so many ticks.
-const CREDIT: u64 = LOG_BUFFER as u64 / 4;
-
-/// How often a body that acts at once looks for its command, ns: far less than what the bus takes.
-const NAP_NS: u64 = 100_000;
-
-/// The plant and what it said last.
+/// The part of the loop that survives the process: the plant and its last observation.
 struct PlantLoopState<P> {
     side: PlantSide<P>,
     observation: Observation,
-    /// Observations said or about to be.
+    /// Observations that were sent, or are about to be.
     sent_count: u64,
     /// The sequence number of the next command, if none is lost.
     expected: u64,
+}
+
+impl<P: Plant> PlantLoopState<P> {
+    /// The state as a checkpoint at the start of `tick`.
+    fn checkpoint(&mut self, tick: u64, participant: &Participant) -> Vec<u8> {
+        checkpoint::encode(&participant.facts(tick, self.sent_count), self, None)
+    }
+
+    /// Restores the state from the crash store, or from the checkpoint with which the run resumes, if there is
+    /// one. Returns true if it was the crash store: the process has been restarted.
+    fn restore(&mut self, crash_store: &mut CrashStore, participant: &Participant) -> Result<bool, RuntimeError> {
+        let restarted = crash_store.newest().is_some();
+        if let Some((_, bytes)) = crash_store.newest() {
+            if !state::load(self, bytes) {
+                return Err(RuntimeError::Memory(Role::Plant.name()));
+            }
+        } else {
+            participant.resume(self)?;
+        }
+        crash_store.reopen();
+        Ok(restarted)
+    }
 }
 
 impl<P: Plant> Persist for PlantLoopState<P> {
@@ -89,234 +83,325 @@ impl<P: Plant> Persist for PlantLoopState<P> {
     }
 }
 
-impl<P: Plant> PlantLoopState<P> {
-    /// The state as a checkpoint, as of when `tick` begins.
-    fn checkpoint(&mut self, tick: u64, participant: &Participant) -> Vec<u8> {
-        checkpoint::encode(&participant.facts(tick, self.sent_count), self, None)
-    }
+/// The loop in progress. Fields are dropped in this order, so that a loop that fails publishes so before its
+/// ports close.
+struct PlantLoop<P> {
+    stopwatch: Stopwatch,
+    controller: PeerMonitor,
+    logger: PeerMonitor,
+    inbox: CommandInbox,
+    /// Real time: from a tick's scheduled instant to the wake-up for it, ns.
+    wake_up: Histogram<u64>,
+    /// Real time: from the wake-up to the sending of the observation, ns.
+    work: Histogram<u64>,
+    time: TimeSource,
+    session: Session,
+    writer: CheckpointWriter,
+    crash_store: CrashStore,
+    state: PlantLoopState<P>,
+    ports: PlantPorts,
+    real: bool,
+    /// The run's number of ticks.
+    ticks: u64,
+    checkpoint_every: u64,
+    /// The next tick to begin.
+    tick: u64,
+    /// Whether the plant has advanced through all ticks before `tick`.
+    advanced: bool,
+    /// Whether the plant has already acted in the tick before `tick`, because it acts within the tick.
+    acted: bool,
+    /// Checkpoints that had been requested when the last one was announced.
+    checkpoints_requested: u32,
+    /// Ticks skipped in a row.
+    overruns: u64,
+    /// Whether this is the first tick after a restart. The time for which the process was dead is no overrun.
+    first_after_restart: bool,
+    /// The error with which the run ends, because the plant skipped too many ticks.
+    gave_up: Option<RuntimeError>,
 }
 
-/// The plant's loop: seats `body` in the run and lives through it.
-///
-/// # Errors
-/// When the process does not fit the run, the run ends in disorder, or the plant gives up on its deadlines
-/// ([`RuntimeError::Overrun`]); what is said of such a run is complete all the same.
-pub fn run_plant<P: Plant>(participant: Participant, body: P) -> Result<PlantReport, RuntimeError> {
-    if !participant.plan.scenario.gate.positions.is_empty() && body.joints().is_none() {
-        return Err(RuntimeError::NoJoints(participant.plan.scenario.plant.program.clone()));
-    }
-    let (mut ports, status_board) = participant.open(PlantPorts::open)?;
-    let mut loop_state = PlantLoopState {
-        side: PlantSide::new(body, &participant.plan),
-        observation: Observation::default(),
-        sent_count: 0,
-        expected: 0,
-    };
-    let mut crash_store = participant.crash_store(state::size(&mut loop_state), [0, 0])?;
-    let returned = crash_store.newest().is_some();
-    if let Some((_, bytes)) = crash_store.newest() {
-        if !state::load(&mut loop_state, bytes) {
-            return Err(RuntimeError::Memory(Role::Plant.name()));
+impl<P: Plant> PlantLoop<P> {
+    /// Joins the run. After a restart, sends the last observation again.
+    fn start(participant: Participant, body: P) -> Result<Self, RuntimeError> {
+        let (ports, status_board) = participant.open(PlantPorts::open)?;
+        let mut state = PlantLoopState {
+            side: PlantSide::new(body, &participant.plan),
+            observation: Observation::default(),
+            sent_count: 0,
+            expected: 0,
+        };
+        let mut crash_store = participant.crash_store(state::size(&mut state), [0, 0])?;
+        let restarted = state.restore(&mut crash_store, &participant)?;
+        let writer = participant.checkpoint_writer()?;
+        // Readers of the observation: controller and logger. Writer of the command: the controller.
+        let connected = || Ok(ports.observation.connect()? >= 2 && ports.command.connect()? >= 1);
+        let (session, time) = participant.begin(status_board, connected)?;
+        precise_timers();
+
+        let real = time.is_real();
+        state.observation.header.run = session.participant.manifest.run_id();
+        state.observation.header.incarnation = session.incarnation();
+        let manifest = &session.participant.manifest;
+        let mut plant_loop = Self {
+            stopwatch: Stopwatch::of(&session.participant),
+            controller: PeerMonitor::new(Role::Controller),
+            logger: PeerMonitor::new(Role::Logger),
+            inbox: CommandInbox::new(state.expected, real),
+            wake_up: histogram(),
+            work: histogram(),
+            real,
+            ticks: session.participant.plan.scenario.ticks,
+            checkpoint_every: manifest.checkpoint_every,
+            tick: manifest.resumed.as_ref().map_or(0, |resumed| resumed.tick),
+            advanced: true,
+            acted: false,
+            checkpoints_requested: session.checkpoints_requested(),
+            overruns: 0,
+            first_after_restart: restarted,
+            gave_up: None,
+            time,
+            session,
+            writer,
+            crash_store,
+            state,
+            ports,
+        };
+        plant_loop.session.status.sent = plant_loop.state.sent_count;
+        if restarted {
+            plant_loop.send_again()?;
         }
-    } else {
-        participant.resume(&mut loop_state)?;
+        Ok(plant_loop)
     }
-    crash_store.reopen();
-    let writer = participant.writer()?;
-    // Readers of the observation: controller and logger. Writer of the command: the controller.
-    let connected = || Ok(ports.observation.connect()? >= 2 && ports.command.connect()? >= 1);
-    let (mut session, mut time) = participant.begin(status_board, connected)?;
-    precise_timers();
 
-    let real = time.is_real();
-    let ticks = session.participant.plan.scenario.ticks;
-    let (mut wake_up, mut answered, mut work) = (histogram(), histogram(), histogram());
-    let mut inbox = CommandInbox {
-        channel: &ports.command,
-        expected: loop_state.expected,
-        found: None,
-        late: 0,
-        failure: None,
-        answered: &mut answered,
-        real,
-    };
-    loop_state.observation.header.run = session.participant.manifest.run_id();
-    loop_state.observation.header.incarnation = session.incarnation();
-    let (mut controller, mut logger) = (PeerMonitor::new(Role::Controller), PeerMonitor::new(Role::Logger));
-
-    let (most, period_ms) =
-        (session.participant.plan.scenario.overrun.max_consecutive, session.participant.plan.scenario.period_ms);
-    // The time that a plant was away is no overrun of the one that has come back.
-    let (mut overruns, mut given_up, mut back) = (0, None, returned);
-    let manifest = session.participant.manifest.clone();
-    let mut watch = Stopwatch::of(&session.participant);
-    let mut asked = session.checkpoints_asked();
-    let mut tick = manifest.resumed.as_ref().map_or(0, |resumed| resumed.tick);
-    // Whether all ticks before this one are lived through.
-    let mut stepped = true;
-    // Whether the command of the tick in progress has been passed on to a body that acts at once.
-    let mut decided = false;
-    session.status.sent = loop_state.sent_count;
-    if returned {
-        (tick, stepped) = (loop_state.observation.header.tick + 1, false);
-        time.step_to(loop_state.observation.header.tick);
-        ports.observation.send(&loop_state.observation)?;
-        ports.wake.notify();
+    /// After a restart, sends the last observation again and continues behind it.
+    fn send_again(&mut self) -> Result<(), RuntimeError> {
+        let last = self.state.observation.header.tick;
+        (self.tick, self.advanced) = (last + 1, false);
+        self.time.step_to(last);
+        self.ports.observation.send(&self.state.observation)?;
+        self.ports.wake.notify();
+        Ok(())
     }
-    loop {
+
+    /// One tick. Returns false when the loop is over.
+    fn run_tick(&mut self) -> Result<bool, RuntimeError> {
+        if self.wake()? == WakeReason::Cancelled {
+            return Ok(false);
+        }
+        let woken = self.time.now();
+        let late_before = self.state.side.report.late;
+        self.advance()?;
+        let skipped = self.skip_overrun_ticks();
+        self.publish_counts();
+        if self.gives_up(skipped) || self.tick >= self.ticks || self.session.stopping() {
+            return Ok(false);
+        }
+        if !self.real && self.tick.is_multiple_of(CREDIT_TICKS) && !self.await_logger()? {
+            return Ok(false);
+        }
+        let late = if self.state.side.report.late > late_before { flag::LATE } else { 0 };
+        self.checkpoint();
+        self.observe(late, skipped);
+        self.send(woken)?;
+        self.act()?;
+        self.tick += 1;
+        self.advanced = false;
+        Ok(true)
+    }
+
+    /// Waits until the tick begins: in real time until its scheduled instant, in lockstep until the command of
+    /// the tick before has arrived.
+    fn wake(&mut self) -> Result<WakeReason, RuntimeError> {
+        let (tick, real) = (self.tick, self.real);
         let mut failure = None;
-        let wake = time.await_tick(
+        let wake = self.time.await_tick(
             tick,
-            || stepped || inbox.look_for(tick - 1),
+            || self.advanced || self.inbox.poll_for(&self.ports.command, tick - 1),
             || {
                 if real {
-                    // A tick may be a second away.
-                    return session.end_reason().is_some();
+                    // The next tick may be a second away.
+                    return self.session.end_reason().is_some();
                 }
-                // The answer is under way, unless whoever should give it was killed before hearing the question.
-                failure = match controller.check(&mut ports.controller, &session) {
-                    Ok(true) if !stepped => {
-                        ports.observation.send(&loop_state.observation).err().map(RuntimeError::from)
+                // The command is on its way, unless the controller was killed before it had received the
+                // observation.
+                failure = match self.controller.check(&mut self.ports.controller, &self.session) {
+                    Ok(true) if !self.advanced => {
+                        self.ports.observation.send(&self.state.observation).err().map(RuntimeError::from)
                     }
-                    looked => looked.err(),
+                    checked => checked.err(),
                 };
-                failure.is_some() || session.must_end()
+                failure.is_some() || self.session.must_end()
             },
         );
-        if let Some(error) = failure {
-            return Err(error);
-        }
-        if wake == WakeReason::Cancelled {
-            break;
-        }
-        let woken = time.now();
-        let late_before = loop_state.side.report.late;
-        if !stepped {
-            inbox.look_for(tick - 1);
-            if let Some(error) = inbox.failure.take() {
-                return Err(error.into());
-            }
-            watch.end();
-            if decided {
-                // Whatever came since has come after it was decided on.
-                inbox.late += u64::from(inbox.found.take().is_some());
-                loop_state.side.finish_step(tick - 1);
-            } else {
-                loop_state.side.step(tick - 1, inbox.found.take().as_ref());
-            }
-            loop_state.side.report.late += std::mem::take(&mut inbox.late);
-        }
-        // Whoever wakes up a period late or more passes ticks over; never makes them up in a burst.
-        let due = time.due().min(ticks).max(tick);
-        if real {
-            let now = time.now();
-            for tick in tick..=due {
-                wake_up.saturating_record(now.saturating_sub(time.scheduled(tick)));
-            }
-        }
-        loop_state.side.skip(tick, due);
-        let skipped = due - tick;
-        tick = due;
-        let report = &loop_state.side.report;
-        session.status.ticks = tick;
-        session.status.missed = report.missed;
-        session.status.late = report.late;
-        session.status.lost = report.skipped;
-        session.publish_status();
-        overruns = if skipped == 0 || back { 0 } else { overruns + skipped };
-        back = false;
-        if real && most > 0 && overruns > most {
-            given_up = Some(RuntimeError::Overrun { overruns, most, tick, period_ms });
-            break;
-        }
-        if tick >= ticks || session.stopping() {
-            break;
-        }
-        if !real && tick.is_multiple_of(CREDIT) && !await_credit(&mut ports.logger, &mut logger, &session, tick)? {
-            break;
-        }
+        failure.map_or(Ok(wake), Err)
+    }
 
-        let late = if report.late > late_before { flag::LATE } else { 0 };
-        if session.status.checkpoint == tick + 1 {
-            loop_state.expected = inbox.expected;
-            writer.write(tick, loop_state.checkpoint(tick, &session.participant));
+    /// Advances the plant through the tick before, with the command that has arrived for it.
+    fn advance(&mut self) -> Result<(), RuntimeError> {
+        if self.advanced {
+            return Ok(());
         }
-        // Announced a tick ahead, before the observation goes out: the controller then cuts its own after its command.
-        let wanted = session.checkpoints_asked();
-        if wanted != asked || manifest.checkpoint_every > 0 && (tick + 1).is_multiple_of(manifest.checkpoint_every) {
-            asked = wanted;
-            session.status.checkpoint = tick + 2;
-            session.publish_status();
+        let tick = self.tick - 1;
+        self.inbox.poll_for(&self.ports.command, tick);
+        self.inbox.check()?;
+        self.stopwatch.end();
+        if self.acted {
+            self.inbox.drop_as_late();
+            self.state.side.finish_step(tick);
+        } else {
+            self.state.side.step(tick, self.inbox.take().as_ref());
         }
-        loop_state.side.observe(tick, late, u32::try_from(skipped).unwrap_or(u32::MAX), &mut loop_state.observation);
-        let header = &mut loop_state.observation.header;
-        header.sequence = loop_state.sent_count;
-        header.scheduled_ns = time.scheduled(tick);
-        header.sensed_ns = time.now();
-        watch.begin();
-        loop_state.sent_count += 1;
-        loop_state.expected = inbox.expected;
-        loop_state.observation.header.published_ns = time.now();
-        if !crash_store.store(loop_state.sent_count, |to| state::save(&mut loop_state, to)) {
+        self.state.side.report.late += self.inbox.take_late();
+        Ok(())
+    }
+
+    /// Skips the ticks whose whole period has passed before the plant woke up, and returns their number. They
+    /// are never made up for in a burst.
+    fn skip_overrun_ticks(&mut self) -> u64 {
+        let due = self.time.due().min(self.ticks).max(self.tick);
+        if self.real {
+            let now = self.time.now();
+            for tick in self.tick..=due {
+                self.wake_up.saturating_record(now.saturating_sub(self.time.scheduled(tick)));
+            }
+        }
+        self.state.side.skip(self.tick, due);
+        let skipped = due - self.tick;
+        self.tick = due;
+        skipped
+    }
+
+    /// Publishes the counts on the plant's board.
+    fn publish_counts(&mut self) {
+        let report = &self.state.side.report;
+        let status = &mut self.session.status;
+        status.ticks = self.tick;
+        status.missed = report.missed;
+        status.late = report.late;
+        status.lost = report.skipped;
+        self.session.publish_status();
+    }
+
+    /// Counts ticks skipped in a row. Returns true when there are more than the scenario allows, so that the
+    /// run ends.
+    fn gives_up(&mut self, skipped: u64) -> bool {
+        self.overruns = if skipped == 0 || self.first_after_restart { 0 } else { self.overruns + skipped };
+        self.first_after_restart = false;
+        let scenario = &self.session.participant.plan.scenario;
+        let most = scenario.overrun.max_consecutive;
+        let gives_up = self.real && most > 0 && self.overruns > most;
+        if gives_up {
+            let (overruns, tick, period_ms) = (self.overruns, self.tick, scenario.period_ms);
+            self.gave_up = Some(RuntimeError::Overrun { overruns, most, tick, period_ms });
+        }
+        gives_up
+    }
+
+    /// Waits until the logger has room for the next [`CREDIT_TICKS`] ticks. Returns false when the run ends
+    /// first.
+    fn await_logger(&mut self) -> Result<bool, RuntimeError> {
+        let board: &mut BoardReader<Status> = &mut self.ports.logger;
+        let mut backoff = Backoff::default();
+        while board.get().consumed + (LOG_BUFFER as u64) < self.tick + CREDIT_TICKS {
+            if backoff.pause() {
+                self.logger.check(board, &self.session)?;
+                if self.session.end_reason().is_some() {
+                    return Ok(false);
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// Writes the checkpoint that was announced for this tick, and announces the next one.
+    fn checkpoint(&mut self) {
+        if self.session.status.checkpoint == self.tick + 1 {
+            self.state.expected = self.inbox.expected;
+            self.writer.write(self.tick, self.state.checkpoint(self.tick, &self.session.participant));
+        }
+        // A checkpoint is announced one tick ahead, before the observation is sent. The controller then takes
+        // its own checkpoint after its command.
+        let requested = self.session.checkpoints_requested();
+        let next = self.tick + 1;
+        if requested != self.checkpoints_requested
+            || self.checkpoint_every > 0 && next.is_multiple_of(self.checkpoint_every)
+        {
+            self.checkpoints_requested = requested;
+            self.session.status.checkpoint = next + 1;
+            self.session.publish_status();
+        }
+    }
+
+    /// Senses and fills the observation of the tick.
+    fn observe(&mut self, late: u32, skipped: u64) {
+        let skipped = u32::try_from(skipped).unwrap_or(u32::MAX);
+        self.state.side.observe(self.tick, late, skipped, &mut self.state.observation);
+        let header = &mut self.state.observation.header;
+        header.sequence = self.state.sent_count;
+        header.scheduled_ns = self.time.scheduled(self.tick);
+        header.sensed_ns = self.time.now();
+        self.stopwatch.begin();
+    }
+
+    /// Keeps the whole state with the observation in the crash store, then sends the observation. `woken` is
+    /// the instant at which the plant woke up for the tick.
+    fn send(&mut self, woken: u64) -> Result<(), RuntimeError> {
+        let state = &mut self.state;
+        state.sent_count += 1;
+        state.expected = self.inbox.expected;
+        state.observation.header.published_ns = self.time.now();
+        if !self.crash_store.store(state.sent_count, |to| state::save(state, to)) {
             return Err(RuntimeError::Memory(Role::Plant.name()));
         }
-        ports.observation.send(&loop_state.observation)?;
-        if real {
-            ports.wake.notify();
-            work.saturating_record(time.now().saturating_sub(woken));
+        self.ports.observation.send(&self.state.observation)?;
+        if self.real {
+            self.ports.wake.notify();
+            self.work.saturating_record(self.time.now().saturating_sub(woken));
         }
-        session.status.sent = loop_state.sent_count;
-        decided = false;
-        if let Some(within) = loop_state.side.acts_within() {
-            let until = time.scheduled(tick) + within;
-            while !inbox.look_for(tick) && time.now() < until && !session.stopping() {
-                pause(NAP_NS);
-            }
-            if let Some(error) = inbox.failure.take() {
-                return Err(error.into());
-            }
-            loop_state.side.apply(tick, inbox.found.take().as_ref(), true);
-            decided = true;
-        }
-        tick += 1;
-        stepped = false;
+        self.session.status.sent = self.state.sent_count;
+        Ok(())
     }
-    session.publish_status();
-    session.check()?;
-    loop_state.expected = inbox.expected;
-    writer.write_last(tick, loop_state.checkpoint(tick, &session.participant), session.stopping());
-    let mut report = loop_state.side.report;
-    match writer.finish() {
-        Ok(written) => report.checkpoints = written,
-        Err(cause) => report.checkpoint_failure = Some(cause),
-    }
-    if real {
-        report.wake_up = Percentiles::of(&wake_up);
-        report.observation_to_command = Percentiles::of(&answered);
-        report.work = Percentiles::of(&work);
-    }
-    watch.leave()?;
-    session.finish(&report)?;
-    // Whoever listens for another observation finds that there is none.
-    ports.wake.notify();
-    given_up.map_or(Ok(report), Err)
-}
 
-/// Waits until the logger has room for the next [`CREDIT`] ticks. False when the run is to end first.
-fn await_credit(
-    board: &mut BoardReader<Status>,
-    logger: &mut PeerMonitor,
-    session: &Session,
-    tick: u64,
-) -> Result<bool, RuntimeError> {
-    let mut backoff = Backoff::default();
-    while board.get().consumed + (LOG_BUFFER as u64) < tick + CREDIT {
-        if backoff.pause() {
-            logger.check(board, session)?;
-            if session.end_reason().is_some() {
-                return Ok(false);
+    /// For a plant that acts within the tick: waits for the tick's command, up to the plant's limit, and passes
+    /// it on.
+    fn act(&mut self) -> Result<(), RuntimeError> {
+        self.acted = false;
+        if let Some(within) = self.state.side.acts_within() {
+            let until = self.time.scheduled(self.tick) + within;
+            while !self.inbox.poll_for(&self.ports.command, self.tick)
+                && self.time.now() < until
+                && !self.session.stopping()
+            {
+                pause(COMMAND_POLL_NS);
             }
+            self.inbox.check()?;
+            self.state.side.apply(self.tick, self.inbox.take().as_ref(), true);
+            self.acted = true;
         }
+        Ok(())
     }
-    Ok(true)
+
+    /// Ends the loop: writes the last checkpoint and the report.
+    fn finish(mut self) -> Result<PlantReport, RuntimeError> {
+        self.session.publish_status();
+        self.session.check()?;
+        self.state.expected = self.inbox.expected;
+        let checkpoint = self.state.checkpoint(self.tick, &self.session.participant);
+        self.writer.write_last(self.tick, checkpoint, self.session.stopping());
+        let mut report = self.state.side.report;
+        match self.writer.finish() {
+            Ok(written) => report.checkpoints = written,
+            Err(cause) => report.checkpoint_failure = Some(cause),
+        }
+        if self.real {
+            report.wake_up = Percentiles::of(&self.wake_up);
+            report.observation_to_command = Percentiles::of(&self.inbox.response_times);
+            report.work = Percentiles::of(&self.work);
+        }
+        self.stopwatch.write()?;
+        self.session.finish(&report)?;
+        // Wakes a controller that still waits, so that it sees the end of the run.
+        self.ports.wake.notify();
+        self.gave_up.map_or(Ok(report), Err)
+    }
 }

@@ -1,4 +1,5 @@
-//! What each process leaves in the run's folder when its loop is over, for the launcher's summary.
+//! The reports that processes write into the run's folder when their loops are over, for the launcher's
+//! summary.
 
 use std::fs::File;
 use std::io::Write as _;
@@ -14,46 +15,48 @@ use crate::report::Window;
 use crate::state::{Persist, StateVisitor};
 use crate::wire::Role;
 
-/// A minute in nanoseconds, to three significant digits; longer waits count as a minute.
+/// A histogram of durations up to a minute, ns, with three significant digits. Longer durations count as a
+/// minute.
 pub(super) fn histogram() -> Histogram<u64> {
     crate::log::histogram()
 }
 
-/// The plant's account.
+/// The plant's report.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlantReport {
     /// Ticks begun.
     pub ticks: u64,
-    /// Ticks whose command was not applied: it was not there in time, was not a number, or the plant passed the tick over.
+    /// Ticks whose command was not applied: it had not arrived in time, was not finite, or the plant skipped
+    /// the tick.
     pub missed: u64,
-    /// Commands that came after their tick, and were dropped.
+    /// Commands that arrived after their tick and were dropped.
     pub late: u64,
-    /// Ticks passed over because the plant itself was late.
+    /// Ticks skipped because the plant itself was late.
     pub skipped: u64,
-    /// Ticks in which the gate limited what was wanted, for whatever reason.
+    /// Ticks in which the gate limited the command, for any reason.
     pub clamped: u64,
     /// Ticks in which the gate limited the change of the applied command.
     pub step_limited: u64,
-    /// Ticks in which the gate kept a joint from going over its limits.
+    /// Ticks in which the gate kept a joint within its position limits.
     pub position_limited: u64,
     /// Commands that the gate's ramp limited.
     pub ramped: u64,
-    /// Commands that held a value that is not a number.
+    /// Commands with a value that is not finite.
     pub non_finite: u64,
     /// Checkpoints written by the process that ended the run.
     pub checkpoints: u64,
-    /// Why one could not be written, one sentence; null where all could.
+    /// Why a checkpoint could not be written, one sentence; null where all could.
     pub checkpoint_failure: Option<String>,
-    /// Real time: from a tick's scheduled instant to the plant's waking up for it.
+    /// Real time: from a tick's scheduled instant to the plant's wake-up for it.
     pub wake_up: Option<Percentiles>,
     /// Real time: from the sensing of an observation to the sending of the command that answers it.
     pub observation_to_command: Option<Percentiles>,
-    /// Real time: from waking up to the observation's being sent.
+    /// Real time: from the plant's wake-up to the sending of the observation.
     pub work: Option<Percentiles>,
 }
 
 impl Persist for PlantReport {
-    /// Percentiles are made at the end.
+    /// The percentiles are not part of the state: they are computed at the end.
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         for (name, count) in [
             ("ticks", &mut self.ticks),
@@ -71,43 +74,44 @@ impl Persist for PlantReport {
     }
 }
 
-/// The controller's account.
+/// The controller's report.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct ControllerReport {
     /// Observations answered.
     pub ticks: u64,
-    /// Observations that it never saw.
+    /// Observations that it never received.
     pub unseen: u64,
-    /// Ticks in which a fault of the channel let it hear nothing, and it answered so.
+    /// Ticks whose observation a channel fault withheld. The controller answers them with the flag `UNHEARD`.
     pub unheard: u64,
-    /// Observations that a fault of the channel let come after their tick; it neither answers nor learns from them.
+    /// Observations that a channel fault delayed beyond their tick. The controller neither answers nor learns
+    /// from them.
     pub stale: u64,
     /// Ticks learned from.
     pub learned: u64,
-    /// Times that the trace was cut.
+    /// Number of times that the trace was cut.
     pub cuts: u64,
     /// Observations with an input that is not a number.
     pub invalid: u64,
-    /// The first tick at which the weights were no longer numbers.
+    /// The first tick at which learning met a number that is not finite.
     pub diverged_at: Option<u64>,
     /// Checkpoints written by the process that ended the run.
     pub checkpoints: u64,
-    /// Why one could not be written, one sentence; null where all could.
+    /// Why a checkpoint could not be written, one sentence; null where all could.
     pub checkpoint_failure: Option<String>,
-    /// Real time: how the ticks were spent.
+    /// Real time: the tick budget.
     pub tick_budget: Option<TickBudget>,
     /// XXH3-64 of the weights at the end, hexadecimal.
     pub weights_hash: String,
     /// Losses and errors over the run.
     pub windows: Vec<Window>,
-    /// Inputs around the first whole target switch.
+    /// Inputs around the first complete target switch.
     pub first_switch: Vec<Snapshot>,
-    /// Inputs around the last whole target switch.
+    /// Inputs around the last complete target switch.
     pub last_switch: Vec<Snapshot>,
 }
 
 impl Persist for ControllerReport {
-    /// What is made at the end is not in it.
+    /// Fields that are computed at the end are not part of the state.
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         for (name, count) in [
             ("ticks", &mut self.ticks),
@@ -124,76 +128,78 @@ impl Persist for ControllerReport {
     }
 }
 
-/// The logger's account: of the run, with what earlier loggers of the same run wrote. The three channels stand in the order
-/// observation, command, learning.
+/// The logger's report. It covers the whole run, including what earlier incarnations of the logger wrote. The
+/// three channels are in the order observation, command, learning.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct LoggerReport {
     /// Messages written.
     pub written: [u64; 3],
     /// Samples lost.
     pub lost: [u64; 3],
-    /// Samples left out on purpose.
+    /// Samples left out on purpose (`every` under `[log]`).
     pub thinned: [u64; 3],
-    /// Samples that came twice, of which one was dropped.
+    /// Samples that arrived twice. One of each pair was dropped.
     pub duplicates: [u64; 3],
-    /// The tick from which on samples are missing because the log did not take them.
+    /// The tick from which on samples are missing because the log could not be written.
     pub missing_from: Option<u64>,
-    /// Why it did not, or why it could not be closed.
+    /// Why the log could not be written or closed.
     pub failure: Option<String>,
     /// Size of the log, all segments, bytes.
     pub bytes: u64,
-    /// Real time: from a tick's scheduled instant to its sensing; see [`LatencyHistograms`](crate::log::Timings).
+    /// Real time: from a tick's scheduled instant to its sensing; see
+    /// [`LatencyHistograms`](crate::log::LatencyHistograms).
     pub wake_up_lateness: Option<Percentiles>,
     /// Real time: from the sensing of an observation to the sending of the command that answers it.
     pub observation_to_command: Option<Percentiles>,
-    /// Real time: from the sending of a command to the observation that tells that it was applied.
+    /// Real time: from the sending of a command to the observation that reports it as applied.
     pub command_to_applied: Option<Percentiles>,
 }
 
-/// Where the report of `role` lies in the run's folder.
+/// The report's file of `role` in the run's folder.
 fn report_path(folder: &Path, role: Role) -> PathBuf {
     folder.join(format!("{}.json", role.name()))
 }
 
-/// Where the account of the real-time set-up of `role` lies in the run's folder. A file of its own, because it is there
-/// from before the first tick on: launcher and logger read it when the run begins.
-pub fn realtime_path(folder: &Path, role: Role) -> PathBuf {
+/// The file with the real-time settings of `role` in the run's folder. It is separate from the report because
+/// launcher and logger read it before the first tick.
+pub(crate) fn realtime_path(folder: &Path, role: Role) -> PathBuf {
     folder.join(format!("{}.realtime.json", role.name()))
 }
 
-/// Writes a report, whole or not at all.
+/// Writes a report atomically: the whole file or none.
 pub(super) fn write<T: Serialize>(folder: &Path, role: Role, report: &T) -> Result<(), RuntimeError> {
     write_to(report_path(folder, role), report)
 }
 
-/// Writes the account of a process's real-time set-up.
+/// Writes a process's real-time settings.
 pub(super) fn write_realtime(folder: &Path, role: Role, report: &RealtimeReport) -> Result<(), RuntimeError> {
     write_to(realtime_path(folder, role), report)
 }
 
-/// Room kept for a report, bytes; the controller's has its windows in it.
-const ROOM: u64 = 256 << 10;
+/// Disk space reserved for a report, bytes. The controller's report contains its windows.
+const RESERVED_BYTES: u64 = 256 << 10;
 
-/// Keeps room on the disk for the report of `role`, so that a disk that fills up meanwhile costs nobody's account. Best
-/// effort: not every file system can.
-pub(super) fn keep_room(folder: &Path, role: Role) {
+/// Reserves disk space for the report of `role`, so that it can still be written when the disk fills up during
+/// the run. Does nothing on file systems that cannot reserve space.
+pub(super) fn reserve_space(folder: &Path, role: Role) {
     if let Ok(file) = open_draft(&report_path(folder, role)) {
-        let _ = rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::KEEP_SIZE, 0, ROOM);
+        let _ = rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::KEEP_SIZE, 0, RESERVED_BYTES);
     }
 }
 
-/// Takes away what processes left that never came to their report.
-pub fn sweep_drafts(folder: &Path) {
+/// Removes the reserved space of processes that ended without a report.
+pub(crate) fn sweep_drafts(folder: &Path) {
     for role in Role::ALL {
         let _ = std::fs::remove_file(draft_of(&report_path(folder, role)));
     }
 }
 
+/// The file under which a report is written before it gets its name.
 fn draft_of(path: &Path) -> PathBuf {
     path.with_extension("json.part")
 }
 
-/// Opens the draft of the file at `path` as it is: its room is not given away.
+/// Opens the draft of the file at `path` without truncating it, so that its reserved space stays.
 fn open_draft(path: &Path) -> std::io::Result<File> {
     File::options().write(true).create(true).truncate(false).open(draft_of(path))
 }
@@ -209,12 +215,12 @@ fn write_to<T: Serialize>(path: PathBuf, report: &T) -> Result<(), RuntimeError>
 }
 
 /// Reads a report; `None` when the process left none.
-pub fn read<T: DeserializeOwned>(folder: &Path, role: Role) -> Option<T> {
+pub(crate) fn read<T: DeserializeOwned>(folder: &Path, role: Role) -> Option<T> {
     read_from(&report_path(folder, role))
 }
 
-/// Reads the account of a process's real-time set-up; `None` when there is none, as in lockstep.
-pub fn read_realtime(folder: &Path, role: Role) -> Option<RealtimeReport> {
+/// Reads a process's real-time settings; `None` when there are none, as in lockstep.
+pub(crate) fn read_realtime(folder: &Path, role: Role) -> Option<RealtimeReport> {
     read_from(&realtime_path(folder, role))
 }
 

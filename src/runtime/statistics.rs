@@ -1,29 +1,28 @@
-//! The run's own account of how learning goes: losses and errors by window, and the inputs around target switches.
+//! Statistics of learning over a run: losses and errors by window, and the inputs around target switches.
 //!
-//! The controller keeps it, because it sees every observation of any plant; it is for people alone and touches nothing
-//! that is learned. All memory is taken at the start.
+//! The controller collects them, because it receives every observation of any plant. They are for reports only
+//! and do not influence learning. All memory is allocated at the start.
 
-use crate::plant::noise_share;
 use crate::report::Window;
-use crate::scenario::{ArmConfig, Plan};
+use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor};
 use crate::wire::{MAX_INPUTS, Observation, flag};
 
-/// Windows of a run.
+/// Number of windows of a run: as many as a figure can show.
 const WINDOWS: u64 = 200;
-/// Ticks kept around a target switch: the switch and 30 movements.
-const KEPT: usize = 31;
+/// Ticks recorded from a target switch on: the switch and 30 movements.
+const SWITCH_TICKS: usize = 31;
 
 /// The inputs of one tick.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Snapshot {
     /// The tick.
     pub tick: u64,
-    /// Its inputs.
+    /// The inputs at this tick.
     pub inputs: [f32; MAX_INPUTS],
 }
 
-/// Sums of one window.
+/// Sums over one window.
 #[derive(Debug, Clone, Copy, Default)]
 struct WindowSums {
     ticks: u64,
@@ -33,59 +32,62 @@ struct WindowSums {
     end_error: f64,
 }
 
-/// The inputs of a target switch and the movement that follows it.
+/// Records the inputs of a target switch and of the movement that follows it.
 #[derive(Debug, Clone)]
-pub struct Switch {
-    row: Vec<Snapshot>,
+pub(crate) struct Switch {
+    snapshots: Vec<Snapshot>,
 }
 
 impl Default for Switch {
     fn default() -> Self {
-        Self { row: Vec::with_capacity(KEPT) }
+        Self { snapshots: Vec::with_capacity(SWITCH_TICKS) }
     }
 }
 
 impl Switch {
-    /// Takes the next observation in, and gives a whole switch, 31 ticks without a gap, when it has become whole.
-    pub fn see(&mut self, observation: &Observation) -> Option<&[Snapshot]> {
+    /// Adds the next observation. Returns the switch when it is complete: 31 ticks without a gap.
+    pub fn observe(&mut self, observation: &Observation) -> Option<&[Snapshot]> {
         let tick = observation.header.tick;
         if observation.header.flags & flag::NEW_TARGET != 0 {
-            self.row.clear();
-        } else if self.row.last().is_none_or(|s| s.tick + 1 != tick) || self.row.len() == KEPT {
-            // Not a gapless row from a switch on.
+            self.snapshots.clear();
+        } else if self.snapshots.last().is_none_or(|s| s.tick + 1 != tick) || self.snapshots.len() == SWITCH_TICKS {
+            // Not the tick that follows the last one of a switch.
             return None;
         }
-        self.row.push(Snapshot { tick, inputs: observation.inputs });
-        (self.row.len() == KEPT).then_some(&self.row)
+        self.snapshots.push(Snapshot { tick, inputs: observation.inputs });
+        (self.snapshots.len() == SWITCH_TICKS).then_some(&self.snapshots)
     }
 }
 
-/// The account.
+/// Statistics of a run.
 #[derive(Debug, Clone)]
 pub struct RunStatistics {
+    /// Length of a window, ticks.
     length: u64,
     /// Index of the measure called `error`.
     error: Option<usize>,
     windows: Vec<Window>,
     current: WindowSums,
+    /// First tick of the current window.
     from: u64,
-    /// Where the window in progress ends.
+    /// End of the current window.
     until: u64,
     last_error: f64,
-    /// What exploration costs, where that is known: the arm, and the noise's standard deviation.
-    arm: Option<(ArmConfig, f64)>,
+    /// The loss that exploration alone causes, as steps of (first tick, loss); empty where it is not known.
+    exploration_loss: Vec<(u64, f64)>,
     switch: Switch,
+    /// The first and the last complete target switch.
     first: Vec<Snapshot>,
     last: Vec<Snapshot>,
 }
 
 impl RunStatistics {
-    /// The account of a run of `plan`, in as many windows as a figure can show.
+    /// The statistics of a run of `plan`, in as many windows as a figure can show.
     pub fn new(plan: &Plan) -> Self {
         Self::with_windows(plan, plan.scenario.ticks.div_ceil(WINDOWS))
     }
 
-    /// The account of a run of `plan`, in windows of `length` ticks.
+    /// The statistics of a run of `plan`, in windows of `length` ticks.
     pub fn with_windows(plan: &Plan, length: u64) -> Self {
         Self {
             length,
@@ -95,14 +97,14 @@ impl RunStatistics {
             from: 0,
             until: length,
             last_error: 0.0,
-            arm: plan.scenario.plant.arm.clone().map(|arm| (arm, plan.scenario.policy.sigma)),
+            exploration_loss: plan.exploration_loss(),
             switch: Switch::default(),
-            first: Vec::with_capacity(KEPT),
-            last: Vec::with_capacity(KEPT),
+            first: Vec::with_capacity(SWITCH_TICKS),
+            last: Vec::with_capacity(SWITCH_TICKS),
         }
     }
 
-    /// Takes observation k into the account: the reward and measures of tick k-1, the inputs of tick k.
+    /// Adds observation k: the reward and measures of tick k-1, the inputs of tick k.
     pub fn observe(&mut self, observation: &Observation) {
         let flags = observation.header.flags;
         if flags & flag::FIRST == 0 {
@@ -124,13 +126,14 @@ impl RunStatistics {
                 }
             }
         }
-        if let Some(switch) = self.switch.see(observation) {
-            let kept = if self.first.is_empty() { &mut self.first } else { &mut self.last };
-            kept.clear();
-            kept.extend_from_slice(switch);
+        if let Some(switch) = self.switch.observe(observation) {
+            let recorded = if self.first.is_empty() { &mut self.first } else { &mut self.last };
+            recorded.clear();
+            recorded.extend_from_slice(switch);
         }
     }
 
+    /// Closes the current window.
     fn close(&mut self) {
         let sums = std::mem::take(&mut self.current);
         if sums.ticks == 0 || self.windows.len() == self.windows.capacity() {
@@ -141,19 +144,24 @@ impl RunStatistics {
             from: self.from,
             ticks: sums.ticks,
             loss: sums.loss / n,
-            noise_share: self.arm.as_ref().map_or(0.0, |(arm, sigma)| noise_share(arm, *sigma, self.from)),
+            noise_share: self.exploration_loss_at(self.from),
             mean_squared_error: self.error.map(|_| sums.squares / n),
             end_error: (sums.ends > 0).then(|| sums.end_error / sums.ends as f64),
             ends: sums.ends,
         });
     }
 
-    /// Mean loss a tick and mean error at the end of a target, in the window in progress or, when that is young, the one
-    /// before: NaN where there is none.
+    /// The loss that exploration alone causes in `tick`; 0 where it is not known.
+    fn exploration_loss_at(&self, tick: u64) -> f64 {
+        self.exploration_loss.iter().rev().find(|(from, _)| *from <= tick).map_or(0.0, |&(_, loss)| loss)
+    }
+
+    /// Mean loss per tick and mean error at the end of a target, in the current window, or in the previous one
+    /// while the current one is less than half full. NaN where there is no value.
     pub fn now(&self) -> (f32, f32) {
-        let young = self.current.ticks < self.length / 2;
+        let incomplete = self.current.ticks < self.length / 2;
         match self.windows.last() {
-            Some(w) if young => (w.loss as f32, w.end_error.unwrap_or(f64::NAN) as f32),
+            Some(w) if incomplete => (w.loss as f32, w.end_error.unwrap_or(f64::NAN) as f32),
             _ => {
                 let sums = &self.current;
                 ((sums.loss / sums.ticks as f64) as f32, (sums.end_error / sums.ends as f64) as f32)
@@ -161,20 +169,21 @@ impl RunStatistics {
         }
     }
 
-    /// The windows, and the inputs around the first and the last whole target switch.
+    /// The windows, and the inputs around the first and the last complete target switch.
     pub fn finish(mut self) -> (Vec<Window>, Vec<Snapshot>, Vec<Snapshot>) {
         self.close();
         (self.windows, self.first, self.last)
     }
 }
 
-/// More records than any run keeps.
-const MOST: usize = 1 << 20;
+/// Limit on windows read from a saved state: more than any run has.
+const MAX_WINDOWS: usize = 1 << 20;
 
-fn remember_windows(visitor: &mut dyn StateVisitor, windows: &mut Vec<Window>) {
+/// Lists the windows to a visitor.
+fn visit_windows(visitor: &mut dyn StateVisitor, windows: &mut Vec<Window>) {
     let mut count = windows.len() as u64;
     visitor.count("windows", &mut count);
-    windows.resize_with((count as usize).min(MOST), Window::default);
+    windows.resize_with((count as usize).min(MAX_WINDOWS), Window::default);
     for w in windows {
         let known = |x: Option<f64>| u64::from(x.is_some());
         let mut counts = [w.from, w.ticks, w.ends, known(w.mean_squared_error) | known(w.end_error) << 1];
@@ -194,12 +203,12 @@ fn remember_windows(visitor: &mut dyn StateVisitor, windows: &mut Vec<Window>) {
     }
 }
 
-/// The row `name` of ticks, and the row `inputs` beside it.
-fn remember_row(visitor: &mut dyn StateVisitor, [name, inputs]: [&'static str; 2], row: &mut Vec<Snapshot>) {
-    let mut count = row.len() as u64;
+/// Lists snapshots to a visitor: their ticks as `name`, and their inputs as `inputs`.
+fn visit_snapshots(visitor: &mut dyn StateVisitor, [name, inputs]: [&'static str; 2], snapshots: &mut Vec<Snapshot>) {
+    let mut count = snapshots.len() as u64;
     visitor.count(name, &mut count);
-    row.resize((count as usize).min(KEPT), Snapshot { tick: 0, inputs: [0.0; MAX_INPUTS] });
-    for snapshot in row {
+    snapshots.resize((count as usize).min(SWITCH_TICKS), Snapshot { tick: 0, inputs: [0.0; MAX_INPUTS] });
+    for snapshot in snapshots {
         visitor.number(name, &mut snapshot.tick);
         visitor.numbers(inputs, &mut snapshot.inputs);
     }
@@ -207,7 +216,7 @@ fn remember_row(visitor: &mut dyn StateVisitor, [name, inputs]: [&'static str; 2
 
 impl Persist for RunStatistics {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
-        remember_windows(visitor, &mut self.windows);
+        visit_windows(visitor, &mut self.windows);
         let sums = &mut self.current;
         let mut counts = [sums.ticks, sums.ends, self.from];
         visitor.numbers("current_counts", &mut counts);
@@ -216,8 +225,8 @@ impl Persist for RunStatistics {
         let mut means = [sums.loss, sums.squares, sums.end_error, self.last_error];
         visitor.numbers("current", &mut means);
         [sums.loss, sums.squares, sums.end_error, self.last_error] = means;
-        remember_row(visitor, ["switch", "switch_inputs"], &mut self.switch.row);
-        remember_row(visitor, ["first", "first_inputs"], &mut self.first);
-        remember_row(visitor, ["last", "last_inputs"], &mut self.last);
+        visit_snapshots(visitor, ["switch", "switch_inputs"], &mut self.switch.snapshots);
+        visit_snapshots(visitor, ["first", "first_inputs"], &mut self.first);
+        visit_snapshots(visitor, ["last", "last_inputs"], &mut self.last);
     }
 }

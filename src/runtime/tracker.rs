@@ -1,7 +1,8 @@
-//! A tracker's place in a run: a program that looks at target and end-effector, and says where they are.
+//! The tracker's side of a run: a program that measures the positions of target and end-effector, and publishes
+//! them.
 //!
-//! It needs no handshake and no leave; it may come late, go, or be killed, and another may take over. It reads the plant's observations
-//! like a viewer, if it wants to.
+//! A tracker is not a process of the run. It may join late, leave, or be killed, and another tracker may
+//! replace it. It can also receive the plant's observations, like a viewer.
 
 use std::path::Path;
 
@@ -24,8 +25,8 @@ impl Tracker {
     /// Joins the run called `run` (a folder, or a name under `runs/`).
     ///
     /// # Errors
-    /// [`RuntimeError::NoRun`] when there is no such run, it is over, or nobody is asked to look in it; otherwise as for
-    /// [`TrackerPorts::open`].
+    /// [`RuntimeError::NoRun`] when there is no such run, it is over, or its scenario has no tracker; otherwise
+    /// as for [`TrackerPorts::open`].
     pub fn join(run: &Path) -> Result<Self, RuntimeError> {
         let (folder, manifest, launcher) = RunManifest::find(run)?;
         let plan = Scenario::load(&RunManifest::scenario_path(&folder))?.plan()?;
@@ -38,7 +39,8 @@ impl Tracker {
         Ok(Self { plan, ports, launcher, header })
     }
 
-    /// Says where target and end-effector are, m, in a picture that was taken at `sensed_ns` of CLOCK_MONOTONIC. Never waits.
+    /// Publishes the positions of target and end-effector, m, in a picture that was taken at `sensed_ns` on
+    /// CLOCK_MONOTONIC. Never waits.
     ///
     /// # Errors
     /// When shared memory fails.
@@ -49,7 +51,7 @@ impl Tracker {
         Ok(())
     }
 
-    /// What the plant has said since this was asked last, the newest of it.
+    /// The plant's newest observation since the last call, if there is one.
     ///
     /// # Errors
     /// When shared memory fails.
@@ -61,7 +63,7 @@ impl Tracker {
         Ok(newest)
     }
 
-    /// Whether the run is over, or its launcher gone.
+    /// Whether the run is over, or its launcher has ended.
     pub fn over(&self) -> bool {
         self.ports.control.get().phase() >= Phase::Stop || self.launcher.ended()
     }

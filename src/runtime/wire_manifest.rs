@@ -1,5 +1,5 @@
-//! What a program in another language needs to join a run, in plain JSON on the run's card, so that it need neither read TOML
-//! nor reckon a hash. `docs/wire.md` says how it is used.
+//! What a program in another language needs to join a run, as plain JSON in the run's manifest. So such a
+//! program need neither read TOML nor compute a hash. `docs/wire.md` describes its use.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -9,12 +9,12 @@ use crate::channel::DomainName;
 use crate::scenario::Plan;
 use crate::wire::Role;
 
-/// The `wire` table of a run's card.
+/// The `wire` table of a run's manifest.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WireManifest {
     /// The version of iceoryx2 that all processes of the run must have.
     pub iceoryx2: String,
-    /// What the names of the domain's shared-memory files begin with.
+    /// Prefix of the names of the domain's shared-memory files.
     pub prefix: String,
     /// The domain's root folder.
     pub root: String,
@@ -24,7 +24,7 @@ pub struct WireManifest {
     pub scenario: String,
     /// The run's build.
     pub build: String,
-    /// Hash of the build as it stands on the boards, hexadecimal.
+    /// Hash of the build as on the boards, hexadecimal.
     pub build_hash: String,
     /// Names of the run's services.
     pub services: Services,
@@ -49,10 +49,10 @@ pub struct Services {
     pub command: String,
     /// Learning records.
     pub learning: String,
-    /// What trackers see, where the scenario has such a channel.
+    /// Measurements of trackers, where the scenario has such a channel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision: Option<String>,
-    /// The event that says whose run it is, and wakes the controller.
+    /// The event that wakes the controller. Its attributes identify the run.
     pub wake: String,
     /// The launcher's board.
     pub control: String,
@@ -61,7 +61,7 @@ pub struct Services {
 }
 
 impl WireManifest {
-    /// The terms of a run of `plan` in `domain`.
+    /// The table for a run of `plan` in `domain`.
     pub fn of(plan: &Plan, domain: &DomainName) -> Self {
         let identity = identity(plan);
         let channels = &plan.scenario.channels;

@@ -10,6 +10,7 @@ mod check;
 mod emulator;
 mod encoder;
 mod error;
+mod exploration_loss;
 mod faults;
 mod file;
 mod gate;

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use super::check::{different, number, ordered, range_end, show, signal_name, ticks};
 use super::{
     ArmConfig, EmulatorConfig, EyeConfig, ServosConfig, SignalConfig, error::Violation, error::quoted, limits,
-    plant_signals::is_simulator,
 };
+use crate::programs::is_simulator;
 use crate::wire::MAX_MEASURES;
 
 /// `[plant]`: the program in the plant's place, and what it says and takes.
@@ -46,7 +46,7 @@ pub struct PlantConfig {
 }
 
 fn simulator() -> String {
-    "tectum-simulator".to_owned()
+    crate::programs::SIMULATOR.to_owned()
 }
 
 /// Checks the table; the lists of signals are checked where they are resolved.

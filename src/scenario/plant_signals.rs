@@ -1,23 +1,15 @@
 //! What a plant says and takes: the inputs, outputs and measures of a scenario, given or known.
 
-use std::{f64::consts::PI, path::Path};
+use std::f64::consts::PI;
 
 use super::{ArmConfig, EyeConfig, MirrorAxis, PerOutput, Retina, Scenario, SignalConfig};
 use crate::wire::MAX_MEASURES;
-
-/// The name of the simulator's program.
-const SIMULATOR: &str = "tectum-simulator";
 
 /// The signals of a plant, in the order of the samples.
 pub(super) struct PlantSignals {
     pub(super) inputs: Vec<SignalConfig>,
     pub(super) outputs: Vec<SignalConfig>,
     pub(super) measures: Vec<String>,
-}
-
-/// Whether the plant's program is our simulator, wherever it is installed.
-pub(super) fn is_simulator(program: &str) -> bool {
-    Path::new(program).file_name().is_some_and(|name| name == SIMULATOR)
 }
 
 /// The signals that the scenario gives; those that it leaves out are the arm's or the eye's. Lists are empty if nothing

@@ -152,7 +152,7 @@ impl JointConfig {
 /// Checks the table of a plant that has one.
 pub(super) fn check(plant: &PlantConfig, period_ms: f64) -> Result<(), Violation> {
     let Some(servos) = &plant.servos else { return Ok(()) };
-    if super::plant_signals::is_simulator(&plant.program) {
+    if crate::programs::is_simulator(&plant.program) {
         let text = "belongs to tectum-bridge and plant.program is the simulator; take it out, or give tectum-bridge";
         return Err(Violation::new("plant.servos", text));
     }

@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 use super::LaunchError;
 use crate::channel::RunServices;
 use crate::clock::ProcessHandle;
+use crate::programs;
 use crate::runtime::exit;
 use crate::scenario::{Plan, RestartPolicy};
 use crate::wire::{ProcessState, Role};
@@ -70,8 +71,8 @@ impl ChildProcesses {
         for role in Role::ALL {
             let (name, arguments): (&str, &[String]) = match role {
                 Role::Plant => (&plan.scenario.plant.program, &plan.scenario.plant.args),
-                Role::Controller => ("tectum-controller", &[]),
-                Role::Logger => ("tectum-logger", &[]),
+                Role::Controller => (programs::CONTROLLER, &[]),
+                Role::Logger => (programs::LOGGER, &[]),
             };
             if by_hand.contains(&role) {
                 starts.push(None);

@@ -8,12 +8,11 @@ use std::path::{Path, PathBuf};
 use super::LaunchError;
 use super::children::ProcessFailure;
 use crate::log::{FIXED_BYTES, bytes_per_tick};
+use crate::run_folder::RUNS;
 use crate::runtime::{RunManifest, realtime_path};
 use crate::scenario::Plan;
 use crate::wire::Role;
 
-/// Where runs go that name no folder.
-const RUNS: &str = "runs";
 /// Room that a run leaves on the disk, bytes: figure, reports, and other people's files.
 const SPARE_BYTES: u64 = 16 << 20;
 

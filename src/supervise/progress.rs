@@ -7,6 +7,7 @@ use super::folder::RunFolder;
 use crate::channel::RunServices;
 use crate::clock::monotonic_ns;
 use crate::process::say;
+use crate::programs;
 use crate::report::thousands;
 use crate::runtime::Mode;
 use crate::wire::Role;
@@ -34,8 +35,8 @@ impl RunProgress {
         for role in &launch.by_hand {
             let program = match role {
                 Role::Plant => launch.plan.scenario.plant.program.as_str(),
-                Role::Controller => "tectum-controller",
-                Role::Logger => "tectum-logger",
+                Role::Controller => programs::CONTROLLER,
+                Role::Logger => programs::LOGGER,
             };
             say(&format!("waiting for the {}: {program} --run {}", role.name(), folder.path().display()));
         }

@@ -14,8 +14,7 @@ use crate::wire::Role;
 /// # Errors
 /// [`LaunchError::Checkpoint`] when there is no checkpoint, or one that is damaged or another's; [`LaunchError::Scenario`].
 pub fn resume(given: &Path) -> Result<(ResumePoint, Plan), LaunchError> {
-    let named = Path::new("runs").join(given);
-    let folder = if !given.exists() && named.exists() { named } else { given.to_owned() };
+    let folder = crate::run_folder::find(given, Path::exists);
     let none = |what: String| LaunchError::Checkpoint(CheckpointError::None { folder: folder.clone(), what });
     let text = std::fs::read_to_string(RunManifest::path(&folder))
         .map_err(|_| none("this is not the folder of a run; name one, or its name under runs/".to_owned()))?;

@@ -1,4 +1,5 @@
-//! What launcher and processes show each other: the latest value counts, and nobody waits for a reader.
+//! The boards on which the launcher and the processes publish their state. Readers see the latest value only,
+//! and a writer never waits for a reader.
 
 use super::schema::sample;
 
@@ -7,7 +8,7 @@ sample! {
     Control, "2" {
         /// A [`Phase`] as a number.
         phase: u32,
-        /// Checkpoints that were asked for by a signal so far.
+        /// Checkpoints that were requested by a signal so far.
         checkpoints: u32,
         /// Start of tick 0 on the run's clock, ns; valid from [`Phase::Run`] on.
         t0_ns: u64,
@@ -17,29 +18,31 @@ sample! {
 }
 
 sample! {
-    /// A process's board: how far it is.
+    /// A process's board: its state and its counts.
     Status, "3" {
         /// A [`ProcessState`] as a number.
         state: u32,
         /// Operating-system id of the process.
         pid: u32,
-        /// Counts the process's signs of life; one that stands still for long is a hang.
+        /// Heartbeat: counts the process's updates of its board. A count that does not change for long is a
+        /// hang.
         beat: u64,
-        /// Plant: one more than the tick at whose beginning the next checkpoint is, or the last one was, cut; 0 before the first.
+        /// Plant: one more than the tick at whose start the announced or last checkpoint is taken; 0 before the
+        /// first.
         checkpoint: u64,
         /// Ticks done.
         ticks: u64,
         /// Samples sent on each of its channels.
         sent: u64,
-        /// Plant: ticks whose command was not there in time. Logger: 0.
+        /// Plant: ticks whose command had not arrived in time. Logger: 0.
         missed: u64,
-        /// Plant: commands that came after their tick.
+        /// Plant: commands that arrived after their tick.
         late: u64,
-        /// Plant: ticks passed over. Controller: observations that it never saw. Logger: samples lost.
+        /// Plant: ticks skipped. Controller: observations that it never received. Logger: samples lost.
         lost: u64,
-        /// Logger: observation ticks consumed, the credit of a lossless run.
+        /// Logger: ticks consumed. In lockstep the plant waits for this count, so that no sample is lost.
         consumed: u64,
-        /// Controller, in real time: what its learner has taken after the commands had gone out, ns in all.
+        /// Controller, in real time: total time that its learner has taken after commands were sent, ns.
         learner_ns: u64,
         /// Controller: mean loss over the window in progress.
         loss: f32,
@@ -47,7 +50,7 @@ sample! {
         end_error: f32,
         /// Schema hash of the process's build.
         schema: u64,
-        /// Scenario hash as the process read it.
+        /// Hash of the scenario that the process read.
         scenario: u64,
         /// Hash of the process's build identity.
         build: u64,
@@ -60,18 +63,18 @@ sample! {
 pub enum Phase {
     /// Processes open the services and make their ports.
     SetUp = 0,
-    /// All ports exist: everybody connects them, so that no first sample is lost.
+    /// All ports exist. Every process connects its ports, so that no first sample is lost.
     Connect = 1,
     /// Ticks run from `t0_ns` on.
     Run = 2,
     /// The plant ends after the tick in progress, the others after their last sample.
     Stop = 3,
-    /// Whoever still runs ends now.
+    /// Every process that still runs ends now.
     Abort = 4,
 }
 
 impl Control {
-    /// The phase on the board; a number that no phase has reads as [`Phase::Abort`].
+    /// The phase on the board; a number without a phase reads as [`Phase::Abort`].
     pub fn phase(&self) -> Phase {
         match self.phase {
             0 => Phase::SetUp,
@@ -87,22 +90,22 @@ impl Control {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u32)]
 pub enum ProcessState {
-    /// Not there yet.
+    /// Not started yet.
     Absent = 0,
-    /// All ports made.
+    /// All ports are created.
     Ready = 1,
-    /// All ports connected.
+    /// All ports are connected.
     Connected = 2,
-    /// In its loop.
+    /// The loop runs.
     Running = 3,
-    /// Loop over, last sample sent, files closed.
+    /// The loop is over, the last sample is sent, and files are closed.
     Finished = 4,
-    /// Ended on its own account before the run was over.
+    /// The process ended before the run was over.
     Failed = 5,
 }
 
 impl Status {
-    /// The state on the board; a number that no state has reads as [`ProcessState::Failed`].
+    /// The state on the board; a number without a state reads as [`ProcessState::Failed`].
     pub fn state(&self) -> ProcessState {
         match self.state {
             0 => ProcessState::Absent,
@@ -118,11 +121,11 @@ impl Status {
 /// The three parts of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
-    /// Whatever is controlled: simulator or hardware.
+    /// The controlled system: simulator or hardware.
     Plant,
     /// Encoder, policy and learner.
     Controller,
-    /// Everything, to a file.
+    /// Writes all samples to a file.
     Logger,
 }
 

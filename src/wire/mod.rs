@@ -1,11 +1,12 @@
-//! The samples that processes exchange: plain, fixed-size, versioned data.
+//! The samples and boards that processes exchange: plain, fixed-size, versioned data.
 //!
-//! Every sample is `#[repr(C)]`, made of naturally aligned primitives without implicit padding, so that its bytes are at
-//! once its shared-memory layout and (behind four bytes of encapsulation) its CDR encoding. The `sample!` macro is the
-//! one source of the Rust type, of its field table and of its `ros2msg` text; [`schema_hash`] covers all of them and is
-//! compared when a process joins a run.
+//! Every sample is `#[repr(C)]` and consists of naturally aligned primitives without implicit padding. So its
+//! bytes are its shared-memory layout and also, behind four bytes of encapsulation, its CDR encoding. The
+//! `sample!` macro is the one source of the Rust type, its field table and its `ros2msg` text. [`schema_hash`]
+//! covers all of them; it is compared when a process joins a run.
 //!
-//! Instants are nanoseconds of one monotonic clock (CLOCK_MONOTONIC in real time, the tick's virtual time in lockstep).
+//! Instants are nanoseconds of one monotonic clock (CLOCK_MONOTONIC in real time, the tick's virtual time in
+//! lockstep).
 
 mod boards;
 mod samples;

@@ -1,9 +1,9 @@
-//! From one declaration to a Rust type, a field table, a `ros2msg` text and a hash.
+//! The `sample!` macro: one declaration gives a Rust type, a field table, a `ros2msg` text and a hash.
 
 use std::fmt::Write as _;
 use xxhash_rust::xxh3::xxh3_64;
 
-/// One field of a sample: its name, its `ros2msg` type, how many, and where it starts.
+/// One field of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Field {
     /// Name, the same in Rust and in the log.
@@ -14,22 +14,22 @@ pub struct Field {
     pub count: usize,
     /// Offset from the start of the sample, in bytes.
     pub offset: usize,
-    /// What it means: its documentation, one line, with a space before it.
+    /// The field's documentation: one line that starts with a space.
     pub doc: &'static str,
 }
 
 /// A fixed-size record with a described layout.
 pub trait Sample: bytemuck::Pod {
-    /// Versioned type name; it changes whenever the layout or a field's meaning does.
+    /// Versioned type name. It changes whenever the layout or the meaning of a field changes.
     const NAME: &'static str;
-    /// Name of the schema in `ros2msg` form, `package/msg/Type`. Inside a definition `msg` is left out.
+    /// Name of the schema in `ros2msg` form, `package/msg/Type`. Definitions leave `msg` out.
     const ROS_NAME: &'static str;
     /// All fields in order.
     const FIELDS: &'static [Field];
-    /// What it is: its documentation, one line, with a space before it.
+    /// The sample's documentation: one line that starts with a space.
     const DOC: &'static str;
 
-    /// The `ros2msg` definition, nested types included, as a log reader needs it.
+    /// The `ros2msg` definition with nested types, for log readers.
     fn ros2msg() -> String {
         let mut text = String::new();
         write_fields(&mut text, Self::FIELDS);
@@ -42,6 +42,7 @@ pub trait Sample: bytemuck::Pod {
     }
 }
 
+/// Writes a `ros2msg` line for each field.
 fn write_fields(text: &mut String, fields: &[Field]) {
     for f in fields {
         let element = f.element;
@@ -52,7 +53,7 @@ fn write_fields(text: &mut String, fields: &[Field]) {
     }
 }
 
-/// What a field can be made of: its `ros2msg` element type and the number of elements.
+/// A type that a field can have, with its `ros2msg` element type and number of elements.
 pub trait FieldElement {
     /// `ros2msg` name of one element.
     const ELEMENT: &'static str;
@@ -74,9 +75,12 @@ impl<T: FieldElement, const N: usize> FieldElement for [T; N] {
     const COUNT: usize = N;
 }
 
-/// Declares a sample: the `repr(C)` type, its name and version, and everything that describes it.
+/// Declares a sample: the `repr(C)` type, its name and version, and its description.
 macro_rules! sample {
-    ($(#[doc = $doc:literal])* $name:ident, $version:literal { $($(#[doc = $fdoc:literal])* $field:ident: $ty:ty,)+ }) => {
+    (
+        $(#[doc = $doc:literal])*
+        $name:ident, $version:literal { $($(#[doc = $fdoc:literal])* $field:ident: $ty:ty,)+ }
+    ) => {
         $(#[doc = $doc])*
         #[repr(C)]
         #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -102,15 +106,15 @@ macro_rules! sample {
         }
 
         impl $crate::wire::schema::FieldElement for $name {
-            // Without `msg`: with it, Python's decoder refuses a nested type.
+            // Without `msg`, because Python's decoder refuses a nested type with it.
             const ELEMENT: &'static str = concat!("tectum/", stringify!($name));
         }
     };
 }
 pub(super) use sample;
 
-/// Hash over the names, versions, fields and offsets of every sample and board. Two programs with equal hashes agree on
-/// every byte that they exchange.
+/// Hash over the names, versions, fields and offsets of every sample and board. Two programs with equal hashes
+/// agree on every byte that they exchange.
 pub fn schema_hash() -> u64 {
     let mut text = String::new();
     fn add<S: Sample>(text: &mut String) {
@@ -135,9 +139,9 @@ mod tests {
     use super::*;
     use crate::wire::{Command, Gap, Header, Learning, Observation, Vision};
 
-    /// CDR aligns each primitive to its size, counted from the start of the body: with no implicit padding in the
-    /// `repr(C)` layout (`Pod` proves it) and 8-byte sizes, body and struct are the same bytes.
-    fn is_cdr<S: Sample>() {
+    /// CDR aligns each primitive to its size, counted from the start of the body. Without implicit padding in
+    /// the `repr(C)` layout (`Pod` proves it) and with 8-byte sizes, body and struct have the same bytes.
+    fn assert_cdr<S: Sample>() {
         let mut at = 0;
         for f in S::FIELDS {
             assert_eq!(f.offset, at, "{}.{}", S::NAME, f.name);
@@ -155,26 +159,26 @@ mod tests {
     }
 
     #[test]
-    fn samples_are_their_own_cdr() {
-        is_cdr::<Header>();
-        is_cdr::<Observation>();
-        is_cdr::<Command>();
-        is_cdr::<Learning>();
-        is_cdr::<Vision>();
-        is_cdr::<Gap>();
+    fn samples_are_valid_cdr() {
+        assert_cdr::<Header>();
+        assert_cdr::<Observation>();
+        assert_cdr::<Command>();
+        assert_cdr::<Learning>();
+        assert_cdr::<Vision>();
+        assert_cdr::<Gap>();
     }
 
     #[test]
-    fn definitions_name_every_field_and_nest_the_header() {
+    fn definitions_list_every_field_and_nest_the_header() {
         let text = Observation::ros2msg();
         assert!(text.starts_with("tectum/Header header\nfloat32[16] inputs\n"), "{text}");
         assert!(text.contains("MSG: tectum/Header\nuint64 run\n"), "{text}");
         assert!(!Header::ros2msg().contains("MSG:"));
     }
 
-    /// The layout is a promise to other languages and to old logs: a change here is a change of version.
+    /// Other languages and old logs depend on the layout. A change here needs a new version.
     #[test]
-    fn the_layout_is_pinned() {
+    fn the_layout_is_stable() {
         let sizes = [size_of::<Header>(), size_of::<Observation>(), size_of::<Command>(), size_of::<Learning>()];
         assert_eq!(sizes, [56, 184, 120, 112]);
         assert_eq!(size_of::<Vision>(), 72);

@@ -1,4 +1,4 @@
-//! What the controller learns from and what it does not, observation by observation.
+//! Tests of credit: from which observations the controller learns.
 
 use super::*;
 use crate::scenario::Scenario;
@@ -22,7 +22,7 @@ fn answer(controller: &mut Controller, observation: &Observation) -> (Command, u
 }
 
 #[test]
-fn a_reward_is_learned_from_only_if_it_is_the_policys_own() {
+fn only_rewards_of_the_policys_commands_are_learned_from() {
     for (flags, skip, expected) in [
         (0, 0, flag::LEARNED),
         (flag::NEW_TARGET, 0, flag::LEARNED),
@@ -60,30 +60,30 @@ fn credit_goes_to_the_applied_command() {
     for i in 0..4 {
         explicit.noise[i] = applied.applied[i] - command.mean[i];
     }
-    let mut foreign = limited.clone();
+    let mut corrupted = limited.clone();
     assert_eq!(answer(&mut limited, &applied).1, flag::LEARNED);
     answer(&mut explicit, &observation(1, 0));
     assert_eq!(limited.policy.hash(), explicit.policy.hash());
 
-    // No gate makes that of what was asked for: it was another's command, corrupted on its way.
+    // No gate could have made this from the policy's command, so the command was corrupted on its way.
     applied.applied[0] *= 3.0;
-    assert_eq!(answer(&mut foreign.clone(), &applied).1, flag::TRACE_CUT);
-    // Unless it comes from what was applied before, a step away.
-    foreign.before[0] = applied.applied[0] * 1.5;
-    assert_eq!(answer(&mut foreign.clone(), &applied).1, flag::LEARNED);
-    foreign.before[0] = 0.0;
-    assert_eq!(answer(&mut foreign.off_policy(), &applied).1, flag::LEARNED);
+    assert_eq!(answer(&mut corrupted.clone(), &applied).1, flag::TRACE_CUT);
+    // It is possible if it is limited in step from the previously applied command.
+    corrupted.applied_before[0] = applied.applied[0] * 1.5;
+    assert_eq!(answer(&mut corrupted.clone(), &applied).1, flag::LEARNED);
+    corrupted.applied_before[0] = 0.0;
+    assert_eq!(answer(&mut corrupted.off_policy(), &applied).1, flag::LEARNED);
 }
 
 #[test]
-fn weights_stay_numbers_whatever_the_step() {
+fn weights_stay_finite_for_any_step() {
     let mut scenario = Scenario::find("paper").unwrap();
     scenario.learner.alpha_over_variance = 1000.0;
     for reward in [-1e36, -10.0] {
         let mut controller = Controller::new(&scenario.clone().plan().unwrap()).off_policy();
         for tick in 0..400 {
             let mut observation = observation(tick, if tick == 0 { flag::FIRST } else { flag::CLAMPED });
-            // The gate holds what is applied within limits, while the mean grows.
+            // The applied command stays within the gate's limits while the mean grows.
             observation.applied[..4].copy_from_slice(&[0.05; 4]);
             observation.reward = reward;
             let (command, _) = answer(&mut controller, &observation);
@@ -96,29 +96,29 @@ fn weights_stay_numbers_whatever_the_step() {
 }
 
 #[test]
-fn values_that_are_not_numbers_are_answered_with_zero_and_not_learned_from() {
+fn invalid_values_are_answered_with_zero_and_not_learned_from() {
     let mut controller = controller();
     answer(&mut controller, &observation(0, flag::FIRST));
-    let mut blind = observation(1, 0);
-    blind.inputs[3] = f32::NAN;
-    let (command, flags) = answer(&mut controller, &blind);
+    let mut invalid = observation(1, 0);
+    invalid.inputs[3] = f32::NAN;
+    let (command, flags) = answer(&mut controller, &invalid);
     assert_eq!((command.drawn, command.header.flags, flags), ([0.0; 8], flag::INVALID, flag::TRACE_CUT));
-    assert_eq!(answer(&mut controller, &observation(2, 0)).1, 0, "nothing to credit after a blind answer");
-    let mut worthless = observation(3, 0);
-    worthless.reward = f32::INFINITY;
-    assert_eq!(answer(&mut controller, &worthless).1, flag::TRACE_CUT);
+    assert_eq!(answer(&mut controller, &observation(2, 0)).1, 0, "nothing to credit after an invalid observation");
+    let mut infinite_reward = observation(3, 0);
+    infinite_reward.reward = f32::INFINITY;
+    assert_eq!(answer(&mut controller, &infinite_reward).1, flag::TRACE_CUT);
     assert_eq!(controller.policy.norm(), 0.0);
     assert_eq!(answer(&mut controller, &observation(4, 0)).1, flag::LEARNED);
-    // Nor what no range could hold, finite as it is.
-    let mut absurd = observation(5, 0);
-    absurd.inputs[0] = 1e30;
-    let (command, flags) = answer(&mut controller, &absurd);
+    // The same holds for a finite value that is out of every range.
+    let mut out_of_range = observation(5, 0);
+    out_of_range.inputs[0] = 1e30;
+    let (command, flags) = answer(&mut controller, &out_of_range);
     assert_eq!((command.drawn, command.header.flags, flags), ([0.0; 8], flag::INVALID, flag::TRACE_CUT));
 }
 
-/// Silence is answered with silence, what comes late is nothing, and no credit crosses over.
+/// A withheld observation is answered as unheard, a late one is ignored, and no credit is taken across the gap.
 #[test]
-fn what_was_not_heard_is_neither_answered_nor_learned_from() {
+fn a_withheld_observation_is_neither_answered_nor_learned_from() {
     let mut scenario = Scenario::find("paper").unwrap();
     scenario.faults =
         toml::from_str("[[channel]]\nchannel = \"observation\"\nkind = \"delay\"\nfrom = 2\nuntil = 3\nticks = 2")
@@ -135,12 +135,12 @@ fn what_was_not_heard_is_neither_answered_nor_learned_from() {
     let mut learning = Learning::default();
     controller.record(&observation(2, 0), &mut learning);
     assert_eq!((learning.header.tick, learning.noise, learning.reward), (2, [0.0; 8], 0.0));
-    // Heard again, one is missing in between; the draws are those that come next.
+    // The next observation arrives with one missing in between. The noise continues with the next draw.
     let norm = controller.policy.norm();
     let (command, flags) = answer(&mut controller, &observation(3, 0));
     assert_eq!((command.header.flags, flags, controller.policy.norm()), (0, flag::TRACE_CUT, norm));
     assert_eq!(controller.noise, clean.exploration.draw());
-    // The delayed one is there, and says nothing of this tick.
+    // The delayed observation arrives, too, and has no effect on this tick.
     assert_eq!(answer(&mut controller, &observation(4, 0)).1, flag::LEARNED);
     assert_eq!((controller.report.unheard, controller.report.stale, controller.report.cuts), (1, 1, 1));
 }

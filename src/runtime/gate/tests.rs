@@ -1,29 +1,29 @@
-//! The gate, rule by rule; then, over any bits, that no limit is ever passed.
+//! Tests of the gate: each rule by itself, and, over arbitrary bits, that no limit is ever exceeded.
 
 use super::*;
 use crate::plant::{Arm, Plant as _};
 use crate::scenario::{ArmConfig, PerOutput};
 use proptest::prelude::*;
 
-fn table() -> GateConfig {
+fn config() -> GateConfig {
     GateConfig { max_command: PerOutput::All(0.5), hold_ticks: 2, decay_ticks: 3, ..GateConfig::default() }
 }
 
 fn gate() -> Gate {
-    Gate::new(&table(), 2)
+    Gate::new(&config(), 2)
 }
 
-/// The first output's command.
+/// A command with `u` for the first output.
 fn first(u: f32) -> Outputs {
     let mut command = [0.0; MAX_OUTPUTS];
     command[0] = u;
     command
 }
 
-/// What becomes of the first output, with the flags beside `CLAMPED` and `MISSED`.
-fn passes(gate: &mut Gate, command: Option<f32>, joints: Option<&JointState>) -> (f32, u32) {
-    let spans = gate.spans(|| joints.copied());
-    let applied = gate.pass(command.map(first).as_ref(), spans.as_ref());
+/// The applied command of the first output, and the flags other than `CLAMPED` and `MISSED`.
+fn pass_one(gate: &mut Gate, command: Option<f32>, joints: Option<&JointState>) -> (f32, u32) {
+    let ranges = gate.command_ranges(|| joints.copied());
+    let applied = gate.pass(command.map(first).as_ref(), ranges.as_ref());
     let limited = flag::STEP_LIMITED | flag::POSITION_LIMITED | flag::RAMPED;
     assert!(applied.flags & limited == 0 || applied.flags & flag::CLAMPED != 0, "{applied:?}");
     (applied.command[0], applied.flags & !(flag::CLAMPED | flag::MISSED))
@@ -34,25 +34,25 @@ fn hold_then_decay_then_stop_and_back() {
     let mut gate = gate();
     let command = [0.4, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     assert_eq!(gate.pass(Some(&command), None), Applied { command, flags: 0 });
-    let seen: Vec<(f32, u32)> = (0..7)
+    let outputs: Vec<(f32, u32)> = (0..7)
         .map(|_| {
             let applied = gate.pass(None, None);
             (applied.command[0] / 0.4, applied.flags & !flag::MISSED)
         })
         .collect();
     let expected = [1.0, 1.0, 0.75, 0.5, 0.25, 0.0, 0.0];
-    for ((share, _), expected) in seen.iter().zip(expected) {
-        assert!((share - expected).abs() < 1e-6, "{seen:?}");
+    for ((share, _), expected) in outputs.iter().zip(expected) {
+        assert!((share - expected).abs() < 1e-6, "{outputs:?}");
     }
-    let flags: Vec<u32> = seen.iter().map(|s| s.1).collect();
+    let flags: Vec<u32> = outputs.iter().map(|s| s.1).collect();
     let (h, d, s) = (flag::HELD, flag::DECAYED, flag::STOPPED);
     assert_eq!(flags, [h, h, d, d, d, s, s]);
     assert_eq!(gate.pass(Some(&command), None).flags, 0);
-    assert_eq!(gate.pass(None, None).command, command, "held anew after a command came");
+    assert_eq!(gate.pass(None, None).command, command, "held again after a command arrived");
 }
 
 #[test]
-fn not_a_number_is_no_command() {
+fn a_command_that_is_not_finite_counts_as_none() {
     let mut gate = gate();
     gate.pass(Some(&[0.1; 8]), None);
     let applied = gate.pass(Some(&[0.2, f32::NAN, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]), None);
@@ -62,60 +62,60 @@ fn not_a_number_is_no_command() {
 
 #[test]
 fn every_output_has_its_own_limit() {
-    let mut gate = Gate::new(&GateConfig { max_command: PerOutput::Each(vec![0.5, 0.1]), ..table() }, 2);
+    let mut gate = Gate::new(&GateConfig { max_command: PerOutput::Each(vec![0.5, 0.1]), ..config() }, 2);
     let applied = gate.pass(Some(&[9.0; 8]), None);
     assert_eq!((applied.command[..3].to_vec(), applied.flags), (vec![0.5, 0.1, 0.0], flag::CLAMPED));
 }
 
 #[test]
-fn steps_are_limited_on_the_way_to_a_stop_as_well() {
+fn steps_are_limited_also_on_the_way_to_a_stop() {
     let mut gate =
-        Gate::new(&GateConfig { max_step: Some(PerOutput::All(0.125)), hold_ticks: 1, decay_ticks: 0, ..table() }, 2);
+        Gate::new(&GateConfig { max_step: Some(PerOutput::All(0.125)), hold_ticks: 1, decay_ticks: 0, ..config() }, 2);
     let s = flag::STEP_LIMITED;
-    let steps: Vec<_> = [Some(0.3), Some(0.3), Some(0.3)].into_iter().map(|u| passes(&mut gate, u, None)).collect();
+    let steps: Vec<_> = [Some(0.3), Some(0.3), Some(0.3)].into_iter().map(|u| pass_one(&mut gate, u, None)).collect();
     assert_eq!(steps, [(0.125, s), (0.25, s), (0.3, 0)]);
-    let down: Vec<_> = (0..5).map(|_| passes(&mut gate, None, None)).collect();
+    let down: Vec<_> = (0..5).map(|_| pass_one(&mut gate, None, None)).collect();
     let (h, stop) = (flag::HELD, flag::STOPPED);
     assert_eq!(down.iter().map(|d| d.1).collect::<Vec<_>>(), [h, stop | s, stop | s, stop, stop]);
     for ((u, _), expected) in down.iter().zip([0.3, 0.175, 0.05, 0.0, 0.0]) {
         assert!((u - expected).abs() < 1e-6, "{down:?}");
     }
-    // What was limited is what is held: a command that had not been reached is not gone on to.
-    assert_eq!(passes(&mut gate, Some(0.5), None).0, 0.125);
-    assert_eq!(passes(&mut gate, None, None), (0.125, h));
+    // The limited command is held: the gate does not continue towards the command that it had limited.
+    assert_eq!(pass_one(&mut gate, Some(0.5), None).0, 0.125);
+    assert_eq!(pass_one(&mut gate, None, None), (0.125, h));
 }
 
 #[test]
-fn commands_that_begin_or_come_back_grow() {
-    let mut gate = Gate::new(&GateConfig { ramp_ticks: 3, ..table() }, 2);
+fn commands_are_ramped_when_they_start_or_return() {
+    let mut gate = Gate::new(&GateConfig { ramp_ticks: 3, ..config() }, 2);
     let r = flag::RAMPED;
     let ramp = [(0.125, r), (0.25, r), (0.375, r), (0.5, 0), (0.5, 0)];
-    let go = |gate: &mut Gate| [0.5; 5].map(|u| passes(gate, Some(u), None));
-    assert_eq!(go(&mut gate), ramp);
-    // Held is not gone: the ramp is over.
-    passes(&mut gate, None, None);
-    assert_eq!(passes(&mut gate, Some(0.5), None), (0.5, 0));
+    let five_commands = |gate: &mut Gate| [0.5; 5].map(|u| pass_one(gate, Some(u), None));
+    assert_eq!(five_commands(&mut gate), ramp);
+    // A held command does not restart the ramp.
+    pass_one(&mut gate, None, None);
+    assert_eq!(pass_one(&mut gate, Some(0.5), None), (0.5, 0));
     for _ in 0..3 {
-        passes(&mut gate, None, None);
+        pass_one(&mut gate, None, None);
     }
-    assert_eq!(go(&mut gate), ramp, "after it had begun to decay");
+    assert_eq!(five_commands(&mut gate), ramp, "a ramp after the command had begun to decay");
     for _ in 0..99 {
-        passes(&mut gate, None, None);
+        pass_one(&mut gate, None, None);
     }
-    assert_eq!(passes(&mut gate, Some(-0.1), None), (-0.1, 0), "small enough");
-    assert_eq!(passes(&mut gate, Some(-0.5), None), (-0.25, r));
+    assert_eq!(pass_one(&mut gate, Some(-0.1), None), (-0.1, 0), "within the ramp's share");
+    assert_eq!(pass_one(&mut gate, Some(-0.5), None), (-0.25, r));
 }
 
 #[test]
-fn joints_stay_within_their_limits_and_come_back_from_outside() {
-    let table = GateConfig { positions: vec![[-1.0, 0.5], [-1.0, 1.0]], ..table() };
+fn joints_stay_within_their_limits_and_return_from_outside() {
+    let config = GateConfig { positions: vec![[-1.0, 0.5], [-1.0, 1.0]], ..config() };
     let p = flag::POSITION_LIMITED;
     for (position, travel, wanted, low, high, flags) in [
         (0.0, 1.0, 0.4, 0.4, 0.4, 0),
         (0.3, 1.0, 0.4, 0.199_99, 0.2, p),
         (0.3, -1.0, -0.4, -0.2, -0.199_99, p),
         (0.3, -1.0, 0.4, 0.4, 0.4, 0),
-        // Outside: no further out; back, but not through.
+        // A joint outside moves no further out. It moves back, but not beyond the far limit.
         (0.6, 1.0, 0.4, 0.0, 0.0, p),
         (0.6, 1.0, -0.4, -0.4, -0.4, 0),
         (0.6, 10.0, -0.4, -0.16, -0.159_99, p),
@@ -126,23 +126,27 @@ fn joints_stay_within_their_limits_and_come_back_from_outside() {
         (0.0, 0.0, 0.4, 0.4, 0.4, 0),
     ] {
         let joints = JointState { position: [position; 8], travel: [travel; 8] };
-        let (u, said) = passes(&mut Gate::new(&table, 2), Some(wanted), Some(&joints));
-        assert!(low <= u && u <= high && said == flags, "{position} {travel} {wanted}: {u} {said:x}");
+        let (u, reported) = pass_one(&mut Gate::new(&config, 2), Some(wanted), Some(&joints));
+        assert!(low <= u && u <= high && reported == flags, "{position} {travel} {wanted}: {u} {reported:x}");
     }
-    assert_eq!(passes(&mut Gate::new(&table, 2), Some(0.1), None), (0.0, p), "a plant that does not tell");
-    // Position goes before step.
-    let table = GateConfig { max_step: Some(PerOutput::All(0.125)), ..table };
-    let mut gate = Gate::new(&table, 2);
+    assert_eq!(
+        pass_one(&mut Gate::new(&config, 2), Some(0.1), None),
+        (0.0, p),
+        "a plant that does not report its joints"
+    );
+    // The position limit goes before the step limit.
+    let config = GateConfig { max_step: Some(PerOutput::All(0.125)), ..config };
+    let mut gate = Gate::new(&config, 2);
     let joints = |position| JointState { position: [position; 8], travel: [1.0; 8] };
     for _ in 0..3 {
-        passes(&mut gate, Some(0.3), Some(&joints(-0.5)));
+        pass_one(&mut gate, Some(0.3), Some(&joints(-0.5)));
     }
-    assert_eq!(passes(&mut gate, Some(0.3), Some(&joints(0.5))), (0.0, p));
+    assert_eq!(pass_one(&mut gate, Some(0.3), Some(&joints(0.5))), (0.0, p));
 }
 
-/// A tick of a hostile world: the command, if one comes, as any bits, and the position that is measured, as any bits or,
-/// more often, where the joint is.
-fn hostile() -> impl Strategy<Value = (Option<[u32; 2]>, Option<u32>)> {
+/// An arbitrary tick: the command, if one arrives, as arbitrary bits, and the measured position as arbitrary
+/// bits or, more often, the true position.
+fn arbitrary_tick() -> impl Strategy<Value = (Option<[u32; 2]>, Option<u32>)> {
     let ordinary = (-1.0_f32..1.0).prop_map(f32::to_bits);
     let bits = prop_oneof![any::<u32>(), ordinary];
     (prop::option::of(prop::array::uniform2(bits)), prop::option::weighted(0.1, any::<u32>()))
@@ -151,10 +155,11 @@ fn hostile() -> impl Strategy<Value = (Option<[u32; 2]>, Option<u32>)> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// I7, over any bits: finite, within rate, step and ramp, and no joint goes over its limits.
+    /// I7 over arbitrary bits: the applied command is finite and within rate, step and ramp, and no joint moves
+    /// beyond its limits.
     #[test]
     fn applied_commands_stay_within_limits(
-        ticks in prop::collection::vec(hostile(), 1..150),
+        ticks in prop::collection::vec(arbitrary_tick(), 1..150),
         step in prop::option::of(0.01..0.6_f64),
         limits in prop::option::of((-3.0..1.0_f64, 0.01..3.0_f64)),
         travel in prop_oneof![Just(1.0_f32), -40.0_f32..40.0],
@@ -162,8 +167,8 @@ proptest! {
         ramp_ticks in 0..5_u32,
     ) {
         let positions = limits.map_or(Vec::new(), |(low, width)| vec![[low, low + width]; 2]);
-        let table = GateConfig { max_step: step.map(PerOutput::All), positions, ramp_ticks, ..table() };
-        let mut gate = Gate::new(&table, 2);
+        let config = GateConfig { max_step: step.map(PerOutput::All), positions, ramp_ticks, ..config() };
+        let mut gate = Gate::new(&config, 2);
         let (mut theta, mut before) = ([start, -start], [0.0_f32; 2]);
         for (bits, measured) in ticks {
             let mut command = [f32::NAN; MAX_OUTPUTS];
@@ -175,8 +180,8 @@ proptest! {
             if let Some(measured) = measured {
                 joints.position[0] = f32::from_bits(measured);
             }
-            let spans = gate.spans(|| Some(joints));
-            let applied = gate.pass(bits.map(|_| command).as_ref(), spans.as_ref());
+            let ranges = gate.command_ranges(|| Some(joints));
+            let applied = gate.pass(bits.map(|_| command).as_ref(), ranges.as_ref());
             prop_assert!(applied.command[2..].iter().all(|&u| u == 0.0));
             for i in 0..2 {
                 let u = applied.command[i];
@@ -186,20 +191,20 @@ proptest! {
                     prop_assert!(by <= f64::from(step as f32), "{by}: {applied:?}");
                 }
                 before[i] = u;
-                let there = theta[i] + travel * u;
-                // A limit is kept as far as positions are measured rightly.
-                if let (Some(&[low, high]), true) = (table.positions.get(i), measured.is_none() || i == 1) {
-                    let (from, to) = (f64::from(theta[i]), f64::from(there));
+                let next = theta[i] + travel * u;
+                // A limit can be kept only where the position is measured correctly.
+                if let (Some(&[low, high]), true) = (config.positions.get(i), measured.is_none() || i == 1) {
+                    let (from, to) = (f64::from(theta[i]), f64::from(next));
                     prop_assert!(to >= low.min(from) && to <= high.max(from), "{from} to {to}: {applied:?}");
                 }
-                theta[i] = there;
+                theta[i] = next;
             }
         }
     }
 
-    /// The same with an arm whose joints come round: no wall is crossed, from neither side, to the last bit.
+    /// The same with an arm, whose joint angles wrap: no limit is crossed from either side, to the last bit.
     #[test]
-    fn an_arm_stays_within_its_walls(
+    fn an_arm_stays_within_its_limits(
         ticks in prop::collection::vec(prop::option::of(prop::array::uniform2(-1.0_f32..1.0)), 1..150),
         low in -3.1..-0.1_f64,
         high in 0.1..3.1_f64,
@@ -207,14 +212,15 @@ proptest! {
     ) {
         let arm = ArmConfig { lengths: vec![0.5; 2], open_loop, ..ArmConfig::default() };
         let mut arm = Arm::new(&arm, 0.05, 1);
-        let mut gate = Gate::new(&GateConfig { positions: vec![[low, high]; 2], ..table() }, 2);
+        let mut gate = Gate::new(&GateConfig { positions: vec![[low, high]; 2], ..config() }, 2);
         for (tick, drawn) in (0..).zip(ticks) {
             let mut command = [0.0; MAX_OUTPUTS];
             drawn.iter().for_each(|drawn| command[..2].copy_from_slice(drawn));
-            let spans = gate.spans(|| arm.joints());
-            let applied = gate.pass(drawn.map(|_| command).as_ref(), spans.as_ref());
+            let ranges = gate.command_ranges(|| arm.joints());
+            let applied = gate.pass(drawn.map(|_| command).as_ref(), ranges.as_ref());
             arm.advance(tick, &applied.command[..2]);
-            prop_assert!(arm.angles().iter().all(|&x| low <= f64::from(x) && f64::from(x) <= high), "{:?}", arm.angles());
+            let angles = arm.angles();
+            prop_assert!(angles.iter().all(|&x| low <= f64::from(x) && f64::from(x) <= high), "{angles:?}");
         }
     }
 }

@@ -110,8 +110,8 @@ impl LogFollower {
         loop {
             self.encoder.encode(&inputs[..self.inputs], &mut self.features);
             let mean = self.controller.policy().mean(self.features.as_slice());
-            let spans = gate.spans(|| twin.joints());
-            let applied = gate.pass(Some(&mean), spans.as_ref()).command;
+            let ranges = gate.command_ranges(|| twin.joints());
+            let applied = gate.pass(Some(&mean), ranges.as_ref()).command;
             let outcome = twin.advance(tick, &applied[..self.outputs]);
             track.points.push(cutter.end(&outcome.measures));
             track.errors.push(f64::from(outcome.measures[cutter.error]));

@@ -8,12 +8,11 @@
 //! The limits of position of a plant that nobody can run again depend on what the log does not tell. What was applied under
 //! them is taken as it stands, if it lies between zero and what the gate would have let through without them.
 
-use std::path::Path;
-
 use super::compare::{Difference, compare};
 use super::stamps::StampChecker;
 use crate::plant::{JointState, Outcome, Plant, SimulatedPlant};
 use crate::policy::Outputs;
+use crate::programs::is_simulator;
 use crate::runtime::PlantSide;
 use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor};
@@ -128,13 +127,12 @@ impl PlantReplay {
     /// The beginning of a run of `plan`.
     pub fn new(plan: &Plan) -> Self {
         // Another program may be given the simulator's tables, and be something else all the same.
-        let program = Path::new(&plan.scenario.plant.program).file_name();
-        let body = plan.simulated_plant().filter(|_| program.is_some_and(|name| name == "tectum-simulator"));
+        let body = plan.simulated_plant().filter(|_| is_simulator(&plan.scenario.plant.program));
         let simulated = body.is_some();
         let own = plan.scenario.plant.servos.as_ref().map(|_| PlantOwnLimits::default());
         let told = SensedBy::Told { inputs: [0.0; MAX_INPUTS], fresh: false, outcome: Outcome::default(), own };
         let side = PlantSide::new(body.map_or(told, SensedBy::Simulated), plan);
-        let faulty = !side.is_clean();
+        let faulty = !side.is_fault_free();
         Self { sides: vec![side], simulated, faulty, ticks: plan.scenario.ticks, seen: 0, last: None, incarnation: 0 }
     }
 
@@ -209,7 +207,7 @@ impl PlantReplay {
             // Ways that have come to the same are one.
             let mut known: Vec<Vec<u8>> = Vec::with_capacity(fitting.len());
             fitting.retain_mut(|side| {
-                let standing = side.standing();
+                let standing = side.state_bytes();
                 let new = !known.contains(&standing);
                 known.push(standing);
                 new
@@ -240,7 +238,9 @@ impl PlantSide<SensedBy> {
         let guessed = matches!(self.body_mut(), SensedBy::Told { .. }) && self.limits_positions();
         if guessed {
             let limited = logged.header.flags & flag::POSITION_LIMITED != 0;
-            self.tell(logged.applied.map(|u| if limited { [u.min(0.0), u.max(0.0)] } else { [f32::MIN, f32::MAX] }));
+            self.set_command_ranges(
+                logged.applied.map(|u| if limited { [u.min(0.0), u.max(0.0)] } else { [f32::MIN, f32::MAX] }),
+            );
         }
         if due > 0 {
             self.step(due - 1, command);
@@ -251,7 +251,7 @@ impl PlantSide<SensedBy> {
         self.skip(due, tick);
         // Of the ticks passed over, the log tells the last one only.
         if guessed && tick > due {
-            self.take_over(logged);
+            self.adopt_applied(logged);
         }
     }
 }

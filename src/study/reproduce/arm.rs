@@ -149,7 +149,7 @@ fn run(plan: &Plan, ticks: &JobProgress) -> ArmRun {
     let Some(body) = plan.simulated_plant() else { unreachable!("the built-in arm is the simulator's") };
     let result = in_process_seen(plan, body, |observation, _| {
         statistics.observe(observation);
-        if let Some(switch) = switch.see(observation) {
+        if let Some(switch) = switch.observe(observation) {
             let from = switch[0].tick;
             let place = match from {
                 _ if switches[0].is_empty() => 0,

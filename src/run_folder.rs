@@ -1,0 +1,26 @@
+//! Where runs are kept: `runs/` in the working directory, unless the user names another folder.
+
+use std::path::{Path, PathBuf};
+
+/// The folder of all runs that name no folder of their own.
+pub(crate) const RUNS: &str = "runs";
+
+/// Finds the run called `given`, which is a path or a name under `runs/`. The result is `runs/<given>` if only
+/// that one satisfies `exists`, and otherwise `given` itself.
+pub(crate) fn find(given: &Path, exists: impl Fn(&Path) -> bool) -> PathBuf {
+    let named = Path::new(RUNS).join(given);
+    if !exists(given) && exists(&named) { named } else { given.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_goes_before_a_name_under_runs() {
+        let find_among = |paths: &[&str]| find(Path::new("demo"), |path| paths.iter().any(|p| Path::new(p) == path));
+        assert_eq!(find_among(&["demo", "runs/demo"]), Path::new("demo"));
+        assert_eq!(find_among(&["runs/demo"]), Path::new("runs/demo"));
+        assert_eq!(find_among(&[]), Path::new("demo"));
+    }
+}
