@@ -1,8 +1,8 @@
 //! What stands at the start of a log: everything that a reader needs to interpret it without this program.
 
 use super::{CHANNELS, LogError};
-use crate::scenario::{ChannelsConfig, Plan, SignalConfig};
-use crate::wire::{Command, Gap, Learning, Observation, Sample, flag, schema_hash};
+use crate::scenario::{Plan, SignalConfig};
+use crate::wire::{ChannelNames, Command, Gap, Learning, Observation, Sample, flag, schema_hash};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -59,7 +59,7 @@ pub struct LogHeader {
     /// Names of an observation's measures, in order.
     pub measures: Vec<String>,
     /// Names of the channels; a topic is `/` and the name.
-    pub channels: ChannelsConfig,
+    pub channels: ChannelNames,
     /// What is known of the machine: kernel, processor, cores, host and whatever else.
     pub machine: BTreeMap<String, String>,
     /// Real time: what each process asked of the operating system, what holds and what was refused, as JSON by the
@@ -262,7 +262,7 @@ pub(super) mod tests {
             inputs: vec![signal("target_x", "m")],
             outputs: vec![signal("rate_1", "rad/s")],
             measures: vec!["error".into()],
-            channels: ChannelsConfig::default(),
+            channels: ChannelNames::default(),
             machine: BTreeMap::from([("kernel".into(), "Linux".into())]),
             realtime: BTreeMap::new(),
             clock: LogClock::Virtual,

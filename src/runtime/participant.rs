@@ -13,9 +13,9 @@ use super::{RuntimeError, WireManifest};
 use crate::channel::{ChannelError, CrashStore, DomainName, Identity, StatusBoard};
 use crate::checkpoint::{self, Checkpoint, CheckpointFacts, CheckpointWriter};
 use crate::clock::{ProcessHandle, RealtimeReport, TerminationSignals, TimeSource, pause};
-use crate::scenario::{ChannelsConfig, Plan, Scenario};
+use crate::scenario::{Plan, Scenario};
 use crate::state::Persist;
-use crate::wire::{Phase, ProcessState, Role, Status, schema_hash};
+use crate::wire::{ChannelNames, Phase, ProcessState, Role, Status, schema_hash};
 
 /// How ticks follow each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -149,7 +149,7 @@ impl Participant {
     /// As for those.
     pub fn open<P>(
         &self,
-        open: impl FnOnce(&DomainName, &Identity, &ChannelsConfig) -> Result<(P, StatusBoard), ChannelError>,
+        open: impl FnOnce(&DomainName, &Identity, &ChannelNames) -> Result<(P, StatusBoard), ChannelError>,
     ) -> Result<(P, StatusBoard), RuntimeError> {
         Ok(open(&self.manifest.domain, &self.identity(), &self.plan.scenario.channels)?)
     }
