@@ -183,18 +183,18 @@ proptest! {
 
         let segments = find(folder.path()).unwrap();
         let mut log = RunLog::open(&segments).unwrap();
-        let mut account: MessageCounts = log.account();
+        let mut counts: MessageCounts = log.message_counts();
         let mut order = Vec::new();
         for record in log.by_ref() {
             let record = record.unwrap();
-            account.take(&record);
+            counts.take(&record);
             order.extend(record.header().map(|header| header.tick));
         }
         prop_assert!(log.finished());
         prop_assert!(order.is_sorted(), "{:?}", order);
         let totals = log.totals().unwrap();
         prop_assert_eq!(totals, closed.totals);
-        for (i, lane) in account.lanes.iter().enumerate() {
+        for (i, lane) in counts.channels.iter().enumerate() {
             let (written, lost, thinned) = (closed.written[i], totals.lost[i], totals.thinned[i]);
             prop_assert_eq!((lane.messages, lane.stated, lane.contradictions), (written, lost, 0));
             prop_assert_eq!(written + lost + thinned, TICKS - FIRST);
