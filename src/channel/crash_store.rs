@@ -59,7 +59,7 @@ impl CrashStore {
         capacity: usize,
         [entries, entry_size]: [usize; 2],
     ) -> Result<Self, ChannelError> {
-        let path = domain.root().join(format!("{}.vault", role.name()));
+        let path = domain.root().join(format!("{}.crash-store", role.name()));
         let size = HEADER + 2 * padded(RECORD_HEADER + capacity) + entries * padded(RECORD_HEADER + entry_size);
         let failed =
             |cause: rustix::io::Errno| ChannelError::set_up(format!("the {}'s crash store", role.name()), cause);

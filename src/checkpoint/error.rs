@@ -22,15 +22,18 @@ pub enum CheckpointError {
         what: String,
     },
     /// The file is a safetensors file, but not a checkpoint of this version.
-    #[error("{}: this is no checkpoint of this version of tectum; name the folder of a run that has one", path.display())]
+    #[error(
+        "{}: this is no checkpoint of this version of tectum; name the folder of a run that has one",
+        path.display()
+    )]
     Foreign {
         /// The file.
         path: PathBuf,
     },
     /// The state belongs to another role, scenario, schema or build.
     #[error(
-        "{}: the checkpoint does not fit: its {what} is {theirs}, here it is {ours}; go on with the build, the scenario \
-         and the run that wrote it",
+        "{}: the checkpoint does not fit: its {what} is {theirs}, here it is {ours}; go on with the build, the \
+         scenario and the run that wrote it",
         path.display()
     )]
     Mismatch {

@@ -38,8 +38,8 @@ fn shared_memory(space: Option<(u64, u64)>, writable: bool) -> Check {
         return Check::problem(name, "/dev/shm is closed to this user", "`sudo chmod 1777 /dev/shm`");
     }
     let found = format!("/dev/shm has {} of {} free", bytes(free), bytes(size));
-    let remedy = "`sudo mount -o remount,size=256M /dev/shm`, in Docker `--shm-size=256m`; `tectum doctor --clean` frees \
-                  what runs have left";
+    let remedy = "`sudo mount -o remount,size=256M /dev/shm`, in Docker `--shm-size=256m`; `tectum doctor --clean` \
+                  frees what runs have left";
     match free {
         free if free < SHM_NEEDED => Check::problem(name, found, remedy),
         free if free < SHM_PLENTY => Check::better(name, found, remedy),
@@ -62,8 +62,7 @@ fn disk(space: Option<(u64, u64)>) -> Check {
 
 /// Checks for domains that runs have left in shared memory.
 pub(super) fn debris(domains: &[StaleDomain], removed: &[StaleDomain]) -> Check {
-    let mut parts = Vec::new();
-    let mut remedies = Vec::new();
+    let (mut parts, mut remedies) = (Vec::new(), Vec::new());
     if !removed.is_empty() {
         parts.push(format!("removed {}", removed.iter().map(describe).collect::<Vec<_>>().join(", ")));
     }
@@ -90,6 +89,7 @@ pub(super) fn debris(domains: &[StaleDomain], removed: &[StaleDomain]) -> Check 
     }
 }
 
+/// Name and size of a domain.
 fn describe(domain: &StaleDomain) -> String {
     format!("{} ({} files, {})", domain.domain, domain.files, bytes(domain.bytes))
 }

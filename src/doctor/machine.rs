@@ -49,7 +49,7 @@ fn kernel(release: &str, version: &str, realtime: bool) -> Check {
         Check::fine("kernel", format!("{release}, {word}; {RT_HINT}"))
     } else {
         let remedy = "boot a kernel with PREEMPT_DYNAMIC, as most distributions have, or PREEMPT_RT";
-        Check::better("kernel", format!("{release}, which says nothing of preemption"), remedy)
+        Check::better("kernel", format!("{release}, which does not mention preemption"), remedy)
     }
 }
 
@@ -69,7 +69,7 @@ fn throttling(runtime: &str, period: &str) -> Check {
         }
         Ok(-1) => Check::fine(name, "unlimited: a real-time thread that does not sleep stops its core"),
         Ok(us) => Check::fine(name, format!("{us} of every {period} us")),
-        Err(_) => Check::fine(name, "this kernel has no limit to tell"),
+        Err(_) => Check::fine(name, "this kernel reports no limit"),
     }
 }
 
@@ -113,7 +113,7 @@ fn clock_source(source: &str) -> Check {
     match source {
         "" => Check::fine(name, "not told"),
         "hpet" | "acpi_pm" | "jiffies" | "refined-jiffies" | "pit" => {
-            let remedy = "every look at the clock is slow; see `dmesg | grep -i clocksource` for why the processor's own \
+            let remedy = "every clock read is slow; see `dmesg | grep -i clocksource` for why the processor's own \
                           counter is not trusted";
             Check::better(name, source, remedy)
         }

@@ -46,7 +46,8 @@ pub enum LogError {
     },
     /// The file name under which the torn original would be kept is taken.
     #[error(
-        "{} exists already, and the torn log would be kept under that name; move it away, or give another file with --out",
+        "{} exists already, and the torn log would be kept under that name; move it away, or give another file with \
+         --out",
         path.display()
     )]
     Kept {

@@ -268,7 +268,9 @@ mod tests {
     proptest! {
         /// Every bucket that is written is read back.
         #[test]
-        fn histograms_are_equal_after_a_round_trip_through_their_text(values in prop::collection::vec((0..3_usize, any::<u64>(), 0..50_u32), 0..200)) {
+        fn histograms_are_equal_after_a_round_trip_through_their_text(
+            values in prop::collection::vec((0..3_usize, any::<u64>(), 0..50_u32), 0..200),
+        ) {
             let mut timings = LatencyHistograms::new(PERIOD);
             for (which, value, shift) in values {
                 timings.record(which, value >> shift);

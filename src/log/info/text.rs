@@ -121,7 +121,7 @@ impl LogInfo {
             );
         }
         if self.recounted {
-            let _ = writeln!(text, "{:<23} from the samples in the log, which did not come to its end", "");
+            let _ = writeln!(text, "{:<23} recounted from the samples in the log, which has no end", "");
         }
     }
 }
