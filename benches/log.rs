@@ -8,8 +8,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tectum::log::{LogClock, LogHeader, LogRecord, LogWriter};
-use tectum::scenario::ChannelsConfig;
-use tectum::wire::{Command, Learning, Observation, schema_hash};
+use tectum::wire::{ChannelNames, Command, Learning, Observation, schema_hash};
 
 /// Ticks in a file before the next one is started: about 10 MB.
 const TICKS_IN_A_FILE: u64 = 20_000;
@@ -30,7 +29,7 @@ fn header() -> LogHeader {
         inputs: Vec::new(),
         outputs: Vec::new(),
         measures: Vec::new(),
-        channels: ChannelsConfig::default(),
+        channels: ChannelNames::default(),
         machine: BTreeMap::new(),
         realtime: Default::default(),
         clock: LogClock::Virtual,

@@ -1,10 +1,9 @@
-//! The channels by themselves: who is let in, and that no writer ever waits.
+//! The channels by themselves: the handshake, overflow, and removal of a domain.
 
 use tectum::channel::{
     ChannelError, ControllerPorts, DomainName, Identity, LOG_BUFFER, LoggerPorts, PlantPorts, RunServices,
 };
-use tectum::scenario::ChannelsConfig;
-use tectum::wire::Observation;
+use tectum::wire::{ChannelNames, Observation};
 
 fn identity() -> Identity {
     Identity { schema: 1, scenario: 2, build: "0.1.0+abc".into() }
@@ -17,14 +16,14 @@ fn domain(salt: u64) -> DomainName {
 /// Schema, scenario and build are each compared, and the difference is named.
 #[test]
 fn the_handshake_compares_all_three() {
-    let (name, channels) = (domain(1), ChannelsConfig::default());
-    let _hub = RunServices::create(&name, &identity(), &channels, None).unwrap();
-    for (stranger, what, ours, theirs) in [
+    let (name, channels) = (domain(1), ChannelNames::default());
+    let _services = RunServices::create(&name, &identity(), &channels, None).unwrap();
+    for (identity_of_process, what, ours, theirs) in [
         (Identity { schema: 9, ..identity() }, "schema", "0000000000000009", "0000000000000001"),
         (Identity { scenario: 9, ..identity() }, "scenario", "0000000000000009", "0000000000000002"),
         (Identity { build: "0.2.0+def".into(), ..identity() }, "build", "0.2.0+def", "0.1.0+abc"),
     ] {
-        let Err(ChannelError::Mismatch(mismatch)) = PlantPorts::open(&name, &stranger, &channels) else {
+        let Err(ChannelError::Mismatch(mismatch)) = PlantPorts::open(&name, &identity_of_process, &channels) else {
             panic!("{what} must be compared");
         };
         assert_eq!((mismatch.what, mismatch.ours.as_str(), mismatch.theirs.as_str()), (what, ours, theirs));
@@ -42,11 +41,11 @@ fn the_handshake_compares_all_three() {
 /// A reader that does not read loses the oldest samples; the writer never notices.
 #[test]
 fn a_full_reader_loses_its_oldest() {
-    let (name, channels) = (domain(2), ChannelsConfig::default());
-    let _hub = RunServices::create(&name, &identity(), &channels, None).unwrap();
-    let (plant, _desk) = PlantPorts::open(&name, &identity(), &channels).unwrap();
-    let (controller, _desk) = ControllerPorts::open(&name, &identity(), &channels).unwrap();
-    let (logger, _desk) = LoggerPorts::open(&name, &identity(), &channels).unwrap();
+    let (name, channels) = (domain(2), ChannelNames::default());
+    let _services = RunServices::create(&name, &identity(), &channels, None).unwrap();
+    let (plant, _board) = PlantPorts::open(&name, &identity(), &channels).unwrap();
+    let (controller, _board) = ControllerPorts::open(&name, &identity(), &channels).unwrap();
+    let (logger, _board) = LoggerPorts::open(&name, &identity(), &channels).unwrap();
     let mut observation = Observation::default();
     let sent = 3 * LOG_BUFFER as u64;
     for tick in 0..sent {
@@ -63,8 +62,8 @@ fn a_full_reader_loses_its_oldest() {
 }
 
 #[test]
-fn a_domain_is_wiped_with_its_hub() {
-    let (name, channels) = (domain(3), ChannelsConfig::default());
+fn a_domain_is_removed_with_its_services() {
+    let (name, channels) = (domain(3), ChannelNames::default());
     let here = || {
         let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
         let prefix = name.prefix();

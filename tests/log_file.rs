@@ -8,8 +8,8 @@ use std::process::Command as Process;
 use tectum::log::{
     FIXED_BYTES, LogClock, LogError, LogHeader, LogReader, LogRecord, LogTotals, LogWriter, bytes_per_tick,
 };
-use tectum::scenario::{ChannelsConfig, SignalConfig};
-use tectum::wire::{Command, Gap, Header, Learning, Observation, schema_hash};
+use tectum::scenario::SignalConfig;
+use tectum::wire::{ChannelNames, Command, Gap, Header, Learning, Observation, schema_hash};
 
 /// Counts what each thread allocates.
 struct Counting;
@@ -50,7 +50,7 @@ fn header() -> LogHeader {
         inputs: vec![signal("target_x", "m"), signal("target_y", "m")],
         outputs: vec![signal("rate_1", "rad/s")],
         measures: vec!["error".into()],
-        channels: ChannelsConfig::default(),
+        channels: ChannelNames::default(),
         machine: BTreeMap::new(),
         realtime: Default::default(),
         clock: LogClock::Virtual,

@@ -50,11 +50,11 @@ fn tectum(place: &Place, arguments: &[&str]) -> Outcome {
 fn check(place: &Place, summary: &Value, ticks: u64) -> Vec<PathBuf> {
     let files = find(&place.run_folder()).unwrap();
     let mut log = RunLog::open(&files).unwrap();
-    let mut account = log.account();
+    let mut counts = log.message_counts();
     let mut order = Vec::new();
     for record in log.by_ref() {
         let record = record.unwrap();
-        account.take(&record);
+        counts.take(&record);
         let channel = match record {
             LogRecord::Observation(_) => 0,
             LogRecord::Command(_) => 1,
@@ -67,7 +67,7 @@ fn check(place: &Place, summary: &Value, ticks: u64) -> Vec<PathBuf> {
     assert!(order.windows(2).all(|pair| pair[0] != pair[1]), "nothing twice");
     let totals = log.totals().unwrap();
     assert!(totals.complete && totals.missing_from.is_none());
-    for (i, lane) in account.lanes.iter().enumerate() {
+    for (i, lane) in counts.channels.iter().enumerate() {
         assert_eq!((lane.contradictions, lane.unexplained), (0, 0), "channel {i}");
         assert_eq!(lane.stated, totals.lost[i], "channel {i}");
         assert_eq!(summary["lost_by_channel"][i], totals.lost[i], "channel {i}");

@@ -114,7 +114,7 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
             &participant.plan.scenario.channels,
         )
         .map_err(|error| own(error.into()))?;
-        bridge.look_with(Box::new(move || eye.look()));
+        bridge.look_with(Box::new(move || eye.receive()));
         say("tectum-bridge: target and end-effector come from a tracker; until it is there the arm stands still");
     }
     listen(&bridge);

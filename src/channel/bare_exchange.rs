@@ -1,115 +1,100 @@
-//! The least that iceoryx2 needs to carry an observation to another process and a command back: two services, a bell for
-//! each, no boards, no vault, no other readers. What a run's own channels cost is measured against it (`tectum bench`).
+//! The minimal exchange over iceoryx2: an observation to another process and a command back.
+//!
+//! It has two publish-subscribe services and a wake-up event for each, but no boards, no crash store and no
+//! other readers. `tectum bench` measures the cost of a run's own channels against it.
 
 use std::time::Duration;
 
-use super::domain::{Domain, DomainName, remove_domain};
+use super::domain::{Domain, DomainName};
+use super::domain_lock::DomainGuard;
 use super::ports::{Factory, Payload, Receiver, Sender, WakeListener, WakeNotifier};
-use super::stale_domains::DomainLock;
-use super::{ChannelError, services::service_name};
+use super::{ChannelError, service_name};
 use crate::wire::{Command, Observation};
 
-/// Names of the services.
-const OUT: &str = "out";
-const BACK: &str = "back";
+/// Name of the service from the asking to the answering process.
+const REQUEST: &str = "out";
+/// Name of the service back.
+const REPLY: &str = "back";
 /// Samples that a reader may be behind.
 const BUFFER: usize = 2;
 
-/// The ends of a bare exchange: what is sent, what is received, and the bells for both.
-pub struct BareExchange<S: Payload, R: Payload> {
+/// One end of a bare exchange: it sends `S` and receives `R`.
+pub(crate) struct BareExchange<S: Payload, R: Payload> {
     /// To the other process.
-    pub to: Sender<S>,
+    pub(crate) to: Sender<S>,
     /// From the other process.
-    pub from: Receiver<R>,
-    wake: WakeNotifier,
+    pub(crate) from: Receiver<R>,
+    notifier: WakeNotifier,
     listener: WakeListener,
-    // The node goes after its ports, and the files after the node.
+    // Fields drop in this order: the node after its ports, the domain's files after the node.
     _domain: Domain,
-    _claim: Option<DomainGuard>,
-}
-
-/// The domain of a bare exchange: held by the process that asks, and wiped when it is done.
-struct DomainGuard {
-    name: DomainName,
-    _claim: DomainLock,
-}
-
-impl Drop for DomainGuard {
-    fn drop(&mut self) {
-        remove_domain(&self.name);
-    }
+    _guard: Option<DomainGuard>,
 }
 
 impl BareExchange<Observation, Command> {
-    /// Makes the domain `name` and the asking ends in it.
+    /// Creates the domain `name` and the asking end in it. The domain is removed on drop.
     ///
     /// # Errors
     /// [`ChannelError::SetUp`] when shared memory cannot be used.
-    pub fn create(name: &DomainName) -> Result<Self, ChannelError> {
-        let claim = DomainLock::take(name).map_err(|e| ChannelError::set_up("the root", e.kind()))?;
-        let held = DomainGuard { name: name.clone(), _claim: claim };
+    pub(crate) fn create(name: &DomainName) -> Result<Self, ChannelError> {
+        let guard = DomainGuard::take(name)?;
         let domain = Domain::join(name)?;
-        let (out, back) = (service(&domain, OUT)?, service(&domain, BACK)?);
-        Self::ends(domain, (OUT, out), (BACK, back), Some(held))
+        let (request, reply) = (service(&domain, REQUEST)?, service(&domain, REPLY)?);
+        Self::new(domain, (REQUEST, request), (REPLY, reply), Some(guard))
     }
 }
 
 impl BareExchange<Command, Observation> {
-    /// Opens the answering ends in the domain `name`.
+    /// Opens the answering end in the domain `name`.
     ///
     /// # Errors
     /// [`ChannelError::SetUp`] when there is no such domain.
-    pub fn open(name: &DomainName) -> Result<Self, ChannelError> {
+    pub(crate) fn open(name: &DomainName) -> Result<Self, ChannelError> {
         let domain = Domain::join(name)?;
-        let (out, back) = (service(&domain, OUT)?, service(&domain, BACK)?);
-        Self::ends(domain, (BACK, back), (OUT, out), None)
+        let (request, reply) = (service(&domain, REQUEST)?, service(&domain, REPLY)?);
+        Self::new(domain, (REPLY, reply), (REQUEST, request), None)
     }
 }
 
 impl<S: Payload, R: Payload> BareExchange<S, R> {
-    fn ends(
+    fn new(
         domain: Domain,
         (to_name, to): (&str, Factory<S>),
         (from_name, from): (&str, Factory<R>),
-        claim: Option<DomainGuard>,
+        guard: Option<DomainGuard>,
     ) -> Result<Self, ChannelError> {
         let event = |name: &str| {
-            let name = service_name(&format!("{name}/bell"))?;
+            let name = service_name(&format!("{name}/wake"))?;
             let service = domain.node.service_builder(&name).event().open_or_create();
-            service.map_err(|e| ChannelError::set_up("a bell's service", e))
+            service.map_err(|e| ChannelError::set_up("a wake-up service", e))
         };
         let listener =
             event(from_name)?.listener_builder().create().map_err(|e| ChannelError::set_up("a wake-up listener", e))?;
-        let wake = event(to_name)?.notifier_builder().create().map_err(|e| ChannelError::set_up("a bell", e))?;
+        let notifier =
+            event(to_name)?.notifier_builder().create().map_err(|e| ChannelError::set_up("a wake-up notifier", e))?;
         let to = Sender::new(to_name, to)?;
-        // Last, because whoever sees this end sends.
+        // Created last, because the other process sends as soon as it sees this end.
         let from = Receiver::new(from_name, from, BUFFER)?;
-        Ok(Self {
-            to,
-            from,
-            wake: WakeNotifier(wake),
-            listener: WakeListener(listener),
-            _domain: domain,
-            _claim: claim,
-        })
+        let (notifier, listener) = (WakeNotifier(notifier), WakeListener(listener));
+        Ok(Self { to, from, notifier, listener, _domain: domain, _guard: guard })
     }
 
-    /// Whether the other process is there, with all its ends.
+    /// Whether the other process has created all its ends.
     ///
     /// # Errors
     /// [`ChannelError::Transfer`] when its memory cannot be mapped.
-    pub fn connected(&self) -> Result<bool, ChannelError> {
+    pub(crate) fn connected(&self) -> Result<bool, ChannelError> {
         Ok(self.from.connect()? >= 1 && self.to.connect()? >= 1)
     }
 
     /// Wakes the other process.
     #[inline]
-    pub fn notify(&self) {
-        self.wake.notify();
+    pub(crate) fn notify(&self) {
+        self.notifier.notify();
     }
 
-    /// Sleeps until the other process rings, for `timeout` at most and some milliseconds.
-    pub fn wait(&self, timeout: Duration) {
+    /// Sleeps until the other process notifies, for `timeout` at most and some milliseconds.
+    pub(crate) fn wait(&self, timeout: Duration) {
         self.listener.wait(timeout);
     }
 }

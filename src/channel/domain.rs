@@ -1,4 +1,4 @@
-//! A run's own corner of shared memory: which names belong to it, and how they are wiped.
+//! A domain: the part of shared memory that belongs to one run. Names of its files, joining it, and removing it.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
@@ -7,12 +7,15 @@ use std::time::Duration;
 use iceoryx2::prelude::*;
 
 use super::ChannelError;
-use super::stale_domains::LOCK_FILE;
 
-/// Where shared memory is.
+/// The folder of shared memory.
 pub(super) const SHM: &str = "/dev/shm";
+/// The file in a domain's root on which its launcher holds a lock.
+pub(super) const LOCK_FILE: &str = "launcher.lock";
+/// How often [`reclaim_dead`] tries.
+const RECLAIM_ATTEMPTS: u32 = 10;
 
-/// Name of a domain, from which prefix and root follow: eight hexadecimal digits.
+/// Name of a domain: eight hexadecimal digits. Prefix and root follow from it.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 pub struct DomainName(String);
 
@@ -22,15 +25,15 @@ impl DomainName {
         Self(format!("{:08x}", (run ^ (run >> 32)) as u32))
     }
 
-    /// The domain to which a file or folder in shared memory belongs, by its name; `None` for one that is not ours.
+    /// The domain to which a file or folder in shared memory belongs, by its name; `None` if it is not Tectum's.
     pub(super) fn of_file(name: &str) -> Option<Self> {
         let digits = name.strip_prefix("tectum_")?;
         let (digits, rest) = digits.split_at_checked(8)?;
-        let ours = digits.bytes().all(|b| b.is_ascii_digit() || (b'a'..=b'f').contains(&b));
-        (ours && (rest.is_empty() || rest.starts_with('_'))).then(|| Self(digits.to_owned()))
+        let hexadecimal = digits.bytes().all(|b| b.is_ascii_digit() || (b'a'..=b'f').contains(&b));
+        (hexadecimal && (rest.is_empty() || rest.starts_with('_'))).then(|| Self(digits.to_owned()))
     }
 
-    /// What the names of root and files begin with.
+    /// The beginning of the names of the root and of all files.
     pub(super) fn stem(&self) -> String {
         format!("tectum_{}", self.0)
     }
@@ -40,13 +43,13 @@ impl DomainName {
         format!("{}_", self.stem())
     }
 
-    /// The folder of the domain's nodes and services. On tmpfs, where setting up is some fifty times faster than on a
-    /// disk; short, because iceoryx2 allows 70 bytes for root and prefix together.
+    /// The folder of the domain's nodes and services. It is on tmpfs, where setting up is some fifty times
+    /// faster than on a disk. It is short, because iceoryx2 allows 70 bytes for root and prefix together.
     pub fn root(&self) -> PathBuf {
         self.root_in(Path::new(SHM))
     }
 
-    /// The same where shared memory is elsewhere, in tests.
+    /// The same below another folder `shm`, for tests.
     pub(super) fn root_in(&self, shm: &Path) -> PathBuf {
         shm.join(self.stem())
     }
@@ -54,17 +57,17 @@ impl DomainName {
 
 /// A process's membership in a domain: the iceoryx2 node.
 #[derive(Debug)]
-pub struct Domain {
+pub(super) struct Domain {
     pub(super) node: Node<ipc::Service>,
 }
 
 impl Domain {
-    /// Joins the domain `name` (creating it if nobody has).
+    /// Joins the domain `name`, and creates it if it does not exist.
     ///
     /// # Errors
     /// [`ChannelError::SetUp`] when shared memory cannot be used.
     pub fn join(name: &DomainName) -> Result<Self, ChannelError> {
-        // Every failure comes back as a value and is told in our own words.
+        // Every failure is returned as a value and reported with our own message.
         set_log_level(LogLevel::Fatal);
         let node = NodeBuilder::new()
             .config(&configuration(name))
@@ -88,24 +91,18 @@ fn configuration(name: &DomainName) -> Config {
     config
 }
 
-/// Takes away what processes that were killed held of the domain's services, so that others can take their places. For the
-/// launcher, when no process is being set up. `None` if nothing comes of it within `limit`, because iceoryx2 waits without
-/// end for what a process began to make and never finished; `Some(false)` if something could not be taken away.
-pub fn reclaim_dead(name: &DomainName, limit: Duration) -> Option<bool> {
-    // A segment without size is one whose maker died between making it and giving it its size: opening it would hang.
-    let prefix = name.prefix();
-    for entry in std::fs::read_dir(SHM).into_iter().flatten().flatten() {
-        let ours = entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes());
-        if ours && entry.metadata().is_ok_and(|m| m.is_file() && m.len() == 0) {
-            let _ = std::fs::remove_file(entry.path());
-        }
-    }
+/// Frees what killed processes held of the domain's services, so that their successors can take it. For the
+/// launcher, when no process is being set up. `Some(false)` if something could not be freed. `None` if the
+/// attempt did not end within `limit`: iceoryx2 waits without end for a resource that a process began to create
+/// and never finished.
+pub(crate) fn reclaim_dead(name: &DomainName, limit: Duration) -> Option<bool> {
+    remove_empty_segments(name);
     let config = configuration(name);
     let (done, wait) = mpsc::channel();
-    // Not joined: if it hangs, it goes with the launcher.
+    // Not joined: if it hangs, it ends with the launcher.
     std::thread::spawn(move || {
-        // What fails once may succeed the next time: a node that died while it was being made, or was being listed.
-        let clean = (0..ATTEMPTS).any(|attempt| {
+        // A failed attempt may succeed the next time: the node may have died while it was being created or listed.
+        let clean = (0..RECLAIM_ATTEMPTS).any(|attempt| {
             if attempt > 0 {
                 std::thread::sleep(Duration::from_millis(5));
             }
@@ -123,15 +120,24 @@ pub fn reclaim_dead(name: &DomainName, limit: Duration) -> Option<bool> {
     wait.recv_timeout(limit).ok()
 }
 
-/// How often [`reclaim_dead`] tries.
-const ATTEMPTS: u32 = 10;
+/// Removes segments of size 0. Their creator died between creating and sizing them; opening one would hang.
+fn remove_empty_segments(name: &DomainName) {
+    let prefix = name.prefix();
+    for entry in std::fs::read_dir(SHM).into_iter().flatten().flatten() {
+        let in_domain = entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes());
+        if in_domain && entry.metadata().is_ok_and(|m| m.is_file() && m.len() == 0) {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
 
 /// Removes every file of the domain. For the launcher, when all processes of the run have ended.
 pub fn remove_domain(name: &DomainName) {
     remove_domain_in(Path::new(SHM), name);
 }
 
-/// The launcher's lock goes last, so that there is no time at which the domain has files and no lock.
+/// Removes every file of the domain below `shm`. The launcher's lock is removed last, so that the domain never
+/// has files without a lock.
 pub(super) fn remove_domain_in(shm: &Path, name: &DomainName) {
     let prefix = name.prefix();
     if let Ok(entries) = std::fs::read_dir(shm) {
@@ -161,13 +167,13 @@ mod tests {
     }
 
     #[test]
-    fn wiping_leaves_other_domains_alone() {
+    fn removing_a_domain_leaves_other_domains_alone() {
         let shm = tempfile::tempdir().unwrap();
-        let (mine, other) = (DomainName::of(1), DomainName::of(2));
-        for name in [&mine, &other] {
+        let (removed, other) = (DomainName::of(1), DomainName::of(2));
+        for name in [&removed, &other] {
             std::fs::write(shm.path().join(format!("{}x", name.prefix())), "").unwrap();
         }
-        remove_domain_in(shm.path(), &mine);
+        remove_domain_in(shm.path(), &removed);
         let left: Vec<_> = std::fs::read_dir(shm.path()).unwrap().flatten().collect();
         assert_eq!(left.len(), 1);
         assert!(left[0].file_name().to_str().unwrap().starts_with(&other.prefix()));

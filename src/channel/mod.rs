@@ -1,52 +1,82 @@
-//! Channels between processes, and the only room that names iceoryx2.
+//! Channels between processes. The only module that names iceoryx2.
 //!
-//! A run lives in a [`Domain`] of its own (an iceoryx2 prefix and root), created by the launcher, which also creates and
-//! holds every service; the other processes only open them. Three publish-subscribe services carry the samples, an
-//! event service wakes the controller, and blackboards show the run's phase and each process's state.
+//! A run has a domain of its own (an iceoryx2 prefix and root). The launcher creates the domain, and creates
+//! and holds every service in it; the other processes only open them. Three publish-subscribe services carry
+//! the samples, an event service wakes the controller, and blackboards show the run's phase and each process's
+//! state.
 //!
-//! Every publish-subscribe service overflows: a full reader loses its oldest sample and no writer ever waits for a
-//! reader. Where nothing may be lost (lockstep), the plant does not run further ahead of the logger than the reader's
-//! buffer (see [`LOG_BUFFER`]), so that overflow cannot happen, rather than block on it.
+//! Every publish-subscribe service overflows: a full reader loses its oldest sample, and no writer ever waits
+//! for a reader. In lockstep nothing may be lost. There the plant does not run further ahead of the logger than
+//! the reader's buffer ([`LOG_BUFFER`]), so overflow cannot happen and no writer has to block.
 
 mod bare_exchange;
+mod boards;
 mod crash_store;
 mod domain;
+mod domain_lock;
+mod identity;
+mod participant_ports;
 mod ports;
 mod services;
 mod shared_page;
 mod stale_domains;
+mod vision_ports;
 
-pub use bare_exchange::BareExchange;
-pub use crash_store::CrashStore;
-pub use domain::{Domain, DomainName, reclaim_dead, remove_domain};
-pub use ports::{BoardReader, BoardWriter, Payload, Receiver, Sender, StatusBoard, WakeListener, WakeNotifier};
-pub use services::{
-    CONTROL, ControllerPorts, Identity, LoggerPorts, PlantPorts, RunServices, TrackerPorts, VisionReceiver, WAKE,
-    board_name,
-};
-pub use shared_page::{SharedPage, WORDS};
-pub use stale_domains::{DomainOwner, StaleDomain, list_domains, remove_stale_domains};
+pub(crate) use bare_exchange::BareExchange;
+pub use boards::{BoardReader, BoardWriter, StatusBoard};
+pub(crate) use crash_store::CrashStore;
+pub(crate) use domain::reclaim_dead;
+pub use domain::{DomainName, remove_domain};
+pub use identity::Identity;
+pub use participant_ports::{ControllerPorts, LoggerPorts, PlantPorts};
+pub use ports::{Payload, Receiver, Sender, WakeListener, WakeNotifier};
+pub use services::RunServices;
+pub(crate) use shared_page::SharedPage;
+pub use stale_domains::{DomainOwner, StaleDomain};
+pub(crate) use stale_domains::{list_domains, remove_stale_domains};
+pub use vision_ports::{TrackerPorts, VisionReceiver};
+
+use iceoryx2::prelude::ServiceName;
 
 /// The version of iceoryx2 that all processes of a run must have, whatever their language.
-pub const ICEORYX2: &str = "0.10.0";
+pub(crate) const ICEORYX2: &str = "0.10.0";
 
-/// Samples that a logger can be behind before the oldest is lost.
+/// Samples that the logger can be behind before the oldest is lost.
 pub const LOG_BUFFER: usize = 1024;
+/// Samples that plant and controller can be behind: they read the newest, and one more slot makes a late one
+/// visible.
+const LOOP_BUFFER: usize = 2;
+/// Samples of each tracker that the bridge can be behind: it takes the newest at every tick.
+const VISION_BUFFER: usize = 4;
 
 /// How often a process can be started within a run: each start has a page of its own on its board.
-pub const INCARNATIONS: u32 = 256;
+pub(crate) const INCARNATIONS: u32 = 256;
 
-/// What can go wrong with a channel.
+/// The wake-up service. It is created before all others, and its attributes identify the run.
+pub(crate) const WAKE: &str = "wake";
+/// Name of the launcher's board.
+pub(crate) const CONTROL: &str = "control";
+
+/// The service of the board called `name`.
+pub(crate) fn board_name(name: &str) -> String {
+    format!("board/{name}")
+}
+
+fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
+    name.try_into().map_err(|e| ChannelError::set_up(format!("the name {name}"), e))
+}
+
+/// Why a channel cannot be set up or used.
 #[derive(Debug, thiserror::Error)]
 pub enum ChannelError {
     /// iceoryx2 refused to create or open something.
     #[error("{what} of the run's domain could not be set up: {cause}{hint}")]
     SetUp {
-        /// What was asked for.
+        /// The resource.
         what: String,
         /// iceoryx2's reason.
         cause: String,
-        /// What the user may do about it; empty where nothing is known.
+        /// What the user can do about it; empty where nothing is known.
         hint: &'static str,
     },
     /// A sample could not be sent or received.
@@ -57,21 +87,21 @@ pub enum ChannelError {
         /// iceoryx2's reason.
         cause: String,
     },
-    /// The process does not belong to the run.
+    /// The process does not fit the run.
     #[error("{0}")]
     Mismatch(Mismatch),
 }
 
-/// The one sentence with which a process is refused.
+/// Why a process is refused: one of the handshake's values differs.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "the {role} does not fit the run: its {what} is {ours}, the run's is {theirs}; start it from the same build and \
      with the same scenario as the run"
 )]
 pub struct Mismatch {
-    /// Which process.
+    /// The refused process.
     pub role: &'static str,
-    /// What differs: `schema`, `scenario` or `build`.
+    /// The value that differs: `schema`, `scenario` or `build`.
     pub what: &'static str,
     /// The process's own value.
     pub ours: String,

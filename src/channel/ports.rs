@@ -1,15 +1,10 @@
-//! The ends of a channel: thin, typed, and free of iceoryx2's names for those who use them.
+//! The ends of channels and wake-up events: thin and typed, so that their users need not name iceoryx2.
 
 use std::time::Duration;
 
 use iceoryx2::port::{
-    listener::Listener,
-    notifier::Notifier,
-    publisher::Publisher,
-    reader::{EntryHandle, Reader},
-    subscriber::Subscriber,
+    listener::Listener, notifier::Notifier, publisher::Publisher, subscriber::Subscriber,
     update_connections::UpdateConnections,
-    writer::{EntryHandleMut, Writer},
 };
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::publish_subscribe;
@@ -19,14 +14,15 @@ use crate::wire::{Command, Control, Learning, Observation, Sample, Status, Visio
 
 pub(super) type Factory<T> = publish_subscribe::PortFactory<ipc::Service, T, ()>;
 
-/// What iceoryx2 asks of a payload; granted to the wire's types here, so that the wire need not know iceoryx2.
+/// A sample that iceoryx2 can carry. Implemented here for the wire's types, so that the wire need not name
+/// iceoryx2.
 pub trait Payload: Sample + ZeroCopySend + core::fmt::Debug {}
 
 macro_rules! payload {
     ($($ty:ty),+) => {$(
-        // SAFETY: `Sample` implies `bytemuck::Pod`: `repr(C)`, no padding, no pointers, handles or references, every bit
-        // pattern valid. The type name carries the layout's version. This says nothing about a program in another
-        // language that uses the same name with another layout: the schema hash of the handshake is for that.
+        // SAFETY: `Sample` implies `bytemuck::Pod`: `repr(C)`, no padding, no pointers, handles or references,
+        // every bit pattern valid. The type name carries the layout's version. A program in another language
+        // could use the same name with another layout; the schema hash of the handshake guards against that.
         unsafe impl ZeroCopySend for $ty {
             unsafe fn type_name() -> &'static str {
                 <$ty as Sample>::NAME
@@ -68,7 +64,7 @@ impl<T: Payload> Sender<T> {
         Ok(())
     }
 
-    /// Connects to the readers that are there, and says how many.
+    /// Connects to all current readers, and returns their number.
     ///
     /// # Errors
     /// [`ChannelError::Transfer`] when a reader's memory cannot be mapped.
@@ -101,7 +97,7 @@ impl<T: Payload> Receiver<T> {
         Ok(Self { port, factory, name: name.to_owned() })
     }
 
-    /// The oldest sample that has not been received yet, if there is one.
+    /// The oldest sample that has not been received yet.
     ///
     /// # Errors
     /// [`ChannelError::Transfer`] when shared memory fails.
@@ -113,7 +109,7 @@ impl<T: Payload> Receiver<T> {
         }
     }
 
-    /// Connects to the writers that are there, and says how many.
+    /// Connects to all current writers, and returns their number.
     ///
     /// # Errors
     /// [`ChannelError::Transfer`] when a writer's memory cannot be mapped.
@@ -128,7 +124,7 @@ impl<T: Payload> Receiver<T> {
     }
 }
 
-/// Rings when a sample has been sent, for a reader that sleeps.
+/// Wakes a sleeping reader after a sample has been sent.
 #[derive(Debug)]
 pub struct WakeNotifier(pub(super) Notifier<ipc::Service>);
 
@@ -140,85 +136,14 @@ impl WakeNotifier {
     }
 }
 
-/// Hears the bell.
+/// Waits for a [`WakeNotifier`].
 #[derive(Debug)]
 pub struct WakeListener(pub(super) Listener<ipc::Service>);
 
 impl WakeListener {
-    /// Sleeps until the bell rings, for `timeout` at most (and some milliseconds more: the time-out is coarse and only
-    /// for looking around). A ring before the call counts.
+    /// Sleeps until a notification arrives, for `timeout` at most and some milliseconds more: the time-out is
+    /// coarse, and meant only for regular checks. A notification before the call counts.
     pub fn wait(&self, timeout: Duration) {
         let _ = self.0.timed_wait(|_| {}, timeout);
     }
-}
-
-/// A process's desk: the launcher's board to read from, its own to write on.
-pub struct StatusBoard {
-    /// The launcher's board.
-    pub control: BoardReader<Control>,
-    /// This process's board.
-    pub status: BoardWriter<Status>,
-    /// The process's start number within the run.
-    pub incarnation: u32,
-}
-
-/// The writing end of a board: the latest value counts.
-pub struct BoardWriter<T: Payload> {
-    entry: EntryHandleMut<ipc::Service, u64, T>,
-    /// Kept, though the entry would do to write: with it goes the mark by which a dead process's place is found and freed.
-    _port: Writer<ipc::Service, u64>,
-}
-
-impl<T: Payload> BoardWriter<T> {
-    pub(super) fn new(port: Writer<ipc::Service, u64>, page: u32) -> Result<Self, ChannelError> {
-        let entry = port.entry::<T>(&u64::from(page)).map_err(|e| ChannelError::set_up("a board's page", e))?;
-        Ok(Self { entry, _port: port })
-    }
-
-    /// Replaces the value on the board.
-    #[inline]
-    pub fn put(&self, value: T) {
-        self.entry.update_with_copy(value);
-    }
-}
-
-/// A reading end of a board. A process that comes back writes on a page of its own, since nobody can take the pen from the
-/// one before it: readers turn to that page.
-pub struct BoardReader<T: Payload> {
-    reader: Reader<ipc::Service, u64>,
-    entry: EntryHandle<ipc::Service, u64, T>,
-    page: u32,
-}
-
-impl<T: Payload> BoardReader<T> {
-    pub(super) fn new(reader: Reader<ipc::Service, u64>, page: u32) -> Result<Self, ChannelError> {
-        let entry = entry(&reader, page)?;
-        Ok(Self { reader, entry, page })
-    }
-
-    /// The value on the board.
-    #[inline]
-    pub fn get(&self) -> T {
-        *self.entry.get()
-    }
-
-    /// Turns to the page of `incarnation`. True if it was another one before.
-    ///
-    /// # Errors
-    /// [`ChannelError::SetUp`] when there is no such page.
-    pub fn set_incarnation(&mut self, incarnation: u32) -> Result<bool, ChannelError> {
-        if incarnation == self.page {
-            return Ok(false);
-        }
-        self.entry = entry(&self.reader, incarnation)?;
-        self.page = incarnation;
-        Ok(true)
-    }
-}
-
-fn entry<T: Payload>(
-    reader: &Reader<ipc::Service, u64>,
-    page: u32,
-) -> Result<EntryHandle<ipc::Service, u64, T>, ChannelError> {
-    reader.entry::<T>(&u64::from(page)).map_err(|e| ChannelError::set_up("a board's page", e))
 }

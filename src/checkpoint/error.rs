@@ -1,54 +1,57 @@
-//! Why a checkpoint cannot be used.
+//! Errors of reading a checkpoint.
 
 use std::path::PathBuf;
 
-/// Why a checkpoint cannot be used. Nothing of it has been.
+/// Why a checkpoint cannot be used. No part of it has been used when this is returned.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// The operating system refuses to give the file.
+    /// The file cannot be read.
     #[error("{}: the checkpoint cannot be read ({cause}); check the path and its permissions", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// What the operating system says.
+        /// The error of the operating system.
         cause: std::io::Error,
     },
-    /// The file is not as it was written.
+    /// The file was changed after it was written, or is incomplete.
     #[error("{}: the checkpoint is damaged: {what}; remove it to go on from the one before", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What does not fit.
+        /// What is wrong.
         what: String,
     },
-    /// The file is a safetensors file, and none of ours.
-    #[error("{}: this is no checkpoint of this version of tectum; name the folder of a run that has one", path.display())]
+    /// The file is a safetensors file, but not a checkpoint of this version.
+    #[error(
+        "{}: this is no checkpoint of this version of tectum; name the folder of a run that has one",
+        path.display()
+    )]
     Foreign {
         /// The file.
         path: PathBuf,
     },
-    /// The state is another's.
+    /// The state belongs to another role, scenario, schema or build.
     #[error(
-        "{}: the checkpoint does not fit: its {what} is {theirs}, here it is {ours}; go on with the build, the scenario \
-         and the run that wrote it",
+        "{}: the checkpoint does not fit: its {what} is {theirs}, here it is {ours}; go on with the build, the \
+         scenario and the run that wrote it",
         path.display()
     )]
     Mismatch {
         /// The file.
         path: PathBuf,
-        /// What differs.
+        /// The value that differs.
         what: &'static str,
-        /// The value here.
+        /// This process's value.
         ours: String,
-        /// The checkpoint's.
+        /// The checkpoint's value.
         theirs: String,
     },
-    /// There is nothing to go on from.
+    /// There is no checkpoint to continue from.
     #[error("{}: {what}", folder.display())]
     None {
         /// The run's folder.
         folder: PathBuf,
-        /// What is the matter, and the remedy.
+        /// The cause and the remedy.
         what: String,
     },
 }

@@ -1,21 +1,24 @@
-//! Checkpoints: the whole state of a process at a tick, in a file of its own, to go on from later.
+//! Checkpoints: the whole state of a process at a tick, in a file of its own, from which a later run can continue.
 //!
 //! A run's plant and controller each write one at the same tick, into the run's folder `checkpoints`:
-//! `<tick>.plant.safetensors` and `<tick>.controller.safetensors`. Both hold what is true when tick `<tick>` begins: all ticks
-//! before it are lived through, answered and learned from. Every row that a part lists ([`crate::state`]) is a tensor under
-//! the part's name, so that the file can be read wherever safetensors can; the controller's has besides the policy as a
-//! matrix, `weights`, of shape (outputs, features). The metadata has one entry, `tectum`, a JSON object: [`CheckpointFacts`] and `check`.
+//! `<tick>.plant.safetensors` and `<tick>.controller.safetensors`. Both hold the state at the beginning of tick
+//! `<tick>`: the plant has advanced through all ticks before it, and the controller has answered them and
+//! learned from them. Every row that a part lists ([`crate::state`]) is a tensor under the part's name, so any
+//! safetensors reader can read the file. The controller's file also has the policy as a matrix, `weights`, of
+//! shape (outputs, features). The metadata has one entry, `tectum`, a JSON object: [`CheckpointFacts`] and
+//! `check`.
 //!
-//! A file is written under another name, brought to the disk, and renamed: it is there whole or not at all. `check` is a
-//! checksum over the facts and all tensors with their names, types and shapes. A file that is damaged, of another run, or of another
-//! scenario, schema or build is refused by name before anything of it is used.
+//! A file is written under another name, synced to the disk, and renamed, so it exists as a whole or not at
+//! all. `check` is a checksum over the facts and all tensors with their names, types and shapes. A file that is
+//! damaged, or that belongs to another role, scenario, schema or build, is refused before any part of it is
+//! used; the error names the file.
 
 mod error;
 mod tensors;
 mod writer;
 
 pub use error::CheckpointError;
-pub use writer::CheckpointWriter;
+pub(crate) use writer::CheckpointWriter;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -29,16 +32,16 @@ use crate::state::{NumberKind, Persist};
 use crate::wire::Role;
 use tensors::{Tensor, TensorCollector, TensorRestorer};
 
-/// Where a run's checkpoints lie in its folder.
-pub const FOLDER: &str = "checkpoints";
+/// The folder of checkpoints in a run's folder.
+const FOLDER: &str = "checkpoints";
 /// The name of the metadata entry.
 const ENTRY: &str = "tectum";
-/// The policy as a matrix, for readers of the file alone.
+/// Name of the policy's matrix. It is for readers of the file; [`Checkpoint::restore`] ignores it.
 const WEIGHTS: &str = "weights";
-/// Changes whenever what is written means something else.
+/// Version of the format; changes whenever the meaning of the content changes.
 const FORMAT: u32 = 1;
 
-/// Whose state a checkpoint is, and as of when.
+/// The run, role, tick and versions that a checkpoint belongs to.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CheckpointFacts {
@@ -61,8 +64,8 @@ pub struct CheckpointFacts {
 }
 
 impl CheckpointFacts {
-    /// The facts of a checkpoint by this build.
-    pub fn new(role: Role, run: u64, tick: u64, sequence: u64, scenario: u64) -> Self {
+    /// The facts of a checkpoint written by this build.
+    pub(crate) fn new(role: Role, run: u64, tick: u64, sequence: u64, scenario: u64) -> Self {
         Self {
             format: FORMAT,
             role: role.name().to_owned(),
@@ -84,57 +87,57 @@ struct MetadataEntry {
     check: String,
 }
 
-/// A checkpoint that was read and found whole.
+/// A checkpoint that was read completely and whose checksum fits.
 #[derive(Debug)]
 pub struct Checkpoint {
     path: PathBuf,
-    /// Whose, and as of when.
+    /// The run, role, tick and versions that it belongs to.
     pub facts: CheckpointFacts,
     tensors: BTreeMap<String, Tensor>,
 }
 
 /// The file of a checkpoint in a run's folder.
-pub fn path(folder: &Path, tick: u64, role: Role) -> PathBuf {
+pub(crate) fn path(folder: &Path, tick: u64, role: Role) -> PathBuf {
     folder.join(FOLDER).join(format!("{tick}.{}.safetensors", role.name()))
 }
 
-/// The ticks at which both plant and controller of the run in `folder` have left a checkpoint, in order.
-pub fn ticks(folder: &Path) -> Vec<u64> {
+/// The ticks at which both plant and controller of the run in `folder` have written a checkpoint, in order.
+pub(crate) fn ticks(folder: &Path) -> Vec<u64> {
     let entries = std::fs::read_dir(folder.join(FOLDER)).into_iter().flatten().flatten();
     let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
-    let of_plant = names.filter_map(|name| name.strip_suffix(".plant.safetensors")?.parse().ok());
-    let mut ticks: Vec<u64> = of_plant.filter(|&tick| path(folder, tick, Role::Controller).exists()).collect();
+    let plant_ticks = names.filter_map(|name| name.strip_suffix(".plant.safetensors")?.parse().ok());
+    let mut ticks: Vec<u64> = plant_ticks.filter(|&tick| path(folder, tick, Role::Controller).exists()).collect();
     ticks.sort_unstable();
     ticks
 }
 
-/// Every state as a file's bytes. `policy` is the controller's.
-pub fn encode(facts: &CheckpointFacts, part: &mut dyn Persist, policy: Option<&LinearPolicy>) -> Vec<u8> {
-    let mut collect = TensorCollector::default();
-    part.visit_state(&mut collect);
-    let mut tensors = collect.tensors;
+/// Encodes the state of `part` as the bytes of a file. `policy` is given for the controller.
+pub(crate) fn encode(facts: &CheckpointFacts, part: &mut dyn Persist, policy: Option<&LinearPolicy>) -> Vec<u8> {
+    let mut collector = TensorCollector::default();
+    part.visit_state(&mut collector);
+    let mut tensors = collector.tensors;
     if let Some(policy) = policy {
         let rows = (0..policy.outputs()).flat_map(|o| (0..policy.features()).map(move |f| policy.weight(o, f)));
         let bytes = rows.flat_map(f32::to_ne_bytes).collect();
         let shape = vec![policy.outputs(), policy.features()];
         tensors.insert(WEIGHTS.to_owned(), Tensor { kind: NumberKind::F32, shape, bytes });
     }
-    write(facts, &tensors)
+    serialize(facts, &tensors)
 }
 
-fn write(facts: &CheckpointFacts, tensors: &BTreeMap<String, Tensor>) -> Vec<u8> {
-    let entry = MetadataEntry { facts: facts.clone(), check: check(facts, tensors) };
+fn serialize(facts: &CheckpointFacts, tensors: &BTreeMap<String, Tensor>) -> Vec<u8> {
+    let entry = MetadataEntry { facts: facts.clone(), check: checksum(facts, tensors) };
     let text = serde_json::to_string(&entry).unwrap_or_default();
     let views = tensors.iter().map(|(name, t)| {
         let view = TensorView::new(dtype(t.kind), t.shape.clone(), &t.bytes).expect("a shape of as many numbers");
         (name.as_str(), view)
     });
-    // One entry: several would come in the order of a hash map.
+    // One entry only: several would be written in the order of a hash map.
     let metadata = Some([(ENTRY.to_owned(), text)].into_iter().collect());
     safetensors::serialize(views, metadata).expect("a header of some kilobytes")
 }
 
-fn check(facts: &CheckpointFacts, tensors: &BTreeMap<String, Tensor>) -> String {
+fn checksum(facts: &CheckpointFacts, tensors: &BTreeMap<String, Tensor>) -> String {
     let mut hash = Xxh3::new();
     hash.update(serde_json::to_string(facts).unwrap_or_default().as_bytes());
     for (name, Tensor { kind, shape, bytes }) in tensors {
@@ -169,7 +172,7 @@ impl Checkpoint {
         Self::parse(path, &bytes)
     }
 
-    /// The same over bytes; `path` is for messages.
+    /// Reads a checkpoint from bytes; `path` is for messages.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -190,21 +193,22 @@ impl Checkpoint {
             let tensor = Tensor { kind, shape: view.shape().to_vec(), bytes: view.data().to_vec() };
             tensors.insert(name.to_owned(), tensor);
         }
-        if check(&facts, &tensors) != stated {
+        if checksum(&facts, &tensors) != stated {
             return Err(damaged("its checksum does not fit its content"));
         }
-        // What the checksum does not see: spaces and the like.
-        if write(&facts, &tensors) != bytes {
+        // Finds changes that the checksum does not cover, such as spaces in the header.
+        if serialize(&facts, &tensors) != bytes {
             return Err(damaged("it is not as it was written"));
         }
         Ok(Self { path: path.to_owned(), facts, tensors })
     }
 
-    /// Whether this is the state of `role` in a run of that scenario by this build, whatever the run.
+    /// Checks that this is a state of `role` in a run of that scenario by this build. The run itself may be
+    /// another.
     ///
     /// # Errors
-    /// [`CheckpointError::Mismatch`], which says what differs.
-    pub fn fits(&self, role: Role, scenario: u64) -> Result<(), CheckpointError> {
+    /// [`CheckpointError::Mismatch`] names the first difference.
+    pub(crate) fn fits(&self, role: Role, scenario: u64) -> Result<(), CheckpointError> {
         let ours = CheckpointFacts::new(role, 0, self.facts.tick, self.facts.sequence, scenario);
         let theirs = &self.facts;
         for (what, ours, theirs) in [
@@ -221,14 +225,14 @@ impl Checkpoint {
         Ok(())
     }
 
-    /// Gives `part` the state. One that does not take it exactly is of no use afterwards.
+    /// Restores the state of `part`. After an error `part` is only partly restored and must not be used.
     ///
     /// # Errors
-    /// [`CheckpointError::Damaged`] when something is missing, too much, or of another size.
-    pub fn restore(&self, part: &mut dyn Persist) -> Result<(), CheckpointError> {
-        let mut restore = TensorRestorer::new(&self.tensors, &[WEIGHTS]);
-        part.visit_state(&mut restore);
-        restore.finish().map_err(|what| CheckpointError::Damaged { path: self.path.clone(), what })
+    /// [`CheckpointError::Damaged`] when a row is missing, superfluous, or of another size.
+    pub(crate) fn restore(&self, part: &mut dyn Persist) -> Result<(), CheckpointError> {
+        let mut restorer = TensorRestorer::new(&self.tensors, &[WEIGHTS]);
+        part.visit_state(&mut restorer);
+        restorer.finish().map_err(|what| CheckpointError::Damaged { path: self.path.clone(), what })
     }
 }
 

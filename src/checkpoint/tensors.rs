@@ -1,4 +1,4 @@
-//! Two ledgers by name: one collects rows into tensors, one gives them back.
+//! Two state visitors: one collects rows into named tensors, the other restores rows from them.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ pub(super) struct Tensor {
     pub bytes: Vec<u8>,
 }
 
-/// Where we are among parts within parts.
+/// The names of the nested parts that are being visited.
 #[derive(Debug, Default)]
 struct TensorPath(Vec<&'static str>);
 
@@ -26,10 +26,11 @@ impl TensorPath {
     }
 }
 
-/// Collects a part's rows. A name that comes again adds a row to its tensor; rows of different length make it a line.
+/// Collects a part's rows. A repeated name adds a row to its tensor. Rows of equal length make it a matrix,
+/// rows of different lengths a vector.
 #[derive(Debug, Default)]
 pub(super) struct TensorCollector {
-    place: TensorPath,
+    path: TensorPath,
     pub tensors: BTreeMap<String, Tensor>,
 }
 
@@ -49,79 +50,81 @@ impl TensorCollector {
 
 impl StateVisitor for TensorCollector {
     fn row(&mut self, name: &'static str, kind: NumberKind, bytes: &mut [u8]) {
-        self.add(self.place.name(name), kind, bytes);
+        self.add(self.path.name(name), kind, bytes);
     }
 
     fn count(&mut self, name: &'static str, count: &mut u64) {
-        self.add(self.place.name(name) + ".count", NumberKind::U64, &count.to_ne_bytes());
+        self.add(self.path.name(name) + ".count", NumberKind::U64, &count.to_ne_bytes());
     }
 
     fn enter(&mut self, name: &'static str) {
-        self.place.0.push(name);
+        self.path.0.push(name);
     }
 
     fn leave(&mut self) {
-        self.place.0.pop();
+        self.path.0.pop();
     }
 }
 
-/// Gives a part its rows back, and knows at the end whether all was there and all was taken.
+/// Restores a part's rows, and checks that every row was found and all data was used.
 #[derive(Debug)]
 pub(super) struct TensorRestorer<'a> {
-    place: TensorPath,
-    /// The tensors, and what is left of each.
-    left: BTreeMap<&'a str, (NumberKind, &'a [u8])>,
-    wrong: Option<String>,
+    path: TensorPath,
+    /// The tensors, each with its bytes that have not been used yet.
+    unused: BTreeMap<&'a str, (NumberKind, &'a [u8])>,
+    /// The first error.
+    error: Option<String>,
 }
 
 impl<'a> TensorRestorer<'a> {
-    /// Over `tensors`, of which those called `besides` are nobody's state.
-    pub fn new(tensors: &'a BTreeMap<String, Tensor>, besides: &[&str]) -> Self {
-        let own = tensors.iter().filter(|(name, _)| !besides.contains(&name.as_str()));
-        let left = own.map(|(name, t)| (name.as_str(), (t.kind, t.bytes.as_slice()))).collect();
-        Self { place: TensorPath::default(), left, wrong: None }
+    /// Restores from `tensors`. Those called `ignored` are not part of the state.
+    pub fn new(tensors: &'a BTreeMap<String, Tensor>, ignored: &[&str]) -> Self {
+        let state = tensors.iter().filter(|(name, _)| !ignored.contains(&name.as_str()));
+        let unused = state.map(|(name, t)| (name.as_str(), (t.kind, t.bytes.as_slice()))).collect();
+        Self { path: TensorPath::default(), unused, error: None }
     }
 
     fn take(&mut self, name: &str, kind: NumberKind, bytes: &mut [u8]) {
-        let wrong = match self.left.get_mut(name) {
+        let error = match self.unused.get_mut(name) {
             None => format!("{name} is not in it"),
-            Some((there, _)) if *there != kind => format!("{name} is of another type"),
-            Some((_, left)) => match left.split_at_checked(bytes.len()) {
+            Some((stored, _)) if *stored != kind => format!("{name} is of another type"),
+            Some((_, unused)) => match unused.split_at_checked(bytes.len()) {
                 None => format!("{name} is too short"),
                 Some((row, rest)) => {
                     bytes.copy_from_slice(row);
-                    *left = rest;
+                    *unused = rest;
                     return;
                 }
             },
         };
-        self.wrong.get_or_insert(wrong);
+        self.error.get_or_insert(error);
     }
 
-    /// What was wrong, if anything was.
+    /// The first error, or the first tensor with unused data.
     pub fn finish(self) -> Result<(), String> {
-        let over = self.left.iter().find(|(_, (_, left))| !left.is_empty());
-        let over = over.map(|(name, _)| format!("{name} is too long, or nobody's"));
-        self.wrong.or(over).map_or(Ok(()), Err)
+        let superfluous = self.unused.iter().find(|(_, (_, unused))| !unused.is_empty());
+        let superfluous =
+            superfluous.map(|(name, _)| format!("{name} is too long, or belongs to no part of the state"));
+        self.error.or(superfluous).map_or(Ok(()), Err)
     }
 }
 
 impl StateVisitor for TensorRestorer<'_> {
     fn row(&mut self, name: &'static str, kind: NumberKind, bytes: &mut [u8]) {
-        let name = self.place.name(name);
+        let name = self.path.name(name);
         self.take(&name, kind, bytes);
     }
 
     fn count(&mut self, name: &'static str, count: &mut u64) {
-        let name = self.place.name(name) + ".count";
+        let name = self.path.name(name) + ".count";
         self.take(&name, NumberKind::U64, bytemuck::bytes_of_mut(count));
     }
 
     fn enter(&mut self, name: &'static str) {
-        self.place.0.push(name);
+        self.path.0.push(name);
     }
 
     fn leave(&mut self) {
-        self.place.0.pop();
+        self.path.0.pop();
     }
 }

@@ -10,8 +10,8 @@ fn plan(name: &str) -> Plan {
     Scenario::find(name).unwrap().plan().unwrap()
 }
 
-/// Plant and controller after some ticks.
-fn lived(plan: &Plan, ticks: u64) -> (PlantSide<SimulatedPlant>, Controller) {
+/// Plant and controller after `ticks` ticks.
+fn after_ticks(plan: &Plan, ticks: u64) -> (PlantSide<SimulatedPlant>, Controller) {
     let mut plant = PlantSide::new(plan.simulated_plant().unwrap(), plan);
     let mut controller = Controller::new(plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
@@ -35,10 +35,10 @@ fn facts(role: Role, plan: &Plan) -> CheckpointFacts {
 }
 
 #[test]
-fn what_was_written_is_read_back_to_the_bit() {
+fn a_restored_state_is_equal_to_the_bit() {
     for name in ["paper", "arm", "eye"] {
         let plan = plan(name);
-        let (mut plant, mut controller) = lived(&plan, 300);
+        let (mut plant, mut controller) = after_ticks(&plan, 300);
         let policy = controller.policy().clone();
         for (role, part, policy) in
             [(Role::Plant, &mut plant as &mut dyn Persist, None), (Role::Controller, &mut controller, Some(&policy))]
@@ -47,7 +47,7 @@ fn what_was_written_is_read_back_to_the_bit() {
             assert_eq!(file, encode(&facts(role, &plan), part, policy), "the same bytes each time");
             let checkpoint = Checkpoint::parse(Path::new("x"), &file).unwrap();
             checkpoint.fits(role, plan.hash).unwrap();
-            let (mut new_plant, mut new_controller) = lived(&plan, 0);
+            let (mut new_plant, mut new_controller) = after_ticks(&plan, 0);
             let fresh: &mut dyn Persist = if role == Role::Plant { &mut new_plant } else { &mut new_controller };
             checkpoint.restore(fresh).unwrap();
             assert!(bytes(fresh) == bytes(part), "{name} {}", role.name());
@@ -56,9 +56,9 @@ fn what_was_written_is_read_back_to_the_bit() {
 }
 
 #[test]
-fn the_policy_is_there_as_a_matrix() {
+fn the_policy_is_stored_as_a_matrix() {
     let plan = plan("paper");
-    let (_, mut controller) = lived(&plan, 300);
+    let (_, mut controller) = after_ticks(&plan, 300);
     let policy = controller.policy().clone();
     let file = encode(&facts(Role::Controller, &plan), &mut controller, Some(&policy));
     let file = SafeTensors::deserialize(&file).unwrap();
@@ -68,42 +68,42 @@ fn the_policy_is_there_as_a_matrix() {
     assert_eq!(first, policy.weight(1, 5));
 }
 
-/// Every flipped bit, and every place to be torn at.
+/// Flips bits and cuts the file at many bytes.
 #[test]
-fn what_is_damaged_is_refused() {
+fn a_damaged_file_is_refused() {
     let plan = plan("eye");
-    let (mut plant, mut controller) = lived(&plan, 300);
+    let (mut plant, mut controller) = after_ticks(&plan, 300);
     let plant = encode(&facts(Role::Plant, &plan), &mut plant, None);
     let whole = encode(&facts(Role::Controller, &plan), &mut controller, None);
     let header = 8 + u64::from_le_bytes(whole[..8].try_into().unwrap()) as usize;
-    // All of a small file, and of a large one the header and some of the numbers.
-    let places = (0..header).chain((header..whole.len()).step_by(97));
-    for (file, places) in [(&plant, (0..plant.len()).collect::<Vec<_>>()), (&whole, places.collect())] {
+    // All bytes of a small file; of a large one the header and every 97th byte.
+    let offsets = (0..header).chain((header..whole.len()).step_by(97));
+    for (file, offsets) in [(&plant, (0..plant.len()).collect::<Vec<_>>()), (&whole, offsets.collect())] {
         let mut file = file.clone();
-        for place in places {
-            let bit = 1 << (place % 8);
-            file[place] ^= bit;
+        for offset in offsets {
+            let bit = 1 << (offset % 8);
+            file[offset] ^= bit;
             let error = Checkpoint::parse(Path::new("7.plant"), &file).expect_err("a flipped bit");
             assert!(error.to_string().starts_with("7.plant: "), "{error}");
-            assert!(Checkpoint::parse(Path::new("x"), &file[..place]).is_err());
-            file[place] ^= bit;
+            assert!(Checkpoint::parse(Path::new("x"), &file[..offset]).is_err());
+            file[offset] ^= bit;
         }
         assert!(Checkpoint::parse(Path::new("x"), &file).is_ok());
     }
 }
 
 #[test]
-fn what_is_anothers_is_refused_by_name() {
+fn a_checkpoint_of_another_role_or_scenario_is_refused() {
     let plan = plan("paper");
-    let (mut plant, _) = lived(&plan, 10);
+    let (mut plant, _) = after_ticks(&plan, 10);
     let file = encode(&facts(Role::Plant, &plan), &mut plant, None);
     let checkpoint = Checkpoint::parse(Path::new("300.plant.safetensors"), &file).unwrap();
     let error = checkpoint.fits(Role::Controller, plan.hash).unwrap_err().to_string();
     assert!(error.contains("its role is plant, here it is controller"), "{error}");
     let error = checkpoint.fits(Role::Plant, plan.hash + 1).unwrap_err().to_string();
     assert!(error.starts_with("300.plant.safetensors: the checkpoint does not fit: its scenario is "), "{error}");
-    // The same role of another scenario, should its hash be the same.
-    let mut eye = lived(&self::plan("eye"), 0).0;
+    // The same role of another scenario, in case the hashes collide.
+    let mut eye = after_ticks(&self::plan("eye"), 0).0;
     let error = checkpoint.restore(&mut eye).unwrap_err().to_string();
     assert!(error.contains("is not in it"), "{error}");
     let plain = safetensors::serialize(Vec::<(String, TensorView)>::new(), None).unwrap();

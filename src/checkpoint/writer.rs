@@ -1,4 +1,4 @@
-//! Writing checkpoints beside the ticks: a thread that does nothing else.
+//! Writing checkpoint files on a thread of their own, so that ticks do not wait for the disk.
 
 use std::fs::File;
 use std::io::{self, Write as _};
@@ -9,26 +9,34 @@ use std::thread::JoinHandle;
 use super::FOLDER;
 use crate::wire::Role;
 
-/// Brings a process's checkpoints to the disk while its ticks go on.
+/// A file to write.
+struct WriteJob {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    /// Sync the file to the disk.
+    sync: bool,
+}
+
+/// Writes a process's checkpoints to the disk while its ticks go on.
 #[derive(Debug)]
-pub struct CheckpointWriter {
+pub(crate) struct CheckpointWriter {
     folder: PathBuf,
     role: Role,
-    sender: Sender<(PathBuf, Vec<u8>, bool)>,
+    sender: Sender<WriteJob>,
     thread: JoinHandle<Result<u64, String>>,
 }
 
 impl CheckpointWriter {
-    /// A writer for the process in the place of `role` of the run in `folder`.
+    /// Starts the writer for the process in `role` of the run in `folder`.
     ///
     /// # Errors
-    /// When there can be no more threads.
-    pub fn new(folder: &Path, role: Role) -> io::Result<Self> {
-        let (sender, receiver) = channel::<(PathBuf, Vec<u8>, bool)>();
+    /// When no more threads can be started.
+    pub(crate) fn new(folder: &Path, role: Role) -> io::Result<Self> {
+        let (sender, receiver) = channel::<WriteJob>();
         let thread = std::thread::Builder::new().name("checkpoints".to_owned()).spawn(move || {
             let (mut written, mut failed) = (0, None);
-            for (path, bytes, sync) in receiver {
-                match put(&path, &bytes, sync) {
+            for WriteJob { path, bytes, sync } in receiver {
+                match write_file(&path, &bytes, sync) {
                     Ok(()) => written += 1,
                     Err(cause) => failed = Some(format!("{} cannot be written: {cause}", path.display())),
                 }
@@ -38,30 +46,35 @@ impl CheckpointWriter {
         Ok(Self { folder: folder.to_owned(), role, sender, thread })
     }
 
-    /// Takes the bytes of the checkpoint at `tick` over.
-    pub fn write(&self, tick: u64, bytes: Vec<u8>) {
-        // A thread that is gone has left its reason, which `finish` tells.
-        let _ = self.sender.send((super::path(&self.folder, tick, self.role), bytes, true));
+    /// Queues the bytes of the checkpoint at `tick`.
+    pub(crate) fn write(&self, tick: u64, bytes: Vec<u8>) {
+        self.queue(tick, bytes, true);
     }
 
-    /// The same for the last one. A run that is to end at once (`haste`) does not wait for the disk: the file is whole for
-    /// everybody, unless the machine loses its power now.
-    pub fn write_last(&self, tick: u64, bytes: Vec<u8>, haste: bool) {
-        let _ = self.sender.send((super::path(&self.folder, tick, self.role), bytes, !haste));
+    /// Queues the bytes of the last checkpoint. A run that must end at once (`haste`) does not wait for the
+    /// disk: every process then sees the whole file, but a power failure right now could lose it.
+    pub(crate) fn write_last(&self, tick: u64, bytes: Vec<u8>, haste: bool) {
+        self.queue(tick, bytes, !haste);
     }
 
-    /// Waits until all are on the disk. Gives how many there are, or why the last that failed did so.
+    fn queue(&self, tick: u64, bytes: Vec<u8>, sync: bool) {
+        let path = super::path(&self.folder, tick, self.role);
+        // Fails only if the thread has ended early; `finish` reports why.
+        let _ = self.sender.send(WriteJob { path, bytes, sync });
+    }
+
+    /// Waits until all files are written, and returns their number.
     ///
     /// # Errors
-    /// One sentence, with the file.
-    pub fn finish(self) -> Result<u64, String> {
+    /// The last failure, in one sentence that names the file.
+    pub(crate) fn finish(self) -> Result<u64, String> {
         drop(self.sender);
         self.thread.join().unwrap_or_else(|_| Err("the writer of checkpoints has panicked".to_owned()))
     }
 }
 
-/// Writes a file, whole or not at all.
-fn put(path: &Path, bytes: &[u8], sync: bool) -> io::Result<()> {
+/// Writes a file as a whole or not at all.
+fn write_file(path: &Path, bytes: &[u8], sync: bool) -> io::Result<()> {
     let folder = path.parent().unwrap_or(Path::new(FOLDER));
     std::fs::create_dir_all(folder)?;
     let mut draft = tempfile::Builder::new().suffix(".part").tempfile_in(folder)?;
@@ -70,6 +83,6 @@ fn put(path: &Path, bytes: &[u8], sync: bool) -> io::Result<()> {
         draft.as_file().sync_all()?;
     }
     draft.persist(path).map_err(|e| e.error)?;
-    // The name, too.
+    // Also syncs the name.
     if sync { File::open(folder)?.sync_all() } else { Ok(()) }
 }

@@ -1,4 +1,4 @@
-//! Room for a run, in shared memory and on the disk, and what other runs have left there.
+//! Checks of free space in shared memory and on the disk, and of stale domains.
 
 use std::path::Path;
 
@@ -8,21 +8,21 @@ use super::{Check, bytes};
 use crate::channel::{DomainOwner, StaleDomain};
 use crate::log::bytes_per_tick;
 
-/// Where iceoryx2 has its memory.
+/// The folder of iceoryx2's shared memory.
 const SHM: &str = "/dev/shm";
-/// What a run takes there is about 2.5 MiB; with less than this it may end in a bus error.
+/// A run takes about 2.5 MiB there; with less free space than this it may end in a bus error.
 const SHM_NEEDED: u64 = 4 << 20;
-/// Below this, few runs have room beside each other.
+/// Below this, only few runs fit at the same time.
 const SHM_PLENTY: u64 = 16 << 20;
-/// What `tectum run` leaves free, and a short log.
+/// The space that `tectum run` leaves free, and a short log.
 const DISK_NEEDED: u64 = 32 << 20;
-/// Below this, a long run's log is cut short.
+/// Below this, the log of a long run may not fit.
 const DISK_PLENTY: u64 = 1 << 30;
-/// Ticks of an hour at 50 ms.
-const HOUR: f64 = 72_000.0;
+/// Ticks in an hour at 50 ms.
+const TICKS_PER_HOUR: f64 = 72_000.0;
 
-/// Shared memory, and the disk of `folder`.
-pub(super) fn room(folder: &Path) -> [Check; 2] {
+/// Checks shared memory, and the disk of `folder`.
+pub(super) fn free_space(folder: &Path) -> [Check; 2] {
     let space = |path: &Path| statvfs(path).ok().map(|fs| (fs.f_blocks * fs.f_frsize, fs.f_bavail * fs.f_frsize));
     let writable = access(SHM, Access::WRITE_OK | Access::READ_OK | Access::EXEC_OK).is_ok();
     [shared_memory(space(Path::new(SHM)), writable), disk(space(folder))]
@@ -38,8 +38,8 @@ fn shared_memory(space: Option<(u64, u64)>, writable: bool) -> Check {
         return Check::problem(name, "/dev/shm is closed to this user", "`sudo chmod 1777 /dev/shm`");
     }
     let found = format!("/dev/shm has {} of {} free", bytes(free), bytes(size));
-    let remedy = "`sudo mount -o remount,size=256M /dev/shm`, in Docker `--shm-size=256m`; `tectum doctor --clean` frees \
-                  what runs have left";
+    let remedy = "`sudo mount -o remount,size=256M /dev/shm`, in Docker `--shm-size=256m`; `tectum doctor --clean` \
+                  frees what runs have left";
     match free {
         free if free < SHM_NEEDED => Check::problem(name, found, remedy),
         free if free < SHM_PLENTY => Check::better(name, found, remedy),
@@ -50,7 +50,7 @@ fn shared_memory(space: Option<(u64, u64)>, writable: bool) -> Check {
 fn disk(space: Option<(u64, u64)>) -> Check {
     let name = "disk";
     let Some((_, free)) = space else { return Check::fine(name, "not told") };
-    let hour = bytes((bytes_per_tick(1) * HOUR) as u64);
+    let hour = bytes((bytes_per_tick(1) * TICKS_PER_HOUR) as u64);
     let found = format!("{} free here; an hour of ticks of 50 ms logs {hour}", bytes(free));
     let remedy = "choose another disk with --out, or thin the log with `[log] every`";
     match free {
@@ -60,15 +60,13 @@ fn disk(space: Option<(u64, u64)>) -> Check {
     }
 }
 
-/// What runs have left in shared memory.
+/// Checks for domains that runs have left in shared memory.
 pub(super) fn debris(domains: &[StaleDomain], removed: &[StaleDomain]) -> Check {
-    let size = |r: &StaleDomain| format!("{} ({} files, {})", r.domain, r.files, bytes(r.bytes));
-    let mut parts = Vec::new();
-    let mut remedies = Vec::new();
+    let (mut parts, mut remedies) = (Vec::new(), Vec::new());
     if !removed.is_empty() {
-        parts.push(format!("removed {}", removed.iter().map(size).collect::<Vec<_>>().join(", ")));
+        parts.push(format!("removed {}", removed.iter().map(describe).collect::<Vec<_>>().join(", ")));
     }
-    let left: Vec<_> = domains.iter().filter(|r| r.owner == DomainOwner::Nobody).map(size).collect();
+    let left: Vec<_> = domains.iter().filter(|d| d.owner == DomainOwner::Nobody).map(describe).collect();
     if !left.is_empty() {
         parts.push(format!("left behind: {}", left.join(", ")));
         remedies.push("`tectum doctor --clean` removes it, and so does the next run".to_owned());
@@ -82,17 +80,7 @@ pub(super) fn debris(domains: &[StaleDomain], removed: &[StaleDomain]) -> Check 
                 .push(format!("processes end within a second of their launcher; end those that do not: kill {pids}"));
         }
     }
-    let living =
-        domains.iter().filter(|r| matches!(r.owner, DomainOwner::Launcher { .. } | DomainOwner::Young)).count();
-    let versions = domains.iter().filter(|r| matches!(r.owner, DomainOwner::OtherVersion { .. })).count();
-    let others = domains.iter().filter(|r| r.owner == DomainOwner::OtherUser).count();
-    for (count, what) in
-        [(living, "of living runs"), (versions, "of living runs of another version"), (others, "of other users")]
-    {
-        if count > 0 {
-            parts.push(format!("{count} {what}"));
-        }
-    }
+    parts.extend(count_owned(domains));
     let found = if parts.is_empty() { "nothing left".to_owned() } else { parts.join("; ") };
     if remedies.is_empty() {
         Check::fine("debris of runs", found)
@@ -101,13 +89,29 @@ pub(super) fn debris(domains: &[StaleDomain], removed: &[StaleDomain]) -> Check 
     }
 }
 
+/// Name and size of a domain.
+fn describe(domain: &StaleDomain) -> String {
+    format!("{} ({} files, {})", domain.domain, domain.files, bytes(domain.bytes))
+}
+
+/// How many domains have an owner that is alive or unknown, by kind of owner.
+fn count_owned(domains: &[StaleDomain]) -> Vec<String> {
+    let count = |is_kind: fn(&DomainOwner) -> bool| domains.iter().filter(|d| is_kind(&d.owner)).count();
+    let counts = [
+        (count(|o| matches!(o, DomainOwner::Launcher { .. } | DomainOwner::Young)), "of living runs"),
+        (count(|o| matches!(o, DomainOwner::OtherVersion { .. })), "of living runs of another version"),
+        (count(|o| *o == DomainOwner::OtherUser), "of other users"),
+    ];
+    counts.iter().filter(|(count, _)| *count > 0).map(|(count, owners)| format!("{count} {owners}")).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::doctor::Verdict::{CouldBeBetter, Fine, Problem};
 
     #[test]
-    fn room_that_is_short_is_named() {
+    fn too_little_space_is_reported() {
         for (space, writable, verdict) in [
             (None, true, Problem),
             (Some((1 << 30, 1 << 30)), false, Problem),
@@ -123,14 +127,13 @@ mod tests {
     }
 
     #[test]
-    fn debris_by_owner() {
+    fn domains_are_reported_by_owner() {
         let of = |owner| StaleDomain { domain: "tectum_00000001".into(), owner, files: 3, bytes: 4096 };
         assert_eq!(debris(&[], &[]), Check::fine("debris of runs", "nothing left"));
         let version = DomainOwner::OtherVersion { pids: vec![8] };
-        let living =
-            debris(&[of(DomainOwner::Launcher { pid: Some(7) }), of(version), of(DomainOwner::OtherUser)], &[]);
+        let owned = debris(&[of(DomainOwner::Launcher { pid: Some(7) }), of(version), of(DomainOwner::OtherUser)], &[]);
         let found = "1 of living runs; 1 of living runs of another version; 1 of other users";
-        assert_eq!(living, Check::fine("debris of runs", found));
+        assert_eq!(owned, Check::fine("debris of runs", found));
         let left = debris(&[of(DomainOwner::Nobody)], &[]);
         assert_eq!(
             (left.verdict, left.found.as_str()),

@@ -1,5 +1,5 @@
-//! How late a thread wakes up: two threads that sleep until absolute instants, one under the ordinary scheduler and one
-//! under SCHED_FIFO if that is allowed, at the same time and half a period apart.
+//! Measures how late threads wake up. Two threads sleep until absolute instants at the same time, half a period
+//! apart: one under the ordinary scheduler, and one under SCHED_FIFO if that is allowed.
 
 use std::fmt::Write as _;
 
@@ -10,42 +10,43 @@ use super::Check;
 use crate::clock::{monotonic_ns, precise_timers, priority_limit, set_fifo_priority, sleep_until};
 use crate::runtime::Percentiles;
 
-/// From one wake-up to the next, ns: much shorter than a tick, for the sake of many of them.
-pub const PERIOD_NS: u64 = 5_000_000;
-/// The priority that is tried, or the highest that is allowed.
+/// Period of the wake-ups, ns. Much shorter than a tick, to get many samples.
+const PERIOD_NS: u64 = 5_000_000;
+/// The SCHED_FIFO priority to measure with, unless only a lower one is allowed.
 const PRIORITY: u64 = 80;
-/// p99 of the better scheduler up to which nothing is to be said, us.
+/// Up to this p99 of the better scheduler the result is fine, us.
 const FINE_US: f64 = 1_000.0;
-/// p99 from which on the default period of 50 ms is missed again and again, us.
+/// From this p99 on, the default period of 50 ms is missed again and again, us.
 const PROBLEM_US: f64 = 50_000.0;
 
-/// What was measured.
+/// The measured wake-up lateness.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Lateness {
-    /// From one wake-up to the next, ms.
+    /// Period of the wake-ups, ms.
     pub period_ms: f64,
-    /// For how long, s.
+    /// Duration of the measurement, s.
     pub seconds: u32,
-    /// Under the ordinary scheduler, us.
+    /// Lateness under the ordinary scheduler, us.
     pub ordinary_us: Option<Percentiles>,
-    /// Under SCHED_FIFO, us; null where that is not allowed.
+    /// Lateness under SCHED_FIFO, us; null where that is not allowed.
     pub fifo_us: Option<Percentiles>,
-    /// The priority of that; null where it is not allowed.
+    /// The SCHED_FIFO priority; null where it is not allowed.
     pub fifo_priority: Option<u32>,
-    /// Why not, where it is not.
+    /// Why SCHED_FIFO was refused.
     pub refused: Option<String>,
 }
 
 /// Measures for `seconds`.
-pub fn measure(seconds: u32) -> Lateness {
+pub(super) fn measure(seconds: u32) -> Lateness {
     let priority = priority_limit().clamp(1, PRIORITY) as u32;
     let ticks = u64::from(seconds) * 1_000_000_000 / PERIOD_NS;
     let start = monotonic_ns() + PERIOD_NS;
-    let real = std::thread::spawn(move || set_fifo_priority(priority).map(|()| wake(start + PERIOD_NS / 2, ticks)));
-    let ordinary = std::thread::spawn(move || wake(start, ticks));
-    // A measurement cannot panic; should it, nothing was measured.
-    let ordinary = ordinary.join().ok().flatten();
-    let (fifo_us, refused) = match real.join() {
+    let fifo_thread =
+        std::thread::spawn(move || set_fifo_priority(priority).map(|()| measure_thread(start + PERIOD_NS / 2, ticks)));
+    let ordinary_thread = std::thread::spawn(move || measure_thread(start, ticks));
+    // The threads cannot panic; if one did, its value is missing.
+    let ordinary_us = ordinary_thread.join().ok().flatten();
+    let (fifo_us, refused) = match fifo_thread.join() {
         Ok(Ok(percentiles)) => (percentiles, None),
         Ok(Err(why)) => (None, Some(why)),
         Err(_) => (None, None),
@@ -53,30 +54,30 @@ pub fn measure(seconds: u32) -> Lateness {
     Lateness {
         period_ms: PERIOD_NS as f64 / 1e6,
         seconds,
-        ordinary_us: ordinary,
+        ordinary_us,
         fifo_us,
         fifo_priority: fifo_us.is_some().then_some(priority),
         refused,
     }
 }
 
-/// Wakes up `ticks` times. An instant that has passed already is a wake-up as late as it is.
-fn wake(start: u64, ticks: u64) -> Option<Percentiles> {
+/// Wakes up `ticks` times. An instant that has already passed counts as a wake-up at once, with its lateness.
+fn measure_thread(start: u64, ticks: u64) -> Option<Percentiles> {
     precise_timers();
-    let mut late = Histogram::<u64>::new_with_max(60_000_000_000, 3).ok()?;
+    let mut lateness_ns = Histogram::<u64>::new_with_max(60_000_000_000, 3).ok()?;
     for tick in 0..ticks {
         let at = start + tick * PERIOD_NS;
-        // A signal may end a sleep early.
+        // A signal may end the sleep early.
         while monotonic_ns() < at {
             sleep_until(at);
         }
-        late.saturating_record(monotonic_ns() - at);
+        lateness_ns.saturating_record(monotonic_ns() - at);
     }
-    Percentiles::of(&late)
+    Percentiles::of(&lateness_ns)
 }
 
 impl Lateness {
-    /// How good it is under the better scheduler that a run may have.
+    /// The verdict on the better scheduler that a run may use.
     pub(super) fn check(&self) -> Check {
         let name = "wake-up lateness";
         let (scheduler, best) = match (self.fifo_us, self.ordinary_us) {
@@ -94,7 +95,7 @@ impl Lateness {
         }
     }
 
-    /// A line a scheduler.
+    /// One line per scheduler.
     pub(super) fn to_text(&self) -> String {
         let mut text = format!("wake-up lateness, every {} ms for {} s\n", self.period_ms, self.seconds);
         let fifo = self.fifo_priority.map_or_else(|| "SCHED_FIFO".to_owned(), |p| format!("SCHED_FIFO {p}"));
@@ -121,7 +122,7 @@ mod tests {
     use crate::doctor::Verdict;
 
     #[test]
-    fn a_second_is_two_hundred_wake_ups_of_each() {
+    fn a_second_has_two_hundred_wake_ups_per_thread() {
         let found = measure(1);
         assert_eq!(found.ordinary_us.unwrap().count, 200);
         assert_eq!(found.fifo_us.is_some(), found.refused.is_none());
@@ -130,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn the_better_scheduler_counts() {
+    fn the_better_scheduler_decides_the_verdict() {
         let p = |p99| Some(Percentiles { count: 1, p99, max: p99, ..Percentiles::default() });
         let found = |ordinary_us, fifo_us| Lateness {
             period_ms: 5.0,

@@ -1,4 +1,4 @@
-//! What the system says of itself: kernel, limits, processor, memory. Each judgement is a function of what was read.
+//! Checks of kernel, limits, processor and memory. Each verdict is a function of the values read from the system.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -6,11 +6,11 @@ use std::fs;
 use super::{Check, bytes};
 use crate::clock::{facts, lock_limit, lock_remedy, priority_limit, priority_remedy};
 
-/// To whom a remedy applies; capabilities belong to one file each.
+/// The programs that a remedy applies to; capabilities are set for each program file.
 const PROGRAMS: &str =
     "PROGRAM` for each of the run's programs, `tectum-simulator`, `tectum-controller`, `tectum-logger";
 
-/// All of them.
+/// All checks of this module.
 pub(super) fn checks() -> Vec<Check> {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let system = rustix::system::sysinfo();
@@ -28,28 +28,28 @@ pub(super) fn checks() -> Vec<Check> {
         governor(&governors()),
         clock_source(&read("/sys/devices/system/clocksource/clocksource0/current_clocksource")),
         processors(cores),
-        // A fixed-point number with 16 bits behind the point.
+        // A fixed-point number with 16 fractional bits.
         load(system.loads[0] as f64 / 65_536.0, cores),
         huge_pages(&read("/sys/kernel/mm/transparent_hugepage/enabled")),
         swapping(swap, swap.saturating_sub(free)),
     ]
 }
 
-/// A small file of the kernel's, without the line's end; empty where there is none.
+/// Reads a small file of the kernel, without the newline; empty if the file does not exist.
 fn read(path: &str) -> String {
     fs::read_to_string(path).unwrap_or_default().trim().to_owned()
 }
 
 fn kernel(release: &str, version: &str, realtime: bool) -> Check {
-    const SHORT: &str = "for periods of a few ms, PREEMPT_RT would keep the worst wake-ups shorter";
+    const RT_HINT: &str = "for periods of a few ms, PREEMPT_RT would keep the worst wake-ups shorter";
     let has = |word: &str| version.split_whitespace().any(|w| w == word);
     if realtime || has("PREEMPT_RT") {
         Check::fine("kernel", format!("{release}, PREEMPT_RT"))
     } else if let Some(word) = ["PREEMPT_DYNAMIC", "PREEMPT"].into_iter().find(|word| has(word)) {
-        Check::fine("kernel", format!("{release}, {word}; {SHORT}"))
+        Check::fine("kernel", format!("{release}, {word}; {RT_HINT}"))
     } else {
         let remedy = "boot a kernel with PREEMPT_DYNAMIC, as most distributions have, or PREEMPT_RT";
-        Check::better("kernel", format!("{release}, which says nothing of preemption"), remedy)
+        Check::better("kernel", format!("{release}, which does not mention preemption"), remedy)
     }
 }
 
@@ -69,7 +69,7 @@ fn throttling(runtime: &str, period: &str) -> Check {
         }
         Ok(-1) => Check::fine(name, "unlimited: a real-time thread that does not sleep stops its core"),
         Ok(us) => Check::fine(name, format!("{us} of every {period} us")),
-        Err(_) => Check::fine(name, "this kernel has no limit to tell"),
+        Err(_) => Check::fine(name, "this kernel reports no limit"),
     }
 }
 
@@ -113,11 +113,11 @@ fn clock_source(source: &str) -> Check {
     match source {
         "" => Check::fine(name, "not told"),
         "hpet" | "acpi_pm" | "jiffies" | "refined-jiffies" | "pit" => {
-            let remedy = "every look at the clock is slow; see `dmesg | grep -i clocksource` for why the processor's own \
+            let remedy = "every clock read is slow; see `dmesg | grep -i clocksource` for why the processor's own \
                           counter is not trusted";
             Check::better(name, source, remedy)
         }
-        quick => Check::fine(name, quick),
+        fast => Check::fine(name, fast),
     }
 }
 
@@ -143,7 +143,7 @@ fn load(load: f64, cores: usize) -> Check {
 
 fn huge_pages(modes: &str) -> Check {
     let name = "huge pages";
-    // `always [madvise] never`: the one in force stands in brackets.
+    // `always [madvise] never`: the active mode is in brackets.
     match modes.split_once('[').and_then(|(_, rest)| rest.split_once(']')) {
         Some(("always", _)) => {
             let remedy = "`echo madvise | sudo tee /sys/kernel/mm/transparent_hugepage/enabled`: putting huge pages \
@@ -170,7 +170,7 @@ mod tests {
     use crate::doctor::Verdict::{CouldBeBetter, Fine};
 
     #[test]
-    fn kernels() {
+    fn kernels_are_judged_by_preemption() {
         let of = |version, realtime| kernel("Linux 6.1", version, realtime);
         assert_eq!(of("Linux version 6.1 (gcc) #1 SMP PREEMPT_RT Mon", false).found, "Linux 6.1, PREEMPT_RT");
         assert_eq!(of("#1 SMP", true).found, "Linux 6.1, PREEMPT_RT");
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn limits() {
+    fn limits_are_judged() {
         assert_eq!((priorities(0).verdict, priorities(99).verdict), (CouldBeBetter, Fine));
         assert!(priorities(0).remedy.unwrap().contains("rtprio 80"));
         assert_eq!((locking(Some(8 << 20)).verdict, locking(None).verdict), (CouldBeBetter, Fine));
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn processor_and_memory() {
+    fn processor_and_memory_are_judged() {
         let set = |names: &[&str]| governor(&names.iter().map(|&n| n.to_owned()).collect()).verdict;
         assert_eq!((set(&[]), set(&["performance"])), (Fine, Fine));
         assert_eq!((set(&["performance", "powersave"]), set(&["schedutil"])), (CouldBeBetter, CouldBeBetter));

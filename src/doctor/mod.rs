@@ -1,8 +1,9 @@
-//! Is this machine fit for real time, and is everything tidy: `tectum doctor`.
+//! `tectum doctor`: checks whether this machine is fit for real time, and finds what earlier runs left in
+//! shared memory.
 //!
-//! Each check says what it found, how good that is, and what to do about it. What counts in the end is measured: how late
-//! a thread wakes up that sleeps until an absolute instant, as the plant does. What runs left in shared memory is listed
-//! with its owner, and removed on request if it has none.
+//! Each check reports what it found, how good that is, and a remedy. The decisive value is measured: how late a
+//! thread wakes up that sleeps until an absolute instant, as the plant does. Domains in shared memory are
+//! listed with their owners; those without an owner are removed on request.
 
 mod cleanup;
 mod lateness;
@@ -13,24 +14,25 @@ use std::path::Path;
 
 use serde::Serialize;
 
-pub use lateness::{Lateness, PERIOD_NS, measure};
+pub use lateness::Lateness;
+use lateness::measure;
 
 use crate::channel::{StaleDomain, list_domains, remove_stale_domains};
 
-/// How good something is.
+/// The result of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
     /// As it should be.
     Fine,
-    /// Runs work; the remedy makes them better.
+    /// Runs work; the remedy improves them.
     CouldBeBetter,
-    /// Runs fail, or miss their deadlines.
+    /// Runs fail or miss their deadlines.
     Problem,
 }
 
 impl Verdict {
-    /// In words.
+    /// The verdict in words.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Fine => "fine",
@@ -40,16 +42,16 @@ impl Verdict {
     }
 }
 
-/// One thing that was looked at.
+/// One check of the machine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Check {
-    /// What.
+    /// Name of the check.
     pub name: &'static str,
-    /// How good it is.
+    /// Its result.
     pub verdict: Verdict,
     /// What was found.
     pub found: String,
-    /// What to do about it; null where nothing is to be done.
+    /// What to do about it; null where nothing needs to be done.
     pub remedy: Option<String>,
 }
 
@@ -67,28 +69,28 @@ impl Check {
     }
 }
 
-/// Everything that was found.
+/// All results.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Examination {
-    /// The worst of all checks.
+    /// The worst verdict of all checks.
     pub verdict: Verdict,
-    /// The checks, in the order of the text.
+    /// The checks, in the order of the text output.
     pub checks: Vec<Check>,
     /// How late threads woke up; null where it was not measured.
     pub wake_up_lateness: Option<Lateness>,
-    /// What runs have in shared memory, after any cleaning.
+    /// The domains of runs in shared memory, after any cleaning.
     pub domains: Vec<StaleDomain>,
-    /// What was removed.
+    /// The domains that were removed.
     pub removed: Vec<StaleDomain>,
 }
 
-/// Looks at everything: removes first what belongs to nobody if `clean`, measures for `seconds` (0 leaves that out), and
-/// looks for room on the disk of `folder`.
+/// Runs all checks. With `clean`, first removes domains that have no owner. Measures the wake-up lateness for
+/// `seconds` (0 skips it), and checks the free space on the disk of `folder`.
 pub fn examine(clean: bool, seconds: u32, folder: &Path) -> Examination {
     let removed = if clean { remove_stale_domains(true) } else { Vec::new() };
     let domains = list_domains();
     let mut checks = machine::checks();
-    checks.extend(cleanup::room(folder));
+    checks.extend(cleanup::free_space(folder));
     checks.push(cleanup::debris(&domains, &removed));
     let lateness = (seconds > 0).then(|| measure(seconds));
     checks.extend(lateness.as_ref().map(Lateness::check));
@@ -97,12 +99,12 @@ pub fn examine(clean: bool, seconds: u32, folder: &Path) -> Examination {
 }
 
 impl Examination {
-    /// One JSON object.
+    /// The results as one JSON object.
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// A line a check, and the remedies below.
+    /// One line per check, with its remedy below.
     pub fn to_text(&self) -> String {
         let mut text = String::new();
         for check in &self.checks {
@@ -119,7 +121,7 @@ impl Examination {
     }
 }
 
-/// Bytes in the unit that suits them.
+/// Formats a number of bytes in KiB, MiB or GiB.
 fn bytes(n: u64) -> String {
     match n {
         n if n < 10 << 20 => format!("{} KiB", n >> 10),
@@ -137,7 +139,7 @@ mod tests {
         let found = examine(false, 0, Path::new("."));
         assert_eq!(found.verdict, found.checks.iter().map(|c| c.verdict).max().unwrap());
         assert!(Verdict::Problem > Verdict::CouldBeBetter && Verdict::CouldBeBetter > Verdict::Fine);
-        // Whatever is not as it should be comes with a remedy.
+        // Every check that is not fine has a remedy.
         assert!(found.checks.iter().all(|c| c.remedy.is_some() == (c.verdict != Verdict::Fine)), "{found:?}");
         assert!(found.checks.iter().all(|c| found.to_text().contains(c.name) && !c.found.is_empty()));
         assert!(found.wake_up_lateness.is_none() && found.removed.is_empty());

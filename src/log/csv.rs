@@ -1,4 +1,4 @@
-//! A log's channel as a table: one row a sample, columns by the scenario's own names, with units.
+//! A log's channel as CSV: one row per sample, columns named as in the scenario, with units.
 
 use std::io::{self, Write};
 
@@ -10,35 +10,35 @@ use crate::wire::{Header, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, flag};
 /// The channels of a log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CsvChannel {
-    /// What the plant told.
+    /// The plant's observations.
     Observation,
-    /// What the controller answered.
+    /// The controller's commands.
     Command,
-    /// What the learner did.
+    /// The learning records.
     Learning,
-    /// What the log lacks.
+    /// The log's statements of missing samples.
     Gap,
 }
 
 /// The first columns of every channel but `gap`.
 const HEADER: &str = "tick,time (s),sequence,scheduled (ns),sensed (ns),published (ns),incarnation,flags,lost before";
 
-/// Writes the samples of `channel` in `log` to `out`, with a line of column names first; gives the number of rows.
+/// Writes the samples of `channel` in `log` to `out`, after a line of column names. Returns the number of rows.
 ///
-/// Columns are named as in the scenario, with the unit in brackets; what was applied, drawn and so on stands before the
-/// name of an output. `time` is the tick's scheduled instant from the start of the run on. Flags are words with `|`
-/// between them. `lost before` counts the samples that the log states to be missing right before the row; those missing
-/// behind the last sample stand in a last row that holds nothing else. A hash is hexadecimal, and empty where the weights
-/// were not hashed.
+/// Columns are named as in the scenario, with the unit in brackets; `applied`, `drawn` and so on precede the
+/// name of an output. `time` is the tick's scheduled instant, from the start of the run. Flags are words
+/// separated by `|`. `lost before` counts the samples that the log states to be missing right before the row;
+/// those missing after the last sample are in a last row with that value only. A hash is hexadecimal, and empty
+/// where the weights were not hashed.
 ///
 /// # Errors
 ///
-/// The outer error is that of writing to `out`, the inner one that of reading the log; what came before has been
-/// written.
+/// The outer error is that of writing to `out`, the inner one that of reading the log; all rows before the
+/// error have been written.
 pub fn csv(log: &mut RunLog, channel: CsvChannel, out: &mut dyn Write) -> io::Result<Result<u64, LogError>> {
     let names = ColumnNames::of(log);
     let mut line = names.line(channel);
-    let mut account = log.account();
+    let mut counts = log.message_counts();
     let mut rows = 0;
     let period_ns: u64 = log.run("period_ns").and_then(|ns| ns.parse().ok()).unwrap_or(0);
     let columns = line.len();
@@ -48,7 +48,7 @@ pub fn csv(log: &mut RunLog, channel: CsvChannel, out: &mut dyn Write) -> io::Re
             Ok(record) => record,
             Err(error) => return Ok(Err(error)),
         };
-        let lost = account.take(&record);
+        let lost = counts.take(&record);
         match (channel, &record) {
             (CsvChannel::Observation, LogRecord::Observation(s)) => {
                 line.header(&s.header, period_ns, lost);
@@ -80,20 +80,20 @@ pub fn csv(log: &mut RunLog, channel: CsvChannel, out: &mut dyn Write) -> io::Re
         rows += 1;
         line.end(out)?;
     }
-    let behind = match channel {
+    let lost_at_end = match channel {
         CsvChannel::Gap => 0,
-        other => account.lanes[other as usize].at_the_end(),
+        other => counts.channels[other as usize].lost_at_end(),
     };
-    if behind > 0 {
-        let at = HEADER.split(',').count() - 1;
-        (0..columns).for_each(|i| line.put(&if i == at { behind.to_string() } else { String::new() }));
+    if lost_at_end > 0 {
+        let column = HEADER.split(',').count() - 1;
+        (0..columns).for_each(|i| line.put(&if i == column { lost_at_end.to_string() } else { String::new() }));
         line.end(out)?;
     }
     out.flush()?;
     Ok(Ok(rows))
 }
 
-/// The scenario's names, as the log tells them.
+/// The scenario's names, from the log's description of the run.
 struct ColumnNames {
     inputs: Vec<String>,
     outputs: Vec<String>,
@@ -115,11 +115,11 @@ impl ColumnNames {
         Self { inputs: signals("inputs", MAX_INPUTS), outputs: signals("outputs", MAX_OUTPUTS), measures }
     }
 
-    /// The line of column names.
+    /// The row of column names.
     fn line(&self, channel: CsvChannel) -> CsvRow {
         let mut line = CsvRow::default();
-        let outputs = |line: &mut CsvRow, what: &str| {
-            self.outputs.iter().for_each(|name| line.put(&format!("{what} {name}")));
+        let outputs = |line: &mut CsvRow, prefix: &str| {
+            self.outputs.iter().for_each(|name| line.put(&format!("{prefix} {name}")));
         };
         if channel == CsvChannel::Gap {
             "channel,first,count,total".split(',').for_each(|name| line.put(name));
@@ -147,7 +147,7 @@ impl ColumnNames {
     }
 }
 
-/// A line of comma-separated fields in the making.
+/// A row of comma-separated fields that is being built.
 #[derive(Default)]
 struct CsvRow {
     text: String,
@@ -164,7 +164,7 @@ impl CsvRow {
             self.text.push(',');
         }
         self.fields += 1;
-        // RFC 4180: names come from a scenario, and may hold anything.
+        // RFC 4180: names come from a scenario and may contain any character.
         if field.contains([',', '"', '\n', '\r']) {
             self.text += &format!("\"{}\"", field.replace('"', "\"\""));
         } else {
@@ -172,7 +172,7 @@ impl CsvRow {
         }
     }
 
-    /// The shortest digits that give the same number again.
+    /// Writes each number with the fewest digits that give the same number again.
     fn floats(&mut self, values: &[f32]) {
         values.iter().for_each(|x| self.put(&format!("{x:?}")));
     }
@@ -201,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fields_are_quoted_where_they_must_be() {
+    fn fields_are_quoted_where_needed() {
         let (mut line, mut out) = (CsvRow::default(), Vec::new());
         ["plain", "a,b", "say \"x\"", ""].iter().for_each(|field| line.put(field));
         line.floats(&[0.1, -0.0, 1e-30, f32::NAN, f32::INFINITY]);

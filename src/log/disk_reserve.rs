@@ -1,8 +1,9 @@
-//! Room on the disk ahead of what is written, so that a log can be closed when there is no more.
+//! Reserves disk space ahead of what is written, so that a log can be closed when the disk is full.
 //!
-//! The file is given blocks beyond its end (`fallocate`, which leaves its size as it is), always enough for the statements, the
-//! histograms and the summary that close a log. So a disk without room shows before a message is cut off by it, and nobody
-//! else can take what the end needs. A limit on the size of files (`ulimit -f`) is looked at in the same way.
+//! The file gets blocks beyond its end (`fallocate`, which keeps its size), always enough for the gap messages,
+//! the histograms and the summary that close a log. So a full disk is noticed before it cuts off a message, and
+//! no other program can take the space that the end needs. A limit on the size of files (`ulimit -f`) is
+//! checked in the same way.
 
 use std::fs::File;
 use std::io::{self, ErrorKind};
@@ -10,31 +11,32 @@ use std::io::{self, ErrorKind};
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::process::{Resource, getrlimit};
 
-/// What is kept for the end of a log, bytes: statements of gaps, histograms (tens of kilobytes as a rule), schemas once more.
+/// Space that is kept for the end of a log, bytes: gap messages, histograms (usually tens of kilobytes), and
+/// schemas once more.
 pub(super) const RESERVE: u64 = 512 * 1024;
-/// How much more is asked for at a time, bytes.
+/// Additional space per request, bytes.
 const STEP: u64 = 1024 * 1024;
 
-/// A file's room.
+/// The space reserved for a file.
 pub(super) struct DiskReserve {
     file: File,
-    /// The byte up to which the file has its blocks.
-    until: u64,
+    /// The byte up to which the file has blocks.
+    reserved_end: u64,
 }
 
 impl DiskReserve {
     pub fn of(file: File) -> Self {
-        Self { file, until: 0 }
+        Self { file, reserved_end: 0 }
     }
 
-    /// Makes sure that behind byte `at` there is room for the end of the log.
+    /// Ensures that [`RESERVE`] bytes after byte `at` are reserved.
     ///
     /// # Errors
-    /// When there is not: the disk, the quota or the limit on the size of files is used up. The room asked for before is
-    /// still there. A file system that gives no room ahead is no error: there, writing tells.
+    /// When the disk, the quota or the limit on the size of files is used up. Space reserved earlier stays
+    /// reserved. A file system that cannot reserve space is no error: there, a full disk shows when writing.
     #[inline]
-    pub fn secure(&mut self, at: u64) -> io::Result<()> {
-        if at + RESERVE <= self.until { Ok(()) } else { self.extend(at) }
+    pub fn ensure(&mut self, at: u64) -> io::Result<()> {
+        if at + RESERVE <= self.reserved_end { Ok(()) } else { self.extend(at) }
     }
 
     #[cold]
@@ -43,31 +45,32 @@ impl DiskReserve {
         if at + RESERVE > limit {
             return Err(ErrorKind::FileTooLarge.into());
         }
-        let until = at + RESERVE + STEP;
-        let done = loop {
-            match fallocate(&self.file, FallocateFlags::KEEP_SIZE, self.until, until - self.until) {
+        let new_end = at + RESERVE + STEP;
+        let result = loop {
+            match fallocate(&self.file, FallocateFlags::KEEP_SIZE, self.reserved_end, new_end - self.reserved_end) {
                 Err(rustix::io::Errno::INTR) => {}
-                done => break done.map_err(io::Error::from),
+                result => break result.map_err(io::Error::from),
             }
         };
-        match done {
-            Ok(()) => self.until = until.min(limit),
+        match result {
+            Ok(()) => self.reserved_end = new_end.min(limit),
             Err(e) => match e.kind() {
                 ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge => return Err(e),
-                // Nothing of the kind here: as far as the limit goes, there may be room, and it is not asked for again.
-                _ => self.until = limit,
+                // This file system cannot reserve space: assume that there is space up to the limit, and do not
+                // ask again.
+                _ => self.reserved_end = limit,
             },
         }
         Ok(())
     }
 
-    /// Bytes in the file.
+    /// Size of the file, bytes.
     pub fn length(&self) -> io::Result<u64> {
         Ok(self.file.metadata()?.len())
     }
 
-    /// Gives back what lies behind the end of the file, at byte `end`.
-    pub fn give_back(&self, end: u64) -> io::Result<()> {
-        if self.until > end && self.until < u64::MAX { self.file.set_len(end) } else { Ok(()) }
+    /// Frees the space reserved beyond the end of the file, at byte `end`.
+    pub fn release(&self, end: u64) -> io::Result<()> {
+        if self.reserved_end > end && self.reserved_end < u64::MAX { self.file.set_len(end) } else { Ok(()) }
     }
 }

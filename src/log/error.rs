@@ -1,4 +1,4 @@
-//! What can go wrong with a log, said so that somebody who only sees the message knows what to do.
+//! Errors of writing and reading a log. Each message names the file, the cause and the remedy.
 
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -6,51 +6,52 @@ use std::path::{Path, PathBuf};
 /// Why a log cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
-    /// Creating, writing or closing it failed.
+    /// Creating, writing or closing the log failed.
     #[error("the log {} cannot be written: {}; {}", path.display(), cause(error), remedy(error.kind()))]
     Write {
         /// The log's file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
-    /// What is made of it cannot be written.
+    /// A file made from the log cannot be written.
     #[error("{} cannot be written: {}; choose another --out", path.display(), cause(error))]
     Export {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
-    /// Opening or reading it failed.
+    /// Opening or reading the log failed.
     #[error("the log {} cannot be read: {}", path.display(), cause(error))]
     Read {
         /// The log's file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
-    /// There is no such file, or the folder has no log in it.
+    /// There is no such file, or the folder has no log.
     #[error("{} {why}; give a log, or the folder of a run", path.display())]
     NoLog {
-        /// What was given.
+        /// The path that was given.
         path: PathBuf,
         /// What is wrong with it.
         why: String,
     },
-    /// Its logger still writes it.
+    /// The logger is still writing the log.
     #[error("the log {} is still being written by its logger; wait until its run is over", path.display())]
     InUse {
         /// The log's file.
         path: PathBuf,
     },
-    /// Something stands where the torn original would be kept.
+    /// The file name under which the torn original would be kept is taken.
     #[error(
-        "{} exists already, and the torn log would be kept under that name; move it away, or give another file with --out",
+        "{} exists already, and the torn log would be kept under that name; move it away, or give another file with \
+         --out",
         path.display()
     )]
     Kept {
-        /// Where the original would go.
+        /// The file name for the original.
         path: PathBuf,
     },
     /// The header handed in cannot go into a log.
@@ -61,7 +62,7 @@ pub enum LogError {
         /// What is wrong with the header.
         why: String,
     },
-    /// The file is something else, or a log that was cut off inside its header.
+    /// The file is not a log, or a log that was cut off inside its header.
     #[error("{} is not a log of this program: {why}", path.display())]
     NotALog {
         /// The file.
@@ -86,12 +87,13 @@ pub enum LogError {
         /// The build that wrote the log, as the log names it.
         build: String,
     },
-    /// A record in the middle makes no sense, or a checksum is wrong: the file was changed after it was written.
+    /// A record in the middle is invalid, or a checksum is wrong: the file was changed after it was written.
     #[error("the log {} is damaged at byte {at}: {why}; records before that point were read", path.display())]
     Damaged {
         /// The log's file.
         path: PathBuf,
-        /// Bytes from the start of the file to the record in question; for a checksum, to the end of what it covers.
+        /// Bytes from the start of the file to the invalid record; for a checksum, to the end of the bytes that
+        /// it covers.
         at: u64,
         /// What is wrong.
         why: String,
@@ -99,7 +101,7 @@ pub enum LogError {
 }
 
 impl LogError {
-    /// No room: the disk, the quota or the file-size limit is used up.
+    /// Whether the disk, the quota or the file-size limit is used up.
     pub fn is_full(&self) -> bool {
         let LogError::Write { error, .. } = self else { return false };
         matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge)
@@ -118,7 +120,7 @@ impl LogError {
     }
 }
 
-/// The cause in plain words; the operating system's own text for what we do not know better.
+/// The cause in plain words, or else the operating system's own text.
 fn cause(error: &io::Error) -> String {
     match error.kind() {
         ErrorKind::StorageFull => "no space left on device".into(),
@@ -151,7 +153,7 @@ fn remedy(kind: ErrorKind) -> &'static str {
 mod tests {
     use super::*;
 
-    fn says(code: i32) -> (String, bool) {
+    fn message(code: i32) -> (String, bool) {
         let e = LogError::write(Path::new("/x/log.mcap"), io::Error::from_raw_os_error(code));
         (e.to_string(), e.is_full())
     }
@@ -160,7 +162,7 @@ mod tests {
     fn messages_name_path_cause_and_remedy() {
         let (enospc, efbig, eacces, eexist, enotdir) = (28, 27, 13, 17, 20);
         assert_eq!(
-            says(enospc),
+            message(enospc),
             (
                 "the log /x/log.mcap cannot be written: no space left on device; free some space, choose another --out \
                  or thin the log with [log] every"
@@ -168,10 +170,10 @@ mod tests {
                 true
             )
         );
-        let (text, full) = says(efbig);
+        let (text, full) = message(efbig);
         assert!(text.contains("size of a file") && text.contains("ulimit -f") && full, "{text}");
         for (code, words) in [(eacces, "permission denied"), (eexist, "exists already"), (enotdir, "not a folder")] {
-            let (text, full) = says(code);
+            let (text, full) = message(code);
             assert!(text.contains("/x/log.mcap") && text.contains(words) && text.contains("--out"), "{text}");
             assert!(!full);
         }

@@ -1,8 +1,8 @@
-//! What stands at the start of a log: everything that a reader needs to interpret it without this program.
+//! The header of a log: everything that a reader needs to interpret the log without this program.
 
 use super::{CHANNELS, LogError};
-use crate::scenario::{ChannelsConfig, Plan, SignalConfig};
-use crate::wire::{Command, Gap, Learning, Observation, Sample, flag, schema_hash};
+use crate::scenario::{Plan, SignalConfig};
+use crate::wire::{ChannelNames, Command, Gap, Learning, Observation, Sample, flag, schema_hash};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -25,9 +25,10 @@ impl LogClock {
     }
 }
 
-/// A run's description. Every field goes into the metadata record `tectum.run` under its own name, hashes and the run's
-/// id in hexadecimal, lists as JSON, the machine's facts behind `machine.`; the scenario's text becomes an attachment.
-/// The record also names the version of each sample type (`wire.*`) and the bits of a header's flags (`flags`).
+/// A run's description. Every field is written to the metadata record `tectum.run` under its own name: hashes
+/// and the run's id in hexadecimal, lists as JSON, the machine's facts with the prefix `machine.`. The
+/// scenario's text becomes an attachment. The record also names the version of each sample type (`wire.*`) and
+/// the bits of a header's flags (`flags`).
 #[derive(Debug, Clone, PartialEq)]
 pub struct LogHeader {
     /// The scenario as TOML, every default filled in.
@@ -38,19 +39,19 @@ pub struct LogHeader {
     pub name: String,
     /// Seed of every random stream.
     pub seed: u64,
-    /// Ticks that the run is planned to have.
+    /// Planned number of ticks.
     pub ticks: u64,
-    /// How ticks follow each other, for example `lockstep` or `real-time`.
+    /// The mode of the run, for example `lockstep` or `real-time`.
     pub mode: String,
     /// Period of the tick, ns.
     pub period_ns: u64,
-    /// Every how many ticks are written.
+    /// Every `every`-th tick is written.
     pub every: u64,
     /// Hash over the layout of all samples.
     pub schema_hash: u64,
     /// Hash of the resolved scenario.
     pub scenario_hash: u64,
-    /// Identity of the build that writes.
+    /// Identity of the build that writes the log.
     pub build: String,
     /// Inputs of an observation, in order, with units and ranges.
     pub inputs: Vec<SignalConfig>,
@@ -59,11 +60,11 @@ pub struct LogHeader {
     /// Names of an observation's measures, in order.
     pub measures: Vec<String>,
     /// Names of the channels; a topic is `/` and the name.
-    pub channels: ChannelsConfig,
-    /// What is known of the machine: kernel, processor, cores, host and whatever else.
+    pub channels: ChannelNames,
+    /// Facts about the machine: kernel, processor, cores, host and others.
     pub machine: BTreeMap<String, String>,
-    /// Real time: what each process asked of the operating system, what holds and what was refused, as JSON by the
-    /// process's name; `realtime.` goes before it. Of a process that was started anew, the first account.
+    /// Real time: the real-time settings that each process requested, those in effect and those refused, as
+    /// JSON by the process's name, with the prefix `realtime.`. Of a restarted process, the first report.
     pub realtime: BTreeMap<String, String>,
     /// The clock of all instants.
     pub clock: LogClock,
@@ -71,39 +72,39 @@ pub struct LogHeader {
     pub t0_ns: u64,
     /// Wall time at that instant, ns since 1970; 0 on the virtual clock.
     pub wall_at_t0_ns: u64,
-    /// Which part of the run's log the file is, and what the parts before it hold.
+    /// Which segment of the run's log the file is, and what the earlier segments hold.
     pub segment: LogSegment,
 }
 
-/// A part of a run's log: a logger that was started anew leaves the files that are there as they are, and writes another.
+/// A segment of a run's log: a restarted logger does not change the existing files, and writes another.
 ///
-/// In the metadata record `tectum.run` its number stands under `segment`, and for each channel (`observation` and so on)
-/// `begins.<channel>` and `before.<channel>.written`, `.lost`, `.thinned` and `.duplicates`; `before.gap.written` too. A log
-/// without these keys is the first of its run.
+/// In the metadata record `tectum.run` its number is under `segment`, and for each channel (`observation` and
+/// so on) `begins.<channel>` and `before.<channel>.written`, `.lost`, `.thinned` and `.duplicates`;
+/// `before.gap.written` too. A log without these keys is the first of its run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LogSegment {
     /// The logger's start number within the run; 0 for the first file.
     pub number: u32,
-    /// Sequence number of the first sample that no earlier segment accounts for, written, stated to be lost, or left out on
-    /// purpose. In the first segment 0, unless the run goes on with another one.
+    /// Sequence number of the first sample that no earlier segment accounts for as written, lost, or thinned.
+    /// In the first segment 0, unless the run continues another one.
     pub begins: [u64; 3],
     /// Messages in earlier segments: observations, commands, learning records, gaps.
     pub written: [u64; 4],
     /// Samples that earlier segments state to be missing.
     pub lost: [u64; 3],
-    /// Samples left out of earlier segments on purpose.
+    /// Samples that earlier segments left out on purpose.
     pub thinned: [u64; 3],
-    /// Samples that came twice so far, of which one was dropped.
+    /// Samples received twice so far, of which one was dropped.
     pub duplicates: [u64; 3],
 }
 
 impl LogSegment {
-    /// Sequence number of the run's first sample on channel `i`: not 0 where the run goes on with another one.
+    /// Sequence number of the run's first sample on channel `i`: not 0 if the run continues another one.
     pub fn first(&self, i: usize) -> u64 {
         self.begins[i].saturating_sub(self.written[i]).saturating_sub(self.lost[i]).saturating_sub(self.thinned[i])
     }
 
-    fn put(&self, map: &mut BTreeMap<String, String>) {
+    fn add_to_map(&self, map: &mut BTreeMap<String, String>) {
         let mut put = |key: String, value: u64| map.insert(key, value.to_string());
         put("segment".into(), self.number.into());
         put("before.gap.written".into(), self.written[3]);
@@ -116,10 +117,10 @@ impl LogSegment {
         }
     }
 
-    /// What `tectum.run` says; a key that is missing or holds something else counts as 0.
+    /// The segment that `tectum.run` describes; a missing or invalid key counts as 0.
     pub(super) fn from_map(map: &BTreeMap<String, String>) -> LogSegment {
         let number = |key: &str| map.get(key).and_then(|value| value.parse::<u64>().ok()).unwrap_or(0);
-        let each = |what: &str| CHANNELS.map(|name| number(&format!("before.{name}.{what}")));
+        let each = |key: &str| CHANNELS.map(|name| number(&format!("before.{name}.{key}")));
         let [observation, command, learning] = each("written");
         LogSegment {
             number: u32::try_from(number("segment")).unwrap_or(0),
@@ -133,10 +134,10 @@ impl LogSegment {
 }
 
 impl LogHeader {
-    /// The description of a run of `plan` on the virtual clock; for real time set [`clock`](Self::clock) and its two
-    /// instants.
+    /// The description of a run of `plan` on the virtual clock; for real time set [`clock`](Self::clock) and
+    /// its two instants.
     pub fn new(plan: &Plan, run: u64, mode: &str, machine: BTreeMap<String, String>) -> LogHeader {
-        // A scenario came out of TOML, so it goes back; an empty text is refused when the log is created.
+        // A scenario was read from TOML, so it can be written as TOML. If not, `to_map` refuses the empty text.
         let scenario = toml::to_string(&plan.scenario).unwrap_or_default();
         LogHeader {
             scenario,
@@ -170,11 +171,11 @@ impl LogHeader {
 
     /// The content of `tectum.run`.
     pub(super) fn to_map(&self, path: &Path) -> Result<BTreeMap<String, String>, LogError> {
-        let bad = |why: String| LogError::Header { path: path.to_owned(), why };
+        let invalid = |why: String| LogError::Header { path: path.to_owned(), why };
         if self.scenario.is_empty() {
-            return Err(bad("its scenario has no text, or none that TOML can hold".into()));
+            return Err(invalid("its scenario has no text, or none that TOML can hold".into()));
         }
-        let json = |what: &str, value: serde_json::Result<String>| value.map_err(|e| bad(format!("{what}: {e}")));
+        let json = |key: &str, value: serde_json::Result<String>| value.map_err(|e| invalid(format!("{key}: {e}")));
         let mut map: BTreeMap<String, String> =
             self.machine.iter().map(|(k, v)| (format!("machine.{k}"), v.clone())).collect();
         map.extend(self.realtime.iter().map(|(k, v)| (format!("realtime.{k}"), v.clone())));
@@ -203,12 +204,12 @@ impl LogHeader {
         put("wire.command", Command::NAME.to_owned());
         put("wire.learning", Learning::NAME.to_owned());
         put("wire.gap", Gap::NAME.to_owned());
-        self.segment.put(&mut map);
+        self.segment.add_to_map(&mut map);
         Ok(map)
     }
 }
 
-/// The flags that are set, by name, with `|` between them; a bit without a name stands as a hexadecimal number.
+/// The names of the flags that are set, separated by `|`; bits without a name as one hexadecimal number.
 pub(crate) fn flag_words(flags: u32) -> String {
     let known = FLAGS.iter().filter(|(_, bit)| flags & bit != 0).map(|(name, _)| (*name).to_owned());
     let other = flags & !FLAGS.iter().fold(0, |all, (_, bit)| all | bit);
@@ -216,7 +217,7 @@ pub(crate) fn flag_words(flags: u32) -> String {
     known.chain(other).collect::<Vec<_>>().join("|")
 }
 
-/// The bits of a header's flags by name.
+/// Names of the bits of a header's flags.
 const FLAGS: [(&str, u32); 19] = [
     ("FIRST", flag::FIRST),
     ("MISSED", flag::MISSED),
@@ -262,7 +263,7 @@ pub(super) mod tests {
             inputs: vec![signal("target_x", "m")],
             outputs: vec![signal("rate_1", "rad/s")],
             measures: vec!["error".into()],
-            channels: ChannelsConfig::default(),
+            channels: ChannelNames::default(),
             machine: BTreeMap::from([("kernel".into(), "Linux".into())]),
             realtime: BTreeMap::new(),
             clock: LogClock::Virtual,
@@ -273,7 +274,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn the_map_says_what_a_stranger_needs() {
+    fn the_map_describes_signals_topics_and_flags() {
         let realtime = BTreeMap::from([("plant".into(), "{}".into())]);
         let map = LogHeader { realtime, ..sample_header() }.to_map(Path::new("x")).unwrap();
         assert_eq!(map["run"], "0000000000000abc");
@@ -286,7 +287,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_segment_survives_its_map() {
+    fn a_segment_is_equal_after_a_round_trip_through_its_map() {
         let segment = LogSegment {
             number: 3,
             begins: [10, 11, 12],
@@ -298,19 +299,19 @@ pub(super) mod tests {
         let map = LogHeader { segment, ..sample_header() }.to_map(Path::new("x")).unwrap();
         assert_eq!((map["segment"].as_str(), map["begins.command"].as_str()), ("3", "11"));
         assert_eq!(LogSegment::from_map(&map), segment);
-        // A log from before there were segments.
+        // A log written before segments were introduced.
         assert_eq!(LogSegment::from_map(&BTreeMap::new()), LogSegment::default());
     }
 
     #[test]
-    fn flags_have_words() {
+    fn flags_have_names() {
         assert_eq!(flag_words(0), "");
         assert_eq!(flag_words(flag::MISSED | flag::HELD | flag::DIVERGED), "MISSED|HELD|DIVERGED");
         assert_eq!(flag_words(flag::LEARNED | 1 << 30), "LEARNED|0x40000000");
     }
 
     #[test]
-    fn a_plans_scenario_comes_back_from_its_header() {
+    fn a_plans_scenario_can_be_read_from_its_header() {
         let text = "name = \"reach\"\nticks = 9\n[plant.arm]\n[encoder]\nmaps = [{ inputs = [\"x\"], radius = 0.5 }]\n";
         let mut plan = Plan {
             scenario: toml::from_str(text).unwrap(),
@@ -327,7 +328,7 @@ pub(super) mod tests {
         assert_eq!(toml::from_str::<crate::scenario::Scenario>(&header.scenario).unwrap(), plan.scenario);
         assert_eq!((header.run, header.seed, header.every, header.scenario_hash), (3, 1, 1, 5));
         assert_eq!((header.clock, header.t0_ns, header.wall_at_t0_ns), (LogClock::Virtual, 0, 0));
-        // A seed from elsewhere may be larger than what TOML promises for integers.
+        // A seed may be larger than the largest integer that TOML guarantees.
         plan.scenario.seed = u64::MAX;
         let header = LogHeader::new(&plan, 3, "lockstep", BTreeMap::new());
         assert_eq!(toml::from_str::<crate::scenario::Scenario>(&header.scenario).unwrap().seed, u64::MAX);

@@ -1,4 +1,5 @@
-//! What a log is: of which run, whole or torn, how much of what, and what it lacks.
+//! Summary of a log for `tectum log info`: its run, whether it is whole or torn, what it holds, and what is
+//! missing.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -14,18 +15,21 @@ use crate::log::header::flag_words;
 use crate::wire::{Command, Observation, flag};
 
 mod text;
+mod utc;
+
+use utc::utc;
 
 /// How a log ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LogState {
-    /// At the end that its logger wrote, and the checksums fit.
+    /// It has the end that its logger wrote, and the checksums fit.
     Whole,
-    /// Likewise, but it was torn once and made whole by [`repair`](super::repair()).
+    /// The same, but it was torn and then repaired by [`repair`](super::repair()).
     Repaired,
     /// Cut off: its logger or its machine died.
     Torn,
-    /// Nowhere yet: its logger still writes it.
+    /// Its logger is still writing it.
     Growing,
 }
 
@@ -36,24 +40,24 @@ pub struct ChannelInfo {
     pub topic: String,
     /// Messages in the log.
     pub messages: u64,
-    /// Tick of the first.
+    /// Tick of the first message.
     pub first_tick: Option<u64>,
-    /// Tick of the last.
+    /// Tick of the last message.
     pub last_tick: Option<u64>,
-    /// Messages a second of the run's clock.
+    /// Messages per second of the run's clock.
     pub per_second: Option<f64>,
     /// Samples that the log states to be missing.
     pub lost_stated: u64,
-    /// Samples missing by their sequence numbers, and those stated to be missing behind the last; null for a thinned log, in
-    /// which sequence numbers cannot tell them from those left out on purpose.
+    /// Samples missing by their sequence numbers, and those stated to be missing after the last one. Null for a
+    /// thinned log, whose sequence numbers do not distinguish lost samples from thinned ones.
     pub lost_found: Option<u64>,
-    /// Samples left out on purpose, so far as the log tells.
+    /// Samples left out on purpose, as far as the log states.
     pub thinned: u64,
-    /// Samples that came twice, of which one was dropped, so far as the log tells.
+    /// Samples received twice, of which one was dropped, as far as the log states.
     pub duplicates: u64,
-    /// Start numbers of its writer within the run, each with the tick of its first sample in the log.
+    /// Incarnations of its writer within the run, each with the tick of its first sample in the log.
     pub incarnations: Vec<(u32, u64)>,
-    /// Statements, sequence numbers and totals say the same.
+    /// Whether statements, sequence numbers and totals agree.
     pub agrees: bool,
 }
 
@@ -62,7 +66,7 @@ pub struct ChannelInfo {
 pub struct SegmentInfo {
     /// The file.
     pub log: PathBuf,
-    /// The start number of the logger that wrote it.
+    /// The incarnation of the logger that wrote it.
     pub number: u32,
     /// Its size, bytes.
     pub bytes: u64,
@@ -70,20 +74,20 @@ pub struct SegmentInfo {
     pub state: LogState,
     /// Where the last whole record of a torn segment ends, bytes from its start.
     pub torn_at: Option<u64>,
-    /// The first tick of a sample in it.
+    /// The first tick in it.
     pub first_tick: Option<u64>,
-    /// The last one.
+    /// The last tick in it.
     pub last_tick: Option<u64>,
-    /// Samples that it states to be missing before its first: observations, commands, learning records.
+    /// Samples that it states to be missing before its first sample: observations, commands, learning records.
     pub missing_before: [u64; 3],
 }
 
-/// A log at a glance.
+/// Summary of a log.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LogInfo {
     /// The file; for a log in several segments, their folder.
     pub log: PathBuf,
-    /// Its size, all segments, bytes.
+    /// Size of all segments, bytes.
     pub bytes: u64,
     /// How its last segment ends.
     pub state: LogState,
@@ -91,29 +95,29 @@ pub struct LogInfo {
     pub torn_at: Option<u64>,
     /// Its segments.
     pub segments: Vec<SegmentInfo>,
-    /// The tick from which on samples are missing because there was no room for them, and why.
+    /// The tick from which on samples are missing because the disk was full, and why.
     pub missing_from: Option<(u64, String)>,
     /// The scenario's name.
     pub scenario: String,
     /// Its seed.
     pub seed: Option<u64>,
-    /// Ticks that the run was planned to have.
+    /// Planned number of ticks.
     pub planned_ticks: Option<u64>,
-    /// How ticks followed each other.
+    /// The mode of the run.
     pub mode: String,
     /// Wall time of tick 0; null in lockstep, whose time is the tick's.
     pub started: Option<String>,
     /// The build that wrote it.
     pub build: String,
-    /// What is known of the machine.
+    /// Facts about the machine.
     pub machine: BTreeMap<String, String>,
     /// The tick's period, s.
     pub period_s: f64,
-    /// Every how many ticks are written.
+    /// Every `every`-th tick is written.
     pub every: u64,
-    /// From the start of the first tick in the log to the end of the last one, s of the run's time.
+    /// Time from the start of the first tick in the log to the end of the last, s of the run's time.
     pub duration_s: f64,
-    /// The run came to its planned end; null where the log was cut off before it could say.
+    /// Whether the run reached its planned end; null where the log was cut off before that was known.
     pub complete: Option<bool>,
     /// The last hash of the weights, hexadecimal, and its tick.
     pub weights_hash: Option<(String, u64)>,
@@ -125,103 +129,38 @@ pub struct LogInfo {
     pub wake_up_lateness_us: Option<Percentiles>,
     /// Real time: from sensing to the sending of the command, us.
     pub observation_to_command_us: Option<Percentiles>,
-    /// Real time: from the sending of a command to the observation that tells that it was applied, us.
+    /// Real time: from the sending of a command to the observation that reports that it was applied, us.
     pub command_to_applied_us: Option<Percentiles>,
-    /// The three were counted from the samples in the log, which did not come to its end.
+    /// Whether the three were recounted from the samples in the log, because the log has no end.
     pub recounted: bool,
-    /// What observations and commands in the log are flagged with, and how many are; targets and the first are left out.
+    /// How often each flag is set in observations and commands; `FIRST` and `NEW_TARGET` are left out.
     pub flags: BTreeMap<String, u64>,
 }
 
 impl LogInfo {
-    /// Reads the log in `segments`, of one run and in their order, to its end.
+    /// Reads the log in `segments`, which belong to one run and are in order, to its end.
     ///
     /// # Errors
     ///
-    /// As [`RunLog::open`] and its iterator: a torn log is none, a damaged one is.
+    /// As [`RunLog::open`] and its iterator. A torn log is no error; a damaged one is.
     pub fn of(segments: &[PathBuf]) -> Result<LogInfo, LogError> {
         Self::over(RunLog::open(segments)?)
     }
 
-    /// The same from a log at its beginning.
+    /// Reads a log that is at its beginning.
     ///
     /// # Errors
     ///
     /// As the log's iterator.
     pub fn over(mut log: RunLog) -> Result<LogInfo, LogError> {
-        let mut account = log.account();
-        let mut weights_hash = None;
-        let number = |log: &RunLog, key: &str| log.run(key).and_then(|value| value.parse::<u64>().ok());
-        let period_ns = number(&log, "period_ns").unwrap_or(0);
-        let mut timings = LatencyHistograms::new(period_ns);
-        let mut parts = vec![SegmentContents::default()];
-        let mut flagged = [0; 32];
+        let mut scan = LogScan::new(&log);
         while let Some(record) = log.next() {
-            let record = record?;
-            account.take(&record);
-            timings.take(&record);
-            // A segment may hold nothing.
-            parts.resize(log.begun(), SegmentContents::default());
-            parts[log.begun() - 1].take(&record);
-            if let LogRecord::Observation(Observation { header, .. }) | LogRecord::Command(Command { header, .. }) =
-                &record
-            {
-                let flags = header.flags & !(flag::FIRST | flag::NEW_TARGET);
-                (0..32).for_each(|bit| flagged[bit] += u64::from(flags >> bit & 1));
-            }
-            if let LogRecord::Learning(s) = &record
-                && s.header.flags & flag::HASHED != 0
-            {
-                weights_hash = Some((format!("{:016x}", s.weights_hash), s.header.tick));
-            }
+            scan.take(&record?, log.segments_begun());
         }
-        parts.resize(log.begun(), SegmentContents::default());
-        let segments: Vec<_> = parts.into_iter().zip(log.segments()).map(|(part, end)| part.info(end)).collect();
-        let last = segments.last().map_or((LogState::Torn, None), |last| (last.state, last.torn_at));
-        let said = |name: &str| log.segment().metadata().get(name);
-        // Whoever counts the totals of a torn log afterwards has not seen the run's end.
-        let counted = said(TOTALS_METADATA).is_some_and(|totals| totals.contains_key("repaired"));
-        // The logger counted what it did not write, too.
-        let stored = said(HISTOGRAMS_METADATA).is_some_and(|map| timings.restore(map));
-        let real = log.run("clock") == Some(LogClock::Monotonic.name());
-        let [wake_up, answer, applied] = timings.percentiles().map(|percentiles| percentiles.filter(|_| real));
-        let text = |key: &str| log.run(key).unwrap_or("unknown").to_owned();
-        let ticks = account.lanes.iter().filter_map(|lane| lane.ticks);
-        let span = ticks.reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
-        let machine = log.description().iter();
-        let machine = machine.filter_map(|(k, v)| Some((k.strip_prefix("machine.")?.to_owned(), v.clone())));
-        Ok(LogInfo {
-            log: log.path().to_owned(),
-            bytes: segments.iter().map(|segment| segment.bytes).sum(),
-            state: last.0,
-            torn_at: last.1,
-            missing_from: log.missing_from().map(|tick| (tick, why_missing(&log))),
-            scenario: text("name"),
-            seed: number(&log, "seed"),
-            planned_ticks: number(&log, "ticks"),
-            mode: text("mode"),
-            started: number(&log, "wall_at_t0_ns").filter(|&ns| ns > 0).map(utc),
-            build: text("build"),
-            machine: machine.collect(),
-            period_s: period_ns as f64 / 1e9,
-            every: log.every(),
-            duration_s: span.map_or(0.0, |(first, last)| {
-                ((u128::from(last.saturating_sub(first)) + 1) * u128::from(period_ns)) as f64 / 1e9
-            }),
-            complete: log.totals().filter(|_| !counted).map(|totals| totals.complete),
-            weights_hash,
-            channels: (0..3).map(|i| channel(&log, &account, i)).collect(),
-            gaps: account.gaps,
-            wake_up_lateness_us: wake_up,
-            observation_to_command_us: answer,
-            command_to_applied_us: applied,
-            recounted: real && !stored,
-            segments,
-            flags: (0..32).zip(flagged).filter(|(_, n)| *n > 0).map(|(bit, n)| (flag_words(1 << bit), n)).collect(),
-        })
+        Ok(scan.finish(&log))
     }
 
-    /// Statements, sequence numbers and totals of every channel say the same.
+    /// Whether statements, sequence numbers and totals of every channel agree.
     pub fn agrees(&self) -> bool {
         self.channels.iter().all(|channel| channel.agrees)
     }
@@ -232,12 +171,120 @@ impl LogInfo {
     }
 }
 
-/// What a segment holds.
+/// Everything that is counted while a log is read.
+struct LogScan {
+    period_ns: u64,
+    counts: MessageCounts,
+    histograms: LatencyHistograms,
+    /// One for each segment begun.
+    segments: Vec<SegmentContents>,
+    /// How often each flag bit is set in observations and commands.
+    flags: [u64; 32],
+    weights_hash: Option<(String, u64)>,
+}
+
+impl LogScan {
+    fn new(log: &RunLog) -> Self {
+        let period_ns = number(log, "period_ns").unwrap_or(0);
+        Self {
+            period_ns,
+            counts: log.message_counts(),
+            histograms: LatencyHistograms::new(period_ns),
+            segments: Vec::new(),
+            flags: [0; 32],
+            weights_hash: None,
+        }
+    }
+
+    /// Counts the next message; it belongs to the last of the `segments_begun` segments.
+    fn take(&mut self, record: &LogRecord, segments_begun: usize) {
+        self.counts.take(record);
+        self.histograms.take(record);
+        // A segment may hold no message.
+        self.segments.resize(segments_begun, SegmentContents::default());
+        self.segments[segments_begun - 1].take(record);
+        if let LogRecord::Observation(Observation { header, .. }) | LogRecord::Command(Command { header, .. }) = record
+        {
+            let flags = header.flags & !(flag::FIRST | flag::NEW_TARGET);
+            (0..32).for_each(|bit| self.flags[bit] += u64::from(flags >> bit & 1));
+        }
+        if let LogRecord::Learning(s) = record
+            && s.header.flags & flag::HASHED != 0
+        {
+            self.weights_hash = Some((format!("{:016x}", s.weights_hash), s.header.tick));
+        }
+    }
+
+    /// The summary of a log that has been read to its end.
+    fn finish(mut self, log: &RunLog) -> LogInfo {
+        self.segments.resize(log.segments_begun(), SegmentContents::default());
+        let segments: Vec<_> = self.segments.into_iter().zip(log.segments()).map(|(s, end)| s.info(end)).collect();
+        let (state, torn_at) = segments.last().map_or((LogState::Torn, None), |last| (last.state, last.torn_at));
+        let metadata = |name: &str| log.current_segment().metadata().get(name);
+        // Totals that a repair has counted do not tell whether the run reached its end.
+        let totals_recounted = metadata(TOTALS_METADATA).is_some_and(|totals| totals.contains_key("repaired"));
+        // The logger's own histograms also count the samples that it did not write.
+        let stored = metadata(HISTOGRAMS_METADATA).is_some_and(|map| self.histograms.restore(map));
+        let real = log.run("clock") == Some(LogClock::Monotonic.name());
+        let [wake_up, answer, applied] = self.histograms.percentiles().map(|percentiles| percentiles.filter(|_| real));
+        let text = |key: &str| log.run(key).unwrap_or("unknown").to_owned();
+        LogInfo {
+            log: log.path().to_owned(),
+            bytes: segments.iter().map(|segment| segment.bytes).sum(),
+            state,
+            torn_at,
+            missing_from: log.missing_from().map(|tick| (tick, why_missing(log))),
+            scenario: text("name"),
+            seed: number(log, "seed"),
+            planned_ticks: number(log, "ticks"),
+            mode: text("mode"),
+            started: number(log, "wall_at_t0_ns").filter(|&ns| ns > 0).map(utc),
+            build: text("build"),
+            machine: machine(log),
+            period_s: self.period_ns as f64 / 1e9,
+            every: log.every(),
+            duration_s: duration_s(&self.counts, self.period_ns),
+            complete: log.totals().filter(|_| !totals_recounted).map(|totals| totals.complete),
+            weights_hash: self.weights_hash,
+            channels: (0..3).map(|i| channel_info(log, &self.counts, i)).collect(),
+            gaps: self.counts.gaps,
+            wake_up_lateness_us: wake_up,
+            observation_to_command_us: answer,
+            command_to_applied_us: applied,
+            recounted: real && !stored,
+            segments,
+            flags: (0..32).zip(self.flags).filter(|(_, n)| *n > 0).map(|(bit, n)| (flag_words(1 << bit), n)).collect(),
+        }
+    }
+}
+
+/// A number in the run's description.
+fn number(log: &RunLog, key: &str) -> Option<u64> {
+    log.run(key)?.parse().ok()
+}
+
+/// The facts about the machine in the run's description.
+fn machine(log: &RunLog) -> BTreeMap<String, String> {
+    let facts = log.description().iter();
+    facts.filter_map(|(key, value)| Some((key.strip_prefix("machine.")?.to_owned(), value.clone()))).collect()
+}
+
+/// Time from the start of the first tick of all channels to the end of the last, s.
+fn duration_s(counts: &MessageCounts, period_ns: u64) -> f64 {
+    let ticks = counts.channels.iter().filter_map(|channel| channel.ticks);
+    let range = ticks.reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
+    range.map_or(0.0, |(first, last)| {
+        ((u128::from(last.saturating_sub(first)) + 1) * u128::from(period_ns)) as f64 / 1e9
+    })
+}
+
+/// The contents of a segment.
 #[derive(Debug, Clone, Default)]
 struct SegmentContents {
     ticks: Option<(u64, u64)>,
     missing_before: [u64; 3],
-    begun: [bool; 3],
+    /// Channels of which a sample has been read.
+    has_sample: [bool; 3],
 }
 
 impl SegmentContents {
@@ -247,20 +294,20 @@ impl SegmentContents {
             LogRecord::Command(_) => 1,
             LogRecord::Learning(_) => 2,
             LogRecord::Gap(gap) => {
-                if let Some(i) = usize::try_from(gap.channel).ok().filter(|&i| i < 3 && !self.begun[i]) {
+                if let Some(i) = usize::try_from(gap.channel).ok().filter(|&i| i < 3 && !self.has_sample[i]) {
                     self.missing_before[i] = self.missing_before[i].saturating_add(gap.count);
                 }
                 return;
             }
         };
-        self.begun[channel] = true;
+        self.has_sample[channel] = true;
         if let Some(tick) = record.header().map(|header| header.tick) {
             self.ticks = Some(self.ticks.map_or((tick, tick), |(first, last)| (first.min(tick), last.max(tick))));
         }
     }
 
     fn info(self, end: SegmentEnd) -> SegmentInfo {
-        // What is not in a file is neither long nor in use.
+        // A log read from other sources than a file has no size and no lock.
         let file = File::open(&end.path).ok();
         let bytes = file.as_ref().and_then(|file| file.metadata().ok()).map_or(end.position, |file| file.len());
         let state = match (end.finished, end.repaired) {
@@ -283,72 +330,44 @@ impl SegmentContents {
     }
 }
 
-/// Why samples are missing, in the logger's own words; the last segment's, where it has any.
+/// Why samples are missing, as the logger of the last segment states it.
 fn why_missing(log: &RunLog) -> String {
-    let said = log.segment().metadata().get(MISSING_METADATA).and_then(|map| map.get("why"));
-    said.map_or_else(|| "an earlier segment says why".to_owned(), Clone::clone)
+    let stated = log.current_segment().metadata().get(MISSING_METADATA).and_then(|map| map.get("why"));
+    stated.map_or_else(|| "an earlier segment states why".to_owned(), Clone::clone)
 }
 
-fn channel(log: &RunLog, account: &MessageCounts, i: usize) -> ChannelInfo {
-    let lane = &account.lanes[i];
+/// The summary of channel `i`.
+fn channel_info(log: &RunLog, counts: &MessageCounts, i: usize) -> ChannelInfo {
+    let counts = &counts.channels[i];
     let thinned = log.every() > 1;
-    let (totals, before) = (log.totals(), log.begins());
-    // What stands behind the last sample is known from the totals alone.
-    let said = |key: &str| {
-        log.segment().metadata().get(TOTALS_METADATA)?.get(&format!("{}.{key}", CHANNELS[i]))?.parse::<u64>().ok()
+    let (totals, before) = (log.totals(), log.log_segment());
+    // Samples missing after the last one are known from the totals alone.
+    let stated_total = |key: &str| {
+        log.current_segment()
+            .metadata()
+            .get(TOTALS_METADATA)?
+            .get(&format!("{}.{key}", CHANNELS[i]))?
+            .parse::<u64>()
+            .ok()
     };
     let totals_agree = totals.is_none_or(|t| {
-        t.lost[i] == lane.stated
-            && said("written") == before.written[i].checked_add(lane.messages)
-            && t.thinned[i] >= if thinned { lane.unexplained } else { 0 }
+        t.lost[i] == counts.stated
+            && stated_total("written") == before.written[i].checked_add(counts.messages)
+            && t.thinned[i] >= if thinned { counts.unexplained } else { 0 }
     });
-    let found = lane.stated.saturating_add(lane.unexplained);
+    let found = counts.stated.saturating_add(counts.unexplained);
     let duplicates = totals.map_or(before.duplicates[i], |totals| totals.duplicates[i]);
     ChannelInfo {
         topic: log.run(&format!("topic.{}", CHANNELS[i])).map_or_else(|| format!("/{}", CHANNELS[i]), str::to_owned),
-        messages: lane.messages,
-        first_tick: lane.ticks.map(|(first, _)| first),
-        last_tick: lane.ticks.map(|(_, last)| last),
-        per_second: lane.rate(),
-        lost_stated: lane.stated,
+        messages: counts.messages,
+        first_tick: counts.ticks.map(|(first, _)| first),
+        last_tick: counts.ticks.map(|(_, last)| last),
+        per_second: counts.rate(),
+        lost_stated: counts.stated,
         lost_found: (!thinned).then_some(found),
-        thinned: if thinned { totals.map_or(lane.unexplained, |t| t.thinned[i]) } else { 0 },
+        thinned: if thinned { totals.map_or(counts.unexplained, |t| t.thinned[i]) } else { 0 },
         duplicates,
-        incarnations: lane.incarnations.clone(),
-        agrees: totals_agree && lane.contradictions == 0 && (thinned || lane.unexplained == 0),
-    }
-}
-
-/// An instant, ns since 1970, as date and time.
-fn utc(ns: u64) -> String {
-    let seconds = ns / 1_000_000_000;
-    let (days, of_day) = ((seconds / 86_400) as i64, seconds % 86_400);
-    // Days to year, month and day of the proleptic Gregorian calendar, with years that begin in March.
-    let shifted = days + 719_468;
-    let (era, of_era) = (shifted / 146_097, shifted % 146_097);
-    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let from_march = (5 * of_year + 2) / 153;
-    let day = of_year - (153 * from_march + 2) / 5 + 1;
-    let month = if from_march < 10 { from_march + 3 } else { from_march - 9 };
-    let year = year_of_era + era * 400 + i64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02} {:02}:{:02}:{:02} UTC", of_day / 3600, of_day / 60 % 60, of_day % 60)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn instants_become_dates() {
-        for (seconds, date) in [
-            (0, "1970-01-01 00:00:00 UTC"),
-            (951_782_399, "2000-02-28 23:59:59 UTC"),
-            (951_782_400, "2000-02-29 00:00:00 UTC"),
-            (1_709_210_096, "2024-02-29 12:34:56 UTC"),
-            (1_798_761_599, "2026-12-31 23:59:59 UTC"),
-        ] {
-            assert_eq!(utc(seconds * 1_000_000_000), date);
-        }
+        incarnations: counts.incarnations.clone(),
+        agrees: totals_agree && counts.contradictions == 0 && (thinned || counts.unexplained == 0),
     }
 }

@@ -1,22 +1,25 @@
-//! Three durations of every tick of a run on the real clock, as histograms that are in the log itself.
+//! Histograms of three durations of every tick of a real-time run, stored in the log itself.
 //!
-//! All are told from the samples alone, so that they outlive whoever dies, and so that anybody can count them again:
+//! All are computed from the samples alone. So they survive the death of any process, and any reader can
+//! recompute them:
 //!
-//! - *wake-up lateness*: from the tick's scheduled instant (`scheduled_ns` of an observation) to its sensing (`sensed_ns`).
-//!   Every tick that the plant passed over right before (`skipped`) adds a sample of its own, from *its* scheduled instant to
-//!   the same sensing: a stall of ten ticks is ten late ticks, not one (no coordinated omission).
-//! - *observation to command*: from the sensing (`sensed_ns`, which a command repeats) to the instant at which the command
-//!   was handed to its channel (`published_ns`). What the plant was late itself stands in the lateness, so that both together
-//!   are the time from the schedule to the command.
-//! - *command to applied*: from `published_ns` of the command of tick k to the sensing of observation k+1, which is when the
-//!   body has lived through tick k with it. Only where that observation says that the command was applied: not missed, no
-//!   tick passed over in between, and not the first of a plant that was started anew. At a steady cadence this is what is left
-//!   of the period, plus the lateness of tick k+1.
+//! - *wake-up lateness*: from the tick's scheduled instant (`scheduled_ns` of an observation) to its sensing
+//!   (`sensed_ns`). Every tick that the plant skipped right before (`skipped`) adds a sample of its own, from
+//!   *its* scheduled instant to the same sensing: a stall of ten ticks is ten late ticks, not one (no
+//!   coordinated omission).
+//! - *observation to command*: from the sensing (`sensed_ns`, which a command repeats) to the instant at which
+//!   the command was sent (`published_ns`). The plant's own lateness is in the first duration, so the two
+//!   together are the time from the scheduled instant to the command.
+//! - *command to applied*: from `published_ns` of the command of tick k to the sensing of observation k+1, when
+//!   the plant has advanced through tick k with it. Counted only if that observation reports that the command
+//!   was applied: it was not missed, no tick was skipped in between, and it is not the first observation of a
+//!   restarted plant. At a steady cadence this is the rest of the period, plus the lateness of tick k+1.
 //!
-//! In the metadata record `tectum.histograms` each stands under its name (`wake_up_lateness`, `observation_to_command`,
-//! `command_to_applied`) as text: `value:count` with a space between, values in ns in rising order, three significant digits (the
-//! largest value of its bucket); what is longer than a minute counts as a minute. Ticks that a thinned log leaves out are
-//! counted all the same; samples that never reached the logger are not.
+//! In the metadata record `tectum.histograms` each is stored under its name (`wake_up_lateness`,
+//! `observation_to_command`, `command_to_applied`) as text: `value:count` separated by spaces, values in ns in
+//! rising order, three significant digits (the largest value of its bucket). Durations longer than a minute
+//! count as a minute. Ticks that a thinned log leaves out are counted; samples that never reached the logger
+//! are not.
 
 use std::collections::BTreeMap;
 
@@ -26,42 +29,43 @@ use super::LogRecord;
 use crate::stats::{LONGEST, Percentiles, histogram};
 use crate::wire::flag;
 
-/// Ticks by which a command and the observation after it may be apart in a log's order and are still brought together.
+/// A command and the observation after it are matched if they are fewer than this many ticks apart in the log's
+/// order.
 const WINDOW: usize = 64;
 /// The shortest period that a scenario can have, ns.
 const SHORTEST_PERIOD: u64 = 1_000_000;
 
-/// The three histograms, in the making.
+/// The three histograms of a run.
 #[derive(Debug, Clone)]
 pub struct LatencyHistograms {
     period_ns: u64,
     histograms: [Histogram<u64>; 3],
-    /// By tick modulo [`WINDOW`]: when a command was published, and when an observation that says that the command before it
-    /// was applied was sensed.
+    /// By tick modulo [`WINDOW`]: the tick and the instant at which its command was published; and the tick and
+    /// the sensing instant of the observation that reports its command as applied.
     published: [Option<(u64, u64)>; WINDOW],
     applied: [Option<(u64, u64)>; WINDOW],
 }
 
 /// Names in the metadata record.
 const NAMES: [&str; 3] = ["wake_up_lateness", "observation_to_command", "command_to_applied"];
-/// An observation with one of these says nothing of the command before it.
+/// With one of these flags, an observation does not report its preceding command as applied.
 const NOT_APPLIED: u32 = flag::FIRST | flag::MISSED | flag::SKIPPED;
 
 impl LatencyHistograms {
-    /// Nothing yet; `period_ns` is the tick's period.
+    /// Empty histograms; `period_ns` is the tick's period.
     pub fn new(period_ns: u64) -> Self {
         let histograms = std::array::from_fn(|_| histogram());
         let period_ns = period_ns.max(SHORTEST_PERIOD);
         Self { period_ns, histograms, published: [None; WINDOW], applied: [None; WINDOW] }
     }
 
-    /// Takes the next sample in, in the order of the log.
+    /// Counts the next sample, in the order of the log.
     pub fn take(&mut self, record: &LogRecord) {
         match record {
             LogRecord::Observation(s) => {
                 let header = &s.header;
                 let late = header.sensed_ns.saturating_sub(header.scheduled_ns);
-                // This tick, and those that were passed over; what is longer than a minute is all the same.
+                // This tick and the skipped ones. All durations above a minute are counted as equal.
                 let ticks = u64::from(s.skipped) + 1;
                 let told_apart = ticks.min(LONGEST / self.period_ns + 1);
                 for ago in 0..told_apart {
@@ -114,7 +118,8 @@ impl LatencyHistograms {
         NAMES.iter().zip(&self.histograms).map(|(name, h)| ((*name).to_owned(), text(h))).collect()
     }
 
-    /// Puts what `tectum.histograms` says in the place of what was counted. False, and nothing changed, if it makes no sense.
+    /// Replaces the histograms by those of `tectum.histograms`. Returns false, and changes nothing, if the
+    /// record is invalid.
     pub(super) fn restore(&mut self, map: &BTreeMap<String, String>) -> bool {
         let read = |name: &str| {
             let mut read = histogram();
@@ -167,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn ticks_passed_over_add_their_own_longer_samples() {
+    fn skipped_ticks_add_their_own_longer_samples() {
         let timings =
             counted(&[observation(0, 100, 0, flag::FIRST), observation(4, 500, 3, flag::SKIPPED | flag::MISSED)]);
         let values = values(&timings, 0);
@@ -185,7 +190,7 @@ mod tests {
             command(0, 100, 50),
             observation(1, 200, 0, 0),
             command(1, 200, 30),
-            // Missed, passed over, and a plant that was started anew.
+            // Missed, skipped, and the first observation of a restarted plant.
             observation(2, 100, 0, flag::MISSED | flag::HELD),
             command(2, 100, 40),
             observation(4, 100, 1, flag::SKIPPED),
@@ -200,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn the_order_of_the_two_does_not_matter() {
+    fn the_order_of_command_and_observation_does_not_matter() {
         let usual = [observation(0, 9, 0, flag::FIRST), command(0, 9, 50), observation(1, 20, 0, 0)];
         let late = [usual[0], usual[2], usual[1]];
         assert_eq!(counted(&usual).histograms, counted(&late).histograms);
@@ -208,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_that_makes_no_sense_changes_nothing() {
+    fn an_invalid_record_changes_nothing() {
         let mut timings = counted(&[observation(0, 100, 0, 0)]);
         let before = timings.histograms.clone();
         for text in ["1:", "x:3", "5", "1:2:3", "-1:2", &format!("1:{} 2:{0}", u64::MAX), &format!("{}:1", u64::MAX)] {
@@ -222,9 +227,11 @@ mod tests {
     }
 
     proptest! {
-        /// What is written is read, bucket by bucket.
+        /// Every bucket that is written is read back.
         #[test]
-        fn histograms_survive_their_text(values in prop::collection::vec((0..3_usize, any::<u64>(), 0..50_u32), 0..200)) {
+        fn histograms_are_equal_after_a_round_trip_through_their_text(
+            values in prop::collection::vec((0..3_usize, any::<u64>(), 0..50_u32), 0..200),
+        ) {
             let mut timings = LatencyHistograms::new(PERIOD);
             for (which, value, shift) in values {
                 timings.record(which, value >> shift);

@@ -1,19 +1,20 @@
-//! What the messages of a log say of themselves: how many, which ticks, and what is missing between them.
+//! Counts the messages of a log: how many there are, which ticks they cover, and how many are missing between
+//! them.
 //!
-//! A gap is told twice, once by the logger's own statement and once by the sequence numbers; the two are counted apart, so
-//! that they can be compared. The statement stands right before the channel's next sample.
+//! A gap shows twice: in the logger's statement on `/gap` and in the sequence numbers. The two are counted
+//! separately, so that they can be compared. The statement precedes the channel's next sample.
 
 use super::{LogRecord, LogSegment};
 use crate::wire::{Gap, Header};
 
-/// More starts of a writer than this are not kept apart.
-const MOST_INCARNATIONS: usize = 256;
+/// Most incarnations of a writer that are listed.
+const MAX_INCARNATIONS: usize = 256;
 
 /// The messages of a log, counted as they are read.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MessageCounts {
     /// Observation, command, learning.
-    pub lanes: [ChannelCounts; 3],
+    pub channels: [ChannelCounts; 3],
     /// Statements of missing samples.
     pub gaps: u64,
 }
@@ -25,24 +26,25 @@ pub struct ChannelCounts {
     pub messages: u64,
     /// Ticks of the first and the last of them.
     pub ticks: Option<(u64, u64)>,
-    /// When the first and the last of them were published, ns of the run's clock.
+    /// Instants at which the first and the last of them were published, ns of the run's clock.
     pub published_ns: Option<(u64, u64)>,
     /// Sequence number of the next sample.
     pub expected: u64,
-    /// The writer's start numbers, each with the tick of its first sample, in the order of the log.
+    /// The writer's incarnations, each with the tick of its first sample, in the order of the log.
     pub incarnations: Vec<(u32, u64)>,
-    /// Samples that the log states to be missing, those of earlier segments included.
+    /// Samples that the log states to be missing, including those of earlier segments.
     pub stated: u64,
-    /// Sequence numbers that no statement explains: samples left out on purpose in a thinned log, otherwise a fault.
+    /// Missing sequence numbers that no statement explains: thinned samples in a thinned log, otherwise a fault.
     pub unexplained: u64,
-    /// Statements that the sequence numbers contradict, and samples whose number is not above the one before.
+    /// Statements that the sequence numbers contradict, and samples whose number is not greater than the
+    /// previous one.
     pub contradictions: u64,
-    /// What was stated since the last sample.
+    /// The statements since the last sample.
     pending: Option<StatedGaps>,
 }
 
-/// Statements in a row: sequence numbers from the first missing one up to but without `end`, and how many are missing. In a
-/// thinned log some of those between may be there and left out.
+/// Consecutive statements: sequence numbers from the first missing one up to but excluding `end`, and how many
+/// are missing. In a thinned log, some of the numbers between may be thinned and not missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct StatedGaps {
     first: u64,
@@ -51,35 +53,36 @@ struct StatedGaps {
 }
 
 impl MessageCounts {
-    /// The beginning of a segment.
+    /// The counts at the beginning of a segment.
     pub fn after(segment: &LogSegment) -> Self {
-        let mut account = Self::default();
-        for (i, lane) in account.lanes.iter_mut().enumerate() {
-            (lane.expected, lane.stated) = (segment.begins[i], segment.lost[i]);
+        let mut counts = Self::default();
+        for (i, channel) in counts.channels.iter_mut().enumerate() {
+            (channel.expected, channel.stated) = (segment.begins[i], segment.lost[i]);
         }
-        account
+        counts
     }
 
-    /// Takes the next message in. Gives, for a sample, how many of its channel are stated to be missing right before it.
+    /// Counts the next message. For a sample, returns how many samples of its channel are stated to be missing
+    /// right before it.
     pub fn take(&mut self, record: &LogRecord) -> u64 {
-        let lane = match record {
+        let channel = match record {
             LogRecord::Observation(_) => 0,
             LogRecord::Command(_) => 1,
             LogRecord::Learning(_) => 2,
             LogRecord::Gap(gap) => {
                 self.gaps += 1;
-                if let Some(lane) = usize::try_from(gap.channel).ok().and_then(|i| self.lanes.get_mut(i)) {
-                    lane.state(gap);
+                if let Some(channel) = usize::try_from(gap.channel).ok().and_then(|i| self.channels.get_mut(i)) {
+                    channel.take_statement(gap);
                 }
                 return 0;
             }
         };
-        record.header().map_or(0, |header| self.lanes[lane].take(header))
+        record.header().map_or(0, |header| self.channels[channel].take(header))
     }
 }
 
 impl ChannelCounts {
-    fn state(&mut self, gap: &Gap) {
+    fn take_statement(&mut self, gap: &Gap) {
         self.stated = self.stated.saturating_add(gap.count);
         self.contradictions += u64::from(gap.total != self.stated);
         let pending = self.pending.get_or_insert(StatedGaps { first: gap.first, end: gap.first, count: 0 });
@@ -93,7 +96,7 @@ impl ChannelCounts {
         self.ticks = Some((self.ticks.map_or(header.tick, |(first, _)| first), header.tick));
         let incarnation = header.incarnation;
         if self.incarnations.last().is_none_or(|&(last, _)| last != incarnation)
-            && self.incarnations.len() < MOST_INCARNATIONS
+            && self.incarnations.len() < MAX_INCARNATIONS
         {
             self.incarnations.push((incarnation, header.tick));
         }
@@ -102,25 +105,26 @@ impl ChannelCounts {
         let none = StatedGaps { first: self.expected, end: self.expected, count: 0 };
         let StatedGaps { first, end, count } = self.pending.take().unwrap_or(none);
         let jump = header.sequence.checked_sub(self.expected);
-        // In a log without thinning the statement is the jump; in a thinned one it lies within.
-        let inside = jump.is_some() && first >= self.expected && end <= header.sequence;
-        self.contradictions += u64::from(!inside);
+        // Without thinning the statement equals the jump in sequence numbers; with thinning it lies within the
+        // jump.
+        let consistent = jump.is_some() && first >= self.expected && end <= header.sequence;
+        self.contradictions += u64::from(!consistent);
         self.unexplained += jump.unwrap_or(0).saturating_sub(count);
         self.expected = header.sequence.saturating_add(1);
         count
     }
 
-    /// Samples stated to be missing behind the last one, which no sequence number shows.
-    pub fn at_the_end(&self) -> u64 {
+    /// Samples stated to be missing after the last one; no sequence number shows these.
+    pub fn lost_at_end(&self) -> u64 {
         self.pending.map_or(0, |pending| pending.count)
     }
 
     /// Sequence number of the first sample that the log does not account for.
-    pub fn next(&self) -> u64 {
+    pub(super) fn next(&self) -> u64 {
         self.pending.map_or(self.expected, |pending| pending.end).max(self.expected)
     }
 
-    /// Messages a second of the run's clock, between the first and the last.
+    /// Messages per second of the run's clock, between the first and the last.
     pub fn rate(&self) -> Option<f64> {
         let (first, last) = self.published_ns.filter(|(first, last)| last > first)?;
         (self.messages > 1).then(|| (self.messages - 1) as f64 * 1e9 / (last - first) as f64)
@@ -132,12 +136,12 @@ mod tests {
     use super::*;
     use crate::wire::Command;
 
-    fn account(records: &[LogRecord]) -> ChannelCounts {
-        let mut account = MessageCounts::default();
+    fn count_commands(records: &[LogRecord]) -> ChannelCounts {
+        let mut counts = MessageCounts::default();
         for record in records {
-            account.take(record);
+            counts.take(record);
         }
-        account.lanes[1].clone()
+        counts.channels[1].clone()
     }
 
     fn sample(sequence: u64) -> LogRecord {
@@ -152,10 +156,10 @@ mod tests {
 
     #[test]
     fn statements_and_sequence_numbers_are_compared() {
-        let fits = account(&[sample(0), gap(1, 2, 2), sample(3), sample(4), gap(5, 1, 3)]);
-        assert_eq!((fits.messages, fits.stated, fits.at_the_end()), (3, 3, 1));
-        assert_eq!((fits.unexplained, fits.contradictions), (0, 0));
-        assert_eq!(account(&[sample(0), sample(3)]).unexplained, 2, "nothing states it");
+        let consistent = count_commands(&[sample(0), gap(1, 2, 2), sample(3), sample(4), gap(5, 1, 3)]);
+        assert_eq!((consistent.messages, consistent.stated, consistent.lost_at_end()), (3, 3, 1));
+        assert_eq!((consistent.unexplained, consistent.contradictions), (0, 0));
+        assert_eq!(count_commands(&[sample(0), sample(3)]).unexplained, 2, "nothing states it");
         for faulty in [
             &[sample(0), gap(1, 3, 3), sample(3)][..],
             &[sample(0), gap(1, 2, 9), sample(3)],
@@ -163,16 +167,16 @@ mod tests {
             &[sample(0), sample(0)],
             &[sample(0), gap(1, u64::MAX, u64::MAX), gap(1, u64::MAX, u64::MAX), sample(u64::MAX)],
         ] {
-            assert!(account(faulty).contradictions > 0, "{faulty:?}");
+            assert!(count_commands(faulty).contradictions > 0, "{faulty:?}");
         }
     }
 
     #[test]
-    fn what_a_thinned_log_leaves_out_is_not_lost() {
-        let lane = account(&[sample(0), sample(7), gap(9, 2, 2), sample(14)]);
-        assert_eq!((lane.stated, lane.unexplained, lane.contradictions), (2, 6 + 4, 0));
-        // Number 10 was there.
-        let lane = account(&[sample(7), gap(9, 1, 1), gap(11, 2, 3), sample(14)]);
-        assert_eq!((lane.stated, lane.unexplained, lane.contradictions), (3, 7 + 3, 0));
+    fn thinned_samples_are_not_lost() {
+        let counts = count_commands(&[sample(0), sample(7), gap(9, 2, 2), sample(14)]);
+        assert_eq!((counts.stated, counts.unexplained, counts.contradictions), (2, 6 + 4, 0));
+        // Number 10 was received and thinned.
+        let counts = count_commands(&[sample(7), gap(9, 1, 1), gap(11, 2, 3), sample(14)]);
+        assert_eq!((counts.stated, counts.unexplained, counts.contradictions), (3, 7 + 3, 0));
     }
 }

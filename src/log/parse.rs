@@ -1,8 +1,8 @@
-//! The bodies of the few MCAP record types that a log holds, read without trusting a byte of them.
+//! Parses the bodies of the few MCAP record types that a log holds, without trusting any of their bytes.
 //!
-//! The `mcap` crate frames records and checks checksums; its own parser for bodies indexes past the end of a short
-//! attachment and reserves whatever a length field asks for, so a damaged file could take the reader down. Here a body
-//! that is too short is simply `None`.
+//! The `mcap` crate frames records and checks checksums. Its own parser for bodies indexes past the end of a
+//! short attachment, and reserves as much memory as a length field states, so a damaged file could crash the
+//! reader. Here the result for a body that is too short is `None`.
 
 use std::collections::BTreeMap;
 
@@ -47,10 +47,10 @@ impl<'a> FieldReader<'a> {
 
     fn map(&mut self) -> Option<BTreeMap<String, String>> {
         let n = self.u32()?;
-        let mut inside = FieldReader(self.bytes(n as usize)?);
+        let mut entries = FieldReader(self.bytes(n as usize)?);
         let mut map = BTreeMap::new();
-        while !inside.0.is_empty() {
-            map.insert(inside.text()?.to_owned(), inside.text()?.to_owned());
+        while !entries.0.is_empty() {
+            map.insert(entries.text()?.to_owned(), entries.text()?.to_owned());
         }
         Some(map)
     }
@@ -78,7 +78,7 @@ pub(super) fn channel(body: &[u8]) -> Option<ChannelRecord<'_>> {
     Some(ChannelRecord { id: f.u16()?, schema: f.u16()?, topic: f.text()?, encoding: f.text()?, metadata: f.map()? })
 }
 
-/// A message. Its sequence number and times repeat what the sample's own header says.
+/// A message. Its sequence number and times repeat those of the sample's own header.
 #[derive(Debug, PartialEq)]
 pub(super) struct MessageRecord<'a> {
     pub channel: u16,
@@ -120,7 +120,7 @@ pub(super) fn attachment(body: &[u8]) -> Option<AttachmentRecord<'_>> {
     let mut f = FieldReader(body);
     let (log_time, create_time, name, media_type, n) = (f.u64()?, f.u64()?, f.text()?, f.text()?, f.u64()?);
     let data = f.bytes(usize::try_from(n).ok()?)?;
-    // The checksum behind it is covered by that of the whole data section.
+    // The attachment's own checksum is covered by that of the whole data section.
     f.u32()?;
     Some(AttachmentRecord { log_time, create_time, name, media_type, data })
 }
@@ -130,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lengths_that_lie_are_refused() {
+    fn wrong_length_fields_are_refused() {
         assert_eq!(metadata(&[0xff; 8]), None);
         let mut body = vec![1, 0, 0, 0, b'n'];
         body.extend([13, 0, 0, 0, 1, 0, 0, 0, b'k', 4, 0, 0, 0]);

@@ -1,8 +1,8 @@
-//! Reading a log, a piece at a time: it may be larger than memory, torn, foreign, or damaged.
+//! Reads a log piece by piece. The file may be larger than memory, torn, damaged, or not a log.
 //!
-//! A torn log (its logger was killed, the machine lost its power) ends where its last whole record ends, and
-//! [`LogReader::finished`] is then false. That is no error. A record that makes no sense, or a checksum that does not fit,
-//! is one: somebody or something changed the file after it was written.
+//! A torn log (its logger was killed, or the machine lost power) ends with its last whole record, and
+//! [`LogReader::finished`] is then false. That is no error. An invalid record or a wrong checksum is an error:
+//! the file was changed after it was written.
 
 use super::parse::{self, op};
 use super::{
@@ -20,43 +20,46 @@ use std::path::{Path, PathBuf};
 #[cfg(test)]
 mod tests;
 
-/// Bytes asked of the file at a time.
-const PIECE: usize = 256 * 1024;
-/// No record of ours comes near this; a length field beyond it is damage, not a reason to reserve memory.
-pub(super) const LARGEST_RECORD: usize = 16 * 1024 * 1024;
+/// Bytes requested from the file at a time.
+const READ_SIZE: usize = 256 * 1024;
+/// Largest length of a record, bytes. Tectum's records are far smaller; a greater length field is damage, and
+/// no memory is reserved for it.
+pub(super) const MAX_RECORD: usize = 16 * 1024 * 1024;
 
 /// A log being read: an iterator over its messages in the order of the file.
 ///
-/// Memory stays at a few hundred kilobytes whatever the log's size. After an error, and after the end, it gives no more.
+/// It uses a few hundred kilobytes of memory, however large the log is. It ends after an error.
 pub struct LogReader {
     source: Box<dyn Read + Send>,
     linear: LinearReader,
     contents: LogContents,
     /// Bytes up to the end of the last whole record.
-    at: u64,
-    /// The first message, met while looking for the run's description.
+    position: u64,
+    /// The first message, read while looking for the run's description.
     first: Option<LogRecord>,
-    /// Nothing but zeros has come since the last whole record.
+    /// Only zeros have been read since the last whole record.
     zeros: bool,
     done: bool,
     finished: bool,
 }
 
-/// What the records so far have said.
+/// The contents of the records read so far.
 struct LogContents {
     path: PathBuf,
     metadata: BTreeMap<String, BTreeMap<String, String>>,
     scenario: String,
     /// Name and text of each schema.
     schemas: BTreeMap<u16, (String, Vec<u8>)>,
-    /// What each channel carries; `None` for what is not ours.
+    /// The sample type of each channel; `None` for channels of other programs.
     channels: BTreeMap<u16, Option<SampleKind>>,
-    /// From the run's clock to wall time, ns; `None` where no run is described.
+    /// Offset from the run's clock to wall time, ns; `None` where no run is described.
     shift_ns: Option<i128>,
-    /// Log time of the last message, and the gaps so far: a gap's own time and number.
+    /// Log time of the last message; a gap has the same time.
     last_ns: u64,
+    /// Gaps read so far; a gap's sequence number.
     gaps: u64,
-    data_over: bool,
+    /// The data section has ended.
+    data_ended: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -67,7 +70,7 @@ enum SampleKind {
     Gap,
 }
 
-/// What a record means to the iterator.
+/// A record as the iterator sees it.
 enum ReadStep {
     Message(LogRecord),
     Other,
@@ -78,27 +81,27 @@ impl LogReader {
     ///
     /// # Errors
     ///
-    /// [`LogError::Read`] if the file cannot be opened or read, [`LogError::NotALog`] if it is something else or was
-    /// cut off inside its description, [`LogError::Version`] if its samples have another layout than this build's,
-    /// [`LogError::Damaged`] if a record makes no sense.
+    /// [`LogError::Read`] if the file cannot be opened or read, [`LogError::NotALog`] if it is something else
+    /// or was cut off inside its description, [`LogError::Version`] if its samples have another layout than
+    /// this build's, [`LogError::Damaged`] if a record makes no sense.
     pub fn open(path: &Path) -> Result<LogReader, LogError> {
         let file = File::open(path).map_err(|e| LogError::read(path, e))?;
         Self::over(path, Box::new(file))
     }
 
-    /// The same from any source of bytes; `path` stands for it in messages.
+    /// Reads a log from any source of bytes; messages name it `path`.
     ///
     /// # Errors
     ///
     /// As [`open`](Self::open).
     pub fn over(path: &Path, source: Box<dyn Read + Send>) -> Result<LogReader, LogError> {
         let options = LinearReaderOptions::default()
-            // Chunks are not ours: they come as records, and are refused without being unpacked.
+            // Our logs have no chunks: they are returned as records, and refused without being unpacked.
             .with_emit_chunks(true)
             .with_check_finishes_after_end_magic(true)
             .with_validate_data_section_crc(true)
             .with_validate_summary_section_crc(true)
-            .with_record_length_limit(LARGEST_RECORD);
+            .with_record_length_limit(MAX_RECORD);
         let contents = LogContents {
             path: path.to_owned(),
             metadata: BTreeMap::new(),
@@ -108,13 +111,13 @@ impl LogReader {
             shift_ns: None,
             last_ns: 0,
             gaps: 0,
-            data_over: false,
+            data_ended: false,
         };
         let mut log = LogReader {
             source,
             linear: LinearReader::new_with_options(options),
             contents,
-            at: mcap::MAGIC.len() as u64,
+            position: mcap::MAGIC.len() as u64,
             first: None,
             zeros: false,
             done: false,
@@ -137,7 +140,7 @@ impl LogReader {
         &self.contents.path
     }
 
-    /// All metadata records read so far, by name; `tectum.run` is there from the start, `tectum.totals` stands behind
+    /// All metadata records read so far, by name. `tectum.run` is known from the start, `tectum.totals` after
     /// the last message.
     pub fn metadata(&self) -> &BTreeMap<String, BTreeMap<String, String>> {
         &self.contents.metadata
@@ -153,45 +156,46 @@ impl LogReader {
         &self.contents.scenario
     }
 
-    /// What the logger said at its end; `None` before the last message was read, and for a torn log.
+    /// The logger's totals; `None` before the last message has been read, and for a torn log.
     pub fn totals(&self) -> Option<LogTotals> {
         LogTotals::from_map(self.contents.metadata.get(TOTALS_METADATA)?)
     }
 
-    /// Which part of the run's log the file is, and what the parts before it hold.
-    pub fn begins(&self) -> LogSegment {
+    /// Which segment of the run's log the file is, and what the earlier segments hold.
+    pub fn log_segment(&self) -> LogSegment {
         self.contents.metadata.get(RUN_METADATA).map(LogSegment::from_map).unwrap_or_default()
     }
 
-    /// The count of messages that goes with the file.
-    pub fn account(&self) -> MessageCounts {
-        MessageCounts::after(&self.begins())
+    /// Message counts to which the file's messages can be added.
+    pub fn message_counts(&self) -> MessageCounts {
+        MessageCounts::after(&self.log_segment())
     }
 
-    /// The tick from which on samples are missing because there was no room for them; known with the last message.
+    /// The tick from which on samples are missing because the disk was full; known after the last message.
     pub fn missing_from(&self) -> Option<u64> {
-        let said = || self.contents.metadata.get(MISSING_METADATA)?.get("from_tick")?.parse().ok();
-        self.totals().map_or_else(said, |totals| totals.missing_from)
+        let stated = || self.contents.metadata.get(MISSING_METADATA)?.get("from_tick")?.parse().ok();
+        self.totals().map_or_else(stated, |totals| totals.missing_from)
     }
 
-    /// A torn log that was made whole again afterwards; known with the last message.
+    /// Whether the log was torn and then repaired; known after the last message.
     pub fn repaired(&self) -> bool {
         self.contents.metadata.contains_key(REPAIR_METADATA)
     }
 
-    /// Every how many ticks are written.
+    /// Every `every()`-th tick is written.
     pub fn every(&self) -> u64 {
         self.run("every").and_then(|every| every.parse().ok()).unwrap_or(1).max(1)
     }
 
-    /// The file was read to an end that its logger wrote, and its checksums fit. False until the iterator has ended.
+    /// Whether the file was read to the end that its logger wrote, with correct checksums. False until the
+    /// iterator has ended.
     pub fn finished(&self) -> bool {
         self.finished
     }
 
     /// Bytes from the file's start to the end of the last whole record read.
     pub fn position(&self) -> u64 {
-        self.at
+        self.position
     }
 
     /// The next message, or `None` at the end, whole or torn.
@@ -217,38 +221,42 @@ impl LogReader {
                     self.finished = true;
                     return Ok(None);
                 }
-                Some(Err(McapError::UnexpectedEof)) if self.at > mcap::MAGIC.len() as u64 => return Ok(None),
+                Some(Err(McapError::UnexpectedEof)) if self.position > mcap::MAGIC.len() as u64 => return Ok(None),
                 Some(Err(McapError::UnexpectedEof)) => {
                     return Err(LogError::not_a_log(&self.contents.path, "it is empty or ends within its first bytes"));
                 }
-                Some(Err(McapError::BadMagic)) if self.at == mcap::MAGIC.len() as u64 => {
+                Some(Err(McapError::BadMagic)) if self.position == mcap::MAGIC.len() as u64 => {
                     return Err(LogError::not_a_log(&self.contents.path, "it does not start like an MCAP file"));
                 }
-                Some(Err(e)) => return Err(damaged(&self.contents.path, self.at, &e.to_string())),
+                Some(Err(e)) => return Err(damaged(&self.contents.path, self.position, &e.to_string())),
                 Some(Ok(event)) => event,
             };
             match event {
                 LinearReadEvent::ReadRequest(n) => {
-                    let room = self.linear.insert(n.max(PIECE));
-                    let got = loop {
-                        match self.source.read(room) {
+                    let buffer = self.linear.insert(n.max(READ_SIZE));
+                    let bytes = loop {
+                        match self.source.read(buffer) {
                             Err(e) if e.kind() == ErrorKind::Interrupted => {}
                             other => break other.map_err(|e| LogError::read(&self.contents.path, e))?,
                         }
                     };
-                    self.linear.notify_read(got);
+                    self.linear.notify_read(bytes);
                 }
                 LinearReadEvent::Record { data, opcode } => {
-                    // Zeros up to the end are what a file system leaves of pages that never reached the disk.
+                    // A file system leaves zeros up to the end for pages that were never written to the disk.
                     self.zeros |= opcode == 0;
                     if self.zeros {
                         if opcode == 0 && data.is_empty() {
                             continue;
                         }
-                        return Err(damaged(&self.contents.path, self.at, "zeros stand where a record should begin"));
+                        return Err(damaged(
+                            &self.contents.path,
+                            self.position,
+                            "zeros stand where a record should begin",
+                        ));
                     }
-                    let start = self.at;
-                    self.at += 9 + data.len() as u64;
+                    let start = self.position;
+                    self.position += 9 + data.len() as u64;
                     return self.contents.take(opcode, data, start).map(Some);
                 }
             }
@@ -261,32 +269,15 @@ impl LogContents {
         self.metadata.get(RUN_METADATA)?.get(key).map(String::as_str)
     }
 
+    /// Takes the record that begins at byte `at`.
     fn take(&mut self, opcode: u8, body: &[u8], at: u64) -> Result<ReadStep, LogError> {
-        // Behind the data stands MCAP's summary, which repeats schemas and channels.
-        if self.data_over {
+        // After the data comes MCAP's summary, which repeats schemas and channels.
+        if self.data_ended {
             return Ok(ReadStep::Other);
         }
         let bad = |what: &str| damaged(&self.path, at, what);
         match opcode {
-            op::MESSAGE => {
-                let message = parse::message(body).ok_or_else(|| bad("a message is cut short"))?;
-                let kind = match self.channels.get(&message.channel) {
-                    // Somebody else's channel in the same file is none of our business.
-                    Some(None) => return Ok(ReadStep::Other),
-                    Some(Some(kind)) => *kind,
-                    None => return Err(bad("a message belongs to no channel")),
-                };
-                let record = kind.decode(message.data).ok_or_else(|| bad("a message has the wrong size"))?;
-                let (sequence, ns) = self.envelope(&record);
-                if message.sequence != sequence as u32
-                    || ns.is_some_and(|ns| [message.log_time, message.publish_time] != [ns; 2])
-                {
-                    return Err(bad("a message's sequence number or time is not that of the sample in it"));
-                }
-                self.last_ns = message.log_time;
-                self.gaps += u64::from(matches!(record, LogRecord::Gap(_)));
-                return Ok(ReadStep::Message(record));
-            }
+            op::MESSAGE => return self.take_message(body, at),
             op::SCHEMA => {
                 let (id, name, encoding, text) = parse::schema(body).ok_or_else(|| bad("a schema is cut short"))?;
                 if encoding == "ros2msg" {
@@ -300,14 +291,7 @@ impl LogContents {
             }
             op::METADATA => {
                 let (name, map) = parse::metadata(body).ok_or_else(|| bad("metadata is cut short"))?;
-                if name == RUN_METADATA {
-                    let ns = |key: &str| map.get(key)?.parse::<u64>().ok();
-                    if let (Some(t0), Some(wall)) = (ns("t0_ns"), ns("wall_at_t0_ns")) {
-                        self.shift_ns = Some(i128::from(wall) - i128::from(t0));
-                        self.last_ns = wall;
-                    }
-                }
-                self.metadata.insert(name.to_owned(), map);
+                self.take_metadata(name, map);
             }
             op::ATTACHMENT => {
                 let attachment = parse::attachment(body).ok_or_else(|| bad("an attachment is cut short"))?;
@@ -320,20 +304,52 @@ impl LogContents {
                 let why = "its messages are in chunks, as another program writes them";
                 return Err(LogError::not_a_log(&self.path, why));
             }
-            op::DATA_END => self.data_over = true,
+            op::DATA_END => self.data_ended = true,
             _ => {}
         }
         Ok(ReadStep::Other)
     }
 
-    /// The sequence number and the log time that belong to a record; no time where the run's clock is not known.
+    fn take_message(&mut self, body: &[u8], at: u64) -> Result<ReadStep, LogError> {
+        let bad = |what: &str| damaged(&self.path, at, what);
+        let message = parse::message(body).ok_or_else(|| bad("a message is cut short"))?;
+        let kind = match self.channels.get(&message.channel) {
+            // A channel of another program in the same file is ignored.
+            Some(None) => return Ok(ReadStep::Other),
+            Some(Some(kind)) => *kind,
+            None => return Err(bad("a message belongs to no channel")),
+        };
+        let record = kind.decode(message.data).ok_or_else(|| bad("a message has the wrong size"))?;
+        let (sequence, ns) = self.envelope(&record);
+        let time_differs = ns.is_some_and(|ns| [message.log_time, message.publish_time] != [ns; 2]);
+        if message.sequence != sequence as u32 || time_differs {
+            return Err(bad("a message's sequence number or time is not that of the sample in it"));
+        }
+        self.last_ns = message.log_time;
+        self.gaps += u64::from(matches!(record, LogRecord::Gap(_)));
+        Ok(ReadStep::Message(record))
+    }
+
+    fn take_metadata(&mut self, name: &str, map: BTreeMap<String, String>) {
+        if name == RUN_METADATA {
+            let ns = |key: &str| map.get(key)?.parse::<u64>().ok();
+            if let (Some(t0), Some(wall)) = (ns("t0_ns"), ns("wall_at_t0_ns")) {
+                self.shift_ns = Some(i128::from(wall) - i128::from(t0));
+                self.last_ns = wall;
+            }
+        }
+        self.metadata.insert(name.to_owned(), map);
+    }
+
+    /// The sequence number and the log time that a record's message must have; no time where the run's clock is
+    /// not known.
     fn envelope(&self, record: &LogRecord) -> (u64, Option<u64>) {
         let Some(header) = record.header() else { return (self.gaps, Some(self.last_ns)) };
         let wall = |shift: i128| (i128::from(header.published_ns) + shift).clamp(0, i128::from(u64::MAX)) as u64;
         (header.sequence, self.shift_ns.map(wall))
     }
 
-    /// Which of our samples a channel carries, if any.
+    /// The sample type that a channel carries; `None` for a channel of another program.
     fn kind(&self, channel: &parse::ChannelRecord) -> Result<Option<SampleKind>, LogError> {
         let Some((name, text)) = self.schemas.get(&channel.schema) else { return Ok(None) };
         let check = |kind: SampleKind, expected: &'static str, ours: String| {
@@ -372,7 +388,7 @@ impl Iterator for LogReader {
 impl SampleKind {
     fn decode(self, data: &[u8]) -> Option<LogRecord> {
         let body = data.strip_prefix(&ENCAPSULATION[..])?;
-        // The sample lies anywhere in the file's bytes, so it is copied, not cast.
+        // The bytes may not be aligned, so the sample is copied, not cast.
         Some(match self {
             SampleKind::Observation => LogRecord::Observation(bytemuck::try_pod_read_unaligned(body).ok()?),
             SampleKind::Command => LogRecord::Command(bytemuck::try_pod_read_unaligned(body).ok()?),

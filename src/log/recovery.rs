@@ -1,18 +1,19 @@
-//! What a run's log holds so far, for a logger that comes back: it goes on from there, and states what is missing.
+//! Log recovery: what the existing segments of a run's log hold. A restarted logger continues from there and
+//! states what is missing.
 
 use std::fs::File;
 use std::path::Path;
 
 use super::{HISTOGRAMS_METADATA, LatencyHistograms, LogError, LogReader, LogSegment, MessageCounts, segments};
 
-/// The account of all segments that lie in a run's folder.
+/// The contents of all segments in a run's folder, counted.
 #[derive(Debug, Clone)]
 pub struct LogRecovery {
-    /// What the next segment goes on from; its number is the new logger's to set.
+    /// The description with which the next segment begins; the new logger sets its number.
     pub segment: LogSegment,
     /// The last tick written on each channel.
     pub last_ticks: [Option<u64>; 3],
-    /// The tick from which on samples are missing because there was no room for them.
+    /// The tick from which on samples are missing because the disk was full.
     pub missing_from: Option<u64>,
     /// The three durations of the ticks so far.
     pub timings: LatencyHistograms,
@@ -20,12 +21,12 @@ pub struct LogRecovery {
     pub bytes: u64,
 }
 
-/// Messages between two signs of life.
-const BEAT: u64 = 4096;
+/// Messages between two calls of the heartbeat.
+const HEARTBEAT_MESSAGES: u64 = 4096;
 
 impl LogRecovery {
-    /// Before the first segment of a run that begins with the samples `begins`, at tick `tick`: not 0 where it goes on with
-    /// another run.
+    /// Nothing written yet, in a run whose first samples have the sequence numbers `begins`, at tick `tick`.
+    /// These are not 0 if the run continues another one.
     pub fn none(period_ns: u64, begins: [u64; 3], tick: u64) -> Self {
         Self {
             segment: LogSegment { begins, ..LogSegment::default() },
@@ -36,87 +37,87 @@ impl LogRecovery {
         }
     }
 
-    /// Reads all segments in `folder`, and touches none; this is what came before them. One that is torn or damaged counts as
-    /// far as it can be read; one that does not describe its run, not at all. `beat` is called now and then.
-    pub fn with(mut self, folder: &Path, mut beat: impl FnMut()) -> Self {
-        let mut account = None;
+    /// Adds all segments in `folder`, and changes none of the files. A torn or damaged segment is read as far
+    /// as possible; one that does not describe its run is ignored. `heartbeat` is called regularly.
+    pub fn with(mut self, folder: &Path, mut heartbeat: impl FnMut()) -> Self {
+        let mut counts = None;
         for path in segments(folder) {
             self.bytes += std::fs::metadata(&path).map_or(0, |file| file.len());
             if let Ok(log) = LogReader::open(&path) {
-                let account = account.get_or_insert_with(|| log.account());
-                self.take(log, account, &mut beat);
+                let counts = counts.get_or_insert_with(|| log.message_counts());
+                self.add_segment(log, counts, &mut heartbeat);
             }
         }
         self
     }
 
-    /// What the log at `path`, which was left torn, holds by itself, with what its beginning says of those before it. Half a
+    /// Reads the torn log at `path`, together with what its header states about earlier segments. An incomplete
     /// record at its end is cut off.
     ///
     /// # Errors
     ///
     /// As [`LogReader::open`].
     pub fn of_torn(path: &Path) -> Result<Self, LogError> {
-        let mut past = Self::none(0, [0; 3], 0);
+        let mut recovery = Self::none(0, [0; 3], 0);
         let log = LogReader::open(path)?;
-        let (before, mut account) = (log.begins(), log.account());
-        let end = past.take(log, &mut account, &mut || ());
-        (0..4).for_each(|i| past.segment.written[i] += before.written[i]);
-        (0..3).for_each(|i| past.segment.thinned[i] = past.thinned(i, before.first(i)));
-        // What is cut off is none of the log's: that it stays is no harm either.
+        let (before, mut counts) = (log.log_segment(), log.message_counts());
+        let end = recovery.add_segment(log, &mut counts, &mut || ());
+        (0..4).for_each(|i| recovery.segment.written[i] += before.written[i]);
+        (0..3).for_each(|i| recovery.segment.thinned[i] = recovery.thinned(i, before.first(i)));
+        // A failure does no harm: readers ignore the incomplete record.
         let _ = File::options().write(true).open(path).and_then(|file| file.set_len(end));
-        Ok(past)
+        Ok(recovery)
     }
 
-    /// Takes a segment in; gives the byte at which its last whole record ended.
-    fn take(&mut self, mut log: LogReader, account: &mut MessageCounts, beat: &mut impl FnMut()) -> u64 {
+    /// Adds a segment; returns the byte at which its last whole record ends.
+    fn add_segment(&mut self, mut log: LogReader, counts: &mut MessageCounts, heartbeat: &mut impl FnMut()) -> u64 {
         let mut n: u64 = 0;
         for record in log.by_ref() {
-            // Behind damage nothing is known.
+            // Nothing is known about the rest of a damaged file.
             let Ok(record) = record else { break };
-            account.take(&record);
+            counts.take(&record);
             self.timings.take(&record);
             n += 1;
-            if n.is_multiple_of(BEAT) {
-                beat();
+            if n.is_multiple_of(HEARTBEAT_MESSAGES) {
+                heartbeat();
             }
         }
-        self.segment.written[3] = account.gaps;
-        for (i, lane) in account.lanes.iter().enumerate() {
-            self.segment.written[i] = lane.messages;
+        self.segment.written[3] = counts.gaps;
+        for (i, channel) in counts.channels.iter().enumerate() {
+            self.segment.written[i] = channel.messages;
+            self.last_ticks[i] = channel.ticks.map_or(self.last_ticks[i], |(_, last)| Some(last));
         }
-        for (i, lane) in account.lanes.iter().enumerate() {
-            self.last_ticks[i] = lane.ticks.map_or(self.last_ticks[i], |(_, last)| Some(last));
-        }
-        let said = log.begins();
+        let start = log.log_segment();
         match log.totals() {
-            // Whoever repaired a log has counted its totals; the logger's own say what it saw and did not write.
+            // The logger's own totals include samples that it received and did not write. Those of a repair are
+            // counted from the file.
             Some(totals) => {
                 (self.segment.lost, self.segment.thinned) = (totals.lost, totals.thinned);
                 self.segment.duplicates = totals.duplicates;
                 for i in 0..3 {
                     let known = [self.segment.written[i], totals.lost[i], totals.thinned[i]];
-                    self.segment.begins[i] = known.iter().fold(said.first(i), |sum, n| sum.saturating_add(*n));
+                    self.segment.begins[i] = known.iter().fold(start.first(i), |sum, n| sum.saturating_add(*n));
                 }
             }
             None => {
-                self.segment.duplicates = said.duplicates;
-                for (i, lane) in account.lanes.iter().enumerate() {
-                    let next = lane.next().max(said.begins[i]).max(self.segment.begins[i]);
-                    (self.segment.begins[i], self.segment.lost[i]) = (next, lane.stated);
-                    self.segment.thinned[i] = self.thinned(i, said.first(i));
+                self.segment.duplicates = start.duplicates;
+                for (i, channel) in counts.channels.iter().enumerate() {
+                    let next = channel.next().max(start.begins[i]).max(self.segment.begins[i]);
+                    (self.segment.begins[i], self.segment.lost[i]) = (next, channel.stated);
+                    self.segment.thinned[i] = self.thinned(i, start.first(i));
                 }
             }
         }
         self.missing_from = self.missing_from.or(log.missing_from());
-        // What the logger saw beside what it wrote is in its own histograms.
+        // The logger's own histograms include samples that it received and did not write.
         if let Some(map) = log.metadata().get(HISTOGRAMS_METADATA) {
             self.timings.restore(map);
         }
         log.position()
     }
 
-    /// What is neither written nor lost of channel `i`, whose first sample in the run is `first`.
+    /// The number of samples of channel `i` that are neither written nor lost; its first sample in the run is
+    /// `first`.
     fn thinned(&self, i: usize, first: u64) -> u64 {
         let LogSegment { begins, written, lost, .. } = &self.segment;
         begins[i].saturating_sub(first).saturating_sub(written[i]).saturating_sub(lost[i])

@@ -1,9 +1,11 @@
-//! Making a torn log whole: everything up to its last whole record, and behind it the end that its logger did not write.
+//! Repairs a torn log: copies everything up to its last whole record, and adds the end that its logger did not
+//! write.
 //!
-//! MCAP's readers disagree on files without an end: some give what is there, some refuse all of it. After a repair there is
-//! an end like any other: totals, MCAP's summary and checksums. The totals are counted from what is there and marked
-//! `repaired`, and the record `tectum.repair` says at which byte the log was torn. What is there stays as it was, byte for
-//! byte; a damaged log is refused, because a new checksum would make the damage look true.
+//! MCAP readers treat files without an end differently: some return what is there, some refuse the whole file.
+//! After a repair the log has an ordinary end: totals, MCAP's summary and checksums. The totals are counted
+//! from the messages and marked `repaired`, and the record `tectum.repair` states at which byte the log was
+//! torn. The existing records stay the same, byte for byte. A damaged log is refused, because a new checksum
+//! would hide the damage.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -16,35 +18,35 @@ use mcap::records::{MessageHeader, Metadata};
 use serde::Serialize;
 
 use super::parse::{self, op};
-use super::reader::{LARGEST_RECORD, damaged};
+use super::reader::{MAX_RECORD, damaged};
 use super::{LogError, LogReader, LogTotals, MessageCounts, REPAIR_METADATA, TOTALS_METADATA, in_use};
 
 #[cfg(test)]
 mod tests;
 
-/// What a repair did.
+/// The result of a repair.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Repair {
     /// The log that was given.
     pub log: PathBuf,
-    /// What was done; null when the log was whole and left alone.
+    /// The contents of the repaired log; null if the log was whole and was not changed.
     pub mended: Option<TornContents>,
-    /// The log that is whole now.
+    /// The whole log.
     pub whole: PathBuf,
-    /// Where the torn original is now.
+    /// The file in which the torn original is kept.
     pub torn: Option<PathBuf>,
 }
 
-/// What was found in a torn log.
+/// The contents of a torn log.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct TornContents {
-    /// Where its last whole record ended, bytes from its start.
+    /// End of its last whole record, bytes from its start.
     pub torn_at: u64,
-    /// Bytes behind that, of a record that was not whole, which were left out.
+    /// Bytes after that, of an incomplete record, which were left out.
     pub left_out: u64,
     /// Messages: observations, commands, learning records, gaps.
     pub messages: [u64; 4],
-    /// The last tick that it holds.
+    /// Its last tick.
     pub last_tick: Option<u64>,
 }
 
@@ -54,7 +56,7 @@ impl Repair {
         serde_json::to_string_pretty(self).unwrap_or_default()
     }
 
-    /// The same for people.
+    /// The result as text.
     pub fn to_text(&self) -> String {
         let Some(mended) = &self.mended else {
             return format!("{} is whole; it was left alone\n", self.log.display());
@@ -74,13 +76,15 @@ impl Repair {
     }
 }
 
-/// Makes the torn log at `path` whole, in its own place, with the original kept beside as `<name>.torn`; or, with `out`,
-/// as another file. Either is there whole or not at all, whatever happens in between. A whole log is left alone.
+/// Repairs the torn log at `path`. Without `out` the repaired log replaces it, and the original is kept beside
+/// it as `<name>.torn`; with `out` the repaired log is written there. It is written as a whole or not at all. A
+/// whole log is not changed.
 ///
 /// # Errors
 ///
-/// As [`LogReader::open`] and its iterator, [`LogError::Damaged`] above all; [`LogError::InUse`] while its logger lives;
-/// [`LogError::Kept`] if there is a `.torn` file already; [`LogError::Write`] if the new file cannot be written or exists.
+/// As [`LogReader::open`] and its iterator, [`LogError::Damaged`] above all; [`LogError::InUse`] while its
+/// logger is running; [`LogError::Kept`] if there is a `.torn` file already; [`LogError::Write`] if the new
+/// file cannot be written or exists.
 pub fn repair(path: &Path, out: Option<&Path>) -> Result<Repair, LogError> {
     let read = |e| LogError::read(path, e);
     let file = File::open(path).map_err(read)?;
@@ -90,7 +94,6 @@ pub fn repair(path: &Path, out: Option<&Path>) -> Result<Repair, LogError> {
     let target = out.unwrap_or(path);
     let write = |e| LogError::write(target, e);
     let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let torn = suffixed(path);
     if out.is_some_and(Path::exists) {
         return Err(write(ErrorKind::AlreadyExists.into()));
     }
@@ -110,31 +113,33 @@ pub fn repair(path: &Path, out: Option<&Path>) -> Result<Repair, LogError> {
     let permissions = file.metadata().map_err(read)?.permissions();
     draft.as_file().set_permissions(permissions).map_err(write)?;
     draft.as_file().sync_all().map_err(write)?;
-    if out.is_some() {
+    let torn = if out.is_some() {
         draft.persist_noclobber(target).map_err(|e| write(e.error))?;
+        None
     } else {
-        // A second name for the original first, so that at no instant either is without one.
+        // The original gets its second name first, so that at no instant either file is without a name.
+        let torn = torn_name(path);
         fs::hard_link(path, &torn).map_err(|e| match e.kind() {
             ErrorKind::AlreadyExists => LogError::Kept { path: torn.clone() },
             _ => LogError::write(&torn, e),
         })?;
         draft.persist(target).map_err(|e| write(e.error))?;
-    }
-    // The names themselves, too.
+        Some(torn)
+    };
+    // Also syncs the names.
     File::open(folder).and_then(|folder| folder.sync_all()).map_err(write)?;
-    let torn = out.is_none().then_some(torn);
     Ok(Repair { log: path.to_owned(), mended: Some(mended), whole: target.to_owned(), torn })
 }
 
 /// `log.mcap.torn` for `log.mcap`.
-fn suffixed(path: &Path) -> PathBuf {
+fn torn_name(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".torn");
     name.into()
 }
 
-/// Writes a torn log whole to `sink`; `None`, and nothing written, if it is whole already. `open` gives its bytes from the
-/// start, and is called twice.
+/// Writes the repaired log to `sink`. Returns `None` and writes nothing if the log is whole already. `open`
+/// returns the log's bytes from the start, and is called twice.
 ///
 /// # Errors
 ///
@@ -145,47 +150,48 @@ pub fn mend<W: Write + Seek>(
     sink: W,
 ) -> Result<Option<TornContents>, LogError> {
     let mut log = LogReader::over(path, open()?)?;
-    let mut account = log.account();
+    let mut counts = log.message_counts();
     for record in log.by_ref() {
-        account.take(&record?);
+        counts.take(&record?);
     }
     if log.finished() {
         return Ok(None);
     }
-    let mut copy = RecordCopier::begin(path, BufReader::new(open()?), sink, log.position())?;
-    while copy.record()? {}
-    let [observation, command, learning] = account.lanes.each_ref().map(|lane| lane.messages);
+    let mut copier = RecordCopier::begin(path, BufReader::new(open()?), sink, log.position())?;
+    while copier.copy_record()? {}
+    let [observation, command, learning] = counts.channels.each_ref().map(|channel| channel.messages);
     let mended = TornContents {
         torn_at: log.position(),
-        left_out: copy.rest()?,
-        messages: [observation, command, learning, account.gaps],
-        last_tick: account.lanes.iter().filter_map(|lane| lane.ticks).map(|(_, last)| last).max(),
+        left_out: copier.incomplete_bytes()?,
+        messages: [observation, command, learning, counts.gaps],
+        last_tick: counts.channels.iter().filter_map(|channel| channel.ticks).map(|(_, last)| last).max(),
     };
-    // A log can be torn behind the totals; those are its logger's own, and stay.
-    let counted = log.totals().is_none();
-    if counted {
-        copy.metadata(TOTALS_METADATA, totals(&log, &account, &mended))?;
+    // A log can be torn after the logger's own totals, which are kept.
+    let without_totals = log.totals().is_none();
+    if without_totals {
+        copier.add_metadata(TOTALS_METADATA, counted_totals(&log, &counts, &mended))?;
     }
-    copy.metadata(
+    copier.add_metadata(
         REPAIR_METADATA,
         BTreeMap::from([
             ("torn_at".into(), mended.torn_at.to_string()),
             ("left_out".into(), mended.left_out.to_string()),
-            ("totals".into(), if counted { "counted" } else { "logger" }.into()),
+            ("totals".into(), if without_totals { "counted" } else { "logger" }.into()),
             ("build".into(), crate::BUILD.into()),
         ]),
     )?;
-    copy.finish()?;
+    copier.finish()?;
     Ok(Some(mended))
 }
 
-/// The totals of what is there, and of the segments before it. Whether the run came to its end, nobody saw.
-fn totals(log: &LogReader, account: &MessageCounts, mended: &TornContents) -> BTreeMap<String, String> {
-    let (thinned, before) = (log.every() > 1, log.begins());
+/// Totals counted from the messages, and those of the earlier segments. Whether the run reached its end is not
+/// known.
+fn counted_totals(log: &LogReader, counts: &MessageCounts, mended: &TornContents) -> BTreeMap<String, String> {
+    let (thinned, before) = (log.every() > 1, log.log_segment());
     let totals = LogTotals {
-        lost: account.lanes.each_ref().map(|lane| lane.stated),
+        lost: counts.channels.each_ref().map(|channel| channel.stated),
         thinned: std::array::from_fn(|i| {
-            before.thinned[i].saturating_add(if thinned { account.lanes[i].unexplained } else { 0 })
+            before.thinned[i].saturating_add(if thinned { counts.channels[i].unexplained } else { 0 })
         }),
         duplicates: before.duplicates,
         missing_from: log.missing_from(),
@@ -197,7 +203,7 @@ fn totals(log: &LogReader, account: &MessageCounts, mended: &TornContents) -> BT
     map
 }
 
-/// A log's records on their way into a new file.
+/// Copies a log's records into a new file.
 struct RecordCopier<'a, R: Read, W: Write + Seek> {
     path: &'a Path,
     source: R,
@@ -217,12 +223,12 @@ impl<'a, R: Read, W: Write + Seek> RecordCopier<'a, R, W> {
         let (profile, library) =
             parse::header(&body).filter(|_| first == op::HEADER).ok_or_else(|| damaged(path, 8, "no header"))?;
         let options = mcap::WriteOptions::new().use_chunks(false).compression(None).profile(profile).library(library);
-        let mcap = options.create(sink).map_err(|e| wrong(path, at, e))?;
+        let mcap = options.create(sink).map_err(|e| write_error(path, at, e))?;
         Ok(Self { path, source, mcap, at, end, body })
     }
 
-    /// Copies the next record. False at the end of what is whole, or of the data section.
-    fn record(&mut self) -> Result<bool, LogError> {
+    /// Copies the next record. Returns false after the last whole record, and at the end of the data section.
+    fn copy_record(&mut self) -> Result<bool, LogError> {
         if self.at >= self.end {
             return Ok(false);
         }
@@ -264,19 +270,19 @@ impl<'a, R: Read, W: Write + Seek> RecordCopier<'a, R, W> {
                 })
             }
             op::DATA_END => return Ok(false),
-            // Nothing that our logger writes, nor anything that a message depends on.
+            // Our logger writes no other records, and no message depends on them.
             _ => Ok(()),
         };
-        done.map(|()| true).map_err(|e| wrong(path, start, e))
+        done.map(|()| true).map_err(|e| write_error(path, start, e))
     }
 
-    /// Bytes behind the last whole record. Zeros may stand there, if nothing but zeros does.
-    fn rest(&mut self) -> Result<u64, LogError> {
+    /// The number of bytes after the last whole record. If they begin with a zero, all must be zeros.
+    fn incomplete_bytes(&mut self) -> Result<u64, LogError> {
         let failed = |e| LogError::read(self.path, e);
-        // Whole records of a summary, which is made anew.
+        // Skips whole records of a summary, which is written anew.
         let summary = self.end.saturating_sub(self.at);
         std::io::copy(&mut self.source.by_ref().take(summary), &mut std::io::sink()).map_err(failed)?;
-        let (mut behind, mut first, mut zeros, mut buffer) = (0, 1, true, [0; 8192]);
+        let (mut count, mut first, mut all_zeros, mut buffer) = (0, 1, true, [0; 8192]);
         loop {
             let n = match self.source.read(&mut buffer) {
                 Err(e) if e.kind() == ErrorKind::Interrupted => continue,
@@ -285,25 +291,25 @@ impl<'a, R: Read, W: Write + Seek> RecordCopier<'a, R, W> {
             if n == 0 {
                 break;
             }
-            if behind == 0 {
+            if count == 0 {
                 first = buffer[0];
             }
-            zeros &= buffer[..n].iter().all(|&byte| byte == 0);
-            behind += n as u64;
+            all_zeros &= buffer[..n].iter().all(|&byte| byte == 0);
+            count += n as u64;
         }
-        if first == 0 && !zeros {
+        if first == 0 && !all_zeros {
             return Err(damaged(self.path, self.end, "zeros stand where a record should begin"));
         }
-        Ok(behind)
+        Ok(count)
     }
 
-    fn metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), LogError> {
+    fn add_metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), LogError> {
         let record = Metadata { name: name.into(), metadata };
-        self.mcap.write_metadata(&record).map_err(|e| wrong(self.path, self.end, e))
+        self.mcap.write_metadata(&record).map_err(|e| write_error(self.path, self.end, e))
     }
 
     fn finish(mut self) -> Result<(), LogError> {
-        self.mcap.finish().map(drop).map_err(|e| wrong(self.path, self.end, e))
+        self.mcap.finish().map(drop).map_err(|e| write_error(self.path, self.end, e))
     }
 }
 
@@ -313,16 +319,16 @@ fn read_record(path: &Path, source: &mut impl Read, at: &mut u64, body: &mut Vec
     source.read_exact(&mut head).map_err(failed)?;
     let [opcode, length @ ..] = head;
     let length = u64::from_le_bytes(length);
-    // The reader has been here before; but the file may have changed since.
-    let n = usize::try_from(length).ok().filter(|&n| n <= LARGEST_RECORD);
+    // The reader has checked the length, but the file may have changed since.
+    let n = usize::try_from(length).ok().filter(|&n| n <= MAX_RECORD);
     body.resize(n.ok_or_else(|| damaged(path, *at, "a record is larger than any of a log"))?, 0);
     source.read_exact(body).map_err(failed)?;
     *at += 9 + length;
     Ok(opcode)
 }
 
-/// An error of the writer: the disk's, or a record that no log holds.
-fn wrong(path: &Path, at: u64, error: McapError) -> LogError {
+/// An error of the writer: a full or failing disk, or a record that is invalid in a log.
+fn write_error(path: &Path, at: u64, error: McapError) -> LogError {
     match error {
         McapError::Io(error) => LogError::write(path, error),
         other => damaged(path, at, &other.to_string()),

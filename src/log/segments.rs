@@ -1,44 +1,44 @@
-//! The segments of a run's log: which files they are, and all of them read as one log.
+//! The segments of a run's log: finding their files, and reading all of them as one log.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 
 use super::{LOG_FILE, LogError, LogReader, LogRecord, LogSegment, LogTotals, MessageCounts, RUN_METADATA};
 
-/// Finds a log: `given` itself, the one in the folder `given`, or that of the run called `given` under `runs/`. Gives its
-/// segments in their order; one, if `given` is a file.
+/// Finds a log: `given` itself, the one in the folder `given`, or that of the run called `given` under `runs/`.
+/// Returns its segments in order; only one if `given` is a file.
 ///
 /// # Errors
 ///
 /// [`LogError::NoLog`] if there is none.
 pub fn find(given: &Path) -> Result<Vec<PathBuf>, LogError> {
-    let place = crate::run_folder::find(given, Path::exists);
-    let log = if place.is_dir() { segments(&place) } else { vec![place.clone()] };
+    let path = crate::run_folder::find(given, Path::exists);
+    let log = if path.is_dir() { segments(&path) } else { vec![path.clone()] };
     if log.first().is_some_and(|log| log.exists()) {
         return Ok(log);
     }
-    let why = if place.is_dir() { "is a folder without a log.mcap" } else { "does not exist" };
-    Err(LogError::NoLog { path: place, why: why.to_owned() })
+    let why = if path.is_dir() { "is a folder without a log.mcap" } else { "does not exist" };
+    Err(LogError::NoLog { path, why: why.to_owned() })
 }
 
-/// The file that a logger writes in its run's folder at its start number `incarnation`: `log.mcap`, `log-1.mcap` and so on.
-pub fn segment_path(folder: &Path, incarnation: u32) -> PathBuf {
+/// The file that the logger of `incarnation` writes in its run's folder: `log.mcap`, `log-1.mcap` and so on.
+pub(crate) fn segment_path(folder: &Path, incarnation: u32) -> PathBuf {
     folder.join(match incarnation {
         0 => LOG_FILE.to_owned(),
         n => format!("log-{n}.mcap"),
     })
 }
 
-/// The segments that lie in `folder`, in their order.
+/// The segments in `folder`, in order.
 pub fn segments(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut found: Vec<u32> = entries.filter_map(|entry| number(entry.file_name().to_str()?)).collect();
+    let mut found: Vec<u32> = entries.filter_map(|entry| segment_number(entry.file_name().to_str()?)).collect();
     found.sort_unstable();
     found.into_iter().map(|n| segment_path(folder, n)).collect()
 }
 
-/// The start number in a segment's name.
-fn number(name: &str) -> Option<u32> {
+/// The logger's incarnation in a segment's file name.
+fn segment_number(name: &str) -> Option<u32> {
     if name == LOG_FILE {
         return Some(0);
     }
@@ -46,30 +46,31 @@ fn number(name: &str) -> Option<u32> {
     digits.parse().ok().filter(|n: &u32| *n > 0 && n.to_string() == digits)
 }
 
-/// A run's log, one segment after the other: an iterator over its messages. Its description is that of the first segment.
+/// A run's log: an iterator over the messages of all its segments. Its description is that of the first segment.
 ///
-/// A segment in the middle that is torn ends where its last whole record does; what did not reach it is stated at the
-/// beginning of the next. One whose logger was killed before it had described the run is passed by, if there are others.
+/// A torn segment in the middle ends with its last whole record; the next segment begins with statements of the
+/// samples that did not reach it. A segment whose logger was killed before it described the run is skipped if
+/// there are others.
 pub struct RunLog {
     path: PathBuf,
     run: BTreeMap<String, String>,
     scenario: String,
-    /// The segment in hand.
+    /// The segment that is being read.
     log: LogReader,
     waiting: VecDeque<PathBuf>,
     ended: Vec<SegmentEnd>,
 }
 
-/// How far a segment was read, and how it ended.
+/// How far a segment was read, and how it ends.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SegmentEnd {
     /// The file.
     pub path: PathBuf,
-    /// The start number of the logger that wrote it.
+    /// The incarnation of the logger that wrote it.
     pub number: u32,
-    /// It was read to an end that its logger wrote.
+    /// It was read to the end that its logger wrote.
     pub finished: bool,
-    /// It was torn and made whole afterwards.
+    /// It was torn and then repaired.
     pub repaired: bool,
     /// Bytes up to the end of the last whole record.
     pub position: u64,
@@ -79,7 +80,7 @@ impl SegmentEnd {
     fn of(log: &LogReader) -> Self {
         Self {
             path: log.path().to_owned(),
-            number: log.begins().number,
+            number: log.log_segment().number,
             finished: log.finished(),
             repaired: log.repaired(),
             position: log.position(),
@@ -88,19 +89,19 @@ impl SegmentEnd {
 }
 
 impl RunLog {
-    /// Opens the segments, in their order.
+    /// Opens the segments, which must be in order.
     ///
     /// # Errors
     ///
-    /// As [`LogReader::open`], for the first that can be read.
+    /// As [`LogReader::open`], for the first segment that is a log.
     pub fn open(segments: &[PathBuf]) -> Result<RunLog, LogError> {
         let mut waiting: VecDeque<PathBuf> = segments.iter().cloned().collect();
-        let alone = segments.len() == 1;
+        let single = segments.len() == 1;
         let mut refused = None;
         while let Some(path) = waiting.pop_front() {
             match LogReader::open(&path) {
                 Ok(log) => {
-                    let folder = path.parent().filter(|_| !alone).unwrap_or(&path);
+                    let folder = path.parent().filter(|_| !single).unwrap_or(&path);
                     return Ok(RunLog { path: folder.to_owned(), waiting, ..RunLog::of(log) });
                 }
                 Err(error @ LogError::NotALog { .. }) => drop(refused.get_or_insert(error)),
@@ -111,7 +112,7 @@ impl RunLog {
         Err(refused.unwrap_or_else(none))
     }
 
-    /// One log as it is, at its beginning.
+    /// A log of one segment, at its beginning.
     pub fn of(log: LogReader) -> RunLog {
         let run = log.metadata().get(RUN_METADATA).cloned().unwrap_or_default();
         let (path, scenario) = (log.path().to_owned(), log.scenario().to_owned());
@@ -138,58 +139,59 @@ impl RunLog {
         &self.scenario
     }
 
-    /// Every how many ticks are written.
+    /// Every `every()`-th tick is written.
     pub fn every(&self) -> u64 {
         self.run("every").and_then(|every| every.parse().ok()).unwrap_or(1).max(1)
     }
 
-    /// What the log goes on from: the beginning, unless it is a later segment by itself.
-    pub fn begins(&self) -> LogSegment {
+    /// The description of the first segment: the default, unless it is a later segment read by itself.
+    pub fn log_segment(&self) -> LogSegment {
         LogSegment::from_map(&self.run)
     }
 
-    /// The count of messages that goes with the log.
-    pub fn account(&self) -> MessageCounts {
-        MessageCounts::after(&self.begins())
+    /// Message counts to which the log's messages can be added.
+    pub fn message_counts(&self) -> MessageCounts {
+        MessageCounts::after(&self.log_segment())
     }
 
     /// The segment that is being read.
-    pub fn segment(&self) -> &LogReader {
+    pub fn current_segment(&self) -> &LogReader {
         &self.log
     }
 
-    /// How many segments have been begun; the message read last belongs to the last of them.
-    pub fn begun(&self) -> usize {
+    /// How many segments have been begun; the last message read belongs to the last of them.
+    pub fn segments_begun(&self) -> usize {
         self.ended.len() + 1
     }
 
-    /// The segments that have been begun, each with its end; that of the last is known when the log has been read.
+    /// The segments that have been begun, each with its end; that of the last is known when the log has been
+    /// read to its end.
     pub fn segments(&self) -> Vec<SegmentEnd> {
         self.ended.iter().cloned().chain([SegmentEnd::of(&self.log)]).collect()
     }
 
-    /// What the last logger said at its end; `None` before the last message was read, and when it was torn.
+    /// The totals of the last segment; `None` before the last message has been read, and if the segment is torn.
     pub fn totals(&self) -> Option<LogTotals> {
         self.log.totals()
     }
 
-    /// The tick from which on samples are missing for want of room; known with the last message.
+    /// The tick from which on samples are missing because the disk was full; known after the last message.
     pub fn missing_from(&self) -> Option<u64> {
         self.log.missing_from()
     }
 
-    /// The last segment was torn and made whole afterwards; known with the last message.
+    /// Whether the last segment was torn and then repaired; known after the last message.
     pub fn repaired(&self) -> bool {
         self.log.repaired()
     }
 
-    /// The log was read to an end that its last logger wrote. False until the iterator has ended.
+    /// Whether the log was read to the end that its last logger wrote. False until the iterator has ended.
     pub fn finished(&self) -> bool {
         self.waiting.is_empty() && self.log.finished()
     }
 
-    /// Turns to the next segment. `None` if there is none.
-    fn turn(&mut self) -> Option<Result<(), LogError>> {
+    /// Opens the next segment. `None` if there is none.
+    fn open_next_segment(&mut self) -> Option<Result<(), LogError>> {
         loop {
             match LogReader::open(&self.waiting.pop_front()?) {
                 Ok(log) if log.run("run") == self.run("run") => {
@@ -218,7 +220,7 @@ impl Iterator for RunLog {
                     return Some(Err(error));
                 }
                 Some(record) => return Some(record),
-                None => match self.turn()? {
+                None => match self.open_next_segment()? {
                     Ok(()) => {}
                     Err(error) => {
                         self.waiting.clear();
@@ -235,7 +237,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn segments_stand_in_the_order_of_their_numbers() {
+    fn segments_are_in_the_order_of_their_numbers() {
         let folder = tempfile::tempdir().unwrap();
         let names =
             ["log-10.mcap", "log.mcap", "log-2.mcap", "log-02.mcap", "log-0.mcap", "log-x.mcap", "log.mcap.torn"];

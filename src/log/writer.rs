@@ -1,14 +1,15 @@
-//! Writing a log: plain MCAP records, each out of the process before its call returns.
+//! Writes a log as plain MCAP records. Each record is handed to the operating system before its call returns.
 //!
-//! MCAP's usual chunks would compress better and cost every message since the last one when the process is killed. Here
-//! a message lies in the operating system's cache as soon as its call is over: the process may die at any instant, only
-//! a machine that loses its power takes the last seconds with it. [`LogWriter::finish`] asks for the disk itself.
+//! MCAP's usual chunks would compress better, but a killed process would lose every message since the last
+//! chunk. Here a message is in the operating system's cache as soon as its call returns: the process may die at
+//! any instant without loss. Only a power failure loses the last seconds. [`LogWriter::finish`] syncs the file
+//! to the disk.
 //!
-//! A disk that is full is noticed before a message is cut off by it: see [`room`](super::room). Statements of gaps and the end
-//! of the log have room all the same.
+//! A full disk is noticed before it cuts off a message, see [`disk_reserve`](super::disk_reserve). Gap messages
+//! and the end of the log still have space then.
 //!
-//! A message costs no allocation: its bytes are put together in the writer, and `mcap` keeps what it needs once the
-//! checksum's batch buffer has grown to its 32 KiB.
+//! A message costs no allocation: its bytes are assembled in the writer, and `mcap` allocates nothing more once
+//! the checksum's batch buffer has grown to its 32 KiB.
 
 use super::disk_reserve::{DiskReserve, RESERVE};
 use super::log_file::{LogFile, io_error};
@@ -26,42 +27,42 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicI32;
 
-/// Room for the largest message's data.
-const LARGEST: usize = ENCAPSULATION.len() + size_of::<Observation>();
+/// Bytes of the largest message's data.
+const MAX_MESSAGE: usize = ENCAPSULATION.len() + size_of::<Observation>();
 const _: () = assert!(size_of::<Command>() <= size_of::<Observation>());
 const _: () = assert!(size_of::<Learning>() <= size_of::<Observation>());
 const _: () = assert!(size_of::<Gap>() <= size_of::<Observation>());
 
-/// A log being written. Dropped without [`finish`](Self::finish) it leaves what a killed process leaves: a torn file,
-/// readable up to its last message.
+/// A log that is being written. If dropped without [`finish`](Self::finish), it leaves a torn file, as a killed
+/// process does, readable up to its last message.
 pub struct LogWriter {
     file: Output,
     channels: [u16; 4],
     written: [u64; 4],
-    /// From the run's clock to wall time, ns.
+    /// Offset from the run's clock to wall time, ns.
     shift_ns: i128,
     /// Log time of the last message; a gap has no time of its own.
     last_ns: u64,
-    /// What earlier segments hold.
+    /// Contents of the earlier segments.
     before: LogSegment,
-    data: [u8; LARGEST],
+    data: [u8; MAX_MESSAGE],
 }
 
 type Mcap = mcap::Writer<BufWriter<LogFile>>;
 
-/// The file under its `mcap` writer, which takes nothing more after a failure.
+/// The file with its `mcap` writer. After a failure it accepts nothing more.
 struct Output {
     path: PathBuf,
     /// `None` only once the writer has been taken apart at the end.
     mcap: Option<Mcap>,
     errno: Arc<AtomicI32>,
     failed: bool,
-    room: DiskReserve,
-    /// Bytes written so far, of messages and what comes before them.
-    at: u64,
+    reserve: DiskReserve,
+    /// Bytes written so far: the beginning of the log and the messages.
+    position: u64,
 }
 
-/// What a finished log holds.
+/// The contents of a finished log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LogSummary {
     /// The file.
@@ -70,7 +71,7 @@ pub struct LogSummary {
     pub bytes: u64,
     /// Messages written to it: observations, commands, learning records, gaps.
     pub written: [u64; 4],
-    /// What the logger said at the end.
+    /// The logger's totals.
     pub totals: LogTotals,
 }
 
@@ -79,27 +80,28 @@ impl LogWriter {
     ///
     /// # Errors
     ///
-    /// [`LogError::Write`] if the file exists already or cannot be made or written; [`LogError::Header`] if `header`
-    /// lacks the scenario.
+    /// [`LogError::Write`] if the file exists already or cannot be made or written; [`LogError::Header`] if
+    /// `header` lacks the scenario.
     pub fn create(path: &Path, header: &LogHeader) -> Result<LogWriter, LogError> {
         let run = header.to_map(path)?;
         let file = File::create_new(path).map_err(|e| LogError::write(path, e))?;
-        // Tells those who would repair it that it is not torn but being written. Where there are no locks, nobody is told.
+        // The lock tells `repair` that the log is not torn but being written. A file system without locks
+        // cannot tell.
         let _ = file.try_lock();
         Self::over(file, path, header, run)
     }
 
     fn over(file: File, path: &Path, header: &LogHeader, run: BTreeMap<String, String>) -> Result<LogWriter, LogError> {
         let errno = Arc::new(AtomicI32::new(0));
-        let room = DiskReserve::of(file.try_clone().map_err(|e| LogError::write(path, e))?);
+        let reserve = DiskReserve::of(file.try_clone().map_err(|e| LogError::write(path, e))?);
         let sink = BufWriter::with_capacity(64 * 1024, LogFile { file, errno: errno.clone() });
         let library = format!("tectum {}", crate::BUILD);
         let options = mcap::WriteOptions::new().use_chunks(false).compression(None).profile("ros2").library(library);
         let mcap = options.create(sink).map_err(|e| LogError::write(path, io_error(e, &errno)))?;
-        let mut file = Output { path: path.to_owned(), mcap: Some(mcap), errno, failed: false, room, at: 0 };
-        let channels = file.run(|mcap| describe(mcap, header, run))?;
-        file.at = file.room.length().map_err(|e| LogError::write(path, e))?;
-        let mut data = [0; LARGEST];
+        let mut file = Output { path: path.to_owned(), mcap: Some(mcap), errno, failed: false, reserve, position: 0 };
+        let channels = file.run(|mcap| write_description(mcap, header, run))?;
+        file.position = file.reserve.length().map_err(|e| LogError::write(path, e))?;
+        let mut data = [0; MAX_MESSAGE];
         data[..ENCAPSULATION.len()].copy_from_slice(&ENCAPSULATION);
         let shift_ns = i128::from(header.wall_at_t0_ns) - i128::from(header.t0_ns);
         let (last_ns, before) = (header.wall_at_t0_ns, header.segment);
@@ -110,9 +112,9 @@ impl LogWriter {
     ///
     /// # Errors
     ///
-    /// [`LogError::Write`], as all methods that write. If it [is full](LogError::is_full) and [`broken`](Self::broken) is
-    /// false, the sample was not written and the log can still be closed. After any other failure the log takes nothing
-    /// more, and every call says so again.
+    /// [`LogError::Write`], like all methods that write. If the disk [is full](LogError::is_full) and
+    /// [`broken`](Self::broken) is false, the sample was not written and the log can still be closed. After any
+    /// other failure the log accepts nothing more, and every call returns the error again.
     pub fn observation(&mut self, sample: &Observation) -> Result<(), LogError> {
         self.sample(0, sample.header.sequence, sample.header.published_ns, sample)?;
         self.flush()
@@ -138,8 +140,8 @@ impl LogWriter {
         self.flush()
     }
 
-    /// Writes that samples are missing and hands it to the operating system. A gap stands at the time of the message
-    /// before it, and gaps are numbered in the order of writing.
+    /// Writes a statement of missing samples and hands it to the operating system. A gap has the time of the
+    /// message before it, and gaps are numbered in the order of writing.
     ///
     /// # Errors
     ///
@@ -149,8 +151,8 @@ impl LogWriter {
         self.flush()
     }
 
-    /// Writes a record of any kind into the process's own buffer, where a kill can still lose it: for batches, each
-    /// closed by [`flush`](Self::flush).
+    /// Writes a record of any kind into the process's own buffer, where a kill can still lose it. For batches,
+    /// each completed by [`flush`](Self::flush).
     ///
     /// # Errors
     ///
@@ -173,7 +175,7 @@ impl LogWriter {
         self.file.run(mcap::Writer::flush)
     }
 
-    /// Says in the log itself, and at once, that samples are missing from `tick` on, and why.
+    /// Writes to the log, and flushes, that samples are missing from `tick` on, and why.
     ///
     /// # Errors
     ///
@@ -184,7 +186,7 @@ impl LogWriter {
         self.flush()
     }
 
-    /// Writes the histograms, before the log is closed. Where there may be no room for them, they are left out.
+    /// Writes the histograms before the log is closed. Leaves them out if there may be no space for them.
     ///
     /// # Errors
     ///
@@ -192,7 +194,7 @@ impl LogWriter {
     pub fn timings(&mut self, timings: &LatencyHistograms) -> Result<(), LogError> {
         let map = timings.to_map();
         let size: usize = map.iter().map(|(key, value)| key.len() + value.len()).sum();
-        if size as u64 > RESERVE / 2 && self.file.room.secure(self.file.at + size as u64).is_err() {
+        if size as u64 > RESERVE / 2 && self.file.reserve.ensure(self.file.position + size as u64).is_err() {
             return Ok(());
         }
         self.metadata(HISTOGRAMS_METADATA, map)
@@ -203,7 +205,7 @@ impl LogWriter {
         self.file.run(|mcap| mcap.write_metadata(&record))
     }
 
-    /// Writing has failed: the file is torn, and takes nothing more.
+    /// Whether writing has failed: the file is then torn, and accepts nothing more.
     pub fn broken(&self) -> bool {
         self.file.failed
     }
@@ -218,8 +220,8 @@ impl LogWriter {
         &self.file.path
     }
 
-    /// Closes the log: totals, which are those of the run with all segments, MCAP's summary and checksums, and then the disk
-    /// itself.
+    /// Closes the log: writes the totals, which are those of the run with all segments, and MCAP's summary and
+    /// checksums, and syncs the file to the disk.
     ///
     /// # Errors
     ///
@@ -242,20 +244,20 @@ impl LogWriter {
         let head = ENCAPSULATION.len();
         let end = head + size_of::<S>();
         self.data[head..end].copy_from_slice(bytemuck::bytes_of(sample));
-        // A statement of what is missing has its room always.
+        // Gap messages always have space in the reserve.
         if channel < 3 {
-            self.file.room.secure(self.file.at).map_err(|e| LogError::write(&self.file.path, e))?;
+            self.file.reserve.ensure(self.file.position).map_err(|e| LogError::write(&self.file.path, e))?;
         }
         let header = MessageHeader {
             channel_id: self.channels[channel],
-            // MCAP has 32 bits here; the sample's own header has them all.
+            // MCAP has only 32 bits here; the sample's own header has all 64.
             sequence: sequence as u32,
             log_time: ns,
             publish_time: ns,
         };
         let data = &self.data[..end];
         self.file.run(|mcap| mcap.write_to_known_channel(&header, data))?;
-        self.file.at += (MESSAGE_OVERHEAD + end) as u64;
+        self.file.position += (MESSAGE_OVERHEAD + end) as u64;
         self.last_ns = ns;
         self.written[channel] += 1;
         Ok(())
@@ -274,12 +276,12 @@ impl Output {
         })
     }
 
-    /// Takes the writer apart, syncs the file and gives its size in bytes.
+    /// Takes the writer apart, syncs the file, and returns its size in bytes.
     fn sync(&mut self) -> io::Result<u64> {
         let Some(mcap) = self.mcap.take() else { return Ok(0) };
         let mut sink = mcap.into_inner().into_inner().map_err(|e| e.into_error())?;
         let end = sink.file.seek(SeekFrom::End(0))?;
-        self.room.give_back(end)?;
+        self.reserve.release(end)?;
         sink.file.sync_all()?;
         Ok(end)
     }
@@ -287,15 +289,15 @@ impl Output {
 
 impl Drop for Output {
     fn drop(&mut self) {
-        // Left alone, `mcap` would write a summary and make a broken-off log look whole.
+        // Dropping the `mcap` writer would write a summary and make a torn log look whole.
         if let Some(mcap) = self.mcap.take() {
             drop(mcap.into_inner());
         }
     }
 }
 
-/// Everything before the first message; gives the ids of the four channels.
-fn describe(mcap: &mut Mcap, header: &LogHeader, run: BTreeMap<String, String>) -> mcap::McapResult<[u16; 4]> {
+/// Writes everything before the first message; returns the ids of the four channels.
+fn write_description(mcap: &mut Mcap, header: &LogHeader, run: BTreeMap<String, String>) -> mcap::McapResult<[u16; 4]> {
     mcap.attach(&mcap::Attachment {
         log_time: header.wall_at_t0_ns,
         create_time: header.wall_at_t0_ns,
@@ -306,17 +308,17 @@ fn describe(mcap: &mut Mcap, header: &LogHeader, run: BTreeMap<String, String>) 
     mcap.write_metadata(&mcap::records::Metadata { name: RUN_METADATA.into(), metadata: run })?;
     let [observation, command, learning] = header.topics();
     let channels = [
-        channel::<Observation>(mcap, &observation)?,
-        channel::<Command>(mcap, &command)?,
-        channel::<Learning>(mcap, &learning)?,
-        channel::<Gap>(mcap, GAP_TOPIC)?,
+        add_channel::<Observation>(mcap, &observation)?,
+        add_channel::<Command>(mcap, &command)?,
+        add_channel::<Learning>(mcap, &learning)?,
+        add_channel::<Gap>(mcap, GAP_TOPIC)?,
     ];
-    // From here on the file says whose it is, even if nothing else follows.
+    // From here on the file describes its run, even if nothing else follows.
     mcap.flush()?;
     Ok(channels)
 }
 
-fn channel<S: Sample>(mcap: &mut Mcap, topic: &str) -> mcap::McapResult<u16> {
+fn add_channel<S: Sample>(mcap: &mut Mcap, topic: &str) -> mcap::McapResult<u16> {
     let schema = mcap.add_schema(S::ROS_NAME, "ros2msg", S::ros2msg().as_bytes())?;
     mcap.add_channel(schema, topic, "cdr", &BTreeMap::from([("sample".to_owned(), S::NAME.to_owned())]))
 }
@@ -326,9 +328,9 @@ mod tests {
     use super::*;
     use crate::log::header::tests::sample_header;
 
-    /// A device that is always full shows what a full disk does at the first byte.
+    /// `/dev/full` behaves like a disk that is full at the first byte.
     #[test]
-    fn a_full_device_is_named_as_such() {
+    fn a_full_device_is_reported_as_full() {
         let path = Path::new("/dev/full");
         let file = File::options().write(true).open(path).unwrap();
         let header = sample_header();
@@ -352,7 +354,7 @@ mod tests {
         assert!(below.contains("not a folder"), "{below}");
     }
 
-    /// What the constructor's comment promises: after each call the file itself holds the message.
+    /// After each call the file itself holds the message.
     #[test]
     fn every_message_is_in_the_file_when_its_call_returns() {
         let folder = tempfile::tempdir().unwrap();

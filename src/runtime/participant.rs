@@ -15,9 +15,9 @@ use crate::channel::{ChannelError, CrashStore, DomainName, Identity, StatusBoard
 use crate::checkpoint::{self, Checkpoint, CheckpointFacts, CheckpointWriter};
 use crate::clock::{ProcessHandle, RealtimeReport, RealtimeRequest, TerminationSignals, TimeSource, pause};
 use crate::run_folder;
-use crate::scenario::{ChannelsConfig, Plan, RealtimeProcess, Scenario};
+use crate::scenario::{Plan, RealtimeProcess, Scenario};
 use crate::state::Persist;
-use crate::wire::{Phase, ProcessState, Role, Status, schema_hash};
+use crate::wire::{ChannelNames, Phase, ProcessState, Role, Status, schema_hash};
 
 /// The mode of a run: how its ticks follow each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -152,7 +152,7 @@ impl Participant {
     /// As for that function.
     pub fn open<P>(
         &self,
-        open: impl FnOnce(&DomainName, &Identity, &ChannelsConfig) -> Result<(P, StatusBoard), ChannelError>,
+        open: impl FnOnce(&DomainName, &Identity, &ChannelNames) -> Result<(P, StatusBoard), ChannelError>,
     ) -> Result<(P, StatusBoard), RuntimeError> {
         Ok(open(&self.manifest.domain, &self.identity(), &self.plan.scenario.channels)?)
     }

@@ -9,6 +9,7 @@ use super::{
     EncoderConfig, FaultsConfig, GateConfig, LearnerConfig, Noise, OverrunConfig, PlantConfig, RealtimeConfig,
     RestartConfig, ScenarioSource,
 };
+use crate::wire::ChannelNames;
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -42,7 +43,7 @@ pub struct Scenario {
     pub log: LogConfig,
     /// The names of the channels.
     #[serde(default)]
-    pub channels: ChannelsConfig,
+    pub channels: ChannelNames,
     /// What happens when a process dies or hangs.
     #[serde(default, skip_serializing_if = "RestartConfig::is_usual")]
     pub restart: RestartConfig,
@@ -80,25 +81,6 @@ pub struct LogConfig {
     pub hash_every: u64,
 }
 
-/// `[channels]`: names, in case another program shares the domain's names.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ChannelsConfig {
-    /// Plant to controller and logger.
-    pub observation: String,
-    /// Controller to plant and logger.
-    pub command: String,
-    /// Controller to logger.
-    pub learning: String,
-    /// Trackers to the bridge, where `[plant.servos]` has `sight = "vision"`.
-    #[serde(skip_serializing_if = "is_vision")]
-    pub vision: String,
-}
-
-fn is_vision(name: &str) -> bool {
-    name == "vision"
-}
-
 impl Scenario {
     /// The name of the channel on which trackers say what they see, if this scenario has one.
     pub fn vision(&self) -> Option<&str> {
@@ -124,16 +106,5 @@ impl Default for PolicyConfig {
 impl Default for LogConfig {
     fn default() -> Self {
         Self { every: 1, hash_every: 1000 }
-    }
-}
-
-impl Default for ChannelsConfig {
-    fn default() -> Self {
-        Self {
-            observation: "observation".into(),
-            command: "command".into(),
-            learning: "learning".into(),
-            vision: "vision".into(),
-        }
     }
 }

@@ -34,7 +34,7 @@ pub use error::{FilePosition, ScenarioError};
 pub use faults::{
     ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsConfig, ProcessFault, ProcessFaultKind,
 };
-pub use file::{ChannelsConfig, LogConfig, PolicyConfig, Scenario};
+pub use file::{LogConfig, PolicyConfig, Scenario};
 pub use gate::{GateConfig, OverrunConfig, PerOutput};
 pub use plant::PlantConfig;
 pub use presets::{Preset, presets};

@@ -80,7 +80,7 @@ fn channels(scenario: &Scenario) -> Result<(), Violation> {
         vec![("observation", &channels.observation), ("command", &channels.command), ("learning", &channels.learning)];
     if scenario.vision().is_some() {
         named_channels.push(("vision", &channels.vision));
-    } else if channels.vision != super::ChannelsConfig::default().vision {
+    } else if channels.vision != crate::wire::ChannelNames::default().vision {
         let text =
             "names a channel that there is with plant.servos.sight = \"vision\" alone; take it out, or give that";
         return Err(Violation::new("channels.vision", text));

@@ -9,10 +9,12 @@
 //! lockstep).
 
 mod boards;
+mod channel_names;
 mod samples;
 mod schema;
 
 pub use boards::{Control, Phase, ProcessState, Role, Status};
+pub use channel_names::ChannelNames;
 pub use samples::{Command, Gap, Header, Learning, Observation, Vision, flag};
 pub use schema::{Field, Sample, schema_hash};
 

@@ -1,4 +1,4 @@
-//! A log at a glance, for people.
+//! The summary of a log as text.
 
 use std::fmt::Write as _;
 
@@ -6,23 +6,43 @@ use super::{ChannelInfo, LogInfo, LogState};
 use crate::log::GAP_TOPIC;
 
 impl LogInfo {
-    /// The same for people.
+    /// The summary as text.
     pub fn to_text(&self) -> String {
         let mut text = String::new();
-        let or = |value: Option<u64>| value.map_or("-".to_owned(), |value| value.to_string());
+        self.list_facts(&mut text);
+        self.list_channels(&mut text);
+        if !self.flags.is_empty() {
+            let flags: Vec<_> = self.flags.iter().map(|(name, n)| format!("{name} {n}")).collect();
+            let _ = writeln!(text, "\nflags    {}", flags.join("  "));
+        }
+        if self.segments.len() > 1 {
+            self.list_segments(&mut text);
+        }
+        for line in self.channels.iter().filter_map(restarts) {
+            let _ = writeln!(text, "\n{line}");
+        }
+        self.list_durations(&mut text);
+        for c in self.channels.iter().filter(|c| !c.agrees) {
+            let _ =
+                writeln!(text, "\n{}: what the log states to be lost is not what its sequence numbers say", c.topic);
+        }
+        text
+    }
+
+    fn list_facts(&self, text: &mut String) {
         let mut row = |key: &str, value: String| {
             let _ = writeln!(text, "{key:<9}{value}");
         };
         row("log", format!("{} ({} bytes)", self.log.display(), self.bytes));
-        let several = self.segments.len() > 1;
-        row(
-            "state",
-            if several { format!("{} segments", self.segments.len()) } else { state(self.state, self.torn_at) },
-        );
+        let state = match self.segments.len() {
+            several @ 2.. => format!("{several} segments"),
+            _ => state(self.state, self.torn_at),
+        };
+        row("state", state);
         if let Some((tick, why)) = &self.missing_from {
             row("missing", format!("from tick {tick} on: {why}"));
         }
-        row("run", format!("{}, {}, seed {}", self.scenario, self.mode, or(self.seed)));
+        row("run", format!("{}, {}, seed {}", self.scenario, self.mode, or_dash(self.seed)));
         if let Some(started) = &self.started {
             row("started", started.clone());
         }
@@ -36,16 +56,17 @@ impl LogInfo {
             Some(false) => "the run ended before",
             None => "the log does not say whether the run came to its end",
         };
-        row(
-            "ticks",
-            format!("{} planned, {ticks}; {} s of {} s each", or(self.planned_ticks), self.duration_s, self.period_s),
-        );
+        let planned = or_dash(self.planned_ticks);
+        row("ticks", format!("{planned} planned, {ticks}; {} s of {} s each", self.duration_s, self.period_s));
         if self.every > 1 {
             row("thinned", format!("every {}th tick is written", self.every));
         }
         if let Some((hash, tick)) = &self.weights_hash {
             row("weights", format!("{hash} at tick {tick}"));
         }
+    }
+
+    fn list_channels(&self, text: &mut String) {
         let _ = writeln!(
             text,
             "\n{:<16}{:>12}{:>12}{:>12}{:>10}{:>10}{:>10}",
@@ -53,7 +74,7 @@ impl LogInfo {
         );
         for c in &self.channels {
             let rate = c.per_second.map_or("-".to_owned(), |rate| format!("{rate:.2}"));
-            let [first, last, found] = [c.first_tick, c.last_tick, c.lost_found].map(or);
+            let [first, last, found] = [c.first_tick, c.last_tick, c.lost_found].map(or_dash);
             let _ = writeln!(
                 text,
                 "{:<16}{:>12}{first:>12}{last:>12}{rate:>10}{:>10}{found:>10}",
@@ -61,24 +82,6 @@ impl LogInfo {
             );
         }
         let _ = writeln!(text, "{GAP_TOPIC:<16}{:>12}", self.gaps);
-        if !self.flags.is_empty() {
-            let flags: Vec<_> = self.flags.iter().map(|(name, n)| format!("{name} {n}")).collect();
-            let _ = writeln!(text, "\nflags    {}", flags.join("  "));
-        }
-        if several {
-            self.list_segments(&mut text);
-        }
-        for c in &self.channels {
-            if let Some(line) = returns(c) {
-                let _ = writeln!(text, "\n{line}");
-            }
-        }
-        self.list_durations(&mut text);
-        for c in self.channels.iter().filter(|c| !c.agrees) {
-            let _ =
-                writeln!(text, "\n{}: what the log states to be lost is not what its sequence numbers say", c.topic);
-        }
-        text
     }
 
     fn list_segments(&self, text: &mut String) {
@@ -89,10 +92,10 @@ impl LogInfo {
         );
         for s in &self.segments {
             let name = s.log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-            let [first, last] = [s.first_tick, s.last_tick].map(|t| t.map_or("-".to_owned(), |t| t.to_string()));
+            let [first, last] = [s.first_tick, s.last_tick].map(or_dash);
             let missing = s.missing_before.map(|n| n.to_string()).join(" ");
             let state = match (s.state, s.torn_at) {
-                // How it is made whole, is said once.
+                // The remedy is printed once, below.
                 (LogState::Torn, Some(at)) => format!("torn at byte {at}"),
                 (other, at) => state(other, at),
             };
@@ -118,9 +121,14 @@ impl LogInfo {
             );
         }
         if self.recounted {
-            let _ = writeln!(text, "{:<23} from the samples in the log, which did not come to its end", "");
+            let _ = writeln!(text, "{:<23} recounted from the samples in the log, which has no end", "");
         }
     }
+}
+
+/// The number, or a dash if there is none.
+fn or_dash(value: Option<u64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| value.to_string())
 }
 
 fn state(state: LogState, torn_at: Option<u64>) -> String {
@@ -132,12 +140,12 @@ fn state(state: LogState, torn_at: Option<u64>) -> String {
     }
 }
 
-/// What a channel's writers did, if there were several.
-fn returns(channel: &ChannelInfo) -> Option<String> {
-    let (starts, twice) = (&channel.incarnations, channel.duplicates);
-    if starts.len() < 2 && twice == 0 {
+/// The incarnations of a channel's writer and its duplicates, if there are any.
+fn restarts(channel: &ChannelInfo) -> Option<String> {
+    let (starts, duplicates) = (&channel.incarnations, channel.duplicates);
+    if starts.len() < 2 && duplicates == 0 {
         return None;
     }
     let starts: Vec<String> = starts.iter().map(|(n, tick)| format!("{n} from tick {tick} on")).collect();
-    Some(format!("{}: incarnations {}; {twice} came twice", channel.topic, starts.join(", ")))
+    Some(format!("{}: incarnations {}; {duplicates} came twice", channel.topic, starts.join(", ")))
 }

@@ -1,4 +1,4 @@
-//! The reader against everything that can be wrong with a file.
+//! The reader with whole, torn, damaged and foreign files.
 
 use super::*;
 use crate::log::header::tests::sample_header;
@@ -45,7 +45,7 @@ fn open(bytes: &[u8]) -> Result<LogReader, LogError> {
     LogReader::over(Path::new("log.mcap"), Box::new(std::io::Cursor::new(bytes.to_vec())))
 }
 
-/// Reads to the end; gives the messages, whether the log was whole, and the error if there was one.
+/// Reads to the end; returns the messages, whether the log was whole, and the error if there was one.
 fn read(bytes: &[u8]) -> (Vec<LogRecord>, bool, Option<LogError>) {
     let mut log = match open(bytes) {
         Ok(log) => log,
@@ -64,7 +64,7 @@ fn read(bytes: &[u8]) -> (Vec<LogRecord>, bool, Option<LogError>) {
 }
 
 #[test]
-fn what_was_written_is_read() {
+fn the_written_messages_are_read() {
     let (bytes, summary) = write(&sample_header(), true);
     let mut log = open(&bytes).unwrap();
     assert_eq!(log.scenario(), sample_header().scenario);
@@ -89,7 +89,7 @@ fn a_dropped_log_is_readable_and_known_to_be_torn() {
 }
 
 #[test]
-fn cut_anywhere_a_log_gives_a_prefix_of_its_messages() {
+fn a_log_cut_at_any_byte_gives_a_prefix_of_its_messages() {
     let all = messages();
     let mut seen = 0;
     for length in 0..WHOLE.len() {
@@ -118,7 +118,7 @@ fn zeros_at_the_end_are_a_tear() {
 }
 
 #[test]
-fn foreign_files_are_named_as_such() {
+fn foreign_files_are_refused() {
     let why = |bytes: &[u8]| match open(bytes) {
         Err(e @ LogError::NotALog { .. }) => e.to_string(),
         other => panic!("{:?}", other.map(|_| ()).err()),
@@ -143,7 +143,7 @@ fn foreign_files_are_named_as_such() {
 
 #[test]
 fn another_layout_is_refused_by_name() {
-    // The same length, so that all that differs is the version that the channel states.
+    // The same length, so that only the version differs that the channel states.
     let from = Observation::NAME.as_bytes();
     let mut bytes = write(&sample_header(), false).0;
     let places: Vec<_> = (0..bytes.len() - from.len()).filter(|&i| bytes[i..].starts_with(from)).collect();
@@ -156,7 +156,7 @@ fn another_layout_is_refused_by_name() {
     for part in ["log.mcap", "tectum.Observation.v9 on /observation", "reads tectum.Observation.v1", "(test)"] {
         assert!(text.contains(part), "{part} in {text}");
     }
-    // And a definition that changed without a new version.
+    // A definition that was changed without a new version.
     let mut bytes = write(&sample_header(), false).0;
     let at = bytes.windows(13).position(|w| w == b"weights_norm\n").unwrap();
     bytes[at..at + 7].copy_from_slice(b"heights");
@@ -171,7 +171,7 @@ fn times_are_wall_times_and_lockstep_starts_at_zero() {
         let bytes = write(&header, true).0;
         let times: Vec<u64> = mcap::MessageStream::new(&bytes).unwrap().map(|m| m.unwrap().log_time).collect();
         assert_eq!(times[..4], [first, first, first, first + 50_000_000]);
-        // The gap stands behind the learning record of tick 5.
+        // The gap follows the learning record of tick 5.
         assert_eq!(times[18], times[17]);
     }
 }
@@ -182,7 +182,7 @@ fn equal_runs_write_equal_bytes() {
 }
 
 proptest! {
-    /// Checksums cover the whole of a finished log: no flipped bit goes unnoticed, and none takes the reader down.
+    /// Checksums cover a whole finished log: every flipped bit is detected, and none makes the reader panic.
     #[test]
     fn a_flipped_bit_is_found(at in 0..WHOLE.len(), bit in 0..8u8) {
         let mut bytes = WHOLE.clone();
@@ -191,7 +191,8 @@ proptest! {
         prop_assert!(!finished, "bit {bit} of byte {at}");
     }
 
-    /// A torn log has no checksum, but damage must still not panic or reserve what a length field asks for.
+    /// A torn log has no checksum, but damage must not cause a panic or an allocation as large as a length
+    /// field states.
     #[test]
     fn damage_to_a_torn_log_never_panics(
         length in 0..WHOLE.len(),
@@ -206,9 +207,9 @@ proptest! {
         prop_assert!(!read(&bytes).1 || bytes == *WHOLE);
     }
 
-    /// Bytes that merely start like an MCAP file.
+    /// Bytes that only start like an MCAP file.
     #[test]
-    fn noise_never_panics(noise in prop::collection::vec(any::<u8>(), 0..2000)) {
+    fn random_bytes_never_panic(noise in prop::collection::vec(any::<u8>(), 0..2000)) {
         prop_assert!(!read(&noise).1);
         prop_assert!(!read(&[mcap::MAGIC, &noise[..]].concat()).1);
     }

@@ -1,4 +1,4 @@
-//! Logs cut at every place, damaged, and filled up with zeros.
+//! Repairs of logs that are cut at any byte, damaged, or filled up with zeros.
 
 use super::*;
 use crate::log::header::tests::sample_header;
@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use std::io::Cursor;
 use std::sync::LazyLock;
 
-/// Twelve ticks of which every third is written, a gap, and the end.
+/// Twelve ticks of which every third is written, a gap, and the log's end.
 static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
@@ -31,7 +31,7 @@ static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
     std::fs::read(&path).unwrap()
 });
 
-/// Where the records begin.
+/// Offsets at which the records begin.
 fn records() -> impl Iterator<Item = usize> {
     let next = |&at: &usize| Some(at + 9 + u64::from_le_bytes(WHOLE.get(at + 1..at + 9)?.try_into().ok()?) as usize);
     std::iter::successors(Some(mcap::MAGIC.len()), next).take_while(|at| at + mcap::MAGIC.len() < WHOLE.len())
@@ -41,14 +41,14 @@ fn open(bytes: &[u8]) -> Box<dyn Read + Send> {
     Box::new(Cursor::new(bytes.to_vec()))
 }
 
-/// The log made whole; `None` if it was.
+/// The repaired log; `None` if it was whole.
 fn mended(bytes: &[u8]) -> Result<Option<(TornContents, Vec<u8>)>, LogError> {
     let mut sink = Cursor::new(Vec::new());
     let mended = mend(Path::new("log.mcap"), || Ok(open(bytes)), &mut sink)?;
     Ok(mended.map(|mended| (mended, sink.into_inner())))
 }
 
-/// Messages, and the reader at its end.
+/// The messages, and the reader at its end.
 fn read(bytes: &[u8]) -> (Vec<LogRecord>, LogReader) {
     let mut log = LogReader::over(Path::new("log.mcap"), open(bytes)).unwrap();
     (log.by_ref().map(Result::unwrap).collect(), log)
@@ -57,7 +57,7 @@ fn read(bytes: &[u8]) -> (Vec<LogRecord>, LogReader) {
 fn check_cut(length: usize) {
     let torn = &WHOLE[..length];
     let Ok(done) = mended(torn) else {
-        // Cut off inside its description: there is no log yet.
+        // Cut off inside its description: not yet a log.
         assert!(LogReader::over(Path::new("log.mcap"), open(torn)).is_err(), "{length}");
         return;
     };
@@ -73,21 +73,21 @@ fn check_cut(length: usize) {
         assert_eq!(log.totals().map(|totals| totals.complete), Some(true), "{length}");
     } else {
         assert_eq!((totals["repaired"].as_str(), totals["complete"].as_str()), ("true", "false"), "{length}");
-        // What was there is there, byte for byte.
+        // Existing records are unchanged, byte for byte.
         assert_eq!(whole[..done.torn_at as usize], torn[..done.torn_at as usize], "{length}");
     }
     let log = LogReader::over(Path::new("log.mcap"), open(&whole)).unwrap();
     let info = LogInfo::over(RunLog::of(log)).unwrap();
     assert!(info.agrees() && info.state == LogState::Repaired, "{length}: {info:?}");
-    // Other readers' way: through the summary.
+    // Other readers begin with the summary.
     let summary = mcap::Summary::read(&whole).unwrap().unwrap();
     assert_eq!(summary.stats.unwrap().message_count, after.len() as u64, "{length}");
     assert_eq!(mcap::MessageStream::new(&whole).unwrap().map(Result::unwrap).count(), after.len(), "{length}");
-    assert!(mended(&whole).unwrap().is_none(), "{length}: once is enough");
+    assert!(mended(&whole).unwrap().is_none(), "{length}: a repaired log is whole");
 }
 
 #[test]
-fn the_ends_of_records_are_places_to_cut_like_any_other() {
+fn a_log_cut_at_the_ends_of_records_is_repaired() {
     for at in records() {
         [at - 1, at, at + 1, at + 9].into_iter().filter(|&length| length < WHOLE.len()).for_each(check_cut);
     }
@@ -95,21 +95,21 @@ fn the_ends_of_records_are_places_to_cut_like_any_other() {
 }
 
 #[test]
-fn what_is_damaged_stays_damaged() {
-    // The learning record of tick 6, and within it the place at which its sequence number has ended and its instants begin.
+fn a_damaged_log_is_refused() {
+    // The learning record of tick 6, and within it the byte after its sequence number, where its instants begin.
     let end = records().filter(|&at| WHOLE[at] == op::MESSAGE).nth(3 + 3 + 2).unwrap();
     let at = end + 9 + 22 + ENCAPSULATION.len() + 24;
     let mut bytes = WHOLE.clone();
     bytes[at] ^= 1;
     assert!(matches!(mended(&bytes), Err(LogError::Damaged { .. })));
-    // Zeros with something behind them are no tear, however they are read.
+    // Zeros followed by other bytes are damage, however they are read.
     for n in 9..200 {
         let mut bytes = WHOLE.clone();
         bytes[end..end + n].fill(0);
         let text = mended(&bytes).unwrap_err().to_string();
         assert!(text.contains(&format!("damaged at byte {end}: ")), "{n}: {text}");
     }
-    // Cut off inside the record, behind what says how long it is.
+    // Cut off inside the record, after its length field.
     let zeros = [&WHOLE[..end + 30], &[0; 5000]].concat();
     assert!(matches!(mended(&zeros), Err(LogError::Damaged { .. })), "a record that zeros fill up");
     let (done, _) = mended(&[&WHOLE[..end], &[0; 5000]].concat()).unwrap().unwrap();
@@ -118,13 +118,13 @@ fn what_is_damaged_stays_damaged() {
 
 proptest! {
     #[test]
-    fn cut_anywhere_a_log_is_made_whole(length in 0..WHOLE.len()) {
+    fn a_log_cut_at_any_byte_is_repaired(length in 0..WHOLE.len()) {
         check_cut(length);
     }
 
-    /// Whatever the bytes, there is a log that reads whole or an error.
+    /// For any bytes, the result is a whole log or an error.
     #[test]
-    fn bytes_that_are_anything_never_panic(
+    fn random_damage_never_panics(
         length in 0..=WHOLE.len(),
         flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..8),
     ) {

@@ -206,7 +206,7 @@ impl<'a> LoggedRun<'a> {
     /// The segments together contain every sample or state that it is missing, in the order of ticks.
     fn check_log(&self, segments: &[PathBuf], outcome: &MergeOutcome) -> Result<(), TestCaseError> {
         let mut log = RunLog::open(segments).unwrap();
-        let mut counts: MessageCounts = log.account();
+        let mut counts: MessageCounts = log.message_counts();
         let mut order = Vec::new();
         for record in log.by_ref() {
             let record = record.unwrap();
@@ -217,7 +217,7 @@ impl<'a> LoggedRun<'a> {
         prop_assert!(order.is_sorted(), "{:?}", order);
         let totals = log.totals().unwrap();
         prop_assert_eq!(totals, outcome.totals);
-        for (i, channel) in counts.lanes.iter().enumerate() {
+        for (i, channel) in counts.channels.iter().enumerate() {
             let (written, lost, thinned) = (outcome.written[i], totals.lost[i], totals.thinned[i]);
             prop_assert_eq!((channel.messages, channel.stated, channel.contradictions), (written, lost, 0));
             prop_assert_eq!(written + lost + thinned, TICKS - FIRST);

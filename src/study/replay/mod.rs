@@ -105,8 +105,8 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
     if log.every() > 1 {
         return Err(ReplayError::Thinned { path: path.to_owned(), every: log.every() });
     }
-    if log.begins().begins != [0; 3] {
-        let remedy = match log.begins().number {
+    if log.log_segment().begins != [0; 3] {
+        let remedy = match log.log_segment().number {
             0 => "its run goes on with another one, whose log it would need",
             _ => "it is a later segment: give the run's folder, with all of them",
         };

@@ -1,0 +1,173 @@
+//! The ends of channels and boards that plant, controller and logger hold. They open what the launcher has
+//! created.
+
+use iceoryx2::service::port_factory::PortFactory as _;
+
+use super::boards::{BoardReader, StatusBoard, open_status_board, read_peer};
+use super::domain::{Domain, DomainName};
+use super::ports::{Factory, Payload, Receiver, Sender, WakeListener, WakeNotifier};
+use super::services::Event;
+use super::{ChannelError, Identity, LOG_BUFFER, LOOP_BUFFER, WAKE, service_name};
+use crate::wire::{ChannelNames, Command, Learning, Observation, Role, Status};
+
+/// The plant's ends.
+pub struct PlantPorts {
+    /// Observations, to controller and logger.
+    pub observation: Sender<Observation>,
+    /// Wakes the controller.
+    pub wake: WakeNotifier,
+    /// Commands, the newest two.
+    pub command: Receiver<Command>,
+    /// The controller's status.
+    pub controller: BoardReader<Status>,
+    /// The logger's status.
+    pub logger: BoardReader<Status>,
+    _domain: Domain,
+}
+
+/// The controller's ends.
+pub struct ControllerPorts {
+    /// Observations, the newest two.
+    pub observation: Receiver<Observation>,
+    /// Notified with every observation.
+    pub wake: WakeListener,
+    /// Commands, to plant and logger.
+    pub command: Sender<Command>,
+    /// Learning records, to the logger.
+    pub learning: Sender<Learning>,
+    /// The plant's status.
+    pub plant: BoardReader<Status>,
+    _domain: Domain,
+}
+
+/// The logger's ends.
+pub struct LoggerPorts {
+    /// Observations, the last [`LOG_BUFFER`].
+    pub observation: Receiver<Observation>,
+    /// Commands, the last [`LOG_BUFFER`].
+    pub command: Receiver<Command>,
+    /// Learning records, the last [`LOG_BUFFER`].
+    pub learning: Receiver<Learning>,
+    /// The plant's status.
+    pub plant: BoardReader<Status>,
+    /// The controller's status.
+    pub controller: BoardReader<Status>,
+    _domain: Domain,
+}
+
+impl PlantPorts {
+    /// Joins the run as its plant.
+    ///
+    /// # Errors
+    /// [`ChannelError::Mismatch`] when the process does not fit the run, [`ChannelError::SetUp`] when there is
+    /// no such run, or it has a plant already.
+    pub fn open(
+        name: &DomainName,
+        identity: &Identity,
+        channels: &ChannelNames,
+    ) -> Result<(Self, StatusBoard), ChannelError> {
+        let (domain, wake) = open_domain(name, identity, Role::Plant.name())?;
+        let wake = wake
+            .notifier_builder()
+            .create()
+            .map_err(|e| ChannelError::set_up("the wake-up notifier", e))
+            .map(WakeNotifier)?;
+        let status_board = open_status_board(&domain, Role::Plant)?;
+        let ports = Self {
+            observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
+            wake,
+            command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
+            controller: read_peer(&domain, Role::Controller, &status_board)?,
+            logger: read_peer(&domain, Role::Logger, &status_board)?,
+            _domain: domain,
+        };
+        Ok((ports, status_board))
+    }
+}
+
+impl ControllerPorts {
+    /// Joins the run as its controller.
+    ///
+    /// # Errors
+    /// As for [`PlantPorts::open`].
+    pub fn open(
+        name: &DomainName,
+        identity: &Identity,
+        channels: &ChannelNames,
+    ) -> Result<(Self, StatusBoard), ChannelError> {
+        let (domain, wake) = open_domain(name, identity, Role::Controller.name())?;
+        let wake = wake
+            .listener_builder()
+            .create()
+            .map_err(|e| ChannelError::set_up("the wake-up listener", e))
+            .map(WakeListener)?;
+        let status_board = open_status_board(&domain, Role::Controller)?;
+        let ports = Self {
+            observation: Receiver::new(
+                &channels.observation,
+                open_channel(&domain, &channels.observation)?,
+                LOOP_BUFFER,
+            )?,
+            wake,
+            command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
+            learning: Sender::new(&channels.learning, open_channel(&domain, &channels.learning)?)?,
+            plant: read_peer(&domain, Role::Plant, &status_board)?,
+            _domain: domain,
+        };
+        Ok((ports, status_board))
+    }
+}
+
+impl LoggerPorts {
+    /// Joins the run as its logger.
+    ///
+    /// # Errors
+    /// As for [`PlantPorts::open`].
+    pub fn open(
+        name: &DomainName,
+        identity: &Identity,
+        channels: &ChannelNames,
+    ) -> Result<(Self, StatusBoard), ChannelError> {
+        let (domain, _wake) = open_domain(name, identity, Role::Logger.name())?;
+        let status_board = open_status_board(&domain, Role::Logger)?;
+        let ports = Self {
+            observation: Receiver::new(
+                &channels.observation,
+                open_channel(&domain, &channels.observation)?,
+                LOG_BUFFER,
+            )?,
+            command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOG_BUFFER)?,
+            learning: Receiver::new(&channels.learning, open_channel(&domain, &channels.learning)?, LOG_BUFFER)?,
+            plant: read_peer(&domain, Role::Plant, &status_board)?,
+            controller: read_peer(&domain, Role::Controller, &status_board)?,
+            _domain: domain,
+        };
+        Ok((ports, status_board))
+    }
+}
+
+/// Joins the domain and checks the handshake.
+pub(super) fn open_domain(
+    name: &DomainName,
+    identity: &Identity,
+    role: &'static str,
+) -> Result<(Domain, Event), ChannelError> {
+    let domain = Domain::join(name)?;
+    let wake = domain
+        .node
+        .service_builder(&service_name(WAKE)?)
+        .event()
+        .open()
+        .map_err(|e| ChannelError::set_up("the wake-up service", e))?;
+    identity.check(role, wake.attributes())?;
+    Ok((domain, wake))
+}
+
+pub(super) fn open_channel<T: Payload>(domain: &Domain, name: &str) -> Result<Factory<T>, ChannelError> {
+    domain
+        .node
+        .service_builder(&service_name(name)?)
+        .publish_subscribe::<T>()
+        .open()
+        .map_err(|e| ChannelError::set_up(format!("channel {name}"), e))
+}
