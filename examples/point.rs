@@ -1,12 +1,12 @@
-//! A plant of your own in the simulator's place: a point on a line that is to follow a target.
+//! A plant of your own in the simulator's place: a point on a line has to follow a target.
 //!
 //! ```text
 //! cargo build --release --bins --examples
 //! target/release/tectum run examples/point.toml
 //! ```
 //!
-//! A plant program is a body (anything that implements `Plant`) and one call. Channels, handshake, time, hold policy
-//! and limits come with the library; controller and logger do not notice the difference.
+//! A plant program is a body (a type that implements `Plant`) and one call. Channels, handshake, time, hold policy and
+//! limits come with the library. Controller and logger do not notice the difference.
 
 use std::process::ExitCode;
 
@@ -26,12 +26,12 @@ struct Point {
     rng: Rng,
 }
 
-/// A new target every so many ticks.
+/// Ticks from one target to the next.
 const TARGET_EVERY: u64 = 40;
 /// How far a command of 1 moves the point in a tick, m.
 const STRIDE: f32 = 0.1;
 
-/// What the point must know to go on where it was, should its process be killed and started again.
+/// The state that the point needs to continue after its process was killed and restarted.
 impl Persist for Point {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.number("position", &mut self.position);
@@ -43,7 +43,7 @@ impl Persist for Point {
 
 impl Plant for Point {
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
-        // Ticks may jump when the machine stalls; the targets stay the same ones.
+        // Ticks may jump when the machine stalls; the sequence of targets stays the same.
         let due = tick / TARGET_EVERY + 1;
         let fresh = due > self.shown;
         while self.shown < due {
@@ -65,7 +65,7 @@ impl Plant for Point {
 }
 
 fn main() -> ExitCode {
-    tectum::process::main(Role::Plant, "A point on a line that is to follow a target", |participant| {
+    tectum::process::main(Role::Plant, "A point on a line that has to follow a target", |participant| {
         let rng = stream(participant.plan.scenario.seed, "targets");
         run_plant(participant, Point { position: 0.0, target: 0.0, shown: 0, rng })
     })

@@ -1,13 +1,14 @@
-//! A tracker without a camera, to try `sight = "vision"`: it stands where a program that looks at the arm would stand.
+//! A tracker without a camera, to try `sight = "vision"`: a stand-in for a program that observes the arm.
 //!
 //! ```text
 //! cargo build --release --bins --examples
 //! target/release/tectum run servo-vision --name seen & target/release/examples/tracker --run seen
 //! ```
 //!
-//! Where a camera has pictures, this one has the measured angles, which it reads like any viewer, and the scenario's lengths; its
-//! measurements have a few mm of noise, as a camera's have. It draws the targets, too. All else is as for a real one: join, and say
-//! where target and end-effector are in each picture, with the instant at which that was taken.
+//! A real tracker computes positions from a camera's pictures. This one computes them from the measured angles,
+//! which it reads like any viewer, and the scenario's lengths, with a few mm of noise, as a camera has. It also
+//! draws the targets. Everything else is as for a real one: join the run, and publish where target and end-effector
+//! are in each picture, with the instant at which the picture was taken.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -22,19 +23,19 @@ use tectum::plant::posture;
 use tectum::runtime::{RuntimeError, Tracker};
 use tectum::seed::stream;
 
-/// A stand-in for a camera: says where target and end-effector are
+/// A stand-in for a camera: publishes target and end-effector
 #[derive(Debug, Parser)]
 struct Arguments {
-    /// The run to look at: its folder, or its name under runs/
+    /// The run to observe: its folder, or its name under runs/
     #[arg(long, value_name = "RUN")]
     run: PathBuf,
     /// Pictures a second
     #[arg(long, default_value_t = 30.0)]
     rate: f64,
-    /// Standard deviation of what is measured, m
+    /// Standard deviation of the measured positions, m
     #[arg(long, default_value_t = 0.003)]
     noise: f64,
-    /// Wait so many seconds for the run
+    /// How long to wait for the run, s
     #[arg(long, default_value_t = 10.0)]
     wait: f64,
 }
@@ -49,7 +50,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Joins the run as soon as it is there.
+/// Joins the run as soon as it exists.
 fn join(arguments: &Arguments) -> Result<Tracker, RuntimeError> {
     let until = Instant::now() + Duration::from_secs_f64(arguments.wait.clamp(0.0, 3600.0));
     loop {
@@ -75,7 +76,7 @@ fn track(arguments: &Arguments) -> Result<(), RuntimeError> {
     while !tracker.over() {
         // The picture is as old as the angles in it.
         if let Some(observation) = tracker.observation()? {
-            // As long as the simulator shows a target; which tick it is, the observation says.
+            // Targets last as long as the simulator's. The observation has the current tick.
             let due = observation.header.tick / arm.target_every;
             while shown.is_none_or(|shown| shown < due) {
                 target = std::array::from_fn(|_| rng.random_range(low..high));
@@ -84,8 +85,8 @@ fn track(arguments: &Arguments) -> Result<(), RuntimeError> {
             }
             let angles = &observation.inputs[2..2 + arm.lengths.len()];
             let end = posture(&arm, angles).last().copied().unwrap_or(arm.base);
-            let mut about = |at: [f64; 2]| at.map(|x| (x + noise.sample(&mut rng)) as f32);
-            let (target, end) = (about(target), about(end));
+            let mut noisy = |at: [f64; 2]| at.map(|x| (x + noise.sample(&mut rng)) as f32);
+            let (target, end) = (noisy(target), noisy(end));
             tracker.see(observation.header.sensed_ns, target, end)?;
         }
         pause((1e9 / arguments.rate.clamp(1.0, 1000.0)) as u64);

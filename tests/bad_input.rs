@@ -35,9 +35,14 @@ fn scenarios_that_are_not() {
     let place = Place::new();
     assert_eq!(
         refused(&place, &["nowhere.toml"]),
-        "tectum: there is no file \"nowhere.toml\" and no built-in scenario of that name; \
-         the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, open-loop-3, open-loop-4, office, servo-simulated, servo-emulated and servo-vision"
+        format!(
+            "tectum: there is no scenario \"nowhere.toml\": no file {}/nowhere.toml exists, and no built-in scenario \
+             has that name; the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, \
+             open-loop-3, open-loop-4, office, servo-simulated, servo-emulated and servo-vision",
+            place.path().display()
+        )
     );
+    assert!(refused(&place, &["papper"]).ends_with("; did you mean \"paper\"?"));
     let broken = place.file("broken.toml", "name = \"x\"\nticks = = 5\n");
     assert!(refused(&place, &[broken.to_str().unwrap()]).contains("broken.toml:2: "));
 }
@@ -68,6 +73,48 @@ fn arguments_that_cannot_be() {
         assert!(outcome.stderr.starts_with("error: "), "{outcome:#?}");
         assert!(!place.run_folder().exists());
     }
+}
+
+/// What clap writes about the value of `--ticks`, between the option's name and its own closing line.
+#[track_caller]
+fn refused_ticks(command: &[&str], value: &str) -> String {
+    let place = Place::new();
+    let outcome = place.start(TECTUM, &[command, &["--ticks", value]].concat()).wait().expect(2);
+    let prefix = format!("error: invalid value '{value}' for '--ticks <N>': ");
+    let message = outcome.stderr.strip_prefix(&prefix).unwrap_or_else(|| panic!("{outcome:#?}"));
+    message.lines().next().unwrap().to_owned()
+}
+
+#[test]
+fn numbers_of_ticks_that_cannot_be() {
+    const EXAMPLES: &str = "; give a whole number of ticks, such as 3600, 1_000_000, 1,000,000 or 1e6";
+    for (value, why) in [
+        ("-5", "it is negative"),
+        ("-1e6", "it is negative"),
+        ("1.5", "it is a fraction"),
+        ("1e-3", "it is a fraction"),
+        ("1,5", "a comma may only separate groups of three digits"),
+        ("1000,000", "a comma may only separate groups of three digits"),
+        ("1__0", "it is not a number"),
+        ("many", "it is not a number"),
+        ("1e", "it is not a number"),
+        ("0x10", "it is not a number"),
+        (".5", "it is not a number"),
+        ("inf", "it is not a number"),
+    ] {
+        assert_eq!(refused_ticks(&["run"], value), format!("{why}{EXAMPLES}"), "{value}");
+    }
+    for value in ["18446744073709551616", "1e20", "1e999999999", "99e19"] {
+        assert_eq!(refused_ticks(&["run"], value), "it is too large; give at most 18446744073709551615", "{value}");
+    }
+    // All commands that take a number of ticks share one parser.
+    for command in [&["reproduce", "arm"][..], &["compare"], &["bench", "lockstep"], &["bench", "all", "--report", "x"]]
+    {
+        assert_eq!(refused_ticks(command, "1.5"), format!("it is a fraction{EXAMPLES}"), "{command:?}");
+    }
+    let place = Place::new();
+    let outcome = place.run(&["--ticks", ""]).wait().expect(2);
+    assert!(outcome.stderr.contains(&format!("it is empty{EXAMPLES}")), "{outcome:#?}");
 }
 
 #[test]

@@ -97,7 +97,7 @@ fn what_makes_no_sense_is_refused_and_leaves_nothing() {
         (&["--learners", "papers"][..], "tectum: there is no learner \"papers\"; the learners are paper, baseline, "),
         (&["--learners", "paper,paper"], "tectum: --learners names paper twice; "),
         (&["--seeds", "0"], "tectum: --seeds is 0; "),
-        (&["--block", "soon"], "tectum: --block is no tick; "),
+        (&["--block", "soon"], "tectum: --block soon: it is not a number; "),
         (&["--learners", "paper", "--set", "learner.beta=1"], "tectum: paper: learner.beta is 1; give at least 0"),
         (&["--learners", "paper", "--change", "block:9@50"], "tectum: paper: plant.arm.block[0].joint is 9; "),
     ] {

@@ -251,16 +251,46 @@ fn a_preset_is_found_by_any_of_its_names_and_a_file_comes_first() {
     assert_eq!(
         Scenario::find(&path).unwrap_err().to_string(),
         format!(
-            "there is no file {path:?} and no built-in scenario of that name; the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, open-loop-3, open-loop-4, office, servo-simulated, servo-emulated and servo-vision"
+            "there is no scenario {path:?}: no file {} exists, and no built-in scenario has that name; \
+             did you mean \"arm\"?",
+            path.display()
         )
     );
     std::fs::write(&path, edited(ARM, "name = \"arm\"", "name = \"mine\"")).unwrap();
     assert_eq!(Scenario::find(&path).unwrap().name, "mine");
     assert!(matches!(Scenario::find(folder.path()), Err(ScenarioError::Folder { .. })));
-    assert_eq!(
-        Scenario::find("arms").unwrap_err().to_string(),
-        "there is no file \"arms\" and no built-in scenario of that name; the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, open-loop-3, open-loop-4, office, servo-simulated, servo-emulated and servo-vision"
-    );
+}
+
+#[test]
+fn a_misspelt_name_is_answered_with_the_nearest_ones() {
+    let remedy = |name: &str| {
+        let message = Scenario::find(name).unwrap_err().to_string();
+        let here = std::env::current_dir().unwrap().join(name);
+        let start = format!(
+            "there is no scenario {name:?}: no file {} exists, and no built-in scenario has that name; ",
+            here.display()
+        );
+        message.strip_prefix(&start).unwrap_or_else(|| panic!("{message}")).to_owned()
+    };
+    for (name, remedies) in [
+        ("arms", "did you mean \"arm\"?"),
+        ("PAPRE.toml", "did you mean \"paper\"?"),
+        ("openloop3", "did you mean \"open-loop-3\"?"),
+        ("open-loop", "did you mean \"open-loop-3\" or \"open-loop-4\"?"),
+        ("servo", "did you mean \"servo-simulated\", \"servo-emulated\" or \"servo-vision\"?"),
+        (
+            "nowhere",
+            "the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, \
+             open-loop-3, open-loop-4, office, servo-simulated, servo-emulated and servo-vision",
+        ),
+    ] {
+        assert_eq!(remedy(name), remedies, "{name}");
+    }
+    // A file whose extension was left out is nearer than any built-in scenario.
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("arms.toml"), ARM).unwrap();
+    let message = Scenario::find(folder.path().join("arms")).unwrap_err().to_string();
+    assert!(message.ends_with("/arms.toml\"?"), "{message}");
 }
 
 #[test]

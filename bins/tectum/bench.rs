@@ -10,6 +10,7 @@ use tectum::bench::{
 use tectum::process::say;
 
 use super::print;
+use super::tick_count::tick_count;
 
 #[derive(Debug, Args)]
 #[command(
@@ -85,7 +86,7 @@ Examples:
                                             a week of the arm's time; a complete log takes some GB meanwhile")]
 struct LockstepArguments {
     /// Ticks of a block
-    #[arg(long, value_name = "N", default_value_t = 300_000)]
+    #[arg(long, value_name = "N", default_value_t = 300_000, value_parser = tick_count, allow_negative_numbers = true)]
     ticks: u64,
     /// Blocks of each
     #[arg(long, value_name = "N", default_value_t = 5)]
@@ -129,7 +130,7 @@ struct AllArguments {
     #[arg(long, value_name = "N", default_value_t = 10.0)]
     seconds: f64,
     /// Ticks of a block in lockstep
-    #[arg(long, value_name = "N", default_value_t = 300_000)]
+    #[arg(long, value_name = "N", default_value_t = 300_000, value_parser = tick_count, allow_negative_numbers = true)]
     ticks: u64,
     /// Blocks of each in lockstep
     #[arg(long, value_name = "N", default_value_t = 5)]

@@ -9,6 +9,7 @@ use tectum::study::compare::{ArmChange, Changes, Comparison, ComparisonResult, L
 use tectum::study::reference::STARTS;
 
 use super::study_ended;
+use super::tick_count::tick_count;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -39,7 +40,7 @@ pub struct Arguments {
     #[arg(long, value_name = "S", default_value_t = 1000)]
     first_seed: u64,
     /// Length of every run, in place of each learner's usual one
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = tick_count, allow_negative_numbers = true)]
     ticks: Option<u64>,
     /// Block joint 3 from this tick on, or `never` [default: when each learner should have learned]
     #[arg(long, value_name = "TICK", conflicts_with = "change")]
@@ -78,8 +79,7 @@ fn comparison(arguments: &Arguments) -> Result<Comparison, StudyError> {
         None => Changes::These(arguments.change.clone()),
         Some("never") => Changes::None,
         Some(tick) => {
-            let tick = tick.replace('_', "").parse();
-            let tick = tick.map_err(|_| StudyError::Asked("--block is no tick; give a number, or never".to_owned()))?;
+            let tick = tick_count(tick).map_err(|why| StudyError::Asked(format!("--block {tick}: {why}, or never")))?;
             Changes::These(vec![ArmChange::block(tick)])
         }
     };

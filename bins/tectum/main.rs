@@ -1,4 +1,4 @@
-//! The user's command. Every mode and every exit code passes through here.
+//! The `tectum` command: its subcommands, and the exit codes they share.
 
 mod analyse;
 mod bench;
@@ -8,6 +8,8 @@ mod log;
 mod replay;
 mod reproduce;
 mod run;
+mod scenario;
+mod tick_count;
 
 use std::io::Write as _;
 use std::process::ExitCode;
@@ -19,7 +21,10 @@ use tectum::study::StudyError;
 /// A shared-memory control runtime in which the controller learns on line
 #[derive(Debug, Parser)]
 #[command(name = "tectum", version = tectum::BUILD, arg_required_else_help = true, after_help = "\
-Example: tectum run                    the arm learns to reach, as fast as the machine goes
+Examples:
+  tectum run                            an arm learns to reach, as fast as the machine goes
+  tectum run --mode realtime            the same on the real clock
+  tectum scenario list                  what else there is to run
 
 Exit codes:
   0    all went well
@@ -36,27 +41,30 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run a scenario: plant, controller and logger as processes of their own
+    /// Run a scenario: plant, controller and logger, each in its own process
     Run(run::Arguments),
-    /// Run the paper's experiments again, over several seeds, and show what came out as the paper does
+    /// List the built-in scenarios, or print one to copy and change
+    Scenario(scenario::Arguments),
+    /// Run the paper's experiments again over several seeds, with the paper's figures and tables
     Reproduce(reproduce::Arguments),
     /// Analyse the movements in a run's log: isochrony, speed profiles, straightness, settling
     Analyse(analyse::Arguments),
-    /// Learners side by side: how much experience each needs, and what a tick of it costs
+    /// Compare the learners: how much experience each needs, and what one tick costs
     Compare(compare::Arguments),
-    /// How fast it is: latency, lockstep, encoder, learner, beside what the machine can do
+    /// Measure speed: latency, lockstep, encoder and learner, beside what the machine can do
     Bench(bench::Arguments),
-    /// Do a run again from its log, and check every bit that it says
+    /// Compute a run again from its log, and check every bit of it
     Replay(replay::Arguments),
-    /// Look into a log, make a torn one whole, or export it
+    /// Inspect a log, repair a torn one, or export it as a table
     Log(log::Arguments),
-    /// Look whether this machine is fit for real time, and remove what killed runs have left
+    /// Check whether this machine is fit for real time; remove what killed runs left in shared memory
     Doctor(doctor::Arguments),
 }
 
 fn main() -> ExitCode {
     match Arguments::parse().command {
         Command::Run(arguments) => run::main(&arguments),
+        Command::Scenario(arguments) => scenario::main(&arguments),
         Command::Reproduce(arguments) => reproduce::main(&arguments),
         Command::Analyse(arguments) => analyse::main(&arguments),
         Command::Compare(arguments) => compare::main(&arguments),
@@ -67,12 +75,12 @@ fn main() -> ExitCode {
     }
 }
 
-/// Prints to standard output. Whoever reads may have left; what is printed is in the command's folder all the same.
+/// Prints to standard output. A closed pipe is no error: what is printed is in the command's folder too.
 fn print(text: &str) {
     let _ = std::io::stdout().write_all(text.as_bytes());
 }
 
-/// Prints what a study gave, or why it gave nothing.
+/// Prints a study's result, or its error.
 fn study_ended(result: Result<String, StudyError>) -> ExitCode {
     match result {
         Ok(text) => {

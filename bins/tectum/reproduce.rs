@@ -7,6 +7,7 @@ use clap::{Args, Subcommand};
 use tectum::study::reproduce::{ReproduceSettings, arm, eye, open_loop, outlook};
 
 use super::study_ended;
+use super::tick_count::tick_count;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -45,7 +46,7 @@ struct Options {
     #[arg(long, value_name = "S", default_value_t = 1)]
     first_seed: u64,
     /// Ticks (or trials) of each run, in place of the paper's
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = tick_count, allow_negative_numbers = true)]
     ticks: Option<u64>,
     /// Folder for figure and tables [default: runs/reproduce-<experiment>-<n>]
     #[arg(long, value_name = "DIR")]

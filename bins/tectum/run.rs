@@ -11,41 +11,42 @@ use tectum::supervise::{Launch, LaunchError, RunSummary, resume, run, study};
 use tectum::wire::Role;
 
 use super::print;
+use super::tick_count::tick_count;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  tectum run                                   scenarios/arm.toml in lockstep
-  tectum run paper --seed 7 --ticks 1000000    another scenario, seed and length
+  tectum run                                   the built-in scenario arm, in lockstep
+  tectum run paper --seed 7 --ticks 1e6        another scenario, seed and length
   tectum run --mode realtime --ticks 200       ten seconds on the real clock
   tectum run --name demo --by-hand controller  wait for a controller that you start yourself
-  tectum run --resume runs/arm-1               go on where a run was interrupted")]
+  tectum run --resume runs/arm-1               continue an interrupted run")]
 pub struct Arguments {
-    /// A scenario file, or the name of a built-in scenario
+    /// A scenario file, or the name of a built-in one (tectum scenario list)
     #[arg(default_value = "scenarios/arm.toml")]
     scenario: PathBuf,
-    /// How ticks follow each other [default: lockstep; realtime where the plant is one of servos]
+    /// How ticks follow each other [default: lockstep; realtime for servos]
     #[arg(long, value_enum)]
     mode: Option<ModeArgument>,
-    /// Number of ticks, in place of the scenario's
-    #[arg(long, value_name = "N")]
+    /// Number of ticks, such as 3600, 1_000_000 or 1e6, in place of the scenario's
+    #[arg(long, value_name = "N", value_parser = tick_count, allow_negative_numbers = true)]
     ticks: Option<u64>,
     /// Seed, in place of the scenario's
     #[arg(long, value_name = "S")]
     seed: Option<u64>,
-    /// Folder for log, figure and accounts [default: runs/<scenario>-<n>]
+    /// Folder for log, figure and reports [default: runs/<scenario>-<n>]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Name of the run: its folder is runs/<NAME>
     #[arg(long, value_name = "NAME", conflicts_with = "out", value_parser = run_name)]
     name: Option<String>,
-    /// A process that you start yourself; may be given more than once
+    /// A process that you start yourself; may be repeated
     #[arg(long, value_enum, value_name = "PROCESS")]
     by_hand: Vec<RoleArgument>,
     /// Write a checkpoint every N ticks; one is written at the end in any case, and on SIGUSR1
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = tick_count, allow_negative_numbers = true)]
     checkpoint_every: u64,
-    /// Go on with a lockstep run from its last checkpoint, in a new folder
+    /// Continue a lockstep run from its last checkpoint, in a new folder
     #[arg(long, value_name = "RUN", conflicts_with_all = ["scenario", "mode", "ticks", "seed"])]
     resume: Option<PathBuf>,
     /// Print one JSON object instead of the table
@@ -83,7 +84,7 @@ fn run_name(text: &str) -> Result<String, String> {
 pub fn main(arguments: &Arguments) -> ExitCode {
     match launch(arguments) {
         Ok(summary) => {
-            tell(&summary, arguments.json);
+            show(&summary, arguments.json);
             ExitCode::from(summary.exit_code())
         }
         Err(error) => {
@@ -104,7 +105,7 @@ fn launch(arguments: &Arguments) -> Result<RunSummary, LaunchError> {
     }
 }
 
-/// From what was asked for to what will be done; every check that needs nothing started happens here.
+/// Turns the arguments into a launch. Every check that needs no started process happens here.
 fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
     let (resumed, plan) = match &arguments.resume {
         Some(run) => {
@@ -149,7 +150,7 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
     })
 }
 
-fn tell(summary: &RunSummary, json: bool) {
+fn show(summary: &RunSummary, json: bool) {
     if let Some(failure) = &summary.failure {
         say(&format!("tectum: {failure}"));
     }

@@ -1,11 +1,12 @@
-"""The four-joint arm with mass: MuJoCo in the simulator's place, for the same controller and the same `[plant.arm]` table.
+"""The four-joint arm with mass: MuJoCo in the simulator's place, with the same controller and the same `[plant.arm]`.
 
     target/release/tectum run examples/python/mujoco.toml
     target/release/tectum run examples/python/mujoco.toml --mode realtime
 
-Inputs, outputs, measures and reward are the simulator's (docs.rs of `src/plant/arm`), and so are the targets, draw by draw.
-What differs is the body: segments have mass and hang in gravity, joints have friction and stops, and each is turned by a motor
-with a velocity controller of finite gain and torque. So a commanded rate is reached late, not quite, or not at all.
+Inputs, outputs, measures and reward are the simulator's (see its arm's documentation), and so are the targets, draw
+by draw. What differs is the body: segments have mass and are under gravity, joints have friction and stops, and
+each joint is turned by a motor with a velocity controller of finite gain and torque. So a commanded rate is reached
+late, only in part, or not at all.
 """
 
 import math
@@ -15,24 +16,24 @@ import numpy as np
 
 import tectum
 
-STEP_S = 0.002  # of the physics
+STEP_S = 0.002  # time step of the physics
 
 
 def options(parser):
     add = parser.add_argument
     add("--gravity", type=float, default=9.81, help="m/s^2, towards -y")
     add("--mass", type=float, default=0.25, help="of each segment, kg")
-    add("--torque", type=float, nargs="+", default=[40, 25, 12, 6], help="most of each motor, from the base, N m")
+    add("--torque", type=float, nargs="+", default=[40, 25, 12, 6], help="largest torque of each motor, N m")
     add("--stiffness", type=float, nargs="+", default=[60, 40, 20, 6], help="torque for an error of 1 rad/s, N m s")
     add("--damping", type=float, default=0.05, help="of each joint, N m s")
     add("--armature", type=float, default=0.01, help="inertia of each motor behind its gear, kg m^2")
-    add("--fastest", type=float, default=12.0, help="most that a motor is asked for, rad/s")
+    add("--fastest", type=float, default=12.0, help="largest commanded rate of a motor, rad/s")
     add("--range", type=float, default=3.5, help="of each joint to both sides of straight, rad; 0: none")
-    add("--velocities", action="store_true", help="tell the joints' velocities as further inputs")
+    add("--velocities", action="store_true", help="observe the joints' velocities as further inputs")
 
 
 def model(run, arguments):
-    """The arm of the scenario's lengths in the x-y plane: each body begins at the end of the one before."""
+    """The arm with the scenario's lengths in the x-y plane: each body begins at the end of the one before."""
     arm = run.settings["plant"]["arm"]
     lengths, count = arm["lengths"], len(arm["lengths"])
     each = lambda values: [values[min(i, len(values) - 1)] for i in range(count)]
@@ -70,7 +71,8 @@ class MujocoArm:
             if self.arm.get(key):
                 raise tectum.Refused(f"mujoco_arm.py does not know {key} under [plant.arm]; take it out")
         if self.arm.get("open_loop") or "near" in self.arm["reward"] or self.arm["reward"].get("collision"):
-            raise tectum.Refused("mujoco_arm.py knows neither open_loop nor near nor collision under [plant.arm]; take it out")
+            raise tectum.Refused(
+                "mujoco_arm.py knows neither open_loop nor near nor collision under [plant.arm]; take it out")
         self.options = run.arguments
         self.model = model(run, self.options)
         self.data = mujoco.MjData(self.model)
@@ -87,7 +89,7 @@ class MujocoArm:
         mujoco.mj_forward(self.model, self.data)
 
     def draw(self):
-        """A target: uniform in the arena, no further from the base than the arm is long, nor nearer than it can come."""
+        """A target, uniform in the part of the arena that the arm can reach: not too far from the base nor too near."""
         (low, high), lengths, (x0, y0) = self.arm["arena"], self.arm["lengths"], self.arm["base"]
         far, f32 = sum(lengths), tectum.f32
         near = max(0.0, max(2 * length - far for length in lengths))
@@ -128,4 +130,4 @@ class MujocoArm:
 
 
 if __name__ == "__main__":
-    tectum.main(MujocoArm, "A planar arm with mass in MuJoCo, in the place of the simulator's", options)
+    tectum.main(MujocoArm, "A planar arm with mass in MuJoCo, in the simulator's place", options)

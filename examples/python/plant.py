@@ -3,8 +3,8 @@
     target/release/tectum run examples/python/plant.toml
     target/release/tectum run examples/python/plant.toml --mode realtime --ticks 400
 
-The body is all there is to write. Handshake, time, lockstep, hold policy and limits come with tectum.py; controller and
-logger are the same programs as ever, and do not notice the difference.
+Only the body has to be written. Handshake, time, lockstep, hold policy and limits come with tectum.py. Controller and
+logger are the usual programs, and do not notice the difference.
 """
 
 import random
@@ -16,7 +16,7 @@ REACH = 1.0  # m: the line ends there, on both sides
 
 
 class Cart:
-    """A position, a speed, and the target; pushed towards the speed that is commanded."""
+    """A point with position, speed and target. It accelerates towards the commanded speed."""
 
     def __init__(self, run):
         self.period = run.period_ns / 1e9
@@ -25,7 +25,7 @@ class Cart:
         self.position, self.speed, self.target, self.shown = 0.0, 0.0, 0.0, 0
 
     def sense(self, tick, inputs):
-        # Ticks may jump when the machine stalls; the targets stay the same ones.
+        # Ticks may jump when the machine stalls; the sequence of targets stays the same.
         due = tick // TARGET_EVERY + 1
         fresh = due > self.shown
         while self.shown < due:
@@ -35,7 +35,7 @@ class Cart:
         return fresh
 
     def advance(self, tick, applied):
-        # Half of what is left to the commanded speed comes within a tick.
+        # In each tick the speed closes half of its distance to the commanded speed.
         self.speed += 0.5 * (2.0 * applied[0] - self.speed)
         self.position += self.period * self.speed
         if abs(self.position) > REACH:
@@ -44,7 +44,7 @@ class Cart:
         return -error * error, [abs(error)]
 
     def joints(self):
-        """Where the gate's limits of position find the joint, and how far a command of 1 moves it in a tick."""
+        """For the gate's position limits: the joint's position, and how far a command of 1 moves it in a tick."""
         return [self.position], [2.0 * self.period]
 
 

@@ -1,4 +1,4 @@
-"""A plant, or a viewer, of a Tectum run in Python: handshake, samples, gate, and the loop of ticks.
+"""A plant, a viewer or a tracker of a Tectum run in Python: handshake, samples, gate, and the loop of ticks.
 
 A plant is an object with two methods and one call:
 
@@ -8,9 +8,10 @@ A plant is an object with two methods and one call:
 
     tectum.main(lambda run: Body(run), "What it is")
 
-What is here does what the Rust plant does (docs/wire.md), the gate to the bit, so that `tectum replay` can check it. It has no
-memory that outlives it: killed in real time it comes back with its gate at zero; in lockstep the run ends; it writes no
-checkpoints. Needs Linux, Python 3.11 and iceoryx2 in the version of the run.
+This module does what the Rust plant does (docs/wire.md). Its gate matches the Rust gate bit for bit, so that
+`tectum replay` can check it. It keeps no state across its own death: killed in real time, it comes back with its
+gate at zero; in lockstep the run ends. It writes no checkpoints. Needs Linux, Python 3.11 and iceoryx2 in the
+version of the run.
 """
 
 import argparse, ctypes, gc, json, math, os, select, signal, struct, sys, time
@@ -19,11 +20,11 @@ from pathlib import Path
 
 MAX_INPUTS, MAX_OUTPUTS, MAX_MEASURES = 16, 8, 6
 LOG_BUFFER, CREDIT = 1024, 256
-# Bits of a header's flags that a plant or a viewer meets.
+# Bits of a header's flags that matter to a plant or a viewer.
 FIRST, MISSED, HELD, DECAYED, STOPPED, CLAMPED, NON_FINITE, SKIPPED, NEW_TARGET, LATE = (1 << bit for bit in range(10))
 STEP_LIMITED, POSITION_LIMITED, RAMPED, UNHEARD = (1 << bit for bit in range(12, 16))
 UNARMED, TRIPPED, BLIND = (1 << bit for bit in range(19, 22))
-# Phases of a run, states of a process, and the places on the control board.
+# Phases of a run, states of a process, and the indices of the processes on the control board.
 SET_UP, CONNECT, RUN, STOP, ABORT = range(5)
 ABSENT, READY, CONNECTED, RUNNING, FINISHED, FAILED = range(6)
 PLANT, CONTROLLER, LOGGER = range(3)
@@ -41,7 +42,7 @@ class Ended(Exception):
     """The run is over before its last tick."""
 
 
-# --- samples -----------------------------------------------------------------------------------------------------------------
+# --- samples ------------------------------------------------------------------------------------------------
 
 
 def sample(name, fields):
@@ -70,18 +71,18 @@ Status = sample("tectum.Status.v3", [
     ("build", c_uint64)])
 
 
-# --- a run and its services --------------------------------------------------------------------------------------------------
+# --- a run and its services ---------------------------------------------------------------------------------
 
 
 class Board:
-    """A board to read from; `page` is the start number of who writes on it."""
+    """A status board to read from; `page` is the start number of the process that writes it."""
 
     def __init__(self, factory, kind, page=0):
         self.reader, self.kind, self.page = factory.reader_builder().create(), kind, None
         self.turn_to(page)
 
     def turn_to(self, page):
-        """True when it was another page before."""
+        """Changes to another page. True if that was another one before."""
         if page == self.page:
             return False
         self.page, self.entry = page, self.reader.entry(c_uint64(page), self.kind)
@@ -99,7 +100,7 @@ class Reader:
         self.port = factory.subscriber_builder().buffer_size(buffer).create()
 
     def receive(self):
-        """A copy of the oldest sample that was not received yet, or None."""
+        """A copy of the oldest sample not yet received, or None."""
         got = self.port.receive()
         if got is None:
             return None
@@ -109,7 +110,7 @@ class Reader:
 
 
 class Run:
-    """A run's card and its domain."""
+    """A run's manifest and its iceoryx2 domain."""
 
     def __init__(self, run):
         import iceoryx2 as iox
@@ -118,9 +119,9 @@ class Run:
         named = Path("runs") / run
         self.folder = named if not (Path(run) / "run.json").exists() and (named / "run.json").exists() else Path(run)
         try:
-            self.card = json.loads((self.folder / "run.json").read_text())
-            self.wire, self.mode = self.card["wire"], self.card["mode"]
-            self.launcher = os.pidfd_open(self.card["launcher"])
+            self.manifest = json.loads((self.folder / "run.json").read_text())
+            self.wire, self.mode = self.manifest["wire"], self.manifest["mode"]
+            self.launcher = os.pidfd_open(self.manifest["launcher"])
         except (OSError, ValueError, KeyError) as cause:
             raise Refused(f"there is no run to join in {self.folder}: {cause}") from None
         self.settings, self.period_ns = self.wire["settings"], self.wire["period_ns"]
@@ -131,24 +132,24 @@ class Run:
         config = iox.config.default()
         config.global_cfg.prefix = iox.FileName.new(self.wire["prefix"])
         config.global_cfg.root_path = iox.Path.new(self.wire["root"])
-        # Clean-up belongs to the launcher alone.
+        # Only the launcher cleans up.
         config.global_cfg.node.cleanup_dead_nodes_on_creation = False
         config.global_cfg.node.cleanup_dead_nodes_on_destruction = False
         config.global_cfg.service.cleanup_dead_nodes_on_open = False
         services = self.wire["services"]
         try:
-            self.node = iox.NodeBuilder.new().config(config).signal_handling_mode(iox.SignalHandlingMode.Disabled).create(
-                iox.ServiceType.Ipc)
+            builder = iox.NodeBuilder.new().config(config).signal_handling_mode(iox.SignalHandlingMode.Disabled)
+            self.node = builder.create(iox.ServiceType.Ipc)
             self.wake = self._service(services["wake"]).event().open()
             self.check()
             self.control = self.board(services["control"], Control)
         except Refused:
             raise
         except Exception as cause:
-            raise Refused(f"the run's domain {self.wire['root']} cannot be used: {said(cause)}", 1) from None
+            raise Refused(f"the run's domain {self.wire['root']} cannot be used: {error_text(cause)}", 1) from None
 
     def check(self):
-        """The attributes of the first service say whose run it is, before anything with a type is opened."""
+        """Compares the attributes of `wake` with the manifest, before any typed service is opened."""
         for key in ("schema", "scenario", "build"):
             theirs = self.wake.attributes.key_values(self.iox.AttributeKey.new(key))
             if str(self.iox.AttributeValue.new(self.wire[key])) not in map(str, theirs):
@@ -162,28 +163,28 @@ class Run:
         return Board(self._service(name).blackboard_opener(c_uint64).open(), kind, page)
 
     def peer(self, role):
-        """The board of a process, at the page of its present start."""
+        """The board of a process, at the page of its current start."""
         return self.board(self.wire["services"]["boards"][role], Status, self.control.get().incarnations[role])
 
-    def pen(self, role, page):
-        """The right to write on the board of `role`."""
+    def board_writer(self, role, page):
+        """The writer of the board of `role`."""
         factory = self._service(self.wire["services"]["boards"][role]).blackboard_opener(c_uint64).open()
         writer = factory.writer_builder().create()
-        # With the port goes the mark by which a dead process's place is found and freed: it is kept.
+        # The port is kept: the launcher uses it to find and free the place of a dead process.
         return writer, writer.entry(c_uint64(page), Status)
 
     def channel(self, name, kind):
         return self._service(self.wire["services"][name]).publish_subscribe(kind).open()
 
     def reader(self, name, kind, buffer):
-        """The reading end of a channel, which holds the newest `buffer` samples. It can never hold up the writer."""
+        """The reading end of a channel, which holds the newest `buffer` samples. It never blocks the writer."""
         try:
             return Reader(self.channel(name, kind), kind, buffer)
         except Exception as cause:
-            raise Refused(f"channel {name} has no place for another reader: {said(cause)}", 1) from None
+            raise Refused(f"channel {name} has no place for another reader: {error_text(cause)}", 1) from None
 
     def orphaned(self):
-        """Whether the launcher is gone, which it could not say if it was killed."""
+        """Whether the launcher has ended. A killed launcher cannot announce its end."""
         return bool(select.select([self.launcher], [], [], 0)[0])
 
     def over(self):
@@ -191,21 +192,21 @@ class Run:
 
 
 class Tracker:
-    """Says where target and end-effector are, in a run whose scenario has `sight = "vision"`. May come and go at any time."""
+    """Publishes target and end-effector, in a run with `sight = "vision"`. May come and go at any time."""
 
     def __init__(self, run):
         if "vision" not in run.wire["services"]:
-            raise Refused(f"in {run.folder} nobody is asked to look: its scenario has no sight = \"vision\"")
+            raise Refused(f"the run in {run.folder} takes no tracker: its scenario has no sight = \"vision\"")
         self.sample, iox = Vision(), run.iox
-        self.sample.header.run = int(run.card["run"], 16)
+        self.sample.header.run = int(run.manifest["run"], 16)
         try:
             self.out = run.channel("vision", Vision).publisher_builder().backpressure_strategy(
                 iox.BackpressureStrategy.DiscardData).max_loaned_samples(1).create()
         except Exception as cause:
-            raise Refused(f"the run has no place for another tracker: {said(cause)}", 1) from None
+            raise Refused(f"the run has no place for another tracker: {error_text(cause)}", 1) from None
 
     def see(self, sensed_ns, target, end):
-        """Where they are, m, in a picture that was taken at `sensed_ns` of CLOCK_MONOTONIC (`time.monotonic_ns()`)."""
+        """Publishes their positions, m, in a picture taken at `sensed_ns` (`time.monotonic_ns()`: CLOCK_MONOTONIC)."""
         self.sample.target, self.sample.end = tuple(target), tuple(end)
         header = self.sample.header
         header.sensed_ns, header.published_ns = sensed_ns, time.monotonic_ns()
@@ -213,21 +214,21 @@ class Tracker:
         header.sequence += 1
 
 
-def said(cause):
+def error_text(cause):
     return f"{type(cause).__name__} {cause}".strip()
 
 
-# --- the gate ----------------------------------------------------------------------------------------------------------------
+# --- the gate -----------------------------------------------------------------------------------------------
 
 
 def f32(x):
-    """The nearest number of single precision. A sum, product or quotient of two of them, reckoned in double precision and
-    rounded so, is what single precision gives."""
+    """The nearest single-precision number. A sum, product or quotient of two such numbers, computed in double precision
+    and rounded by this function, equals the single-precision result."""
     return c_float(x).value
 
 
 def nudge(x, up):
-    """The next number of single precision above, or below."""
+    """The next single-precision number above or below."""
     if x == 0.0:
         return f32(1e-45) if up else f32(-1e-45)
     bits = struct.unpack("<i", struct.pack("<f", x))[0] + (1 if (x > 0.0) == up else -1)
@@ -244,8 +245,9 @@ def each(value):
 
 
 class Gate:
-    """The last thing between a command and the actuators: rate, step, position and ramp, and the hold policy for what does
-    not come. Whatever comes, what it lets through is finite and within limits. As `src/runtime/gate.rs`, bit for bit."""
+    """The last check between a command and the actuators: limits of rate, step and position, a ramp, and the hold
+    policy for missing commands. Whatever arrives, what it lets through is finite and within limits. It matches
+    `src/runtime/gate.rs` bit for bit."""
 
     def __init__(self, table, outputs):
         self.limit, self.outputs = each(table["max_command"]), outputs
@@ -256,8 +258,8 @@ class Gate:
         self.missing = self.joined = 0
 
     def go(self, command, joints=None):
-        """One tick: the command that came, or None. `joints`: positions and travel of a command of 1, rad. Gives what is to
-        be applied, and flags."""
+        """One tick. `command`: the command that arrived, or None. `joints`: positions, and travel for a command of 1,
+        rad. Returns the command to apply, and flags."""
         came = command if command is not None and all(map(math.isfinite, command[: self.outputs])) else None
         wanted, flags = self.without() if came is None else self.limited(came)
         if came is None and command is not None:
@@ -296,7 +298,7 @@ class Gate:
         return [f32(u * share) for u in self.last], flags | MISSED
 
     def span(self, i, joints):
-        """The commands that carry joint `i` over no limit; 0 is among them."""
+        """The range of commands that carry joint `i` over no limit; it contains 0."""
         if joints is None:
             return 0.0, 0.0
         (low, high), p, k = self.positions[i], f32(joints[0][i]), f32(joints[1][i])
@@ -320,11 +322,11 @@ def reach(centre, by):
     return (nudge(low, True) if centre - low > by else low), (nudge(high, False) if high - centre > by else high)
 
 
-# --- random streams ----------------------------------------------------------------------------------------------------------
+# --- random streams -----------------------------------------------------------------------------------------
 
 
 class Stream:
-    """Xoshiro256++, as the Rust processes have it."""
+    """Xoshiro256++, as in the Rust processes."""
 
     def __init__(self, seed):
         self.words = []
@@ -351,17 +353,17 @@ MASK = (1 << 64) - 1
 
 
 def stream(seed, name):
-    """The stream `name` of the run with `seed`: what a Rust plant draws from it, this one draws, too."""
+    """The random stream `name` of a run with `seed`. It yields the same numbers as in a Rust plant."""
     import xxhash
 
     return Stream(xxhash.xxh3_64_intdigest(name.encode(), seed))
 
 
-# --- the plant's loop --------------------------------------------------------------------------------------------------------
+# --- the plant's loop ---------------------------------------------------------------------------------------
 
 
 class Spread:
-    """Durations, to three digits, in bounded memory."""
+    """Counts of durations, to three digits, in bounded memory."""
 
     def __init__(self):
         self.counts = {}
@@ -385,8 +387,8 @@ class Spread:
         return {"count": total} | {name: at(share) for name, share in names.items()}
 
 
-class Seat:
-    """The plant's place in a run: its ports and its board, and the phases that it goes through with the others."""
+class Participant:
+    """The plant as a process of a run: its ports, its status board, and the phases of the run."""
 
     def __init__(self, run, body):
         self.run, self.gate = run, Gate(run.settings["gate"], len(run.outputs))
@@ -395,8 +397,9 @@ class Seat:
             raise Refused(f"{name} does not tell where its joints are, so that the gate cannot limit positions; take "
                           "positions out of [gate]")
         if any(fault["channel"] == "command" for fault in run.settings.get("faults", {}).get("channel", [])):
-            raise Refused(f"{name} cannot make faults on its commands; take them out of [faults], or have observations faulty")
-        if "resumed" in run.card:
+            raise Refused(
+                f"{name} cannot make faults on its commands; take them out of [faults], or have observations faulty")
+        if "resumed" in run.manifest:
             raise Refused(f"{name} writes no checkpoints and cannot go on with another run")
         self.incarnation = run.control.get().incarnations[PLANT]
         if self.incarnation and not run.real:
@@ -406,13 +409,13 @@ class Seat:
             self.readers = publisher.dynamic_config
             self.out = publisher.publisher_builder().backpressure_strategy(
                 iox.BackpressureStrategy.DiscardData).max_loaned_samples(1).create()
-            self.bell = run.wake.notifier_builder().create()
+            self.wake = run.wake.notifier_builder().create()
             self.commands = run.reader("command", Command, 2)
-            self.port, self.board = run.pen(PLANT, self.incarnation)
+            self.port, self.board = run.board_writer(PLANT, self.incarnation)
         except Refused:
             raise
         except Exception as cause:
-            raise Refused(f"the run has a plant already, or none is possible: {said(cause)}", 1) from None
+            raise Refused(f"the run has a plant already, or none is possible: {error_text(cause)}", 1) from None
         self.controller, self.logger = run.peer(CONTROLLER), run.peer(LOGGER)
         self.before = None
         if self.incarnation:
@@ -427,18 +430,18 @@ class Seat:
     def interrupt(self, number, _frame):
         self.signal = number
 
-    def show(self):
-        """A sign of life, and how far it is."""
+    def publish_status(self):
+        """Writes a heartbeat and the progress to the status board."""
         self.status.beat += 1
         self.board.update_with_copy(self.status)
 
     def enter(self, state):
         self.status.state = state
-        self.show()
+        self.publish_status()
 
-    def look(self):
-        """Shows a sign of life. True when the run is to end in good order; raises when it ends at once."""
-        self.show()
+    def heartbeat(self):
+        """Writes a heartbeat. True when the run is to end in good order; raises when it ends at once."""
+        self.publish_status()
         if self.signal:
             raise Refused(f"was ended by signal {self.signal}", 128 + self.signal)
         phase = self.run.control.get().phase
@@ -464,21 +467,23 @@ class Seat:
         return self.run.control.get().t0_ns
 
     def connected(self):
-        """Maps the peers' memory: readers of observations are controller and logger, the writer of commands the controller."""
+        """Maps the peers' memory, and counts them: two readers of observations, one writer of commands."""
         self.out.update_connections()
         self.commands.port.has_samples()
-        return self.readers.number_of_subscribers >= 2 and self.commands.factory.dynamic_config.number_of_publishers >= 1
+        writers = self.commands.factory.dynamic_config.number_of_publishers
+        return self.readers.number_of_subscribers >= 2 and writers >= 1
 
     def until(self, ready):
         while not ready():
-            self.look()
+            self.heartbeat()
             time.sleep(0.0005)
 
     def realtime(self):
-        """What the scenario asks of the operating system and this module does not do is said, not passed over."""
+        """Writes the real-time report. Requests that this module does not make are reported as refused."""
         asked = self.run.settings.get("realtime", {}).get("plant", {})
         asked = {"priority": asked.get("priority"), "cores": asked.get("cores", []), "timer_slack_ns": 1,
-                 "lock_memory": asked.get("lock_memory", False), "prefault_stack_kib": asked.get("prefault_stack_kib", 0)}
+                 "lock_memory": asked.get("lock_memory", False),
+                 "prefault_stack_kib": asked.get("prefault_stack_kib", 0)}
         ctypes.CDLL(None).prctl(29, 1, 0, 0, 0)  # PR_SET_TIMERSLACK
         if asked["cores"]:
             os.sched_setaffinity(0, asked["cores"])
@@ -490,39 +495,40 @@ class Seat:
         write(self.run.folder / "plant.realtime.json", {"asked": asked, "held": held, "refused": refused})
 
     def returned(self, board, role):
-        """True once for each return of `role`, when its ports are there."""
+        """True once for each restart of `role`, when its ports are there."""
         board.awaited = board.turn_to(self.run.control.get().incarnations[role]) or getattr(board, "awaited", False)
         back = board.awaited and board.get().state >= RUNNING
         board.awaited = board.awaited and not back
         return back
 
-    def say(self, observation):
+    def send(self, observation):
         self.out.send_copy(observation)
 
 
 def write(path, value):
-    """A file, whole or not at all."""
+    """Writes a file atomically."""
     draft = path.with_name(path.name + ".part")
     draft.write_text(json.dumps(value, indent=2))
     draft.rename(path)
 
 
 class Plant:
-    """A body behind its gate, and its loop of ticks."""
+    """A plant's body behind its gate, and its loop of ticks."""
 
-    def __init__(self, seat, body):
-        self.seat, self.run, self.body, self.gate = seat, seat.run, body, seat.gate
-        self.report = dict.fromkeys(("ticks", "missed", "late", "skipped", "clamped", "step_limited", "position_limited",
-                                     "ramped", "non_finite", "checkpoints"), 0) | {"checkpoint_failure": None}
+    def __init__(self, participant, body):
+        self.participant, self.run, self.body, self.gate = participant, participant.run, body, participant.gate
+        counts = ("ticks", "missed", "late", "skipped", "clamped", "step_limited", "position_limited", "ramped",
+                  "non_finite", "checkpoints")
+        self.report = dict.fromkeys(counts, 0) | {"checkpoint_failure": None}
         self.observation, self.flags = Observation(), FIRST
-        self.observation.header.run = int(self.run.card["run"], 16)
-        self.observation.header.incarnation = seat.incarnation
+        self.observation.header.run = int(self.run.manifest["run"], 16)
+        self.observation.header.incarnation = participant.incarnation
         self.expected, self.found, self.late = 0, None, 0
         self.answered = Spread()
 
-    def look_for(self, tick):
-        """Whether the command of `tick` is there. Older ones are late, and those said twice are dropped."""
-        while (command := self.seat.commands.receive()) is not None:
+    def receive_command(self, tick):
+        """Whether the command of `tick` has arrived. Counts older ones as late, and drops those sent twice."""
+        while (command := self.participant.commands.receive()) is not None:
             header = command.header
             if header.sequence < self.expected:
                 continue
@@ -535,8 +541,8 @@ class Plant:
                 self.late += 1
         return self.found is not None
 
-    def live(self, tick):
-        """Lives through `tick` with the command that was found for it. One that stands for silence is none."""
+    def advance(self, tick):
+        """Advances by `tick` with the command found for it. A command flagged UNHEARD counts as none."""
         command, self.found = self.found, None
         drawn = None if command is None or command.header.flags & UNHEARD else list(command.drawn)
         joints = self.body.joints() if self.gate.positions else None
@@ -559,116 +565,119 @@ class Plant:
         header.flags = self.flags | (LATE if late else 0) | (SKIPPED if skipped else 0) | (NEW_TARGET if fresh else 0)
         self.report["ticks"] += 1
 
-    def wait(self, t0, tick, lived):
-        """Waits until `tick` begins: its instant in real time, the command of the tick before in lockstep. False at an end."""
-        seat, turns = self.seat, 0
+    def wait(self, t0, tick, advanced):
+        """Waits until `tick` begins: for its instant in real time, for the command of the tick before in lockstep.
+        False when the run ends first."""
+        participant, turns = self.participant, 0
         if self.run.real:
             due = t0 + tick * self.run.period_ns
             while (now := time.monotonic_ns()) < due:
                 time.sleep(min(due - now, 50_000_000) / 1e9)
-                if due - now > 50_000_000 and seat.look():
+                if due - now > 50_000_000 and participant.heartbeat():
                     return False
-            return not seat.look()
-        while not (lived or self.look_for(tick - 1)):
+            return not participant.heartbeat()
+        while not (advanced or self.receive_command(tick - 1)):
             turns += 1
             if turns < 4096:
                 os.sched_yield()
             else:
                 time.sleep(0.00005)
             if turns % 64 == 0 or turns >= 4096:
-                # The answer is under way, unless whoever should give it was killed before hearing the question.
-                if seat.returned(seat.controller, CONTROLLER):
-                    seat.say(self.observation)
-                seat.look()
+                # The command is on its way, unless the controller was killed before it received the observation.
+                if participant.returned(participant.controller, CONTROLLER):
+                    participant.send(self.observation)
+                participant.heartbeat()
         return True
 
     def credit(self, tick):
-        """In lockstep: never further ahead of the logger than its buffer. False when the run is to end first."""
-        while self.seat.logger.get().consumed + LOG_BUFFER < tick + CREDIT:
-            self.seat.returned(self.seat.logger, LOGGER)
-            if self.seat.look():
+        """In lockstep: waits until the logger's buffer has room. False when the run is to end first."""
+        while self.participant.logger.get().consumed + LOG_BUFFER < tick + CREDIT:
+            self.participant.returned(self.participant.logger, LOGGER)
+            if self.participant.heartbeat():
                 return False
             time.sleep(0.0001)
         return True
 
     def loop(self):
-        seat, run, report = self.seat, self.run, self.report
-        t0 = seat.begin()
+        participant, run, report = self.participant, self.run, self.report
+        t0 = participant.begin()
         gc.freeze()
         clock = time.monotonic_ns
         wake_up, work = Spread(), Spread()
         most = run.settings.get("overrun", {}).get("max_consecutive", 0)
-        tick, lived, overruns, given_up, back = 0, True, 0, None, bool(seat.incarnation)
-        if back and seat.before.sent:
-            # The body stood while nobody was there: the ticks in between are missed.
-            seat.status.sent, tick, lived = seat.before.sent, seat.before.ticks + 1, False
-        while self.wait(t0, tick, lived):
+        tick, advanced, overruns, given_up, back = 0, True, 0, None, bool(participant.incarnation)
+        if back and participant.before.sent:
+            # The body stood still while no process drove it: the ticks in between are missed.
+            participant.status.sent, tick, advanced = participant.before.sent, participant.before.ticks + 1, False
+        while self.wait(t0, tick, advanced):
             woken = clock()
-            if not lived:
-                self.look_for(tick - 1)
-                self.live(tick - 1)
+            if not advanced:
+                self.receive_command(tick - 1)
+                self.advance(tick - 1)
             late, self.late = self.late, 0
             report["late"] += late
-            # Who wakes up a period late or more passes ticks over; never makes them up in a burst.
+            # A plant that wakes up a period late or more passes over those ticks. It never makes them up in a burst.
             due = max(min((woken - t0) // run.period_ns, run.ticks), tick) if run.real else tick
             if run.real:
                 wake_up.add(max(woken - t0 - tick * run.period_ns, 0))
             for passed in range(tick, due):
-                self.live(passed)
+                self.advance(passed)
             skipped, tick = due - tick, due
             report["skipped"] += skipped
-            seat.status.ticks, seat.status.missed = tick, report["missed"]
-            seat.status.late, seat.status.lost = report["late"], report["skipped"]
-            seat.show()
+            participant.status.ticks, participant.status.missed = tick, report["missed"]
+            participant.status.late, participant.status.lost = report["late"], report["skipped"]
+            participant.publish_status()
             overruns = 0 if back or not skipped else overruns + skipped
             back = False
             if run.real and 0 < most < overruns:
                 given_up = f"passed over {overruns} ticks in a row at tick {tick}; max_consecutive is {most}"
                 break
-            if tick >= run.ticks or seat.stopping() or (not run.real and tick % CREDIT == 0 and not self.credit(tick)):
+            if tick >= run.ticks or participant.stopping():
+                break
+            if not run.real and tick % CREDIT == 0 and not self.credit(tick):
                 break
             self.observe(tick, late, skipped)
             header = self.observation.header
-            header.sequence = seat.status.sent
+            header.sequence = participant.status.sent
             header.scheduled_ns = t0 + tick * run.period_ns if run.real else tick * run.period_ns
             header.sensed_ns = header.published_ns = clock() if run.real else header.scheduled_ns
-            seat.say(self.observation)
+            participant.send(self.observation)
             if run.real:
-                seat.bell.notify()
+                participant.wake.notify()
                 work.add(clock() - woken)
-            seat.status.sent += 1
-            tick, lived = tick + 1, False
-        seat.look()
+            participant.status.sent += 1
+            tick, advanced = tick + 1, False
+        participant.heartbeat()
         spreads = {"wake_up": wake_up, "observation_to_command": self.answered, "work": work}
         report |= {name: spread.percentiles() if run.real else None for name, spread in spreads.items()}
         write(run.folder / "plant.json", report)
-        seat.enter(FINISHED)
-        seat.bell.notify()
+        participant.enter(FINISHED)
+        participant.wake.notify()
         if given_up:
             raise Refused(given_up, 4)
 
 
 def main(build, about, options=lambda parser: None):
-    """Takes the plant's place in the run that the command line names, with the body that `build(run)` gives, and ends the
+    """Runs the plant of the run that the command line names, with the body that `build(run)` returns, and ends the
     process. `options(parser)` adds arguments, which the body finds in `run.arguments`. Every failure is one sentence on
-    standard error; exit codes are those of all processes of a run."""
+    standard error; the exit codes are those of all processes of a run."""
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--run", required=True, help="the run to join: its folder, or its name under runs/")
     options(parser)
-    arguments, seat = parser.parse_args(), None
+    arguments, participant = parser.parse_args(), None
     try:
         run = Run(arguments.run)
         run.arguments = arguments
         body = build(run)
-        seat = Seat(run, body)
-        Plant(seat, body).loop()
+        participant = Participant(run, body)
+        Plant(participant, body).loop()
         code = 0
     except (Refused, Ended) as cause:
         print(f"{Path(sys.argv[0]).name}: {cause}", file=sys.stderr)
         code = getattr(cause, "code", 4)
     finally:
-        # Said also when the body raised something: who waits for it must not wait in vain.
-        if seat and seat.status.state != FINISHED:
-            seat.enter(FAILED)
+        # Also when the body raised an exception: the other processes must not wait for this one in vain.
+        if participant and participant.status.state != FINISHED:
+            participant.enter(FAILED)
     sys.stdout.flush()
     sys.exit(code)

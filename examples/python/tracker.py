@@ -1,10 +1,11 @@
-"""A tracker without a camera, to try `sight = "vision"`: it stands where a program that looks at the arm would stand.
+"""A tracker without a camera, to try `sight = "vision"`: a stand-in for a program that observes the arm.
 
     target/release/tectum run servo-vision --name seen &
     target/python/bin/python examples/python/tracker.py --run seen
 
-Where a camera has pictures, this one has the measured angles, which it reads like any viewer, and the scenario's lengths. It draws the
-targets, too. All else is as for a real one: say where target and end-effector are in each picture, and when that was taken.
+A real tracker computes positions from a camera's pictures. This one computes them from the measured angles, which
+it reads like any viewer, and the scenario's lengths. It also draws the targets. Everything else is as for a real
+one: publish where target and end-effector are in each picture, and when the picture was taken.
 """
 
 import argparse
@@ -14,10 +15,10 @@ import time
 
 import tectum
 
-parser = argparse.ArgumentParser(description="A stand-in for a camera: says where target and end-effector are")
-parser.add_argument("--run", required=True, help="the run to look at: its folder, or its name under runs/")
+parser = argparse.ArgumentParser(description="A stand-in for a camera: publishes target and end-effector")
+parser.add_argument("--run", required=True, help="the run to observe: its folder, or its name under runs/")
 parser.add_argument("--rate", type=float, default=30.0, help="pictures a second")
-parser.add_argument("--noise", type=float, default=0.003, help="standard deviation of what is measured, m")
+parser.add_argument("--noise", type=float, default=0.003, help="standard deviation of the measured positions, m")
 arguments = parser.parse_args()
 try:
     run = tectum.Run(arguments.run)

@@ -1,8 +1,9 @@
-"""Watches a run from outside, as many programs may: what the plant says, a line a second.
+"""Watches a run from outside: one line a second from the plant's observations.
 
     target/python/bin/python examples/python/viewer.py --run arm-1
 
-It can never slow the loop: channels overflow, and a reader that is behind loses its oldest samples. What it lost it says.
+It never slows the loop: channels overflow, and a reader that is behind loses its oldest samples. The viewer prints how
+many it lost.
 """
 
 import argparse
@@ -23,7 +24,7 @@ except tectum.Refused as cause:
 seen, lost, expected, rewards, shown = 0, 0, None, 0.0, time.monotonic()
 over = False
 while not over:
-    over = run.over()  # asked before the channel is: what was sent until then is still received
+    over = run.over()  # checked before the channel, so that everything sent until then is still received
     while (observation := observations.receive()) is not None:
         sequence = observation.header.sequence
         lost += 0 if expected is None else max(sequence - expected, 0)

@@ -17,12 +17,14 @@ use super::{
 #[non_exhaustive]
 pub enum ScenarioError {
     /// The name is neither a file nor a built-in scenario.
-    #[error("there is no file {} and no built-in scenario of that name; the built-in ones are {presets}", quoted(.name))]
+    #[error("there is no scenario {}: {searched}; {remedy}", quoted(.name))]
     UnknownName {
         /// The name as it was given.
         name: String,
-        /// The names of the built-in scenarios, for people.
-        presets: String,
+        /// Where it was searched for.
+        searched: String,
+        /// The nearest names, or all of them.
+        remedy: String,
     },
     /// The file does not exist.
     #[error("{file}: there is no such file; check the path")]
@@ -264,7 +266,7 @@ fn remedy_for_unknown(table: &str, unknown: &str, known: &[&str]) -> String {
 }
 
 /// Edits (insert, delete, replace, swap of neighbours) between two words.
-fn distance(a: &str, b: &str) -> usize {
+pub(super) fn distance(a: &str, b: &str) -> usize {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
     let mut rows = vec![vec![0; b.len() + 1]; a.len() + 1];
     for i in 0..=a.len() {

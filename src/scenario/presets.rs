@@ -4,33 +4,45 @@
 
 use std::path::{Component, Path};
 
-use super::{Scenario, ScenarioError, error::either};
+use super::{
+    Scenario, ScenarioError,
+    error::{distance, either},
+};
 
 /// A built-in scenario.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Preset {
     /// The name by which it is found.
     pub name: &'static str,
+    /// What it is, in one sentence.
+    pub about: &'static str,
     /// The text of its TOML file.
     pub text: &'static str,
 }
 
+/// A preset whose text is `scenarios/<name>.toml`.
+macro_rules! preset {
+    ($name:literal, $about:literal) => {
+        Preset { name: $name, about: $about, text: include_str!(concat!("../../scenarios/", $name, ".toml")) }
+    };
+}
+
 const PRESETS: &[Preset] = &[
-    Preset { name: "arm", text: include_str!("../../scenarios/arm.toml") },
-    Preset { name: "paper", text: include_str!("../../scenarios/paper.toml") },
-    Preset { name: "eye", text: include_str!("../../scenarios/eye.toml") },
-    Preset { name: "near", text: include_str!("../../scenarios/near.toml") },
-    Preset { name: "laplace", text: include_str!("../../scenarios/laplace.toml") },
-    Preset { name: "limited", text: include_str!("../../scenarios/limited.toml") },
-    Preset { name: "relative", text: include_str!("../../scenarios/relative.toml") },
-    Preset { name: "collision", text: include_str!("../../scenarios/collision.toml") },
-    Preset { name: "todorov", text: include_str!("../../scenarios/todorov.toml") },
-    Preset { name: "open-loop-3", text: include_str!("../../scenarios/open-loop-3.toml") },
-    Preset { name: "open-loop-4", text: include_str!("../../scenarios/open-loop-4.toml") },
-    Preset { name: "office", text: include_str!("../../scenarios/office.toml") },
-    Preset { name: "servo-simulated", text: include_str!("../../scenarios/servo-simulated.toml") },
-    Preset { name: "servo-emulated", text: include_str!("../../scenarios/servo-emulated.toml") },
-    Preset { name: "servo-vision", text: include_str!("../../scenarios/servo-vision.toml") },
+    preset!("arm", "A planar arm with four joints learns to reach for targets; after two minutes one joint blocks."),
+    preset!("paper", "The closed-loop arm of Daucé & Dutech (2010) with the paper's own rule: 12 million ticks."),
+    preset!("eye", "The paper's eye with a log-polar retina learns to look at a moving target, one saccade a tick."),
+    preset!("near", "The paper's arm, rewarded only within a given distance of the target."),
+    preset!("laplace", "The paper's arm, explored with Laplace (L1) noise instead of Gaussian noise."),
+    preset!("limited", "The paper's arm with joints that stop at the end of their range."),
+    preset!("relative", "The paper's arm with each joint angle measured from the segment before it."),
+    preset!("collision", "The paper's arm with a penalty for every pair of segments that cross."),
+    preset!("todorov", "The paper's arm with the reward of Todorov and Jordan (2002), which has no penalty on angles."),
+    preset!("open-loop-3", "An arm with three segments takes one posture a trial, rewarded by its visual error alone."),
+    preset!("open-loop-4", "An arm with four segments takes one posture a trial, rewarded by its visual error alone."),
+    preset!("office", "The arm of `arm` under injected faults: lost, late and corrupt samples, and killed processes."),
+    preset!("servo-simulated", "The arm of `servo-emulated` with the simulator in the place of the servos."),
+    preset!("servo-emulated", "An arm on four emulated Dynamixel servos behind a pseudo-terminal, in real time."),
+    preset!("servo-vision", "As `servo-emulated`, but a tracker (such as a camera) reports target and end-effector."),
 ];
 
 /// The built-in scenarios, the one to start with first.
@@ -39,7 +51,21 @@ pub fn presets() -> &'static [Preset] {
 }
 
 impl Preset {
-    /// The scenario that the preset's text says, as it stands.
+    /// The built-in scenario of this name, whatever files there are: `arm`, `arm.toml` and `scenarios/arm.toml` all
+    /// name `arm`.
+    ///
+    /// # Errors
+    ///
+    /// [`ScenarioError::UnknownName`] if there is none.
+    pub fn named(name: &str) -> Result<&'static Self, ScenarioError> {
+        named_by(Path::new(name)).ok_or_else(|| ScenarioError::UnknownName {
+            name: name.to_owned(),
+            searched: "no built-in scenario has that name".to_owned(),
+            remedy: remedy(name),
+        })
+    }
+
+    /// Parses the preset's text.
     pub fn scenario(&self) -> Result<Scenario, ScenarioError> {
         Scenario::parse(self.text, &format!("{}.toml (built in)", self.name))
     }
@@ -51,21 +77,30 @@ impl Scenario {
     ///
     /// # Errors
     ///
-    /// [`ScenarioError::UnknownName`], which lists the built-in scenarios, if it is neither; otherwise as
-    /// [`load`](Self::load).
+    /// [`ScenarioError::UnknownName`], which names the places searched and the nearest scenarios, if it is neither;
+    /// otherwise as [`load`](Self::load).
     pub fn find(name_or_path: impl AsRef<Path>) -> Result<Self, ScenarioError> {
         let path = name_or_path.as_ref();
         // A folder that happens to be called like a preset does not hide it: only a file wins.
         if path.exists() && !path.is_dir() {
             return Self::load(path);
         }
-        if let Some(preset) = preset(path) {
+        if let Some(preset) = named_by(path) {
             return preset.scenario();
         }
         if path.exists() {
             return Self::load(path);
         }
-        Err(unknown(path.display().to_string()))
+        let name = path.display().to_string();
+        let file = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        let searched = format!("no file {} exists, and no built-in scenario has that name", file.display());
+        let with_extension = format!("{name}.toml");
+        let remedy = if Path::new(&with_extension).is_file() {
+            format!("did you mean {with_extension:?}?")
+        } else {
+            remedy(&name)
+        };
+        Err(ScenarioError::UnknownName { name, searched, remedy })
     }
 
     /// The built-in scenario of this name, whatever files lie about.
@@ -74,25 +109,52 @@ impl Scenario {
     ///
     /// [`ScenarioError::UnknownName`] if there is none.
     pub fn built_in(name: &str) -> Result<Self, ScenarioError> {
-        let preset = PRESETS.iter().find(|preset| preset.name == name).ok_or_else(|| unknown(name.to_owned()))?;
-        preset.scenario()
+        Preset::named(name)?.scenario()
     }
 }
 
-fn unknown(name: String) -> ScenarioError {
-    let names: Vec<_> = PRESETS.iter().map(|preset| preset.name).collect();
-    ScenarioError::UnknownName { name, presets: either(&names, "and") }
-}
-
-/// The preset that a path names, if it is one of ours: bare or in `scenarios/`, with or without `.toml`.
-fn preset(path: &Path) -> Option<&'static Preset> {
+/// The preset that a path names, if any: bare or in `scenarios/`, with or without `.toml`.
+fn named_by(path: &Path) -> Option<&'static Preset> {
     let parts: Vec<_> = path.components().filter(|part| *part != Component::CurDir).collect();
     let file = match parts.as_slice() {
         [file] => file,
         [folder, file] if folder.as_os_str() == "scenarios" => file,
         _ => return None,
     };
-    let file = file.as_os_str().to_str()?;
-    let name = file.strip_suffix(".toml").unwrap_or(file);
+    let name = without_extension(file.as_os_str().to_str()?);
     PRESETS.iter().find(|preset| preset.name == name)
+}
+
+/// The presets nearest to a name that none has, or all of them.
+fn remedy(name: &str) -> String {
+    let nearest: Vec<_> = nearest(name).into_iter().map(|preset| format!("{preset:?}")).collect();
+    if nearest.is_empty() {
+        let names: Vec<_> = PRESETS.iter().map(|preset| preset.name).collect();
+        return format!("the built-in ones are {}", either(&names, "and"));
+    }
+    format!("did you mean {}?", either(&nearest, "or"))
+}
+
+/// The presets that begin with a name, such as `servo`; otherwise the one with the fewest edits, if these are few.
+/// Folder, extension and case do not count.
+fn nearest(name: &str) -> Vec<&'static str> {
+    /// Longer texts are no misspelt name. A limit, because the cost of a comparison grows with the length.
+    const MAX_CHARS: usize = 60;
+    let file = Path::new(name).file_name().and_then(|file| file.to_str()).unwrap_or(name);
+    let name = without_extension(file).to_lowercase();
+    if name.is_empty() || name.chars().count() > MAX_CHARS {
+        return Vec::new();
+    }
+    let names = || PRESETS.iter().map(|preset| preset.name);
+    let beginning: Vec<_> = names().filter(|preset| preset.starts_with(&name)).collect();
+    if !beginning.is_empty() {
+        return beginning;
+    }
+    // The first of several that are equally near: presets stand in the order in which they are most used.
+    let best = names().map(|preset| (distance(&name, preset), preset)).min_by_key(|(edits, _)| *edits);
+    best.filter(|(edits, preset)| *edits <= 1 + preset.len() / 4).map(|(_, preset)| preset).into_iter().collect()
+}
+
+fn without_extension(file: &str) -> &str {
+    file.strip_suffix(".toml").unwrap_or(file)
 }
