@@ -4,6 +4,7 @@ mod analyse;
 mod bench;
 mod compare;
 mod doctor;
+mod film;
 mod log;
 mod replay;
 mod reproduce;
@@ -42,6 +43,8 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Analyse the movements in a run's log: isochrony, speed profiles, straightness, settling
     Analyse(analyse::Arguments),
+    /// Make an animated picture of a run from its log: the arm before learning, after ten seconds, and at the end
+    Film(film::Arguments),
     /// Learners side by side: how much experience each needs, and what a tick of it costs
     Compare(compare::Arguments),
     /// How fast it is: latency, lockstep, encoder, learner, beside what the machine can do
@@ -59,6 +62,7 @@ fn main() -> ExitCode {
         Command::Run(arguments) => run::main(&arguments),
         Command::Reproduce(arguments) => reproduce::main(&arguments),
         Command::Analyse(arguments) => analyse::main(&arguments),
+        Command::Film(arguments) => film::main(&arguments),
         Command::Compare(arguments) => compare::main(&arguments),
         Command::Bench(arguments) => bench::main(&arguments),
         Command::Replay(arguments) => replay::main(&arguments),
