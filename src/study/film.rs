@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::log::{LogError, LogRecord, RunLog};
 use crate::report::film::{
-    Film, FilmPanel, LATE_REACHES, ReachSelector, RecordedReach, SelectedReaches, centimetres, seconds,
+    EARLY_REACHES, Film, FilmPanel, LATE_REACHES, ReachSelector, RecordedReach, SelectedReaches, centimetres, seconds,
 };
 use crate::report::{ReportError, columns, thousands};
 use crate::runtime::Snapshot;
@@ -52,8 +52,8 @@ pub enum FilmError {
     },
     /// There are not enough reaches to choose from.
     #[error(
-        "the log {} is too short for a film: {ticks} ticks hold {} {}, and three are shown, one of them from ten seconds on \
-         and one after that; make a longer run",
+        "the log {} is too short for a film: {ticks} ticks hold {} {}, and it needs the first, \
+         {EARLY_REACHES} from ten seconds on, and one after those; make a longer run",
         path.display(), thousands(*reaches), if *reaches == 1 { "whole reach" } else { "whole reaches" }
     )]
     TooShort {
@@ -228,24 +228,31 @@ fn compose(plan: &Plan, arm: &ArmConfig, selected: SelectedReaches) -> Film {
         let remark = last_change.map(|(tick, what)| format!("{what} at {}", seconds(tick as f64 * period_s)));
         FilmPanel { caption: caption.to_owned(), remark: remark.unwrap_or_default(), blocked, reach }
     };
-    let first = if selected.first.reach.from == 0 { "Before learning" } else { "At the beginning of the log" };
     let late = match selected.changed {
         Some(changed) if arm.block.iter().any(|block| block.tick == changed) => "After the joint blocks",
         Some(_) => "After the body changes",
         None => "At the end",
     };
-    let choice = late_choice(&selected);
-    let panels = [panel(first, selected.first), panel("After ten seconds", selected.early), panel(late, selected.late)];
+    let choice = choice(&selected);
+    let mut first = panel("The first target", selected.first);
+    if first.reach.reach.from == 0 && first.remark.is_empty() {
+        // Not "before learning": the quicker rules learn to reach before it ends.
+        first.remark = "untrained at the start".to_owned();
+    }
+    let panels = [first, panel("After ten seconds", selected.early), panel(late, selected.late)];
     Film { scenario: plan.scenario.name.clone(), seed: plan.scenario.seed, period_s, panels, choice }
 }
 
 /// How the reaches were chosen, in a line.
-fn late_choice(selected: &SelectedReaches) -> String {
-    let late = match (selected.late_count, selected.changed) {
-        (1, Some(_)) => "the only one after it".to_owned(),
-        (1, None) => "the last".to_owned(),
-        (n, Some(_)) if n < LATE_REACHES => format!("the median end error of all {n} after it"),
-        (n, _) => format!("the median end error of the last {n}"),
+fn choice(selected: &SelectedReaches) -> String {
+    let early = match selected.early_count {
+        1 => "the one from 10 s on".to_owned(),
+        n => format!("the median of the {n} from 10 s on"),
     };
-    format!("Shown: the first reach; the first from 10 s on; and {late}. Exploration noise included.")
+    let late = match (selected.late_count, selected.changed) {
+        (1, _) => "the last".to_owned(),
+        (n, Some(_)) if n < LATE_REACHES => format!("the median of the {n} since the body changed"),
+        (n, _) => format!("the median of the last {n}"),
+    };
+    format!("Shown: the first reach, {early}, and {late} (medians of the end error). Exploration noise included.")
 }

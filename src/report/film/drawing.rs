@@ -22,7 +22,7 @@ text{font-family:system-ui,-apple-system,'Segoe UI',Roboto,'Helvetica Neue',Aria
 .small{fill:#9fb0c0;font-size:12px}\
 .error{font-size:18px;font-weight:600}\
 .end{text-anchor:end}\
-.start{fill:none;stroke:#3d4c5c;stroke-width:5;stroke-linecap:round;stroke-linejoin:round}\
+.start{fill:none;stroke:#33414f;stroke-width:5;stroke-linecap:round;stroke-linejoin:round}\
 .arm{fill:none;stroke:#dfe7ee;stroke-width:6;stroke-linecap:round;stroke-linejoin:round}\
 .trail{fill:none;stroke:#56b4e9;stroke-width:2;stroke-opacity:.6;stroke-linecap:round;stroke-linejoin:round}\
 .target{fill:none;stroke:#f0a30a;stroke-width:3}\
@@ -52,7 +52,7 @@ pub(super) fn svg(film: &Film) -> String {
     let longest = film.panels.iter().map(|panel| panel.reach.ticks()).max().unwrap_or(1);
     let timeline = Timeline::new(longest, film.period_s);
     let view = View::of(film);
-    let farthest = film.panels.iter().flat_map(|panel| distances(panel)).fold(0.0, f64::max);
+    let farthest = film.panels.iter().flat_map(distances).fold(0.0, f64::max);
     let axes = CurveAxes::new(longest, farthest);
     let mut svg = String::new();
     let _ = write!(
@@ -80,7 +80,12 @@ fn title(film: &Film) -> String {
 fn description(film: &Film) -> String {
     let panel = |panel: &FilmPanel| {
         let error = centimetres(panel.reach.end_error_m);
-        format!("{} ({}): the arm ends {error} from the target.", panel.caption, interval(film, panel))
+        let mean = centimetres(mean_distance(panel));
+        let when = interval(film, panel);
+        format!(
+            "{} ({when}): the end-effector is {mean} from the target on average, {error} at the end.",
+            panel.caption
+        )
     };
     film.panels.iter().map(panel).collect::<Vec<_>>().join(" ")
 }
@@ -97,7 +102,7 @@ fn dots(view: &View) -> String {
     let [x, y] = view.pixel([0.0, 0.0]).map(|x| x - side / 2.0);
     format!(
         "<pattern id=\"dots\" patternUnits=\"userSpaceOnUse\" x=\"{x:.2}\" y=\"{y:.2}\" width=\"{side:.3}\" \
-         height=\"{side:.3}\"><circle cx=\"{0:.2}\" cy=\"{0:.2}\" r=\"1.2\" fill=\"#2b3846\"/></pattern>",
+         height=\"{side:.3}\"><circle cx=\"{0:.2}\" cy=\"{0:.2}\" r=\"1.3\" fill=\"#364554\"/></pattern>",
         side / 2.0
     )
 }
@@ -117,7 +122,8 @@ fn footer(film: &Film, timeline: &Timeline) -> String {
     if blocked {
         item(&format!("<g transform=\"scale(.85)\">{BLOCKED}</g>"), "blocked joint", 120.0);
     }
-    item("<circle r=\"1.6\" fill=\"#9fb0c0\"/>", "dots are 0.5 m apart", 0.0);
+    item("<path d=\"M-6 4L6 -4\" class=\"start\"/>", "posture at the start", 156.0);
+    item("<circle r=\"1.6\" fill=\"#9fb0c0\"/>", "dots 0.5 m apart", 0.0);
     let right = WIDTH - 22.0;
     let _ = write!(
         text,
@@ -143,6 +149,11 @@ fn distances(panel: &FilmPanel) -> impl Iterator<Item = f64> {
     let target = panel.reach.reach.target;
     let ends = panel.reach.reach.postures.iter().filter_map(|posture| posture.last());
     ends.map(move |end| (end[0] - target[0]).hypot(end[1] - target[1]))
+}
+
+/// Mean of the distances at the ends of the reach's ticks, m.
+fn mean_distance(panel: &FilmPanel) -> f64 {
+    distances(panel).skip(1).sum::<f64>() / panel.reach.ticks().max(1) as f64
 }
 
 /// All that one panel is drawn from.
@@ -188,7 +199,7 @@ impl PanelPicture<'_> {
             text
         };
         let last = self.panel.reach.ticks() as usize;
-        let ends: Vec<Pixel> = (0..=last).filter_map(|tick| pixels(tick).last()).collect();
+        let ends: Vec<Pixel> = (0..=last).filter_map(|tick| pixels(tick).next_back()).collect();
         let [x, y] = self.view.pixel(reach.target);
         let mut text = format!(
             "<polyline class=\"start\" points=\"{}\"/>\n<circle class=\"target\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"10\"/>\n",
@@ -201,10 +212,11 @@ impl PanelPicture<'_> {
         );
         let moved = self.animate("points", |text, tick| points(text, pixels(tick)));
         let (still_trail, moving_trail) = self.trail("trail", &ends);
-        let _ = write!(text, "<g class=\"still\">{still_trail}{arm}/>{}</g>\n", self.blocked_joints(false));
+        let _ = writeln!(text, "<g class=\"still\">{still_trail}{arm}/>{}</g>", self.blocked_joints(false));
         let _ = write!(
             text,
-            "<g class=\"moving\">{moving_trail}\n{arm}>{moved}</polyline>\n{}</g>\n",
+            "<g class=\"moving\">{}{moving_trail}\n{arm}>{moved}</polyline>\n{}</g>\n",
+            self.fade(),
             self.blocked_joints(true)
         );
         text
@@ -249,6 +261,15 @@ impl PanelPicture<'_> {
         )
     }
 
+    /// Hides the jump from the end of the reach to its beginning.
+    fn fade(&self) -> String {
+        format!(
+            "<animate attributeName=\"opacity\" dur=\"{}s\" repeatCount=\"indefinite\" values=\"0;1;1;0\" \
+             keyTimes=\"0;.03;.97;1\"/>",
+            self.timeline.loop_s
+        )
+    }
+
     /// A line through `places`, whole and growing. It grows as a dash that is shifted along the line.
     fn trail(&self, class: &str, places: &[Pixel]) -> (String, String) {
         let trail = Trail::new(places, &self.timeline.ticks(self.panel.reach.ticks()));
@@ -267,16 +288,18 @@ impl PanelPicture<'_> {
         let (left, right, top, bottom) = (CURVE_LEFT, CURVE_RIGHT, CURVE_TOP, CURVE_BOTTOM);
         let (above, below, beside) = (top - 14.0, bottom + 17.0, left - 7.0);
         format!(
-            "<text class=\"muted\" x=\"{PADDING}\" y=\"{above}\">distance at the end</text>\n\
+            "<text class=\"muted\" x=\"{PADDING}\" y=\"{above}\">off by {mean} on average, at the end</text>\n\
              <text class=\"error end\" x=\"{right}\" y=\"{above}\">{error}</text>\n\
              <path class=\"axis\" d=\"M{left} {top}V{bottom}H{right}\"/>\n\
              <text class=\"small end\" x=\"{beside}\" y=\"{top_text}\">{top_m} m</text>\n\
              <text class=\"small end\" x=\"{beside}\" y=\"{bottom}\">0</text>\n\
              <text class=\"small\" x=\"{left}\" y=\"{below}\">0 s</text>\n\
              <text class=\"small end\" x=\"{right}\" y=\"{below}\">{end_s}</text>\n\
-             <g class=\"still\">{still}{}</g>\n<g class=\"moving\">{moving}\n{}</g>\n",
+             <g class=\"still\">{still}{}</g>\n<g class=\"moving\">{}{moving}\n{}</g>\n",
             dot(false),
+            self.fade(),
             dot(true),
+            mean = centimetres(mean_distance(self.panel)),
             error = centimetres(self.panel.reach.end_error_m),
             top_text = top + 9.0,
             top_m = (self.axes.top_m * 1e4).round() / 1e4,

@@ -15,7 +15,7 @@ use std::path::Path;
 
 use super::ReportError;
 
-pub use selection::{LATE_REACHES, ReachSelector, RecordedReach, SelectedReaches};
+pub use selection::{EARLY_REACHES, LATE_REACHES, ReachSelector, RecordedReach, SelectedReaches};
 
 /// What the film shows.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,7 +28,7 @@ pub struct Film {
     pub period_s: f64,
     /// From left to right.
     pub panels: [FilmPanel; 3],
-    /// How the third reach was chosen, a line of text.
+    /// How the reaches were chosen, a line of text.
     pub choice: String,
 }
 

@@ -6,10 +6,12 @@ use std::collections::VecDeque;
 
 use crate::report::Reach;
 
+/// The second reach is the typical one of so many from ten seconds on.
+pub const EARLY_REACHES: usize = 3;
 /// The third reach is the typical one of so many at the end of the run.
 pub const LATE_REACHES: usize = 10;
 
-/// The second reach is the first whose target appears at this time of the run or later, s.
+/// The early reaches are the first whose targets appear at this time of the run or later, s.
 const EARLY_S: f64 = 10.0;
 
 /// A reach with the distance that was left at its end.
@@ -33,8 +35,10 @@ impl RecordedReach {
 pub struct SelectedReaches {
     /// The first of the run.
     pub first: RecordedReach,
-    /// The first whose target appeared after ten seconds or later.
+    /// The one with the median end error of the first ones from ten seconds on.
     pub early: RecordedReach,
+    /// How many early ones there are: fewer than [`EARLY_REACHES`] if the body changed soon.
+    pub early_count: usize,
     /// The one with the median end error of the late ones.
     pub late: RecordedReach,
     /// How many late ones there are.
@@ -50,7 +54,7 @@ pub struct ReachSelector {
     /// The ticks at which the body changes, in their order.
     changes: Vec<u64>,
     first: Option<RecordedReach>,
-    early: Option<RecordedReach>,
+    early: Vec<RecordedReach>,
     late: VecDeque<RecordedReach>,
     count: u64,
 }
@@ -63,7 +67,7 @@ impl ReachSelector {
             early_tick: (EARLY_S / period_s).round() as u64,
             changes,
             first: None,
-            early: None,
+            early: Vec::new(),
             late: VecDeque::new(),
             count: 0,
         }
@@ -74,18 +78,19 @@ impl ReachSelector {
         self.count += 1;
         if self.first.is_none() {
             self.first = Some(reach);
-        } else if self.early.is_none() {
-            if reach.reach.from >= self.early_tick {
-                self.early = Some(reach);
-            }
-        } else {
-            self.add_late(reach);
+        } else if reach.reach.from >= self.early_tick {
+            self.add_early_or_late(reach);
         }
     }
 
-    fn add_late(&mut self, reach: RecordedReach) {
+    fn add_early_or_late(&mut self, reach: RecordedReach) {
         let from = reach.reach.from;
         let changed = |last: &RecordedReach| self.last_change(last.reach.from) != self.last_change(from);
+        let early_over = self.early.len() == EARLY_REACHES || self.early.last().is_some_and(changed);
+        if !early_over && self.late.is_empty() {
+            self.early.push(reach);
+            return;
+        }
         if self.late.back().is_some_and(changed) {
             self.late.clear();
         }
@@ -107,13 +112,24 @@ impl ReachSelector {
     /// The three reaches; `None` if the run was too short.
     pub fn select(self) -> Option<SelectedReaches> {
         let changed = self.last_change(self.late.front()?.reach.from);
-        let late_count = self.late.len();
-        let mut late: Vec<_> = self.late.into();
-        // The sort is stable: of equal end errors the earlier one comes first.
-        late.sort_by(|a, b| a.end_error_m.total_cmp(&b.end_error_m));
-        let late = late.swap_remove((late_count - 1) / 2);
-        Some(SelectedReaches { first: self.first?, early: self.early?, late, late_count, changed })
+        let (early_count, late_count) = (self.early.len(), self.late.len());
+        Some(SelectedReaches {
+            first: self.first?,
+            early: typical(self.early)?,
+            early_count,
+            late: typical(self.late.into())?,
+            late_count,
+            changed,
+        })
     }
+}
+
+/// The reach with the median end error, the lower one of two; `None` of none.
+fn typical(mut reaches: Vec<RecordedReach>) -> Option<RecordedReach> {
+    // The sort is stable: of equal end errors the earlier reach comes first.
+    reaches.sort_by(|a, b| a.end_error_m.total_cmp(&b.end_error_m));
+    let middle = reaches.len().checked_sub(1)? / 2;
+    Some(reaches.swap_remove(middle))
 }
 
 #[cfg(test)]
@@ -135,17 +151,21 @@ mod tests {
     }
 
     #[test]
-    fn the_first_one_after_ten_seconds_and_a_typical_late_one_are_chosen() {
-        // The last ten are numbers 20 to 29, with errors 9 down to 0: the lower median is 4, number 25.
+    fn the_first_and_typical_early_and_late_ones_are_chosen() {
+        // The early ones are numbers 3 to 5. The last ten are numbers 20 to 29, with errors 9 down to 0: the lower median
+        // is 4, number 25.
         let selected = select(&[], (0..30).map(|i| 29 - i)).unwrap();
-        assert_eq!(from(&selected), [0, 240, 25 * 80]);
-        assert_eq!((selected.late_count, selected.changed), (10, None));
+        assert_eq!(from(&selected), [0, 320, 25 * 80]);
+        assert_eq!((selected.early_count, selected.late_count, selected.changed), (3, 10, None));
+        let selected = select(&[], [0, 0, 0, 8, 29, 6, 1]).unwrap();
+        assert_eq!(from(&selected), [0, 240, 480]);
     }
 
     #[test]
     fn late_ones_begin_after_the_last_change_of_the_body() {
         // A reach that begins with the change counts, the one before does not.
         let selected = select(&[1600, 800], [50; 20].into_iter().chain([7, 3, 9])).unwrap();
+        // Errors 7, 3 and 9: the median is the first.
         assert_eq!(from(&selected), [0, 240, 1600]);
         assert_eq!((selected.late_count, selected.changed), (3, Some(1600)));
         // The last reach began before the change.
@@ -163,8 +183,18 @@ mod tests {
     #[test]
     fn three_different_reaches_are_needed() {
         assert_eq!(select(&[], []), None);
-        assert_eq!(select(&[], [1, 2, 3, 4]), None);
-        let selected = select(&[], [1, 2, 3, 4, 5]).unwrap();
-        assert_eq!((from(&selected), selected.late_count), ([0, 240, 320], 1));
+        assert_eq!(select(&[], [1, 2, 3, 4, 5, 6]), None);
+        let selected = select(&[], [1, 2, 3, 4, 4, 4, 7]).unwrap();
+        assert_eq!((from(&selected), selected.late_count), ([0, 240, 480], 1));
+    }
+
+    #[test]
+    fn early_ones_end_where_the_body_changes() {
+        let selected = select(&[320], [1, 2, 3, 4, 5, 6]).unwrap();
+        assert_eq!(from(&selected), [0, 240, 320]);
+        assert_eq!((selected.early_count, selected.late_count, selected.changed), (1, 2, Some(320)));
+        // The change comes before ten seconds: it counts, since late ones begin after it.
+        let selected = select(&[80], [1, 2, 3, 4, 5, 6, 7, 8]).unwrap();
+        assert_eq!((selected.early_count, selected.late_count, selected.changed), (3, 2, Some(80)));
     }
 }
