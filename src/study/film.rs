@@ -254,5 +254,5 @@ fn choice(selected: &SelectedReaches) -> String {
         (n, Some(_)) if n < LATE_REACHES => format!("the median of the {n} since the body changed"),
         (n, _) => format!("the median of the last {n}"),
     };
-    format!("Shown: the first reach, {early}, and {late} (medians of the end error). Exploration noise included.")
+    format!("Shown: the first reach, {early}, and {late} (by end error). With exploration noise.")
 }

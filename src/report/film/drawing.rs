@@ -20,7 +20,7 @@ text{font-family:system-ui,-apple-system,'Segoe UI',Roboto,'Helvetica Neue',Aria
 .caption{font-size:18px;font-weight:600}\
 .muted{fill:#9fb0c0}\
 .small{fill:#9fb0c0;font-size:12px}\
-.error{font-size:18px;font-weight:600}\
+.error{font-size:18px;font-weight:600;fill:#e6edf3}\
 .end{text-anchor:end}\
 .start{fill:none;stroke:#33414f;stroke-width:5;stroke-linecap:round;stroke-linejoin:round}\
 .arm{fill:none;stroke:#dfe7ee;stroke-width:6;stroke-linecap:round;stroke-linejoin:round}\
@@ -129,7 +129,7 @@ fn footer(film: &Film, timeline: &Timeline) -> String {
         text,
         "</g>\n<text class=\"muted end\" x=\"{right}\" y=\"{legend}\">{}</text>\n\
          <text class=\"muted\" x=\"16\" y=\"{source}\">{}</text>\n",
-        escaped(&format!("from the log of {}, seed {}, {}", film.scenario, film.seed, speed(timeline.speed))),
+        escaped(&format!("{}, seed {}, {}", film.scenario, film.seed, speed(timeline.speed))),
         escaped(&film.choice),
     );
     text
@@ -139,8 +139,8 @@ fn footer(film: &Film, timeline: &Timeline) -> String {
 fn speed(speed: f64) -> String {
     match speed {
         1.0 => "in real time".to_owned(),
-        fast if fast > 1.0 => format!("{fast:.1} times as fast as it was"),
-        slow => format!("{:.0} times slower than it was", 1.0 / slow),
+        fast if fast > 1.0 => format!("{fast:.1} times real speed"),
+        slow => format!("1/{:.0} of real speed", 1.0 / slow),
     }
 }
 
@@ -288,8 +288,8 @@ impl PanelPicture<'_> {
         let (left, right, top, bottom) = (CURVE_LEFT, CURVE_RIGHT, CURVE_TOP, CURVE_BOTTOM);
         let (above, below, beside) = (top - 14.0, bottom + 17.0, left - 7.0);
         format!(
-            "<text class=\"muted\" x=\"{PADDING}\" y=\"{above}\">off by {mean} on average, at the end</text>\n\
-             <text class=\"error end\" x=\"{right}\" y=\"{above}\">{error}</text>\n\
+            "<text class=\"muted\" x=\"{PADDING}\" y=\"{above}\">distance: mean {mean}</text>\n\
+             <text class=\"muted end\" x=\"{right}\" y=\"{above}\">end <tspan class=\"error\">{error}</tspan></text>\n\
              <path class=\"axis\" d=\"M{left} {top}V{bottom}H{right}\"/>\n\
              <text class=\"small end\" x=\"{beside}\" y=\"{top_text}\">{top_m} m</text>\n\
              <text class=\"small end\" x=\"{beside}\" y=\"{bottom}\">0</text>\n\
