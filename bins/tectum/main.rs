@@ -4,6 +4,7 @@ mod analyse;
 mod bench;
 mod compare;
 mod doctor;
+mod film;
 mod log;
 mod replay;
 mod reproduce;
@@ -49,6 +50,8 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Analyse the movements in a run's log: isochrony, speed profiles, straightness, settling
     Analyse(analyse::Arguments),
+    /// Make an animated picture of a run from its log: the arm before learning, after ten seconds, and at the end
+    Film(film::Arguments),
     /// Compare the learners: how much experience each needs, and what one tick costs
     Compare(compare::Arguments),
     /// Measure speed: latency, lockstep, encoder and learner, beside what the machine can do
@@ -67,6 +70,7 @@ fn main() -> ExitCode {
         Command::Scenario(arguments) => scenario::main(&arguments),
         Command::Reproduce(arguments) => reproduce::main(&arguments),
         Command::Analyse(arguments) => analyse::main(&arguments),
+        Command::Film(arguments) => film::main(&arguments),
         Command::Compare(arguments) => compare::main(&arguments),
         Command::Bench(arguments) => bench::main(&arguments),
         Command::Replay(arguments) => replay::main(&arguments),

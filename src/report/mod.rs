@@ -5,6 +5,7 @@
 //! give the same bytes for the same numbers, on every machine.
 
 pub mod figure;
+pub mod film;
 
 use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt::Write as _;

@@ -7,6 +7,7 @@
 pub mod analyse;
 pub mod compare;
 mod error;
+pub mod film;
 pub mod reference;
 pub mod replay;
 pub mod reproduce;

@@ -33,7 +33,7 @@ pub(super) fn history(plan: &Plan, mode: Mode, controller: ControllerReport) -> 
     let scenario = &plan.scenario;
     let arm = scenario.plant.arm.as_ref();
     let reach = |switch: &[Snapshot]| arm.and_then(|arm| reach(arm, switch));
-    let marks = arm.map_or_else(Vec::new, marks);
+    let marks = arm.map_or_else(Vec::new, body_changes);
     RunHistory {
         title: format!("{}, {}, seed {}", scenario.name, mode.name(), scenario.seed),
         unit: if arm.is_some() { "m".to_owned() } else { String::new() },
@@ -45,8 +45,8 @@ pub(super) fn history(plan: &Plan, mode: Mode, controller: ControllerReport) -> 
     }
 }
 
-/// The changes of the world, in the order of their ticks.
-fn marks(arm: &ArmConfig) -> Vec<(u64, String)> {
+/// The changes of the body and of what is reported of the target, in the order of their ticks.
+pub(crate) fn body_changes(arm: &ArmConfig) -> Vec<(u64, String)> {
     let blocks = arm.block.iter().map(|b| (b.tick, format!("joint {} blocked", b.joint)));
     let lengths = arm.shorten.iter().map(|s| (s.tick, format!("segment {} now {} m", s.segment, s.length)));
     let mirrors = arm.mirror.iter().map(|m| {

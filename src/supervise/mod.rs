@@ -19,7 +19,7 @@ mod supervisor;
 
 pub use error::LaunchError;
 pub(crate) use folder::RunFolder;
-pub(crate) use history::reach;
+pub(crate) use history::{body_changes, reach};
 pub use in_process::study;
 pub(crate) use progress::RunProgress;
 pub use restarts::RestartIncident;

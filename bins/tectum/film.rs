@@ -1,0 +1,57 @@
+//! `tectum film`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+use tectum::log;
+use tectum::process::say;
+use tectum::runtime::exit;
+use tectum::study::film::{FilmError, WrittenFilm, film};
+
+use super::print;
+
+/// The film's name beside its log.
+const FILM_FILE: &str = "film.svg";
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  tectum run                             the arm learns to reach, and a joint blocks; every tick is in the log
+  tectum film runs/arm-1                 three reaches of that run as an animated SVG: runs/arm-1/film.svg
+  tectum film arm-1 --out reach.svg      the same by the run's name, into another file
+  tectum film log.mcap --json            one JSON object on standard output
+
+The film has no script, so that it plays wherever an SVG can be shown as an image.")]
+pub struct Arguments {
+    /// A log, or the folder of a run, or the run's name under runs/
+    #[arg(value_name = "RUN")]
+    log: PathBuf,
+    /// The film's file [default: film.svg beside the log]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn main(arguments: &Arguments) -> ExitCode {
+    match make(arguments) {
+        Ok(written) => {
+            print(&if arguments.json { written.to_json() + "\n" } else { written.to_text() });
+            ExitCode::from(exit::OK)
+        }
+        Err(error) => {
+            say(&format!("tectum: {error}"));
+            ExitCode::from(exit::INPUT)
+        }
+    }
+}
+
+fn make(arguments: &Arguments) -> Result<WrittenFilm, FilmError> {
+    let log = log::find(&arguments.log)?;
+    let film = film(&log, true)?;
+    let file = arguments.out.clone().unwrap_or_else(|| log[0].with_file_name(FILM_FILE));
+    let bytes = film.write(&file)?;
+    Ok(WrittenFilm::new(&film, &file, bytes))
+}

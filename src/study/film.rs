@@ -1,0 +1,258 @@
+//! The film of a run from its log: the arm's reaches are read, and three of them are shown.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::log::{LogError, LogRecord, RunLog};
+use crate::report::film::{
+    EARLY_REACHES, Film, FilmPanel, LATE_REACHES, ReachSelector, RecordedReach, SelectedReaches, centimetres, seconds,
+};
+use crate::report::{ReportError, columns, thousands};
+use crate::runtime::Snapshot;
+use crate::scenario::{ArmConfig, Plan, Scenario, ScenarioError};
+use crate::supervise::{RunProgress, body_changes, reach};
+use crate::wire::{Observation, flag};
+
+/// Why there is no film of a log.
+#[derive(Debug, thiserror::Error)]
+pub enum FilmError {
+    /// The log.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// The scenario in the log.
+    #[error("the scenario in the log {} cannot be read: {error}; read it with the build that wrote it", path.display())]
+    Scenario {
+        /// The log.
+        path: PathBuf,
+        /// What is wrong with it.
+        error: Box<ScenarioError>,
+    },
+    /// Ticks were left out on purpose.
+    #[error(
+        "the log {} holds every {every}th tick only, and a film shows all of them; run the scenario again with `every = 1` \
+         under [log]", path.display()
+    )]
+    Thinned {
+        /// The log.
+        path: PathBuf,
+        /// Every how many ticks are in it.
+        every: u64,
+    },
+    /// The plant is no arm, or one whose ticks are no movement.
+    #[error(
+        "the plant of scenario \"{scenario}\" is {plant}, and a film shows an arm that reaches for targets; run a scenario \
+         with [plant.arm] and a closed loop"
+    )]
+    NoReaches {
+        /// The scenario's name.
+        scenario: String,
+        /// What its plant is instead.
+        plant: &'static str,
+    },
+    /// There are not enough reaches to choose from.
+    #[error(
+        "the log {} is too short for a film: {ticks} ticks hold {} {}, and it needs the first, \
+         {EARLY_REACHES} from ten seconds on, and one after those; make a longer run",
+        path.display(), thousands(*reaches), if *reaches == 1 { "whole reach" } else { "whole reaches" }
+    )]
+    TooShort {
+        /// The log.
+        path: PathBuf,
+        /// Ticks that it holds.
+        ticks: u64,
+        /// Whole reaches in it.
+        reaches: u64,
+    },
+    /// The film cannot be written.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+}
+
+/// A film that was written.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WrittenFilm {
+    /// The file.
+    pub file: PathBuf,
+    /// Its size.
+    pub bytes: usize,
+    /// What it shows, from left to right.
+    pub panels: Vec<WrittenPanel>,
+}
+
+/// What a panel of the film shows.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WrittenPanel {
+    /// The panel's headline.
+    pub caption: String,
+    /// The tick at which the target appeared.
+    pub from: u64,
+    /// The instant of that tick, s from tick 0 of the run.
+    pub seconds: f64,
+    /// Distance between end-effector and target when the next target appeared, m.
+    pub end_error_m: f64,
+}
+
+impl WrittenFilm {
+    /// A film that was written to `file`.
+    pub fn new(film: &Film, file: &Path, bytes: usize) -> Self {
+        let panel = |panel: &FilmPanel| WrittenPanel {
+            caption: panel.caption.clone(),
+            from: panel.reach.reach.from,
+            seconds: panel.seconds(film.period_s)[0],
+            end_error_m: panel.reach.end_error_m,
+        };
+        Self { file: file.to_owned(), bytes, panels: film.panels.iter().map(panel).collect() }
+    }
+
+    /// One JSON object.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string(self).unwrap_or_default()
+    }
+
+    /// A table for people, and the file.
+    pub fn to_text(&self) -> String {
+        let mut rows = vec![["panel", "from tick", "time", "error at the end"].map(str::to_owned)];
+        rows.extend(self.panels.iter().map(|panel| {
+            let from = thousands(panel.from);
+            [panel.caption.clone(), from, seconds(panel.seconds), centimetres(panel.end_error_m)]
+        }));
+        format!("{}\nfilm  {} ({} bytes)\n", columns(&rows), self.file.display(), thousands(self.bytes as u64))
+    }
+}
+
+/// Makes the film of the run whose log lies in `segments`. With `progress`, a line on standard error shows how far it is, if
+/// that is a terminal.
+///
+/// # Errors
+/// [`FilmError`] if it is no log, is thinned or too short, or its plant is no arm that reaches.
+pub fn film(segments: &[PathBuf], progress: bool) -> Result<Film, FilmError> {
+    let mut log = RunLog::open(segments)?;
+    let path = log.path().to_owned();
+    let plan = Scenario::parse(log.scenario(), "scenario.toml")
+        .and_then(Scenario::plan)
+        .map_err(|error| FilmError::Scenario { path: path.clone(), error: Box::new(error) })?;
+    let arm = reaching_arm(&plan)?;
+    if log.every() > 1 {
+        return Err(FilmError::Thinned { path, every: log.every() });
+    }
+    let period_s = plan.period_ns as f64 / 1e9;
+    let changes = body_changes(arm);
+    let mut selector = ReachSelector::new(period_s, changes.iter().map(|(tick, _)| *tick).collect());
+    let mut recorder = ReachRecorder::new(&plan, arm);
+    let mut ticks = 0;
+    let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, progress);
+    for record in log.by_ref() {
+        let LogRecord::Observation(observation) = record.inspect_err(|_| progress.clear())? else { continue };
+        ticks += 1;
+        if observation.header.tick.is_multiple_of(64) {
+            progress.show_study(observation.header.tick, (f32::NAN, f32::NAN));
+        }
+        if let Some(reach) = recorder.take(&observation) {
+            selector.add(reach);
+        }
+    }
+    progress.clear();
+    let reaches = selector.count();
+    let selected = selector.select().ok_or(FilmError::TooShort { path, ticks, reaches })?;
+    Ok(compose(&plan, arm, selected))
+}
+
+/// The arm of a plan whose movements can be shown.
+fn reaching_arm(plan: &Plan) -> Result<&ArmConfig, FilmError> {
+    let plant = &plan.scenario.plant;
+    let no = |what| FilmError::NoReaches { scenario: plan.scenario.name.clone(), plant: what };
+    match (&plant.arm, &plant.eye) {
+        (Some(arm), _) if arm.open_loop => Err(no("an arm in an open loop, where each tick is a trial of its own")),
+        (Some(arm), _) => Ok(arm),
+        (None, Some(_)) => Err(no("an eye")),
+        (None, None) => Err(no("a program of its own")),
+    }
+}
+
+/// Puts observations together to whole reaches.
+struct ReachRecorder<'a> {
+    arm: &'a ArmConfig,
+    /// Where the measure `error` stands, if the plant measures it.
+    error: Option<usize>,
+    /// The reach in progress, from the observation in which its target appeared.
+    snapshots: Vec<Snapshot>,
+    /// No observation is missing in it, and all its numbers are finite.
+    whole: bool,
+}
+
+impl<'a> ReachRecorder<'a> {
+    fn new(plan: &Plan, arm: &'a ArmConfig) -> Self {
+        let error = plan.measures.iter().position(|measure| measure == "error");
+        Self { arm, error, snapshots: Vec::new(), whole: false }
+    }
+
+    /// Takes the next observation. Gives the reach that ended with it, if one did and is whole.
+    fn take(&mut self, observation: &Observation) -> Option<RecordedReach> {
+        let tick = observation.header.tick;
+        let inputs = &observation.inputs;
+        let finite = inputs.iter().all(|x| x.is_finite());
+        let in_a_row = self.snapshots.last().is_none_or(|last| last.tick + 1 == tick);
+        self.whole &= finite && in_a_row;
+        self.snapshots.push(Snapshot { tick, inputs: *inputs });
+        if observation.header.flags & flag::NEW_TARGET == 0 {
+            if !self.whole {
+                self.snapshots.clear();
+            }
+            return None;
+        }
+        let done = if self.whole { self.close(observation) } else { None };
+        self.snapshots.drain(..self.snapshots.len() - 1);
+        self.whole = finite;
+        done
+    }
+
+    /// The reach that ends with `observation`, which has the posture at the end of its last tick.
+    fn close(&self, observation: &Observation) -> Option<RecordedReach> {
+        let reach = reach(self.arm, &self.snapshots)?;
+        let end = reach.postures.last()?.last()?;
+        let distance = (end[0] - reach.target[0]).hypot(end[1] - reach.target[1]);
+        let end_error_m = self.error.map_or(distance, |i| f64::from(observation.measures[i]));
+        end_error_m.is_finite().then_some(RecordedReach { reach, end_error_m })
+    }
+}
+
+/// Panels, captions and remarks.
+fn compose(plan: &Plan, arm: &ArmConfig, selected: SelectedReaches) -> Film {
+    let period_s = plan.period_ns as f64 / 1e9;
+    let panel = |caption: &str, reach: RecordedReach| {
+        let from = reach.reach.from;
+        let blocked: Vec<usize> =
+            arm.block.iter().filter(|block| block.tick <= from).map(|block| block.joint).collect();
+        let last_change = body_changes(arm).into_iter().rfind(|(tick, _)| *tick <= from);
+        let remark = last_change.map(|(tick, what)| format!("{what} at {}", seconds(tick as f64 * period_s)));
+        FilmPanel { caption: caption.to_owned(), remark: remark.unwrap_or_default(), blocked, reach }
+    };
+    let late = match selected.changed {
+        Some(changed) if arm.block.iter().any(|block| block.tick == changed) => "After the joint blocks",
+        Some(_) => "After the body changes",
+        None => "At the end",
+    };
+    let choice = choice(&selected);
+    let mut first = panel("The first target", selected.first);
+    if first.reach.reach.from == 0 && first.remark.is_empty() {
+        // Not "before learning": the quicker rules learn to reach before it ends.
+        first.remark = "untrained at the start".to_owned();
+    }
+    let panels = [first, panel("After ten seconds", selected.early), panel(late, selected.late)];
+    Film { scenario: plan.scenario.name.clone(), seed: plan.scenario.seed, period_s, panels, choice }
+}
+
+/// How the reaches were chosen, in a line.
+fn choice(selected: &SelectedReaches) -> String {
+    let early = match selected.early_count {
+        1 => "the one from 10 s on".to_owned(),
+        n => format!("the median of the {n} from 10 s on"),
+    };
+    let late = match (selected.late_count, selected.changed) {
+        (1, _) => "the last".to_owned(),
+        (n, Some(_)) if n < LATE_REACHES => format!("the median of the {n} since the body changed"),
+        (n, _) => format!("the median of the last {n}"),
+    };
+    format!("Shown: the first reach, {early}, and {late} (by end error). With exploration noise.")
+}
