@@ -8,12 +8,12 @@ use std::hint::black_box;
 
 use super::calls::{CallCase, in_turns};
 use super::costs::{CallCost, CallsSettings, CostsOutcome, Growth};
-use super::{BenchError, BenchProgress, Machine};
+use super::{BenchError, Machine};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::encoder::naive::{NaiveEncoder, SeparableEncoder};
 use crate::encoder::{Axis, Encoder, Map};
 use crate::simd::SimdPath;
-use crate::supervise::{LaunchError, RunFolder};
+use crate::supervise::{LaunchError, ProgressLine, RunFolder};
 
 /// Inputs of the ring; a power of two.
 const RING: usize = 256;
@@ -101,7 +101,7 @@ pub fn encoder(asked: &CallsSettings) -> Result<CostsOutcome, BenchError> {
     let folder = RunFolder::create(asked.out.as_deref(), None, "bench-encoder")?;
     let began = monotonic_ns();
     let machine = Machine::now(folder.path());
-    let progress = BenchProgress::new(asked.progress);
+    let mut progress = ProgressLine::new(asked.progress);
     let notify = notify();
     progress.show("encoder: versions");
     let costs = in_turns(versions(&notify), asked.batches, &signals)?

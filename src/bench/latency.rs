@@ -18,11 +18,11 @@ use serde::Serialize;
 
 use super::run_block::{self, RunBlock};
 use super::tick_times::{Latencies, SERIES, SeriesPercentiles, hgrm};
-use super::{BenchError, BenchProgress, CacheEvictor, Machine, PeerExchange, Transport, Usage};
+use super::{BenchError, CacheEvictor, Machine, PeerExchange, Transport, Usage};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::runtime::{Mode, Percentiles};
 use crate::study::Spread;
-use crate::supervise::{LaunchError, RunFolder};
+use crate::supervise::{LaunchError, ProgressLine, RunFolder};
 
 /// From one tick to the next, ns.
 pub const PERIOD_NS: u64 = 50_000_000;
@@ -190,7 +190,7 @@ pub fn latency(asked: &LatencySettings) -> Result<LatencyOutcome, BenchError> {
     let folder = RunFolder::create(asked.out.as_deref(), None, "bench-latency")?;
     let began = monotonic_ns();
     let machine = Machine::now(folder.path());
-    let progress = BenchProgress::new(asked.progress);
+    let mut progress = ProgressLine::new(asked.progress);
     let mut bench = LatencyBench::new(asked, folder.path().to_owned(), signals);
     for round in 0..bench.rounds {
         for case in 0..bench.cases.len() {

@@ -6,7 +6,7 @@ use std::hint::black_box;
 use super::calls::{CallCase, in_turns};
 use super::costs::{CallCost, CallsSettings, CostsOutcome, Growth};
 use super::encoder::POWERS;
-use super::{BenchError, BenchProgress, Machine};
+use super::{BenchError, Machine};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::learner::PaperRule;
 use crate::learner::naive::NaivePaperRule;
@@ -16,7 +16,7 @@ use crate::runtime::{Controller, PlantSide};
 use crate::scenario::{LearnerConfig, Plan, Rule, Scenario};
 use crate::simd::SimdPath;
 use crate::study::compare::{LEARNERS, name_of};
-use crate::supervise::{LaunchError, RunFolder};
+use crate::supervise::{LaunchError, ProgressLine, RunFolder};
 use crate::wire::{Command, Learning, Observation};
 
 const NOISE: Outputs = [0.003, -0.002, 0.001, -0.004, 0.002, -0.001, 0.004, -0.003];
@@ -172,7 +172,7 @@ pub fn learner(asked: &CallsSettings) -> Result<CostsOutcome, BenchError> {
     let folder = RunFolder::create(asked.out.as_deref(), None, "bench-learner")?;
     let began = monotonic_ns();
     let machine = Machine::now(folder.path());
-    let progress = BenchProgress::new(asked.progress);
+    let mut progress = ProgressLine::new(asked.progress);
     progress.show("learner: versions and rules");
     let mut costs = in_turns(versions(), asked.batches, &signals)?;
     costs.extend(in_turns(ticks()?, asked.batches, &signals)?);

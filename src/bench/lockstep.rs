@@ -8,13 +8,13 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::run_block::{self, RunBlock};
-use super::{BenchError, BenchProgress, Machine, PeerExchange, Transport, Usage, latency::PERIOD_NS, usage::core_of};
+use super::{BenchError, Machine, PeerExchange, Transport, Usage, latency::PERIOD_NS, usage::core_of};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::plant::SimulatedPlant;
 use crate::report::thousands;
 use crate::runtime::{Mode, in_process};
 use crate::study::Spread;
-use crate::supervise::{LaunchError, RunFolder};
+use crate::supervise::{LaunchError, ProgressLine, RunFolder};
 
 /// The thinned log has every so many ticks, as the paper's scenario.
 const THINNED: u64 = 100;
@@ -80,7 +80,7 @@ pub fn lockstep(asked: &LockstepSettings) -> Result<LockstepOutcome, BenchError>
     let folder = RunFolder::create(asked.out.as_deref(), None, "bench-lockstep")?;
     let began = monotonic_ns();
     let machine = Machine::now(folder.path());
-    let progress = BenchProgress::new(asked.progress);
+    let mut progress = ProgressLine::new(asked.progress);
     let mut rates: [Vec<f64>; 4] = Default::default();
     let mut usage = [Usage::default(), Usage::default()];
     let mut seen: [BTreeSet<u32>; 4] = Default::default();
