@@ -56,7 +56,8 @@ pub(super) struct ProcessDeath {
 /// Why a process ended, as far as its restart depends on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum DeathKind {
-    /// It will not do better the next time, had already finished, or is not the launcher's child. No policy restarts it.
+    /// It will not do better the next time, had already finished, or is not the launcher's child. No policy
+    /// restarts it.
     Final,
     /// It failed. The policies `on-failure` and `always` restart it.
     Failure,
@@ -109,7 +110,8 @@ impl ChildProcesses {
             return Err(failed(Path::new("?"), "it is started by hand"));
         };
         let mut command = Command::new(program);
-        // With a process group of its own, Ctrl-C at the terminal reaches only the launcher, which ends the run in order.
+        // With a process group of its own, Ctrl-C at the terminal reaches only the launcher, which ends the run
+        // in order.
         command.args(arguments).arg("--run").arg(&self.folder).process_group(0);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child = command.spawn().map_err(|cause| failed(program, &cause.to_string()))?;
@@ -225,7 +227,8 @@ impl SpawnCommand {
     }
 }
 
-/// Reads all that a process writes to its standard error, so that it never blocks on a full pipe. Keeps the beginning.
+/// Reads all that a process writes to its standard error, so that it never blocks on a full pipe. Keeps the
+/// beginning.
 fn collect(mut pipe: impl Read) -> String {
     const KEPT: u64 = 64 << 10;
     let mut text = Vec::new();

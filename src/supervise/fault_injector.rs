@@ -1,5 +1,5 @@
-//! Injects the process faults of a scenario (`[[faults.process]]`): the launcher kills, stops or restarts a process at its
-//! first poll at which the plant has reached the fault's tick.
+//! Injects the process faults of a scenario (`[[faults.process]]`): the launcher kills, stops or restarts a
+//! process at its first poll at which the plant has reached the fault's tick.
 
 use super::children::ChildProcesses;
 use crate::scenario::{FaultsConfig, ProcessFaultKind};
@@ -44,8 +44,8 @@ impl ProcessFaultInjector {
         Self { pending, stopped: Vec::new(), restarting: Vec::new() }
     }
 
-    /// Injects what is due at the plant's `tick`, and lets stopped processes continue whose time is over. A fault of a
-    /// process that is not running waits until it runs again.
+    /// Injects what is due at the plant's `tick`, and lets stopped processes continue whose time is over. A
+    /// fault of a process that is not running waits until it runs again.
     pub fn inject(&mut self, tick: u64, now: u64, children: &ChildProcesses) {
         self.stopped.retain(|&(role, until)| {
             let over = now >= until;

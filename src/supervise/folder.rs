@@ -1,4 +1,5 @@
-//! A run's folder: created for the run, checked before anything starts, and removed again if the run does not start.
+//! A run's folder: created for the run, checked before anything starts, and removed again if the run does not
+//! start.
 
 use std::cell::Cell;
 use std::fs;
@@ -103,7 +104,8 @@ impl RunFolder {
         self.kept.set(true);
     }
 
-    /// Writes the standard error of a failed process to `<role>.stderr`. Best effort: the summary has the last line.
+    /// Writes the standard error of a failed process to `<role>.stderr`. Best effort: the summary has the last
+    /// line.
     pub(super) fn write_stderr(&self, failure: &ProcessFailure) {
         if !failure.stderr.is_empty() {
             // Appended, for a process that failed more than once.

@@ -1,9 +1,10 @@
 //! Launching and supervising a run: folder, shared-memory domain, processes, phases, and an orderly end.
 //!
-//! The launcher creates every service of the run and holds it until all processes have ended; the processes only open
-//! services. The launcher leads the processes through the phases (ports created, connected, running), watches their status
-//! boards and whether they still run, and restarts those that die or hang. It ends the run when all ticks are done, when a
-//! signal comes, or when a process fails. In every case it leaves no process and no shared memory behind.
+//! The launcher creates every service of the run and holds it until all processes have ended; the processes
+//! only open services. The launcher leads the processes through the phases (ports created, connected, running),
+//! watches their status boards and whether they still run, and restarts those that die or hang. It ends the run
+//! when all ticks are done, when a signal comes, or when a process fails. In every case it leaves no process
+//! and no shared memory behind.
 
 mod children;
 mod error;
@@ -96,8 +97,8 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
     }
 
     let began = monotonic_ns();
-    // At a whole multiple of the period, so that every process can compute when ticks begin. With a period longer than the
-    // lead, the run starts at a multiple of the lead instead of waiting for the next period.
+    // At a whole multiple of the period, so that every process can compute when ticks begin. With a period
+    // longer than the lead, the run starts at a multiple of the lead instead of waiting for the next period.
     let start = (began + LEAD_NS).next_multiple_of(plan.period_ns.clamp(1, LEAD_NS));
     supervisor.run_ticks(if launch.mode == Mode::Realtime { start } else { 0 });
     let seconds = supervisor.close(began);

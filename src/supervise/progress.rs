@@ -1,4 +1,5 @@
-//! The progress of a run or a study: ticks, rate, loss and, in real time, missed and lost samples, on a progress line.
+//! The progress of a run or a study: ticks, rate, loss and, in real time, missed and lost samples, on a
+//! progress line.
 
 use super::Launch;
 use super::folder::RunFolder;

@@ -1,8 +1,8 @@
 //! Restart policy: which processes are restarted, after what delay, and when a missing heartbeat counts as a hang.
 //!
-//! The delay doubles with every restart in a row, so that a process that dies at once does not take the machine's time. After
-//! a process has run for a while without failing, its delay is short again. This is pure bookkeeping: the launcher passes the
-//! time in.
+//! The delay doubles with every restart in a row, so that a process that dies at once does not take the
+//! machine's time. After a process has run for a while without failing, its delay is short again. This is pure
+//! bookkeeping: the launcher passes the time in.
 
 use serde::Serialize;
 
@@ -11,8 +11,8 @@ use crate::channel::INCARNATIONS;
 use crate::scenario::{RestartConfig, RestartPolicy};
 use crate::wire::Role;
 
-/// The longest time that a single check may add to a process's silence, ns. If the launcher itself did not run for a while,
-/// neither may have the process.
+/// The longest time that a single check may add to a process's silence, ns. If the launcher itself did not run
+/// for a while, neither may have the process.
 const LONGEST_CHECK_NS: u64 = 200_000_000;
 
 /// A process that died or hung and was restarted.
@@ -72,8 +72,8 @@ impl RestartTracker {
         Self { config: config.clone(), records: [(); 3].map(|()| record.clone()), incidents: Vec::new() }
     }
 
-    /// Schedules the restart of a process, if its policy allows one. True if it does. `requested` is for a process that was
-    /// asked to end so that it restarts: it restarts whatever the policy, and without a delay.
+    /// Schedules the restart of a process, if its policy allows one. True if it does. `requested` is for a
+    /// process that was asked to end so that it restarts: it restarts whatever the policy, and without a delay.
     pub fn schedule(&mut self, death: &ProcessDeath, now: u64, requested: bool) -> bool {
         let role = death.failure.role;
         let record = &mut self.records[role as usize];

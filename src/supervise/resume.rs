@@ -8,8 +8,8 @@ use crate::runtime::{Mode, ResumePoint, RunManifest};
 use crate::scenario::{Plan, Scenario};
 use crate::wire::Role;
 
-/// Where the lockstep run in the folder `given` (or with that name under `runs/`) can be resumed, and its scenario. Reads both
-/// checkpoints and compares them with the scenario, before anything starts.
+/// Where the lockstep run in the folder `given` (or with that name under `runs/`) can be resumed, and its
+/// scenario. Reads both checkpoints and compares them with the scenario, before anything starts.
 ///
 /// # Errors
 /// [`LaunchError::Checkpoint`] when there is no checkpoint, or it is damaged or belongs to another run;
@@ -27,8 +27,8 @@ pub fn resume(given: &Path) -> Result<(ResumePoint, Plan), LaunchError> {
     }
     let plan = Scenario::load(&RunManifest::scenario_path(&folder))?.plan()?;
     let Some(&tick) = checkpoint::ticks(&folder).last() else {
-        let what = "there is no checkpoint of both plant and controller; runs leave one at their end, and every N ticks \
-                    with --checkpoint-every N";
+        let what = "there is no checkpoint of both plant and controller; runs leave one at their end, \
+                    and every N ticks with --checkpoint-every N";
         return Err(none(what.to_owned()));
     };
     if tick >= plan.scenario.ticks {

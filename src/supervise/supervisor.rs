@@ -14,23 +14,24 @@ use crate::wire::{Control, Phase, ProcessState, Role, Status};
 
 /// How long processes that the launcher starts may take to get ready or to connect.
 const SET_UP_LIMIT: Duration = Duration::from_secs(20);
-/// After a signal or a failure: how long the processes have to end in good order, and then to end at once. The sum is below
-/// the second that a user waits after Ctrl-C.
+/// After a signal or a failure: how long the processes have to end in good order, and then to end at once. The
+/// sum is below the second that a user waits after Ctrl-C.
 const STOP_LIMIT: Duration = Duration::from_millis(600);
 const ABORT_LIMIT: Duration = Duration::from_millis(200);
 /// After the planned end: how long the last samples may take to reach the disk.
 const CLOSE_LIMIT: Duration = Duration::from_secs(60);
 /// How long it may take to reclaim the shared memory of a dead process.
 const RECLAIM_LIMIT: Duration = Duration::from_secs(5);
-/// How often the launcher reads the status boards, ns: often enough to end a lockstep run promptly. In real time it reads them
-/// seldom, because its processor time adds to the latency of the control loop. Deaths and signals wake it at once.
+/// How often the launcher reads the status boards, ns: often enough to end a lockstep run promptly. In real
+/// time it reads them seldom, because its processor time adds to the latency of the control loop. Deaths and
+/// signals wake it at once.
 const POLL_NS: u64 = 5_000_000;
 const POLL_REALTIME_NS: u64 = 200_000_000;
 
 /// A run in progress.
 pub(super) struct Supervisor {
-    // `children` drops before `services`: a process that is still setting up would create files in a domain that is already
-    // removed.
+    // `children` drops before `services`: a process that is still setting up would create files in a domain
+    // that is already removed.
     children: ChildProcesses,
     services: RunServices,
     domain: DomainName,
@@ -192,7 +193,8 @@ impl Supervisor {
 
     /// Restarts a process whose delay is over.
     fn restart_due(&mut self) {
-        // One at a time: reclaiming could take what a process that is still setting up has half created for a dead one's.
+        // One at a time: reclaiming could take what a process that is still setting up has half created for a
+        // dead one's.
         let sets_up = |role| self.children.child(role).is_some() && self.state(role) < ProcessState::Running;
         if Role::ALL.into_iter().any(sets_up) {
             return;
