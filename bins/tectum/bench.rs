@@ -17,7 +17,7 @@ use super::print;
     after_help = "\
 Example: tectum bench latency --seconds 60    ticks of 50 ms, beside bare transports from process to process
 
-Build with --release, and let nothing else compute meanwhile. Every command says what it ran on."
+Build with --release, and let no other program compute meanwhile. Every result describes the machine."
 )]
 pub struct Arguments {
     #[command(subcommand)]
