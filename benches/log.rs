@@ -1,16 +1,17 @@
-//! What a tick's three messages cost the logger: handed to the operating system one by one, or together.
+//! The cost of a tick's three messages for the logger, with criterion: written to the file one by one, or together.
 //!
-//! The file lies in the system's temporary folder and is made anew every now and then, so that it never outgrows the
-//! page cache.
+//! The file is in the system's temporary folder. It is replaced regularly, so that it never outgrows the page
+//! cache.
 
-use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
+
+use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use tectum::log::{LogClock, LogHeader, LogRecord, LogWriter};
 use tectum::wire::{ChannelNames, Command, Learning, Observation, schema_hash};
 
-/// Ticks in a file before the next one is started: about 10 MB.
+/// Ticks in a file before the next file begins: about 10 MB.
 const TICKS_IN_A_FILE: u64 = 20_000;
 
 fn header() -> LogHeader {
@@ -39,33 +40,33 @@ fn header() -> LogHeader {
     }
 }
 
-fn fresh(path: &Path) -> LogWriter {
+fn new_log(path: &Path) -> LogWriter {
     let _ = std::fs::remove_file(path);
     LogWriter::create(path, &header()).expect("a log in the temporary folder")
 }
 
-/// Times `ticks` runs of `tick`, the making of files left out.
+/// The time of `ticks` runs of `tick`, without the time to create files.
 fn timed(path: &Path, ticks: u64, mut tick: impl FnMut(&mut LogWriter)) -> Duration {
     let mut total = Duration::ZERO;
-    let mut left = ticks;
-    while left > 0 {
-        let mut log = fresh(path);
-        let now = left.min(TICKS_IN_A_FILE);
+    let mut remaining = ticks;
+    while remaining > 0 {
+        let mut log = new_log(path);
+        let in_this_file = remaining.min(TICKS_IN_A_FILE);
         let start = Instant::now();
-        for _ in 0..now {
+        for _ in 0..in_this_file {
             tick(&mut log);
         }
         total += start.elapsed();
-        left -= now;
+        remaining -= in_this_file;
     }
     total
 }
 
-fn append(c: &mut Criterion) {
+fn append(criterion: &mut Criterion) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("log.mcap");
     let (observation, command, learning) = (Observation::default(), Command::default(), Learning::default());
-    let mut group = c.benchmark_group("log/tick of 3 messages");
+    let mut group = criterion.benchmark_group("log/tick of 3 messages");
     group.bench_function("flush per message", |b| {
         b.iter_custom(|ticks| {
             timed(&path, ticks, |log| {
@@ -86,8 +87,12 @@ fn append(c: &mut Criterion) {
         });
     });
     group.finish();
-    c.bench_function("log/finish with fsync", |b| {
-        b.iter_batched(|| fresh(&path), |log| log.finish(&Default::default()).expect("room"), BatchSize::PerIteration);
+    criterion.bench_function("log/finish with fsync", |b| {
+        b.iter_batched(
+            || new_log(&path),
+            |log| log.finish(&Default::default()).expect("room"),
+            BatchSize::PerIteration,
+        );
     });
 }
 

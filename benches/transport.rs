@@ -1,9 +1,9 @@
-//! The way of an observation to another process and of a command back, over a run's own channels: polled with a yield,
-//! as in lockstep, and with the bell, as in real time. The peer is a second process (this program, started again), never
-//! a thread.
+//! A round trip of observation and command between two processes over a run's own channels, with criterion:
+//! polling with a yield, as in lockstep, and woken by an event, as in real time. The peer is a second process
+//! (this program, started again), never a thread.
 //!
-//! These are back-to-back round trips with warm caches: a floor for the transport, not the latency of a control loop.
-//! For that see the percentiles that `tectum run --mode realtime` prints.
+//! These are back-to-back round trips with warm caches: a lower bound for the transport, not the latency of a
+//! control loop. For that see the percentiles that `tectum run --mode realtime` prints.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::process::{Child, Command as Program, Stdio};
@@ -16,7 +16,7 @@ use tectum::runtime::identity;
 use tectum::scenario::{Plan, Scenario};
 use tectum::wire::{Command, Observation};
 
-/// Tells the second process which run's domain to join, and how to wait.
+/// The environment variable that tells the peer which domain to join, and how to wait.
 const PEER: &str = "TECTUM_BENCH_PEER";
 
 fn plan() -> Plan {
@@ -25,17 +25,17 @@ fn plan() -> Plan {
 
 fn main() {
     match std::env::var(PEER) {
-        Ok(task) => answer(&task),
+        Ok(task) => serve(&task),
         Err(_) => measure(),
     }
 }
 
-/// The second process: answers every observation with a command, until its parent ends.
-fn answer(task: &str) {
+/// The peer: answers every observation with a command, until its parent ends.
+fn serve(task: &str) {
     let (run, wait) = task.split_once(' ').unwrap();
     let plan = plan();
     let name = DomainName::of(run.parse().unwrap());
-    let (ports, _desk) = ControllerPorts::open(&name, &identity(&plan), &plan.scenario.channels).unwrap();
+    let (ports, _status) = ControllerPorts::open(&name, &identity(&plan), &plan.scenario.channels).unwrap();
     let parent = ProcessHandle::of(rustix::process::getppid().unwrap().as_raw_pid() as u32).unwrap();
     precise_timers();
     println!("ready");
@@ -48,13 +48,13 @@ fn answer(task: &str) {
             ports.command.send(&command).unwrap();
             backoff = Backoff::default();
         }
-        let look = if wait == "bell" {
+        let check = if wait == "event" {
             ports.wake.wait(Duration::from_millis(100));
             true
         } else {
             backoff.pause()
         };
-        if look && parent.ended() {
+        if check && parent.ended() {
             return;
         }
     }
@@ -70,14 +70,14 @@ impl Drop for PeerProcess {
 }
 
 fn measure() {
-    let mut c = Criterion::default().configure_from_args();
+    let mut criterion = Criterion::default().configure_from_args();
     let plan = plan();
     let (channels, identity) = (&plan.scenario.channels, identity(&plan));
-    for wait in ["poll and yield", "bell"] {
+    for wait in ["poll and yield", "event"] {
         let run = u64::from(std::process::id()) << 32 | wait.len() as u64;
         let name = DomainName::of(run);
-        let _hub = RunServices::create(&name, &identity, channels, None).unwrap();
-        let (ports, _desk) = PlantPorts::open(&name, &identity, channels).unwrap();
+        let _services = RunServices::create(&name, &identity, channels, None).unwrap();
+        let (ports, _status) = PlantPorts::open(&name, &identity, channels).unwrap();
         let child = Program::new(std::env::current_exe().unwrap())
             .env(PEER, format!("{run} {wait}"))
             .stdout(Stdio::piped())
@@ -88,11 +88,11 @@ fn measure() {
         BufReader::new(peer.0.stdout.take().unwrap()).read_line(&mut ready).unwrap();
 
         let mut observation = Observation::default();
-        c.bench_function(&format!("transport/round trip, {wait}"), |b| {
+        criterion.bench_function(&format!("transport/round trip, {wait}"), |b| {
             b.iter(|| {
                 observation.header.tick += 1;
                 ports.observation.send(&observation).unwrap();
-                if wait == "bell" {
+                if wait == "event" {
                     ports.wake.notify();
                 }
                 let began = monotonic_ns();
@@ -105,5 +105,5 @@ fn measure() {
             });
         });
     }
-    c.final_summary();
+    criterion.final_summary();
 }

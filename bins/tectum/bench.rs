@@ -1,4 +1,4 @@
-//! `tectum bench`.
+//! `tectum bench`: arguments and output of the benches in [`tectum::bench`].
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -16,9 +16,9 @@ use super::tick_count::tick_count;
 #[command(
     arg_required_else_help = true,
     after_help = "\
-Example: tectum bench latency --seconds 60    ticks of 50 ms, beside the bare ways from process to process
+Example: tectum bench latency --seconds 60    ticks of 50 ms, beside bare transports from process to process
 
-Build with --release, and let nothing else compute meanwhile. Every command says what it ran on."
+Build with --release, and let no other program compute meanwhile. Every result describes the machine."
 )]
 pub struct Arguments {
     #[command(subcommand)]
@@ -27,7 +27,7 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// From a tick's scheduled instant to the applied command, between real processes, beside the bare ways
+    /// From a tick's scheduled instant to the applied command, between real processes, beside bare transports
     Latency(LatencyArguments),
     /// Ticks a second as fast as the processes go, against bare iceoryx2
     Lockstep(LockstepArguments),
@@ -35,9 +35,9 @@ enum Command {
     Encoder(CallsArguments),
     /// What learning costs: nanoseconds a call, by version, path, rule and number of features
     Learner(CallsArguments),
-    /// Everything, with a page, figures and all numbers in a folder
+    /// All benches, with a page, figures and all numbers in a folder
     All(AllArguments),
-    /// The other process of a bare way; started by the others
+    /// The peer process of a bare transport; started by the other commands
     #[command(hide = true)]
     Peer(PeerArguments),
 }
@@ -46,17 +46,18 @@ enum Command {
 #[command(after_help = "\
 A real run of the paper's scenario (plant, controller, logger) takes turns with the same payload over bare
 iceoryx2 (event, and polling with a yield), a Unix-domain socket, a pipe, and shared memory with a futex,
-each between two processes. AllBenches series count from the scheduled instant; what a stall swallowed is added.
+each between two processes. All series count from the scheduled instant, and include the
+ticks that a stall skipped.
 
 Examples:
-  tectum bench latency                              ticks of 50 ms, ten seconds of each way
+  tectum bench latency                              ticks of 50 ms, ten seconds of each transport
   tectum bench latency --seconds 60 --out today     a minute of each, files in `today`
   tectum bench latency --mode saturated --json      back to back, in lockstep")]
 struct LatencyArguments {
     /// How exchanges follow each other
     #[arg(long, value_enum, default_value_t = Mode::Cadence)]
     mode: Mode,
-    /// For how long each way is measured, seconds; may be a fraction
+    /// For how long each transport is measured, seconds; may be a fraction
     #[arg(long, value_name = "N", default_value_t = 10.0)]
     seconds: f64,
     /// Folder for the distributions and the numbers [default: runs/bench-latency-<n>]
@@ -88,7 +89,7 @@ struct LockstepArguments {
     /// Ticks of a block
     #[arg(long, value_name = "N", default_value_t = 300_000, value_parser = tick_count, allow_negative_numbers = true)]
     ticks: u64,
-    /// Blocks of each
+    /// Blocks of each case
     #[arg(long, value_name = "N", default_value_t = 5)]
     rounds: u64,
     /// Folder for the numbers [default: runs/bench-lockstep-<n>]
@@ -106,7 +107,7 @@ the quickest.
 
 Examples:
   tectum bench encoder                    200 batches of each case
-  tectum bench learner --batches 1000     takes longer, and shows rarer moments of peace")]
+  tectum bench learner --batches 1000     takes longer, and is disturbed less by other programs")]
 struct CallsArguments {
     /// Batches of each case, a tenth of a millisecond each
     #[arg(long, value_name = "N", default_value_t = 200)]
@@ -126,13 +127,13 @@ struct AllArguments {
     /// Folder for page, figures and numbers
     #[arg(long, value_name = "DIR")]
     report: PathBuf,
-    /// For how long each way is measured, seconds; may be a fraction
+    /// For how long each transport is measured, seconds; may be a fraction
     #[arg(long, value_name = "N", default_value_t = 10.0)]
     seconds: f64,
     /// Ticks of a block in lockstep
     #[arg(long, value_name = "N", default_value_t = 300_000, value_parser = tick_count, allow_negative_numbers = true)]
     ticks: u64,
-    /// Blocks of each in lockstep
+    /// Blocks of each case in lockstep
     #[arg(long, value_name = "N", default_value_t = 5)]
     rounds: u64,
     /// Batches of each case of calls
@@ -145,28 +146,28 @@ struct AllArguments {
 
 #[derive(Debug, Args)]
 struct PeerArguments {
-    /// Over which way
-    #[arg(long, value_parser = way)]
+    /// Over which transport
+    #[arg(long, value_parser = transport)]
     over: Transport,
     /// Number of the iceoryx2 domain
     #[arg(long)]
     domain: Option<u64>,
 }
 
-fn way(name: &str) -> Result<Transport, String> {
+fn transport(name: &str) -> Result<Transport, String> {
     Transport::of(name).ok_or_else(|| format!("one of {}", Transport::ALL.map(Transport::name).join(", ")))
 }
 
 pub fn main(arguments: &Arguments) -> ExitCode {
-    let told = match &arguments.command {
-        Command::Latency(asked) => latency(asked),
-        Command::Lockstep(asked) => lockstep(asked),
-        Command::Encoder(asked) => calls(asked, bench::encoder),
-        Command::Learner(asked) => calls(asked, bench::learner),
-        Command::All(asked) => all(asked),
-        Command::Peer(asked) => bench::serve(asked.over, asked.domain).map(|()| String::new()),
+    let result = match &arguments.command {
+        Command::Latency(arguments) => latency(arguments),
+        Command::Lockstep(arguments) => lockstep(arguments),
+        Command::Encoder(arguments) => calls(arguments, bench::encoder),
+        Command::Learner(arguments) => calls(arguments, bench::learner),
+        Command::All(arguments) => all(arguments),
+        Command::Peer(arguments) => bench::serve(arguments.over, arguments.domain).map(|()| String::new()),
     };
-    match told {
+    match result {
         Ok(text) => {
             print(&text);
             ExitCode::SUCCESS
@@ -178,38 +179,39 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     }
 }
 
-fn latency(asked: &LatencyArguments) -> Result<String, BenchError> {
-    let pace = match asked.mode {
+fn latency(arguments: &LatencyArguments) -> Result<String, BenchError> {
+    let pace = match arguments.mode {
         Mode::Cadence => Pace::Cadence,
         Mode::Saturated => Pace::Saturated,
     };
-    let found =
-        bench::latency(&LatencySettings { pace, seconds: asked.seconds, out: asked.out.clone(), progress: true })?;
-    Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
+    let (seconds, out) = (arguments.seconds, arguments.out.clone());
+    let outcome = bench::latency(&LatencySettings { pace, seconds, out, progress: true })?;
+    Ok(if arguments.json { outcome.to_json() + "\n" } else { outcome.to_text() })
 }
 
-fn lockstep(asked: &LockstepArguments) -> Result<String, BenchError> {
-    let (ticks, rounds) = (asked.ticks, asked.rounds);
-    let found = bench::lockstep(&LockstepSettings { ticks, rounds, out: asked.out.clone(), progress: true })?;
-    Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
+fn lockstep(arguments: &LockstepArguments) -> Result<String, BenchError> {
+    let (ticks, rounds) = (arguments.ticks, arguments.rounds);
+    let outcome = bench::lockstep(&LockstepSettings { ticks, rounds, out: arguments.out.clone(), progress: true })?;
+    Ok(if arguments.json { outcome.to_json() + "\n" } else { outcome.to_text() })
 }
 
 fn calls(
-    asked: &CallsArguments,
+    arguments: &CallsArguments,
     bench: fn(&CallsSettings) -> Result<CostsOutcome, BenchError>,
 ) -> Result<String, BenchError> {
-    let found = bench(&CallsSettings { batches: asked.batches, out: asked.out.clone(), progress: true })?;
-    Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
+    let (batches, out) = (arguments.batches, arguments.out.clone());
+    let outcome = bench(&CallsSettings { batches, out, progress: true })?;
+    Ok(if arguments.json { outcome.to_json() + "\n" } else { outcome.to_text() })
 }
 
-fn all(asked: &AllArguments) -> Result<String, BenchError> {
-    let found = bench::all(&AllBenches {
-        report: asked.report.clone(),
-        seconds: asked.seconds,
-        ticks: asked.ticks,
-        rounds: asked.rounds,
-        batches: asked.batches,
+fn all(arguments: &AllArguments) -> Result<String, BenchError> {
+    let outcome = bench::all(&AllBenches {
+        report: arguments.report.clone(),
+        seconds: arguments.seconds,
+        ticks: arguments.ticks,
+        rounds: arguments.rounds,
+        batches: arguments.batches,
         progress: true,
     })?;
-    Ok(if asked.json { found.to_json() + "\n" } else { found.to_text() })
+    Ok(if arguments.json { outcome.to_json() + "\n" } else { outcome.to_text() })
 }

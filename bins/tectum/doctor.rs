@@ -1,4 +1,4 @@
-//! `tectum doctor`.
+//! `tectum doctor`: checks whether this machine is fit for real time.
 
 use std::io::IsTerminal as _;
 use std::path::Path;
@@ -14,9 +14,9 @@ use super::print;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  tectum doctor                 looks at everything, and measures for ten seconds
+  tectum doctor                 checks everything, and measures wake-up lateness for ten seconds
   tectum doctor --seconds 0     without measuring
-  tectum doctor --clean         and removes what runs that were killed have left in shared memory
+  tectum doctor --clean         also removes what killed runs have left in shared memory
 
 The exit code is 0 when nothing is a problem, and 1 otherwise.")]
 pub struct Arguments {
@@ -35,7 +35,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     if arguments.seconds > 0 && std::io::stderr().is_terminal() {
         say(&format!("measuring wake-up lateness for {} s", arguments.seconds));
     }
-    // Runs go there when they name no folder.
+    // The default folder of runs, whose disk must have room.
     let runs = Path::new("runs");
     let folder = if runs.is_dir() { runs } else { Path::new(".") };
     let found = examine(arguments.clean, arguments.seconds, folder);

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use tectum::process::say;
 use tectum::runtime::Mode;
 use tectum::scenario::Scenario;
-use tectum::supervise::{Launch, LaunchError, RunSummary, resume, run, study};
+use tectum::supervise::{Launch, LaunchError, RunSummary, resume, run, run_in_process};
 use tectum::wire::Role;
 
 use super::print;
@@ -100,7 +100,7 @@ fn launch(arguments: &Arguments) -> Result<RunSummary, LaunchError> {
         say(&format!("tectum: warning: {warning}"));
     }
     match launch.mode {
-        Mode::InProcess => study(&launch),
+        Mode::InProcess => run_in_process(&launch),
         Mode::Lockstep | Mode::Realtime => run(&launch),
     }
 }

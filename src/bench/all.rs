@@ -1,13 +1,15 @@
-//! `tectum bench all`: everything, and a page with figures beside the raw numbers.
+//! `tectum bench all`: all benches, and a page with figures beside the raw numbers.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::context::write_file;
+use super::costs::Growth;
 use super::targets::{TargetRow, targets};
 use super::{
-    BenchError, CallsSettings, CostsOutcome, Growth, Latencies, LatencyOutcome, LatencySettings, LockstepOutcome,
+    BenchError, CallsSettings, CostsOutcome, Latencies, LatencyOutcome, LatencySettings, LockstepOutcome,
     LockstepSettings, Machine, Pace, encoder, latency, learner, lockstep,
 };
 use crate::clock::monotonic_ns;
@@ -18,58 +20,58 @@ use crate::supervise::RunFolder;
 /// What to measure.
 #[derive(Debug, Clone)]
 pub struct AllBenches {
-    /// The folder of the page.
+    /// The folder for the page, its figures and all numbers.
     pub report: PathBuf,
-    /// For how long each way is measured, s.
+    /// For how long each case of the latency is measured, s.
     pub seconds: f64,
     /// Ticks of a block in lockstep.
     pub ticks: u64,
-    /// Blocks in lockstep.
+    /// Blocks of each case in lockstep.
     pub rounds: u64,
-    /// Batches of calls.
+    /// Batches of each case of calls.
     pub batches: u64,
     /// Show a progress line on standard error.
     pub progress: bool,
 }
 
-/// Everything that was measured: the object of `--json`.
+/// All results: the object of `--json`.
 #[derive(Debug, Clone, Serialize)]
 pub struct AllOutcome {
-    /// What was aimed at, and what came out.
-    pub targets: Vec<TargetRow>,
-    /// At the cadence.
-    pub latency: LatencyOutcome,
-    /// Back to back.
-    pub saturated: LatencyOutcome,
-    /// Ticks a second.
-    pub lockstep: LockstepOutcome,
-    /// What encoding costs.
-    pub encoder: CostsOutcome,
-    /// What learning costs.
-    pub learner: CostsOutcome,
-    /// What it ran on.
-    pub machine: Machine,
-    /// Seconds that it took.
-    pub seconds: f64,
+    /// Targets and what was measured.
+    targets: Vec<TargetRow>,
+    /// Latency at the cadence.
+    latency: LatencyOutcome,
+    /// Latency back to back.
+    saturated: LatencyOutcome,
+    /// Ticks per second.
+    lockstep: LockstepOutcome,
+    /// The cost of encoding.
+    encoder: CostsOutcome,
+    /// The cost of learning.
+    learner: CostsOutcome,
+    /// The machine.
+    machine: Machine,
+    /// Duration of all benches, s.
+    seconds: f64,
     /// The page.
-    pub page: PathBuf,
+    page: PathBuf,
 }
 
-/// Measures everything, and leaves the page, its figures and all numbers in the folder.
+/// Runs all benches, and writes the page, its figures and all numbers to the folder.
 ///
 /// # Errors
-/// As the parts.
-pub fn all(asked: &AllBenches) -> Result<AllOutcome, BenchError> {
-    let folder = RunFolder::create(Some(&asked.report), None, "bench")?;
+/// As the single benches.
+pub fn all(settings: &AllBenches) -> Result<AllOutcome, BenchError> {
+    let folder = RunFolder::create(Some(&settings.report), None, "bench")?;
     let began = monotonic_ns();
     let machine = Machine::now(folder.path());
-    let (progress, seconds, rounds) = (asked.progress, asked.seconds, asked.rounds);
+    let (progress, seconds, rounds) = (settings.progress, settings.seconds, settings.rounds);
     let part = |name: &str| Some(folder.path().join(name));
-    // The parts first that are over at once, so that what is asked wrongly shows early.
-    let calls = |name: &str| CallsSettings { batches: asked.batches, out: part(name), progress };
+    // The short benches run first, so that wrong settings show early.
+    let calls = |name: &str| CallsSettings { batches: settings.batches, out: part(name), progress };
     let encoder = encoder(&calls("encoder"))?;
     let learner = learner(&calls("learner"))?;
-    let lockstep = lockstep(&LockstepSettings { ticks: asked.ticks, rounds, out: part("lockstep"), progress })?;
+    let lockstep = lockstep(&LockstepSettings { ticks: settings.ticks, rounds, out: part("lockstep"), progress })?;
     let at = |pace: Pace| latency(&LatencySettings { pace, seconds, out: part(pace.name()), progress });
     let (saturated, latency) = (at(Pace::Saturated)?, at(Pace::Cadence)?);
     let outcome = AllOutcome {
@@ -94,29 +96,28 @@ impl AllOutcome {
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// The table of targets, and where the rest is.
+    /// The table of targets, and the path of the page.
     pub fn to_text(&self) -> String {
         let mut text = self.machine.to_text() + "\n";
         for t in &self.targets {
-            let sign = if t.met { "met" } else { "not met" };
-            let _ = writeln!(text, "{:<48} {:>9.3} for {:>6} {:<26} {sign}", t.what, t.measured, t.target, t.unit);
+            let met = if t.met { "met" } else { "not met" };
+            let _ = writeln!(text, "{:<48} {:>9.3} for {:>6} {:<26} {met}", t.what, t.measured, t.target, t.unit);
         }
         let _ = writeln!(text, "\npage    {} ({:.0} s)", self.page.display(), self.seconds);
         text
     }
 
     fn write(&self, folder: &Path) -> Result<(), BenchError> {
-        let put = |path: PathBuf, text: &str| std::fs::write(&path, text).map_err(BenchError::write(&path));
-        put(folder.join("performance.json"), &self.to_json())?;
+        write_file(&folder.join("performance.json"), &self.to_json())?;
         let panels = [distributions(&self.latency), distributions(&self.saturated)];
         draw_scales("From process to process and back", &panels, &folder.join("latency.svg"))?;
         let panels = [growth("encoder", &self.encoder.growth), growth("learner", &self.learner.growth)];
         draw_scales("Cost by number of features", &panels, &folder.join("growth.svg"))?;
-        put(self.page.clone(), &self.page())
+        write_file(&self.page, &self.page_text())
     }
 
-    /// The page.
-    fn page(&self) -> String {
+    /// The text of the page, in Markdown.
+    fn page_text(&self) -> String {
         let mut text = format!(
             "# Performance\n\nMeasured by `tectum bench all` on {} in {:.0} s.\n\n```text\n{}```\n\n{}",
             self.machine.date,
@@ -124,9 +125,10 @@ impl AllOutcome {
             self.machine.to_text(),
             table(&self.targets)
         );
-        text += "\n## LatencySettings\n\nDistributions by way, caches as usual: at the cadence from the sensed observation to the sent \
-                 command, back to back the whole round trip. Whole distributions of all series are in `cadence` and \
-                 `saturated`, in HdrHistogram's text form (us).\n\n![Distributions](latency.svg)\n\n";
+        text += "\n## Latency\n\nDistributions by transport, caches as usual: at the cadence from the sensed \
+                 observation to the sent command, back to back the whole round trip. Whole distributions of all \
+                 series are in `cadence` and `saturated`, in HdrHistogram's text form (us).\n\n\
+                 ![Distributions](latency.svg)\n\n";
         for part in [&self.latency, &self.saturated] {
             let _ = write!(text, "```text\n{}```\n\n", part.to_text());
         }
@@ -139,7 +141,7 @@ impl AllOutcome {
     }
 }
 
-/// The table in Markdown.
+/// The table of targets in Markdown.
 fn table(targets: &[TargetRow]) -> String {
     let mut text = "| what | target | measured | measured / target | |\n|---|---|---|---|---|\n".to_owned();
     for t in targets {
@@ -151,7 +153,7 @@ fn table(targets: &[TargetRow]) -> String {
     text
 }
 
-/// The distributions of a latency bench by way: us over 1 / (1 - percentile).
+/// The latency distributions by transport: us over 1 / (1 - percentile).
 fn distributions(outcome: &LatencyOutcome) -> AxisScales {
     let (name, pick): (&str, fn(&Latencies) -> &hdrhistogram::Histogram<u64>) = match outcome.mode {
         Pace::Cadence => ("every 50 ms: sensed to command", |l| &l.sensed_to_command),
@@ -170,11 +172,11 @@ fn distributions(outcome: &LatencyOutcome) -> AxisScales {
             let digits = (x.log10().round() as usize).saturating_sub(2);
             format!("{:.digits$} %", 100.0 * (1.0 - 1.0 / x))
         },
-        curves: outcome.distributions().into_iter().map(|(way, all)| (way.to_owned(), curve(all))).collect(),
+        curves: outcome.distributions().into_iter().map(|(name, all)| (name.to_owned(), curve(all))).collect(),
     }
 }
 
-/// The growth of costs: ns over features.
+/// The growth of costs: ns per call over features.
 fn growth(name: &str, growth: &[Growth]) -> AxisScales {
     let mut curves: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
     for g in growth {

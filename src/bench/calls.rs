@@ -1,28 +1,29 @@
-//! What a call takes: many short batches of each case, in turns, so that a slow moment of the machine befalls all alike, and
-//! the least and the middle batch as numbers.
+//! Measures nanoseconds per call: many short batches of each case, in turns, so that a slow moment of the
+//! machine affects all cases alike.
 
 use std::hint::black_box;
+use std::time::Duration;
 
 use serde::Serialize;
 
 use super::BenchError;
+use super::context::check_signals;
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::study::Spread;
 
-/// Calls of a batch take about this long, ns: long against looking at the clock, short against a slice of the scheduler.
+/// The duration of a batch, about, ns: long against reading the clock, short against a time slice of the scheduler.
 const BATCH_NS: u64 = 100_000;
 
-/// A case: calls `n` times what it is about.
-pub(super) struct CallCase<'a, K> {
-    /// What tells it from the others.
+/// A piece of code to time.
+pub struct CallCase<'a, K> {
+    /// Tells it from other cases.
     pub key: K,
-    /// Does it so many times.
-    pub calls: Box<dyn FnMut(u64) + 'a>,
+    calls: Box<dyn FnMut(u64) + 'a>,
 }
 
 impl<'a, K> CallCase<'a, K> {
-    /// The case of one call.
-    pub fn new(key: K, mut call: impl FnMut() + 'a) -> Self {
+    /// A case that consists of `call`.
+    pub(super) fn new(key: K, mut call: impl FnMut() + 'a) -> Self {
         let calls = move |n: u64| {
             for _ in 0..n {
                 call();
@@ -30,16 +31,23 @@ impl<'a, K> CallCase<'a, K> {
         };
         Self { key, calls: Box::new(calls) }
     }
+
+    /// The time of `n` calls.
+    pub fn time(&mut self, n: u64) -> Duration {
+        let began = monotonic_ns();
+        (self.calls)(n);
+        Duration::from_nanos(monotonic_ns() - began)
+    }
 }
 
-/// What a call took, ns.
+/// The time of a call, over batches, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct CallTimes {
-    /// The middle batch.
+pub(crate) struct CallTimes {
+    /// Median of the batches.
     pub median: f64,
-    /// The quickest.
+    /// The quickest batch.
     pub min: f64,
-    /// The slowest.
+    /// The slowest batch.
     pub max: f64,
     /// Calls in a batch.
     pub calls: u64,
@@ -56,38 +64,30 @@ pub(super) fn in_turns<K>(
     let mut calls = Vec::with_capacity(cases.len());
     for case in &mut cases {
         calls.push(calibrate(|n| timed(case, n)));
-        interrupted(signals)?;
+        check_signals(signals)?;
     }
-    let mut found = vec![Vec::with_capacity(batches as usize); cases.len()];
+    let mut times = vec![Vec::with_capacity(batches as usize); cases.len()];
     for _ in 0..batches {
-        interrupted(signals)?;
-        for ((case, &calls), found) in cases.iter_mut().zip(&calls).zip(&mut found) {
-            found.push(timed(case, calls) as f64 / calls as f64);
+        check_signals(signals)?;
+        for ((case, &calls), times) in cases.iter_mut().zip(&calls).zip(&mut times) {
+            times.push(timed(case, calls) as f64 / calls as f64);
         }
     }
-    let told = cases.into_iter().zip(calls).zip(found).filter_map(|((case, calls), found)| {
-        let Spread { min, median, max } = Spread::of(found)?;
+    let results = cases.into_iter().zip(calls).zip(times).filter_map(|((case, calls), times)| {
+        let Spread { min, median, max } = Spread::of(times)?;
         Some((case.key, CallTimes { median, min, max, calls, batches }))
     });
-    Ok(told.collect())
+    Ok(results.collect())
 }
 
-fn interrupted(signals: &TerminationSignals) -> Result<(), BenchError> {
-    match signals.received() {
-        0 => Ok(()),
-        number => Err(BenchError::Signal(number)),
-    }
-}
-
+/// The time of `calls` calls, ns.
 fn timed<K>(case: &mut CallCase<K>, calls: u64) -> u64 {
-    // Not timed: brings back into the caches what the other cases have driven out.
-    (case.calls)(1);
-    let began = monotonic_ns();
-    (case.calls)(black_box(calls));
-    monotonic_ns() - began
+    // This call is not timed. It brings back into the caches what the other cases have evicted.
+    case.time(1);
+    case.time(black_box(calls)).as_nanos() as u64
 }
 
-/// How many calls make a batch.
+/// The number of calls that take about [`BATCH_NS`]. `time` gives the nanoseconds of a number of calls.
 fn calibrate(mut time: impl FnMut(u64) -> u64) -> u64 {
     let mut calls = 1;
     loop {
@@ -111,23 +111,20 @@ mod tests {
             key,
             calls: Box::new({
                 let order = &order;
-                move |_| {
-                    // Each batch is two calls of this, the first of them to warm up.
-                    order.borrow_mut().push(key);
-                }
+                move |_| order.borrow_mut().push(key)
             }),
         };
-        // Whatever calls take, the last batches are in turns.
-        let found = in_turns(vec![case("a"), case("b"), case("c")], 3, &TerminationSignals::default()).unwrap();
-        assert_eq!(found.iter().map(|(key, _)| *key).collect::<String>(), "abc");
-        assert!(found.iter().all(|(_, ns)| ns.batches == 3 && ns.min <= ns.median && ns.median <= ns.max));
-        drop(found);
+        let times = in_turns(vec![case("a"), case("b"), case("c")], 3, &TerminationSignals::default()).unwrap();
+        assert_eq!(times.iter().map(|(key, _)| *key).collect::<String>(), "abc");
+        assert!(times.iter().all(|(_, ns)| ns.batches == 3 && ns.min <= ns.median && ns.median <= ns.max));
+        drop(times);
+        // Each batch is two runs of a case, the first of them to warm up. The runs before the last 18 calibrate.
         let order = order.into_inner();
         assert_eq!(order[order.len() - 18..].concat(), "aabbccaabbccaabbcc");
     }
 
     #[test]
-    fn a_batch_is_as_many_calls_as_its_time_holds() {
+    fn calibration_fills_a_batch() {
         for (ns, calls) in [(100, 1000), (7, BATCH_NS / 7), (2_000_000, 1), (60_000, 2)] {
             let found = calibrate(|n| n * ns);
             assert!(found.abs_diff(calls) <= 1, "{ns} {found}");

@@ -1,28 +1,33 @@
-//! `tectum bench encoder` and `tectum bench learner`: nanoseconds a call, by version and path, and how they grow with the
-//! number of features.
+//! The frame of `tectum bench encoder` and `tectum bench learner`: nanoseconds per call, by version and SIMD
+//! path, and how they grow with the number of features.
 
 use std::fmt::Write as _;
-use std::path::{Path as File, PathBuf};
+use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::calls::CallTimes;
+use super::calls::{CallCase, CallTimes, in_turns};
+use super::context::{BenchContext, write_file};
 use super::{BenchError, Machine};
 use crate::report::thousands;
+use crate::simd::SimdPath;
+
+/// Numbers of features whose costs are compared, as powers of two.
+pub(super) const POWERS: std::ops::RangeInclusive<u32> = 5..=15;
 
 /// What to measure.
 #[derive(Debug, Clone)]
 pub struct CallsSettings {
     /// Batches of each case.
     pub batches: u64,
-    /// The folder; `runs/bench-<what>-<n>` if there is none.
+    /// The folder for the results; without one, `runs/bench-<what>-<n>`.
     pub out: Option<PathBuf>,
     /// Show a progress line on standard error.
     pub progress: bool,
 }
 
 impl CallsSettings {
-    pub(super) fn check(&self) -> Result<(), BenchError> {
+    fn check(&self) -> Result<(), BenchError> {
         match self.batches {
             0 => Err(BenchError::Asked("--batches is 0; give at least 1".to_owned())),
             _ => Ok(()),
@@ -30,49 +35,117 @@ impl CallsSettings {
     }
 }
 
-/// What a version of something costs.
+/// The cost of one version of a computation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct CallCost {
+pub(crate) struct CallCost {
     /// What is called.
     pub what: String,
-    /// Which version, and with which instructions.
+    /// Which version, and on which SIMD path.
     pub version: String,
-    /// What a call took.
+    /// The time of a call.
     pub ns: CallTimes,
 }
 
-/// The same for a number of features.
+/// The cost of a computation for one number of features.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Growth {
+pub(crate) struct Growth {
     /// What is called.
     pub what: String,
-    /// With which instructions.
+    /// On which SIMD path.
     pub path: String,
-    /// Features.
+    /// Number of features.
     pub features: u64,
-    /// Outputs; 1 where there are none.
+    /// Number of outputs; 1 where there are none.
     pub outputs: u64,
-    /// What a call took.
+    /// The time of a call.
     pub ns: CallTimes,
-    /// Median for each feature and output.
+    /// Its median divided by features and outputs.
     pub ns_each: f64,
 }
 
-/// Everything that was measured: the object of `--json`.
+/// Names a case of [`Growth`].
+#[derive(Debug, Clone)]
+pub struct GrowthKey {
+    /// What is called.
+    pub what: String,
+    /// On which SIMD path.
+    pub path: SimdPath,
+    /// Number of features.
+    pub features: u64,
+    /// Number of outputs; 1 where there are none.
+    pub outputs: u64,
+}
+
+/// All results: the object of `--json`.
 #[derive(Debug, Clone, Serialize)]
 pub struct CostsOutcome {
     /// `encoder` or `learner`.
-    pub what: &'static str,
+    what: &'static str,
     /// Each version.
-    pub costs: Vec<CallCost>,
+    pub(super) costs: Vec<CallCost>,
     /// Growth with the number of features.
-    pub growth: Vec<Growth>,
-    /// What it ran on.
-    pub machine: Machine,
-    /// Seconds that it took.
-    pub seconds: f64,
+    pub(super) growth: Vec<Growth>,
+    /// The machine.
+    machine: Machine,
+    /// Duration of the bench, s.
+    seconds: f64,
     /// The folder with the files.
-    pub folder: PathBuf,
+    folder: PathBuf,
+}
+
+/// A bench of calls in progress.
+pub(super) struct CostsBench {
+    what: &'static str,
+    batches: u64,
+    context: BenchContext,
+    costs: Vec<CallCost>,
+}
+
+impl CostsBench {
+    /// Begins the bench of `what`.
+    pub fn start(what: &'static str, settings: &CallsSettings) -> Result<Self, BenchError> {
+        settings.check()?;
+        let context = BenchContext::start(settings.out.as_deref(), &format!("bench-{what}"), settings.progress)?;
+        Ok(Self { what, batches: settings.batches, context, costs: Vec::new() })
+    }
+
+    /// Shows the part that is measured now.
+    pub fn show(&mut self, part: &str) {
+        self.context.progress.show(&format!("{}: {part}", self.what));
+    }
+
+    /// Measures versions; their keys are (what is called, version).
+    pub fn measure(&mut self, cases: Vec<CallCase<(String, String)>>) -> Result<(), BenchError> {
+        let times = in_turns(cases, self.batches, &self.context.signals)?;
+        self.costs.extend(times.into_iter().map(|((what, version), ns)| CallCost { what, version, ns }));
+        Ok(())
+    }
+
+    /// Measures the growth with the number of features, and ends the bench.
+    pub fn finish(self, growth_cases: Vec<CallCase<GrowthKey>>) -> Result<CostsOutcome, BenchError> {
+        let each = |(key, ns): (GrowthKey, CallTimes)| Growth {
+            what: key.what,
+            path: key.path.to_string(),
+            features: key.features,
+            outputs: key.outputs,
+            ns,
+            ns_each: ns.median / (key.outputs as f64 * key.features as f64),
+        };
+        let times = in_turns(growth_cases, self.batches, &self.context.signals)?;
+        let mut growth: Vec<Growth> = times.into_iter().map(each).collect();
+        growth.sort_by(|a, b| (&a.what, &a.path, a.features).cmp(&(&b.what, &b.path, b.features)));
+        let outcome = CostsOutcome {
+            what: self.what,
+            costs: self.costs,
+            growth,
+            seconds: self.context.seconds(),
+            machine: self.context.machine,
+            folder: self.context.folder.path().to_owned(),
+        };
+        self.context.folder.keep();
+        outcome.write()?;
+        Ok(outcome)
+    }
 }
 
 impl CostsOutcome {
@@ -81,14 +154,9 @@ impl CostsOutcome {
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// Leaves the object and the growth in the folder.
-    pub(super) fn write(&self) -> Result<(), BenchError> {
-        let put = |name: &str, text: &str| {
-            let path = self.folder.join(name);
-            std::fs::write(&path, text).map_err(BenchError::write(&path))
-        };
-        put(&format!("{}.json", self.what), &self.to_json())?;
-        put(&format!("{}.csv", self.what), &self.to_csv())
+    fn write(&self) -> Result<(), BenchError> {
+        write_file(&self.folder.join(format!("{}.json", self.what)), &self.to_json())?;
+        write_file(&self.folder.join(format!("{}.csv", self.what)), &self.to_csv())
     }
 
     fn to_csv(&self) -> String {
@@ -107,7 +175,7 @@ impl CostsOutcome {
         text
     }
 
-    /// What a reader of tables needs to know.
+    /// The tables for people.
     pub fn to_text(&self) -> String {
         let batches = self.costs.first().map_or(0, |cost| cost.ns.batches);
         let mut text = format!(
@@ -141,10 +209,5 @@ impl CostsOutcome {
         }
         let _ = writeln!(text, "files   {}", self.folder.display());
         text
-    }
-
-    /// Where its files are.
-    pub fn folder(&self) -> &File {
-        &self.folder
     }
 }

@@ -1,6 +1,6 @@
-//! Why a bench gave nothing.
+//! The errors with which a bench ends.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::channel::ChannelError;
 use crate::log::LogError;
@@ -9,33 +9,33 @@ use crate::runtime::exit;
 use crate::scenario::ScenarioError;
 use crate::supervise::LaunchError;
 
-/// Why a bench gave nothing.
+/// Why a bench has no results.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
-    /// A run of it could not begin, or its folder cannot be used.
+    /// One of its runs could not start, or its folder cannot be used.
     #[error(transparent)]
     Launch(#[from] LaunchError),
-    /// The scenario.
+    /// The scenario is not valid.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// Shared memory.
+    /// Shared memory cannot be set up.
     #[error(transparent)]
     Channel(#[from] ChannelError),
-    /// The log of one of its runs.
+    /// The log of one of its runs cannot be read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// A figure.
+    /// A figure cannot be drawn.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// Something that was asked for and makes no sense; says what, and the remedy.
+    /// An argument makes no sense. The text names it and the remedy.
     #[error("{0}")]
     Asked(String),
-    /// A file.
+    /// A file cannot be written.
     #[error("{} cannot be written: {error}; choose another folder", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: std::io::Error,
     },
     /// One of its runs failed.
@@ -43,14 +43,14 @@ pub enum BenchError {
     Run {
         /// The run's exit code.
         code: u8,
-        /// The run's own words.
+        /// The run's own error message.
         message: String,
     },
-    /// The process at the other end of a way.
-    #[error("the other process of {way}: {cause}")]
+    /// The peer process of a bare transport failed.
+    #[error("the other process of {transport}: {cause}")]
     Peer {
-        /// Which way.
-        way: &'static str,
+        /// The transport's name.
+        transport: &'static str,
         /// What is wrong.
         cause: String,
     },
@@ -60,7 +60,7 @@ pub enum BenchError {
 }
 
 impl BenchError {
-    /// The exit code that tells this error.
+    /// The exit code for this error.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Launch(error) => error.exit_code(),
@@ -70,11 +70,5 @@ impl BenchError {
             Self::Peer { .. } => exit::PROCESS,
             Self::Channel(_) | Self::Log(_) => exit::ERROR,
         }
-    }
-
-    /// For `map_err`: a file that cannot be written.
-    pub(super) fn write(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.to_owned();
-        move |error| Self::Write { path, error }
     }
 }

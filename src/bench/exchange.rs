@@ -1,9 +1,9 @@
-//! The ways from one process to another and back that Tectum is measured against: the same 184 bytes there and 120 bytes
-//! back, over iceoryx2 by itself and over what the operating system has.
+//! Exchanges with a peer process over a bare transport: the same 184 bytes there and 120 bytes back as in a
+//! run, over iceoryx2 alone and over the transports of the operating system.
 //!
-//! The other end is a child process, this program started again, never a thread. It gets what it needs through its standard
-//! input and output, has a process group of its own, and ends when its parent does, whatever the parent's death: a stream
-//! then ends, and where there is none it looks at the parent's pidfd.
+//! The peer is a child process, this program started again, never a thread. It gets its descriptors through its
+//! standard input and output, and has a process group of its own. It ends when its parent does, however the
+//! parent ends: a stream then ends, and where there is none the peer checks the parent's pidfd.
 
 use std::fs::File;
 use std::os::fd::OwnedFd;
@@ -13,40 +13,41 @@ use std::process::{Child, Command as Program, Stdio};
 use rustix::net::{AddressFamily, SocketFlags, SocketType, socketpair};
 use rustix::thread::sched_yield;
 
+use super::context::check_signals;
 use super::transport::{DONE, STAMPED, Transport, TransportEnd, TransportError};
 use super::{BenchError, Latencies, TickTimes};
 use crate::channel::{BareExchange, DomainName, SharedPage};
 use crate::clock::{ProcessHandle, TerminationSignals, monotonic_ns, precise_timers, sleep_until};
 use crate::wire::{Command, Observation};
 
-/// How long the other process may take to be there.
+/// How long the peer may take to connect, ns.
 const SET_UP_NS: u64 = 20_000_000_000;
 
-/// A set-up with another process that answers.
-pub struct PeerExchange {
-    way: Transport,
-    line: TransportEnd<Observation, Command>,
+/// The asking side of a transport, and its peer.
+pub(super) struct PeerExchange {
+    transport: Transport,
+    end: TransportEnd<Observation, Command>,
     peer: PeerProcess,
     observation: Observation,
     signals: TerminationSignals,
 }
 
-/// The child; it does not outlive this.
+/// The peer; it is killed when this is dropped.
 struct PeerProcess {
-    way: Transport,
+    transport: Transport,
     child: Child,
-    life: Option<ProcessHandle>,
+    process: Option<ProcessHandle>,
     signals: TerminationSignals,
 }
 
 impl PeerProcess {
-    /// Whether to go on waiting for it.
-    fn look(&self) -> Result<(), BenchError> {
-        match self.signals.received() {
-            0 if self.life.as_ref().is_none_or(ProcessHandle::ended) => Err(failed(self.way, "it has ended")),
-            0 => Ok(()),
-            number => Err(BenchError::Signal(number)),
+    /// An error if the peer has ended or a signal has come, so that there is nothing to wait for.
+    fn check(&self) -> Result<(), BenchError> {
+        check_signals(&self.signals)?;
+        if self.process.as_ref().is_none_or(ProcessHandle::ended) {
+            return Err(failed(self.transport, "it has ended"));
         }
+        Ok(())
     }
 }
 
@@ -57,36 +58,37 @@ impl Drop for PeerProcess {
     }
 }
 
-fn failed(way: Transport, cause: impl ToString) -> BenchError {
-    BenchError::Peer { way: way.name(), cause: cause.to_string() }
+fn failed(transport: Transport, cause: impl ToString) -> BenchError {
+    BenchError::Peer { transport: transport.name(), cause: cause.to_string() }
 }
 
-/// What may end a wait.
+/// Why the asking side stops waiting for a command.
 enum WaitEnd {
-    Line(TransportError),
+    Transport(TransportError),
     Bench(BenchError),
 }
 
 impl From<TransportError> for WaitEnd {
     fn from(error: TransportError) -> Self {
-        Self::Line(error)
+        Self::Transport(error)
     }
 }
 
 impl PeerExchange {
-    /// Sets `way` up and waits until the other process answers.
+    /// Sets `transport` up and waits until the peer answers.
     ///
     /// # Errors
-    /// [`BenchError::Channel`] and [`BenchError::Peer`] when that fails, [`BenchError::Signal`] when a signal comes.
-    pub fn start(way: Transport, signals: &TerminationSignals) -> Result<Self, BenchError> {
-        let (line, child) = set_up(way)?;
-        let life = ProcessHandle::of(child.id());
-        let peer = PeerProcess { way, child, life, signals: signals.clone() };
-        let mut exchange = Self { way, line, peer, observation: Observation::default(), signals: signals.clone() };
+    /// [`BenchError::Channel`] and [`BenchError::Peer`] when that fails, [`BenchError::Signal`] when a signal
+    /// comes.
+    pub fn start(transport: Transport, signals: &TerminationSignals) -> Result<Self, BenchError> {
+        let (end, child) = set_up(transport)?;
+        let process = ProcessHandle::of(child.id());
+        let peer = PeerProcess { transport, child, process, signals: signals.clone() };
+        let mut exchange = Self { transport, end, peer, observation: Observation::default(), signals: signals.clone() };
         exchange.observation.header.flags = STAMPED;
         exchange.connect()?;
         precise_timers();
-        // The first ones find everything cold, and pages to be mapped.
+        // The first exchanges find caches cold and pages not yet mapped.
         for _ in 0..3 {
             exchange.ask(0, 0)?;
         }
@@ -95,68 +97,66 @@ impl PeerExchange {
 
     fn connect(&self) -> Result<(), BenchError> {
         let began = monotonic_ns();
-        while let TransportEnd::Bare { ends, .. } = &self.line
+        while let TransportEnd::Bare { ends, .. } = &self.end
             && !ends.connected()?
         {
-            self.peer.look()?;
+            self.peer.check()?;
             if monotonic_ns() - began > SET_UP_NS {
-                return Err(failed(self.way, "it does not get ready"));
+                return Err(failed(self.transport, "it does not get ready"));
             }
             sched_yield();
         }
         Ok(())
     }
 
-    /// One exchange for `tick`, which was scheduled for `scheduled`.
+    /// One exchange for `tick`, which is scheduled for `scheduled_ns`.
     #[inline]
-    fn ask(&mut self, tick: u64, scheduled: u64) -> Result<TickTimes, BenchError> {
-        let sensed = monotonic_ns();
+    fn ask(&mut self, tick: u64, scheduled_ns: u64) -> Result<TickTimes, BenchError> {
+        let sensed_ns = monotonic_ns();
         self.observation.header.tick = tick;
-        let command = self.there_and_back()?;
-        let applied = monotonic_ns();
-        Ok(TickTimes { tick, scheduled, sensed, answered: Some(command.header.published_ns), applied: Some(applied) })
+        let command = self.round_trip()?;
+        let applied_ns = Some(monotonic_ns());
+        Ok(TickTimes { tick, scheduled_ns, sensed_ns, sent_ns: Some(command.header.published_ns), applied_ns })
     }
 
     #[inline]
-    fn there_and_back(&mut self) -> Result<Command, BenchError> {
-        let Self { way, line, peer, observation, signals } = self;
-        let answer = line.send(observation).map_err(WaitEnd::from);
-        let answer = answer.and_then(|()| line.receive(|| peer.look().map_err(WaitEnd::Bench)));
-        answer.map_err(|ended| match ended {
-            // The other process's end shows as an error of the line, and a signal may be why.
-            WaitEnd::Line(_) if signals.received() != 0 => BenchError::Signal(signals.received()),
-            WaitEnd::Line(error) => failed(*way, error),
+    fn round_trip(&mut self) -> Result<Command, BenchError> {
+        let Self { transport, end, peer, observation, signals } = self;
+        let command = end.send(observation).map_err(WaitEnd::from);
+        let command = command.and_then(|()| end.receive(|| peer.check().map_err(WaitEnd::Bench)));
+        command.map_err(|wait_end| match wait_end {
+            // When the peer ends, the transport fails. A signal may be the reason.
+            WaitEnd::Transport(_) if signals.received() != 0 => BenchError::Signal(signals.received()),
+            WaitEnd::Transport(error) => failed(*transport, error),
             WaitEnd::Bench(error) => error,
         })
     }
 
-    /// `ticks` exchanges at whole multiples of `period` ns on the clock. One that is not back when others are due passes those
-    /// over, as a run does.
+    /// `ticks` exchanges at whole multiples of `period_ns` on the clock. If an exchange is not over when the
+    /// next ones are due, those are skipped, as in a run.
     ///
     /// # Errors
-    /// [`BenchError::Peer`] when the other process fails, [`BenchError::Signal`] when a signal comes.
-    pub fn cadence(&mut self, ticks: u64, period: u64) -> Result<Vec<TickTimes>, BenchError> {
+    /// [`BenchError::Peer`] when the peer fails, [`BenchError::Signal`] when a signal comes.
+    pub fn cadence(&mut self, ticks: u64, period_ns: u64) -> Result<Vec<TickTimes>, BenchError> {
         let mut tick_times = Vec::with_capacity(ticks as usize);
-        let start = (monotonic_ns() + period / 2).next_multiple_of(period);
+        let start = (monotonic_ns() + period_ns / 2).next_multiple_of(period_ns);
         let mut tick = 0;
         while tick < ticks {
-            let scheduled = start + tick * period;
+            let scheduled = start + tick * period_ns;
             while monotonic_ns() < scheduled {
                 sleep_until(scheduled);
-                if self.signals.received() != 0 {
-                    return Err(BenchError::Signal(self.signals.received()));
-                }
+                check_signals(&self.signals)?;
             }
-            // Those that are over already are passed over, but for the last.
-            tick = tick.max((monotonic_ns() - start) / period).min(ticks - 1);
-            tick_times.push(self.ask(tick, start + tick * period)?);
+            // Skips the ticks that are over already, but never the last one.
+            tick = tick.max((monotonic_ns() - start) / period_ns).min(ticks - 1);
+            tick_times.push(self.ask(tick, start + tick * period_ns)?);
             tick += 1;
         }
         Ok(tick_times)
     }
 
-    /// Exchanges back to back for `ns` nanoseconds: each is due when the one before is over. Returns the nanoseconds that they
-    /// took.
+    /// Exchanges back to back for `ns` nanoseconds. Each is due when the one before is over. Returns the
+    /// nanoseconds that they took.
     ///
     /// # Errors
     /// As for [`cadence`](Self::cadence).
@@ -164,19 +164,18 @@ impl PeerExchange {
         let began = monotonic_ns();
         let (mut tick, mut due) = (0, began);
         while due < began + ns {
-            let lap = self.ask(tick, due)?;
-            into.record(&[lap], 0, 0);
-            due = lap.applied.unwrap_or(due);
+            let times = self.ask(tick, due)?;
+            into.record(&[times], 0, 0);
+            due = times.applied_ns.unwrap_or(due);
             tick += 1;
             if tick.is_multiple_of(256) {
-                self.peer.look()?;
+                self.peer.check()?;
             }
         }
         Ok(due - began)
     }
 
-    /// `rounds` exchanges back to back, and nothing else: neither side looks at a clock. Returns the nanoseconds that they
-    /// took.
+    /// `rounds` exchanges back to back in which neither side reads a clock. Returns the nanoseconds that they took.
     ///
     /// # Errors
     /// As for [`cadence`](Self::cadence).
@@ -185,16 +184,16 @@ impl PeerExchange {
         let began = monotonic_ns();
         for round in 0..rounds {
             self.observation.header.tick = round;
-            self.there_and_back()?;
+            self.round_trip()?;
             if round.is_multiple_of(4096) {
-                self.peer.look()?;
+                self.peer.check()?;
             }
         }
         self.observation.header.flags = STAMPED;
         Ok(monotonic_ns() - began)
     }
 
-    /// The other process's id.
+    /// The peer's process id.
     pub fn peer(&self) -> u32 {
         self.peer.child.id()
     }
@@ -202,28 +201,29 @@ impl PeerExchange {
 
 impl Drop for PeerExchange {
     fn drop(&mut self) {
-        // In good order, so that it takes away what it holds in shared memory. Killed after that in any case.
+        // Asks the peer to end, so that it removes its shared memory. In any case it is killed after this.
         self.observation.header.tick = DONE;
-        if self.line.send(&self.observation).is_ok()
-            && let Some(life) = &self.peer.life
+        if self.end.send(&self.observation).is_ok()
+            && let Some(process) = &self.peer.process
         {
-            ProcessHandle::await_any(std::iter::once(life), 200_000_000);
+            ProcessHandle::await_any(std::iter::once(process), 200_000_000);
         }
     }
 }
 
-/// Our end of a way, and the process at the other.
-fn set_up(way: Transport) -> Result<(TransportEnd<Observation, Command>, Child), BenchError> {
-    let io = |cause: std::io::Error| failed(way, cause);
+/// This side's end of a transport, and the peer at the other end.
+fn set_up(transport: Transport) -> Result<(TransportEnd<Observation, Command>, Child), BenchError> {
+    let io = |cause: std::io::Error| failed(transport, cause);
     let mut program = Program::new(std::env::current_exe().map_err(io)?);
-    program.args(["bench", "peer", "--over", way.name()]).process_group(0).stdin(Stdio::null()).stdout(Stdio::null());
-    match way {
+    program.args(["bench", "peer", "--over", transport.name()]);
+    program.process_group(0).stdin(Stdio::null()).stdout(Stdio::null());
+    match transport {
         Transport::Event | Transport::Poll => {
-            // The low half alone makes the domain's name, and runs hash theirs.
+            // Only the low half goes into the domain's name. A run's id is a hash, so the two do not collide.
             let id = u64::from(std::process::id()) << 32 | monotonic_ns() & 0xffff_ffff;
             let ends = Box::new(BareExchange::create(&DomainName::of(id))?);
             let child = program.args(["--domain", &id.to_string()]).spawn().map_err(io)?;
-            Ok((TransportEnd::Bare { ends, asleep: way == Transport::Event }, child))
+            Ok((TransportEnd::Bare { ends, asleep: transport == Transport::Event }, child))
         }
         Transport::Socket => {
             let pair = socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None);
@@ -238,7 +238,7 @@ fn set_up(way: Transport) -> Result<(TransportEnd<Observation, Command>, Child),
             let from = child.stdout.take().map(|fd| File::from(OwnedFd::from(fd)));
             match (to, from) {
                 (Some(to), Some(from)) => Ok((TransportEnd::Stream { to, from }, child)),
-                _ => Err(failed(way, "it has no pipes")),
+                _ => Err(failed(transport, "it has no pipes")),
             }
         }
         Transport::Futex => {

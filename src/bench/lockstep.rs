@@ -1,5 +1,6 @@
-//! `tectum bench lockstep`: ticks a second of three processes with a complete log and with a thinned one, and of one process,
-//! against bare iceoryx2 that polls and yields with the same payload; in blocks that take turns.
+//! `tectum bench lockstep`: ticks per second of three processes with a complete log and with a thinned one, and
+//! of one process, against bare iceoryx2 that polls and yields with the same payload; in blocks that take
+//! turns.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -7,15 +8,19 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+use super::context::{BenchContext, check_signals, write_file};
+use super::exchange::PeerExchange;
+use super::latency::PERIOD_NS;
 use super::run_block::{self, RunBlock};
-use super::{BenchError, BenchProgress, Machine, PeerExchange, Transport, Usage, latency::PERIOD_NS, usage::core_of};
+use super::usage::{Usage, core_of, cores_text};
+use super::{BenchError, Machine, Transport};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::report::thousands;
 use crate::runtime::{Mode, in_process};
 use crate::study::Spread;
-use crate::supervise::{LaunchError, RunFolder};
+use crate::supervise::LaunchError;
 
-/// The thinned log has every so many ticks, as the paper's scenario.
+/// The thinned log has one tick in this many, as in the paper's scenario.
 const THINNED: u64 = 100;
 /// The cases, in the order of their turns.
 const CASES: [&str; 4] = ["complete log", "every 100th tick logged", "one process", "bare iceoryx2, poll and yield"];
@@ -27,132 +32,134 @@ pub struct LockstepSettings {
     pub ticks: u64,
     /// Blocks of each case.
     pub rounds: u64,
-    /// The folder; `runs/bench-lockstep-<n>` if there is none.
+    /// The folder for the results; without one, `runs/bench-lockstep-<n>`.
     pub out: Option<PathBuf>,
     /// Show a progress line on standard error.
     pub progress: bool,
 }
 
-/// One case.
+/// The rate of one case.
 #[derive(Debug, Clone, Serialize)]
-pub struct CaseRate {
-    /// Which.
+pub(crate) struct CaseRate {
+    /// Its name.
     pub case: &'static str,
-    /// Ticks, or round trips, a second: over the blocks.
+    /// Ticks, or round trips, per second: the spread over the blocks.
     pub per_second: Spread,
     /// The same block by block.
     pub blocks: Vec<f64>,
-    /// As a share of bare iceoryx2 in the same round; null for itself.
+    /// As a share of bare iceoryx2 in the same round; null for bare iceoryx2 itself.
     pub share_of_bare: Option<Spread>,
-    /// The cores on which its processes were seen.
+    /// The cores on which its processes ran.
     pub cores: BTreeSet<u32>,
-    /// What its processes used; null for one process, and for bare iceoryx2.
+    /// The resources that its processes used; null for one process, and for bare iceoryx2.
     pub usage: Option<Usage>,
 }
 
-/// Everything that was measured: the object of `--json`.
+/// All results: the object of `--json`.
 #[derive(Debug, Clone, Serialize)]
 pub struct LockstepOutcome {
     /// Ticks of a block.
-    pub ticks: u64,
+    ticks: u64,
     /// Blocks of each case.
-    pub rounds: u64,
+    rounds: u64,
     /// Each case.
-    pub cases: Vec<CaseRate>,
-    /// What it ran on.
-    pub machine: Machine,
-    /// Seconds that it took.
-    pub seconds: f64,
+    pub(super) cases: Vec<CaseRate>,
+    /// The machine.
+    machine: Machine,
+    /// Duration of the bench, s.
+    seconds: f64,
     /// The folder with the files.
-    pub folder: PathBuf,
+    folder: PathBuf,
 }
 
-/// Measures.
+/// What is collected of one case, block by block.
+#[derive(Default)]
+struct CaseBlocks {
+    rates: Vec<f64>,
+    usage: Usage,
+    cores: BTreeSet<u32>,
+}
+
+/// Measures ticks per second.
 ///
 /// # Errors
-/// When the folder cannot be used, a run or another process fails, or a signal ends it.
-pub fn lockstep(asked: &LockstepSettings) -> Result<LockstepOutcome, BenchError> {
-    if asked.ticks < 100 || asked.rounds == 0 {
+/// When the folder cannot be used, a run or the peer process fails, or a signal ends the bench.
+pub fn lockstep(settings: &LockstepSettings) -> Result<LockstepOutcome, BenchError> {
+    if settings.ticks < 100 || settings.rounds == 0 {
         return Err(BenchError::Asked("--ticks is to be at least 100, and --rounds at least 1".to_owned()));
     }
-    let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
-    let folder = RunFolder::create(asked.out.as_deref(), None, "bench-lockstep")?;
-    let began = monotonic_ns();
-    let machine = Machine::now(folder.path());
-    let progress = BenchProgress::new(asked.progress);
-    let mut rates: [Vec<f64>; 4] = Default::default();
-    let mut usage = [Usage::default(), Usage::default()];
-    let mut seen: [BTreeSet<u32>; 4] = Default::default();
-    for round in 0..asked.rounds {
+    let mut context = BenchContext::start(settings.out.as_deref(), "bench-lockstep", settings.progress)?;
+    let mut blocks: [CaseBlocks; 4] = Default::default();
+    for round in 0..settings.rounds {
         for (case, name) in CASES.into_iter().enumerate() {
-            progress.show(&format!("lockstep: round {} of {}, {name}", round + 1, asked.rounds));
-            let block =
-                |every| RunBlock { mode: Mode::Lockstep, ticks: asked.ticks, every, period: PERIOD_NS, timed: false };
-            let rate = match case {
-                0 | 1 => {
-                    let lived = run_block::measure(&block([1, THINNED][case]), folder.path())?;
-                    seen[case].extend(lived.usage.processes.iter().flat_map(|p| &p.cores));
-                    usage[case].add(&lived.usage);
-                    lived.ticks_per_second
-                }
-                2 => {
-                    let rate = alone(&block(THINNED), &signals)?;
-                    seen[case].extend(core_of(std::process::id()));
-                    rate
-                }
-                _ => {
-                    let mut exchange = PeerExchange::start(Transport::Poll, &signals)?;
-                    let ns = exchange.rounds(asked.ticks)?;
-                    seen[case].extend([std::process::id(), exchange.peer()].into_iter().filter_map(core_of));
-                    asked.ticks as f64 * 1e9 / ns.max(1) as f64
-                }
-            };
-            rates[case].push(rate);
+            context.progress.show(&format!("lockstep: round {} of {}, {name}", round + 1, settings.rounds));
+            measure_block(case, settings.ticks, &context, &mut blocks[case])?;
         }
     }
-    drop(progress);
-    let [complete, thinned] = usage;
-    let usage = [Some(complete), Some(thinned), None, None];
+    context.progress.clear();
     let outcome = LockstepOutcome {
-        ticks: asked.ticks,
-        rounds: asked.rounds,
-        cases: cases(rates, usage, seen),
-        machine,
-        seconds: (monotonic_ns() - began) as f64 / 1e9,
-        folder: folder.path().to_owned(),
+        ticks: settings.ticks,
+        rounds: settings.rounds,
+        cases: rates(blocks),
+        seconds: context.seconds(),
+        machine: context.machine,
+        folder: context.folder.path().to_owned(),
     };
-    folder.keep();
-    let path = folder.path().join("lockstep.json");
-    std::fs::write(&path, outcome.to_json()).map_err(BenchError::write(&path))?;
+    context.folder.keep();
+    write_file(&outcome.folder.join("lockstep.json"), &outcome.to_json())?;
     Ok(outcome)
 }
 
-/// Plant and controller in this process: ticks a second.
-fn alone(block: &RunBlock, signals: &TerminationSignals) -> Result<f64, BenchError> {
-    let plan = run_block::plan(block)?;
-    let body = plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
-    let began = monotonic_ns();
-    let _ = in_process(&plan, body, |_, _| signals.received() == 0);
-    let ns = monotonic_ns() - began;
-    match signals.received() {
-        0 => Ok(block.ticks as f64 * 1e9 / ns.max(1) as f64),
-        number => Err(BenchError::Signal(number)),
-    }
+/// Measures one block of the case with the index `case`.
+fn measure_block(case: usize, ticks: u64, context: &BenchContext, into: &mut CaseBlocks) -> Result<(), BenchError> {
+    let block = |log_every| RunBlock { mode: Mode::Lockstep, ticks, log_every, period_ns: PERIOD_NS, timed: false };
+    let rate = match case {
+        0 | 1 => {
+            let outcome = run_block::measure(&block([1, THINNED][case]), context.folder.path())?;
+            into.cores.extend(outcome.usage.processes.iter().flat_map(|p| &p.cores));
+            into.usage.add(&outcome.usage);
+            outcome.ticks_per_second
+        }
+        2 => {
+            let rate = one_process(&block(THINNED), &context.signals)?;
+            into.cores.extend(core_of(std::process::id()));
+            rate
+        }
+        _ => {
+            let mut exchange = PeerExchange::start(Transport::Poll, &context.signals)?;
+            let ns = exchange.rounds(ticks)?;
+            into.cores.extend([std::process::id(), exchange.peer()].into_iter().filter_map(core_of));
+            ticks as f64 * 1e9 / ns.max(1) as f64
+        }
+    };
+    into.rates.push(rate);
+    Ok(())
 }
 
-/// From the rates by case and round to what is told. The last case is the one that the others are compared with.
-fn cases(rates: [Vec<f64>; 4], usage: [Option<Usage>; 4], cores: [BTreeSet<u32>; 4]) -> Vec<CaseRate> {
-    let bare = rates[3].clone();
-    let each = CASES.into_iter().zip(rates).zip(usage.into_iter().zip(cores)).enumerate();
-    each.filter_map(|(i, ((case, blocks), (usage, cores)))| {
-        let share = Spread::of(blocks.iter().zip(&bare).map(|(rate, bare)| rate / bare));
+/// Ticks per second of plant and controller in this process.
+fn one_process(block: &RunBlock, signals: &TerminationSignals) -> Result<f64, BenchError> {
+    let plan = run_block::plan(block)?;
+    let plant = plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+    let began = monotonic_ns();
+    let _ = in_process(&plan, plant, |_, _| signals.received() == 0);
+    let ns = monotonic_ns() - began;
+    check_signals(signals)?;
+    Ok(block.ticks as f64 * 1e9 / ns.max(1) as f64)
+}
+
+/// The rates of all cases, each compared with the last one in the same round.
+fn rates(blocks: [CaseBlocks; 4]) -> Vec<CaseRate> {
+    let bare = blocks[3].rates.clone();
+    let each = CASES.into_iter().zip(blocks).enumerate();
+    each.filter_map(|(i, (case, CaseBlocks { rates, usage, cores }))| {
+        let share = Spread::of(rates.iter().zip(&bare).map(|(rate, bare)| rate / bare));
         Some(CaseRate {
             case,
-            per_second: Spread::of(blocks.iter().copied())?,
-            blocks,
+            per_second: Spread::of(rates.iter().copied())?,
+            blocks: rates,
             share_of_bare: share.filter(|_| i < 3),
             cores,
-            usage,
+            usage: (i < 2).then_some(usage),
         })
     })
     .collect()
@@ -164,7 +171,7 @@ impl LockstepOutcome {
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// What a reader of tables needs to know.
+    /// The table for people.
     pub fn to_text(&self) -> String {
         let mut text = format!(
             "lockstep: {} blocks of {} ticks of each, in turns\n{}\n{:<30} {:>11}  {:>23}  share of bare iceoryx2\n",
@@ -183,8 +190,7 @@ impl LockstepOutcome {
             if let Some(share) = case.share_of_bare {
                 let _ = write!(text, "  {:.3} ({:.3} to {:.3})", share.median, share.min, share.max);
             }
-            let cores: Vec<_> = case.cores.iter().map(u32::to_string).collect();
-            let _ = writeln!(text, "  on core {}", cores.join(", "));
+            let _ = writeln!(text, "  on core {}", cores_text(&case.cores));
         }
         for case in &self.cases {
             if let Some(usage) = &case.usage {
@@ -202,10 +208,10 @@ mod tests {
 
     #[test]
     fn shares_are_taken_round_by_round() {
-        let rates = [vec![50.0, 90.0], vec![75.0, 150.0], vec![400.0, 400.0], vec![100.0, 200.0]];
-        let told = cases(rates, [const { None }; 4], Default::default());
-        let shares: Vec<_> = told.iter().map(|case| case.share_of_bare.map(|s| (s.min, s.max))).collect();
+        let rates_of = [[50.0, 90.0], [75.0, 150.0], [400.0, 400.0], [100.0, 200.0]];
+        let found = rates(rates_of.map(|rates| CaseBlocks { rates: rates.to_vec(), ..CaseBlocks::default() }));
+        let shares: Vec<_> = found.iter().map(|case| case.share_of_bare.map(|s| (s.min, s.max))).collect();
         assert_eq!(shares, [Some((0.45, 0.5)), Some((0.75, 0.75)), Some((2.0, 4.0)), None]);
-        assert_eq!(told[0].per_second.max, 90.0);
+        assert_eq!(found[0].per_second.max, 90.0);
     }
 }

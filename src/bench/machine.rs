@@ -1,4 +1,4 @@
-//! What the numbers were measured on.
+//! A description of the machine, which stands beside every result.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -8,22 +8,24 @@ use std::path::Path;
 use rustix::thread::{CpuSet, sched_getaffinity};
 use serde::Serialize;
 
-use super::cache_evictor::last_level_cache;
 use crate::clock::{facts, wall_ns};
 use crate::doctor::{Check, Verdict, examine};
 
-/// The machine, as far as a number may hang on it.
+/// The cache size to assume where the kernel does not report one, bytes.
+const USUAL_CACHE: usize = 32 << 20;
+
+/// The properties of the machine that results may depend on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Machine {
+pub(crate) struct Machine {
     /// Processor, kernel, memory.
     pub facts: BTreeMap<String, String>,
-    /// What `tectum doctor` looks at.
+    /// The checks of `tectum doctor`.
     pub checks: Vec<Check>,
     /// Cores that this process may use.
     pub cores: Vec<u32>,
     /// Size of the last-level cache, KiB.
     pub last_level_cache_kib: usize,
-    /// What the kernel does about flaws of the processor, where it has any.
+    /// The kernel's mitigations of processor vulnerabilities, by vulnerability; without those that do not apply.
     pub mitigations: BTreeMap<String, String>,
     /// The date, UTC.
     pub date: String,
@@ -32,13 +34,13 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// This one, now.
+    /// This machine, now. The free disk space is that of `folder`.
     pub fn now(folder: &Path) -> Self {
-        let flaws = fs::read_dir("/sys/devices/system/cpu/vulnerabilities").into_iter().flatten().flatten();
-        let mitigations = flaws
-            .filter_map(|flaw| {
-                let text = fs::read_to_string(flaw.path()).ok()?.trim().to_owned();
-                (text != "Not affected").then(|| (flaw.file_name().to_string_lossy().into_owned(), text))
+        let entries = fs::read_dir("/sys/devices/system/cpu/vulnerabilities").into_iter().flatten().flatten();
+        let mitigations = entries
+            .filter_map(|entry| {
+                let text = fs::read_to_string(entry.path()).ok()?.trim().to_owned();
+                (text != "Not affected").then(|| (entry.file_name().to_string_lossy().into_owned(), text))
             })
             .collect();
         Self {
@@ -52,7 +54,7 @@ impl Machine {
         }
     }
 
-    /// Two or three lines.
+    /// Two to four lines for people.
     pub fn to_text(&self) -> String {
         let fact = |key: &str| self.facts.get(key).map_or("?", String::as_str);
         let found = |name: &str| self.checks.iter().find(|c| c.name == name).map_or("?", |c| c.found.as_str());
@@ -69,13 +71,13 @@ impl Machine {
             found("load"),
         );
         if !self.mitigations.is_empty() {
-            let all: Vec<_> = self.mitigations.iter().map(|(flaw, what)| format!("{flaw} ({what})")).collect();
+            let all: Vec<_> = self.mitigations.iter().map(|(name, what)| format!("{name} ({what})")).collect();
             let _ = writeln!(text, "mitigations: {}", all.join("; "));
         }
-        let worse = self.checks.iter().filter(|c| c.verdict != Verdict::Fine);
-        let worse: Vec<_> = worse.map(|c| format!("{}: {}", c.name, c.found)).collect();
-        if !worse.is_empty() {
-            let _ = writeln!(text, "not as it should be: {}", worse.join("; "));
+        let not_fine = self.checks.iter().filter(|c| c.verdict != Verdict::Fine);
+        let not_fine: Vec<_> = not_fine.map(|c| format!("{}: {}", c.name, c.found)).collect();
+        if !not_fine.is_empty() {
+            let _ = writeln!(text, "not as it should be: {}", not_fine.join("; "));
         }
         text
     }
@@ -87,7 +89,24 @@ pub(super) fn cores() -> Vec<u32> {
     (0..CpuSet::MAX_CPU).filter(|&core| set.is_set(core)).map(|core| core as u32).collect()
 }
 
-/// The day and minute of so many seconds since 1970 (Howard Hinnant's `civil_from_days`).
+/// Size of the largest cache of the first core, bytes.
+pub(super) fn last_level_cache() -> usize {
+    let caches = fs::read_dir("/sys/devices/system/cpu/cpu0/cache").into_iter().flatten().flatten();
+    let sizes = caches.filter_map(|cache| {
+        let text = fs::read_to_string(cache.path().join("size")).ok()?;
+        let text = text.trim();
+        let (number, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
+        let shift = match unit {
+            "K" => 10,
+            "M" => 20,
+            _ => return None,
+        };
+        number.parse::<usize>().ok().map(|n| n << shift)
+    });
+    sizes.max().unwrap_or(USUAL_CACHE)
+}
+
+/// Date and minute, UTC, of a number of seconds since 1970 (Howard Hinnant's `civil_from_days`).
 fn date(seconds: u64) -> String {
     let (days, rest) = (seconds / 86_400, seconds % 86_400);
     let shifted = days + 719_468;
@@ -106,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dates_are_those_of_the_calendar() {
+    fn dates_follow_the_gregorian_calendar() {
         for (seconds, text) in [
             (0, "1970-01-01 00:00 UTC"),
             (951_782_399, "2000-02-28 23:59 UTC"),
@@ -119,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn the_machine_says_what_it_is() {
+    fn the_text_names_the_governor_and_the_build() {
         let machine = Machine::now(Path::new("."));
         assert!(!machine.cores.is_empty() && machine.last_level_cache_kib > 0);
         let text = machine.to_text();

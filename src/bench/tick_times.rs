@@ -1,53 +1,54 @@
 //! From the instants of each tick to latencies, with nothing left out: pure arithmetic.
 //!
-//! A tick counts from the instant for which it was *scheduled*. A process that stalls passes ticks over; nobody has timed
-//! those, but everybody knows for when they were scheduled and when the stall was over. Each of them is a sample too, as
-//! long as it would have waited. So is an observation that was never answered: it waited until a later one was. To leave
-//! them out would be to measure only when it goes well (coordinated omission).
+//! The latency of a tick counts from the instant for which it was *scheduled*. A process that stalls skips
+//! ticks. Nobody has timed those, but it is known for when they were scheduled and when the stall was over. So
+//! each of them is a sample too, as long as the tick would have waited. The same holds for an observation that
+//! was never answered: it waited until a later one was answered. To leave such samples out would measure only
+//! the good moments (coordinated omission).
 
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use crate::log::{Percentiles, histogram};
 
-/// The instants of one tick, CLOCK_MONOTONIC, ns.
+/// The instants of one tick on CLOCK_MONOTONIC, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct TickTimes {
+pub(crate) struct TickTimes {
     /// The tick.
     pub tick: u64,
-    /// For when it was scheduled.
-    pub scheduled: u64,
-    /// When the asking side had sensed, or would have: the sample is ready to be sent.
-    pub sensed: u64,
+    /// The instant for which the tick was scheduled.
+    pub scheduled_ns: u64,
+    /// When the asking side had sensed: the observation is ready to be sent.
+    pub sensed_ns: u64,
     /// When the answering side sent its command; `None` if it never did.
-    pub answered: Option<u64>,
-    /// When the asking side had that command in hand and applied it; `None` if it never did.
-    pub applied: Option<u64>,
+    pub sent_ns: Option<u64>,
+    /// When the asking side applied that command; `None` if it never did.
+    pub applied_ns: Option<u64>,
 }
 
 /// The latencies of many ticks, ns.
 #[derive(Debug, Clone)]
-pub struct Latencies {
-    /// From the scheduled instant to the sensed one.
+pub(crate) struct Latencies {
+    /// From the scheduled instant to the sensed observation.
     pub scheduled_to_sensed: Histogram<u64>,
-    /// From there to the sending of the command.
+    /// From there to the sent command.
     pub sensed_to_command: Histogram<u64>,
-    /// From there to its being applied.
+    /// From there to the applied command.
     pub command_to_applied: Histogram<u64>,
-    /// From the sensed instant to the command's being applied: the last two together.
+    /// From the sensed observation to the applied command: the last two together.
     pub sensed_to_applied: Histogram<u64>,
-    /// The whole.
+    /// From the scheduled instant to the applied command.
     pub scheduled_to_applied: Histogram<u64>,
-    /// Ticks that were lived through.
+    /// Ticks that took place.
     pub ticks: u64,
-    /// Of these, those whose command was not applied.
+    /// Among them, those whose command was not applied.
     pub missed: u64,
-    /// Ticks passed over in stalls.
-    pub swallowed: u64,
+    /// Ticks that were skipped in stalls.
+    pub skipped: u64,
 }
 
-/// Names of the five, as in files.
-pub const SERIES: [&str; 5] =
+/// Names of the five series, as in file names.
+pub(super) const SERIES: [&str; 5] =
     ["scheduled-to-sensed", "sensed-to-command", "command-to-applied", "sensed-to-applied", "scheduled-to-applied"];
 
 impl Default for Latencies {
@@ -60,48 +61,48 @@ impl Default for Latencies {
             scheduled_to_applied: histogram(),
             ticks: 0,
             missed: 0,
-            swallowed: 0,
+            skipped: 0,
         }
     }
 }
 
 impl Latencies {
-    /// Takes the tick_times of one block in, which stand in the order of their ticks; those of ticks below `from` only serve to
-    /// warm up. `period` is the time from one tick to the next, ns; 0 where nothing is scheduled. Laps at the end whose
-    /// command is still out are left out: the block ended before they could.
-    pub fn record(&mut self, tick_times: &[TickTimes], from: u64, period: u64) {
-        // The next answer and the next application, from the end.
-        let (mut answered, mut applied) = (None, None);
-        for (i, lap) in tick_times.iter().enumerate().rev() {
-            if lap.tick < from {
+    /// Adds the ticks of one block, in order. Ticks before `warm_up` are not counted. `period_ns` is the time
+    /// from one tick to the next; 0 where ticks have no schedule. Ticks at the end whose command has not been
+    /// applied are not counted either: the block ended before it could be.
+    pub fn record(&mut self, tick_times: &[TickTimes], warm_up: u64, period_ns: u64) {
+        // From the end, so that the next sent and the next applied command are known.
+        let (mut sent, mut applied) = (None, None);
+        for (i, times) in tick_times.iter().enumerate().rev() {
+            if times.tick < warm_up {
                 break;
             }
-            answered = lap.answered.or(answered);
-            applied = lap.applied.or(applied);
+            sent = times.sent_ns.or(sent);
+            applied = times.applied_ns.or(applied);
             let Some(end) = applied else { continue };
             self.ticks += 1;
-            self.missed += u64::from(lap.applied.is_none());
-            note(&mut self.scheduled_to_sensed, lap.scheduled, lap.sensed);
-            if let Some(answered) = answered {
-                note(&mut self.sensed_to_command, lap.sensed, answered);
+            self.missed += u64::from(times.applied_ns.is_none());
+            note(&mut self.scheduled_to_sensed, times.scheduled_ns, times.sensed_ns);
+            if let Some(sent) = sent {
+                note(&mut self.sensed_to_command, times.sensed_ns, sent);
             }
-            if let (Some(answered), Some(applied)) = (lap.answered, lap.applied) {
-                note(&mut self.command_to_applied, answered, applied);
+            if let (Some(sent), Some(applied)) = (times.sent_ns, times.applied_ns) {
+                note(&mut self.command_to_applied, sent, applied);
             }
-            note(&mut self.sensed_to_applied, lap.sensed, end);
-            note(&mut self.scheduled_to_applied, lap.scheduled, end);
-            // What the stall before it has swallowed.
-            let before = if i == 0 { lap.tick } else { tick_times[i - 1].tick + 1 };
-            for passed in before.max(from)..lap.tick {
-                let scheduled = lap.scheduled.saturating_sub((lap.tick - passed) * period);
-                note(&mut self.scheduled_to_sensed, scheduled, lap.sensed);
+            note(&mut self.sensed_to_applied, times.sensed_ns, end);
+            note(&mut self.scheduled_to_applied, times.scheduled_ns, end);
+            // The ticks that the stall before this one has skipped.
+            let first_skipped = if i == 0 { times.tick } else { tick_times[i - 1].tick + 1 };
+            for skipped in first_skipped.max(warm_up)..times.tick {
+                let scheduled = times.scheduled_ns.saturating_sub((times.tick - skipped) * period_ns);
+                note(&mut self.scheduled_to_sensed, scheduled, times.sensed_ns);
                 note(&mut self.scheduled_to_applied, scheduled, end);
-                self.swallowed += 1;
+                self.skipped += 1;
             }
         }
     }
 
-    /// Takes the latencies of another block in.
+    /// Adds the latencies of another block.
     pub fn add(&mut self, block: &Self) {
         for (all, block) in [
             (&mut self.scheduled_to_sensed, &block.scheduled_to_sensed),
@@ -114,10 +115,10 @@ impl Latencies {
         }
         self.ticks += block.ticks;
         self.missed += block.missed;
-        self.swallowed += block.swallowed;
+        self.skipped += block.skipped;
     }
 
-    /// The five in the order of [`SERIES`].
+    /// The five series in the order of [`SERIES`].
     pub fn series(&self) -> [&Histogram<u64>; 5] {
         [
             &self.scheduled_to_sensed,
@@ -128,36 +129,35 @@ impl Latencies {
         ]
     }
 
-    /// Their percentiles.
+    /// The percentiles of all series.
     pub fn percentiles(&self) -> SeriesPercentiles {
-        let [scheduled_to_sensed_us, sensed_to_command_us, command_to_applied_us, round, whole] =
-            self.series().map(Percentiles::of);
         SeriesPercentiles {
-            scheduled_to_sensed_us,
-            sensed_to_command_us,
-            command_to_applied_us,
-            sensed_to_applied_us: round,
-            scheduled_to_applied_us: whole,
+            scheduled_to_sensed_us: Percentiles::of(&self.scheduled_to_sensed),
+            sensed_to_command_us: Percentiles::of(&self.sensed_to_command),
+            command_to_applied_us: Percentiles::of(&self.command_to_applied),
+            sensed_to_applied_us: Percentiles::of(&self.sensed_to_applied),
+            scheduled_to_applied_us: Percentiles::of(&self.scheduled_to_applied),
         }
     }
 }
 
+/// Records the time between two instants.
 fn note(histogram: &mut Histogram<u64>, from: u64, to: u64) {
     histogram.saturating_record(to.saturating_sub(from));
 }
 
-/// The percentiles of all series, us; null where there was nothing to time.
+/// The percentiles of all series, us; null for a series without samples.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
-pub struct SeriesPercentiles {
-    /// From the scheduled instant to the sensed one.
+pub(crate) struct SeriesPercentiles {
+    /// From the scheduled instant to the sensed observation.
     pub scheduled_to_sensed_us: Option<Percentiles>,
-    /// From there to the sending of the command.
+    /// From there to the sent command.
     pub sensed_to_command_us: Option<Percentiles>,
-    /// From there to its being applied.
+    /// From there to the applied command.
     pub command_to_applied_us: Option<Percentiles>,
-    /// The last two together.
+    /// From the sensed observation to the applied command.
     pub sensed_to_applied_us: Option<Percentiles>,
-    /// The whole.
+    /// From the scheduled instant to the applied command.
     pub scheduled_to_applied_us: Option<Percentiles>,
 }
 
@@ -174,8 +174,9 @@ impl SeriesPercentiles {
     }
 }
 
-/// A histogram of nanoseconds as HdrHistogram's text, in us: the percentile distribution that its plotting tools read.
-pub fn hgrm(histogram: &Histogram<u64>) -> String {
+/// A histogram of nanoseconds as HdrHistogram's text, in us: the percentile distribution that its plotting
+/// tools read.
+pub(super) fn hgrm(histogram: &Histogram<u64>) -> String {
     use std::fmt::Write as _;
     let mut text = format!("{:>12} {:>14} {:>10} {:>14}\n\n", "Value", "Percentile", "TotalCount", "1/(1-Percentile)");
     if histogram.is_empty() {
@@ -204,10 +205,11 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    fn lap(tick: u64, sensed: u64, answered: Option<u64>, applied: Option<u64>) -> TickTimes {
-        let scheduled = (100 + 50 * tick) * MS;
-        let at = |ms: u64| scheduled + ms * MS;
-        TickTimes { tick, scheduled, sensed: at(sensed), answered: answered.map(at), applied: applied.map(at) }
+    /// The instants of a tick, in ms after its scheduled instant.
+    fn times(tick: u64, sensed: u64, sent: Option<u64>, applied: Option<u64>) -> TickTimes {
+        let scheduled_ns = (100 + 50 * tick) * MS;
+        let at = |ms: u64| scheduled_ns + ms * MS;
+        TickTimes { tick, scheduled_ns, sensed_ns: at(sensed), sent_ns: sent.map(at), applied_ns: applied.map(at) }
     }
 
     fn values(histogram: &Histogram<u64>) -> Vec<u64> {
@@ -217,51 +219,51 @@ mod tests {
 
     #[test]
     fn a_tick_is_timed_from_its_scheduled_instant() {
-        let mut found = Latencies::default();
-        found.record(&[lap(0, 1, Some(3), Some(51)), lap(1, 2, Some(6), Some(53))], 0, 50 * MS);
-        assert_eq!(found.series().map(values), [vec![1, 2], vec![2, 4], vec![47, 48], vec![50, 51], vec![51, 53]]);
-        assert_eq!((found.ticks, found.missed, found.swallowed), (2, 0, 0));
+        let mut latencies = Latencies::default();
+        latencies.record(&[times(0, 1, Some(3), Some(51)), times(1, 2, Some(6), Some(53))], 0, 50 * MS);
+        assert_eq!(latencies.series().map(values), [vec![1, 2], vec![2, 4], vec![47, 48], vec![50, 51], vec![51, 53]]);
+        assert_eq!((latencies.ticks, latencies.missed, latencies.skipped), (2, 0, 0));
     }
 
     #[test]
-    fn a_stall_adds_the_ticks_that_it_swallowed() {
-        let mut found = Latencies::default();
-        // Ticks 1 and 2 were passed over: the asking side was back 7 ms into tick 3.
-        found.record(&[lap(0, 1, Some(2), Some(3)), lap(3, 7, Some(9), Some(10))], 0, 50 * MS);
-        assert_eq!(values(&found.scheduled_to_sensed), [1, 7, 57, 107]);
-        assert_eq!(values(&found.scheduled_to_applied), [3, 10, 60, 110]);
-        assert_eq!(values(&found.sensed_to_command), [1, 2], "nothing was sensed in those");
-        assert_eq!((found.ticks, found.swallowed), (2, 2));
+    fn a_stall_adds_the_ticks_that_it_skips() {
+        let mut latencies = Latencies::default();
+        // Ticks 1 and 2 were skipped: the stall of the asking side ended 7 ms into tick 3.
+        latencies.record(&[times(0, 1, Some(2), Some(3)), times(3, 7, Some(9), Some(10))], 0, 50 * MS);
+        assert_eq!(values(&latencies.scheduled_to_sensed), [1, 7, 57, 107]);
+        assert_eq!(values(&latencies.scheduled_to_applied), [3, 10, 60, 110]);
+        assert_eq!(values(&latencies.sensed_to_command), [1, 2], "skipped ticks sense nothing");
+        assert_eq!((latencies.ticks, latencies.skipped), (2, 2));
     }
 
     #[test]
-    fn what_was_never_answered_waited_until_a_later_one_was() {
-        let mut found = Latencies::default();
-        let tick_times = [lap(0, 0, None, None), lap(1, 0, Some(4), None), lap(2, 0, Some(5), Some(6))];
-        found.record(&tick_times, 0, 50 * MS);
-        assert_eq!(values(&found.sensed_to_command), [4, 5, 54]);
-        assert_eq!(values(&found.sensed_to_applied), [6, 56, 106]);
-        assert_eq!(values(&found.command_to_applied), [1]);
-        assert_eq!((found.ticks, found.missed), (3, 2));
+    fn an_unanswered_observation_waits_until_a_later_one_is_answered() {
+        let mut latencies = Latencies::default();
+        let tick_times = [times(0, 0, None, None), times(1, 0, Some(4), None), times(2, 0, Some(5), Some(6))];
+        latencies.record(&tick_times, 0, 50 * MS);
+        assert_eq!(values(&latencies.sensed_to_command), [4, 5, 54]);
+        assert_eq!(values(&latencies.sensed_to_applied), [6, 56, 106]);
+        assert_eq!(values(&latencies.command_to_applied), [1]);
+        assert_eq!((latencies.ticks, latencies.missed), (3, 2));
     }
 
     #[test]
-    fn the_beginning_warms_up_and_the_end_is_open() {
-        let mut found = Latencies::default();
-        let tick_times = [lap(0, 9, Some(9), Some(9)), lap(1, 1, Some(2), Some(3)), lap(2, 8, Some(9), None)];
-        found.record(&tick_times, 1, 50 * MS);
-        assert_eq!((values(&found.scheduled_to_sensed), found.ticks, found.missed), (vec![1], 1, 0));
-        found.record(&[], 0, 50 * MS);
-        assert_eq!(found.ticks, 1);
+    fn the_warm_up_and_the_open_end_are_not_counted() {
+        let mut latencies = Latencies::default();
+        let tick_times = [times(0, 9, Some(9), Some(9)), times(1, 1, Some(2), Some(3)), times(2, 8, Some(9), None)];
+        latencies.record(&tick_times, 1, 50 * MS);
+        assert_eq!((values(&latencies.scheduled_to_sensed), latencies.ticks, latencies.missed), (vec![1], 1, 0));
+        latencies.record(&[], 0, 50 * MS);
+        assert_eq!(latencies.ticks, 1);
     }
 
     #[test]
-    fn the_text_of_a_histogram_ends_with_all_of_it() {
-        let mut found = histogram();
+    fn the_text_of_a_histogram_ends_with_its_total() {
+        let mut filled = histogram();
         for ns in 1..=1000 {
-            found.record(ns * 1000).unwrap();
+            filled.record(ns * 1000).unwrap();
         }
-        let text = hgrm(&found);
+        let text = hgrm(&filled);
         let rows: Vec<Vec<f64>> = text
             .lines()
             .skip(2)

@@ -1,4 +1,5 @@
-//! A process's end of a way to another process and back: what the asking and the answering side have in common.
+//! The bare transports that Tectum is measured against, and one end of such a transport: what the asking
+//! process and its peer have in common.
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
@@ -8,26 +9,26 @@ use rustix::thread::sched_yield;
 
 use crate::channel::{BareExchange, ChannelError, Payload, SharedPage};
 
-/// A way there and back.
+/// A means to send a sample to another process and receive one back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Transport {
-    /// iceoryx2, both sides asleep until a bell rings.
+    /// iceoryx2; both sides sleep until an event wakes them.
     Event,
-    /// iceoryx2, both sides looking again and again, with a `sched_yield` between.
+    /// iceoryx2; both sides poll, with a `sched_yield` between.
     Poll,
     /// A pair of Unix-domain sockets of type SEQPACKET, blocking.
     Socket,
     /// Two pipes, blocking.
     Pipe,
-    /// Shared memory and a futex a direction.
+    /// Shared memory, and a futex in each direction.
     Futex,
 }
 
 impl Transport {
-    /// All of them.
+    /// All transports.
     pub const ALL: [Self; 5] = [Self::Event, Self::Poll, Self::Socket, Self::Pipe, Self::Futex];
 
-    /// Its name, in tables, files and on the other process's command line.
+    /// Its name in tables, in files and on the peer's command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Event => "iceoryx2-event",
@@ -38,26 +39,26 @@ impl Transport {
         }
     }
 
-    /// The way of this name.
+    /// The transport of this name.
     pub fn of(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|way| way.name() == name)
+        Self::ALL.into_iter().find(|transport| transport.name() == name)
     }
 }
 
-/// The tick with which the asking side says that it is done.
+/// The tick of the observation with which the asking side ends the exchange.
 pub(super) const DONE: u64 = u64::MAX;
-/// A flag by which the asking side wants to be told when the command was sent.
+/// The flag of an observation that asks the peer for the instant at which it sends the command.
 pub(super) const STAMPED: u32 = 1;
-/// How long a sleeping side sleeps before it looks around.
-const LOOK: Duration = Duration::from_millis(100);
-/// Turns of a looking side before it looks around: some milliseconds.
-const TURNS: u32 = 4096;
+/// How long a sleeping side waits before it checks whether to go on.
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
+/// How often a polling side polls before it checks whether to go on: some milliseconds.
+const CHECK_POLLS: u32 = 4096;
 
 /// One end: it sends `S` and receives `R`.
 pub(super) enum TransportEnd<S: Payload, R: Payload> {
-    /// iceoryx2, asleep between samples or not.
+    /// iceoryx2, sleeping between samples or polling.
     Bare { ends: Box<BareExchange<S, R>>, asleep: bool },
-    /// Descriptors that block.
+    /// File descriptors that block.
     Stream { to: File, from: File },
     /// Shared memory and futexes.
     Page(SharedPage),
@@ -88,38 +89,38 @@ impl<S: Payload, R: Payload> TransportEnd<S, R> {
         Ok(())
     }
 
-    /// Waits for the next sample. `look` is asked now and then, and ends the wait by an error.
+    /// Waits for the next sample. Calls `check` now and then; an error of `check` ends the wait.
     #[inline]
-    pub fn receive<E: From<TransportError>>(&mut self, mut look: impl FnMut() -> Result<(), E>) -> Result<R, E> {
+    pub fn receive<E: From<TransportError>>(&mut self, mut check: impl FnMut() -> Result<(), E>) -> Result<R, E> {
         let mut sample = R::zeroed();
         match self {
             Self::Bare { ends, asleep } => {
-                let mut turns = 0_u32;
+                let mut polls = 0_u32;
                 loop {
                     if let Some(sample) = ends.from.receive().map_err(TransportError::from)? {
                         return Ok(sample);
                     }
-                    turns += 1;
+                    polls += 1;
                     if *asleep {
-                        if turns > 1 {
-                            look()?;
+                        if polls > 1 {
+                            check()?;
                         }
-                        ends.wait(LOOK);
+                        ends.wait(CHECK_INTERVAL);
                     } else {
-                        if turns.is_multiple_of(TURNS) {
-                            look()?;
+                        if polls.is_multiple_of(CHECK_POLLS) {
+                            check()?;
                         }
                         sched_yield();
                     }
                 }
             }
-            // The end of the other process ends the stream.
+            // No check: the stream ends when the other process does.
             Self::Stream { from, .. } => {
                 from.read_exact(bytemuck::bytes_of_mut(&mut sample)).map_err(TransportError::from)?;
             }
             Self::Page(page) => {
-                while !page.receive(bytemuck::cast_slice_mut(bytemuck::bytes_of_mut(&mut sample)), LOOK) {
-                    look()?;
+                while !page.receive(bytemuck::cast_slice_mut(bytemuck::bytes_of_mut(&mut sample)), CHECK_INTERVAL) {
+                    check()?;
                 }
             }
         }

@@ -1,8 +1,9 @@
-//! What the processes of a run use while it runs: processor time, memory, cores; from `/proc`, as it stands.
+//! Resources that the processes of a run use while it runs: processor time, memory and cores, sampled from `/proc`.
 
 use std::collections::BTreeSet;
+use std::fmt::Write as _;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -12,41 +13,41 @@ use serde::Serialize;
 
 use crate::clock::{monotonic_ns, pause};
 
-/// The processes of a run as their names begin in `/proc` (15 letters at most), and what they are called here.
+/// The beginning of a process's name in `/proc` (which has at most 15 letters), and its role.
 const PROCESSES: [(&str, &str); 3] =
     [("tectum-simul", "plant"), ("tectum-contr", "controller"), ("tectum-logge", "logger")];
 
-/// What one process used between the first look and the last.
+/// What one process used between the first sample and the last.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct ProcessUse {
-    /// `plant`, `controller`, `logger`, `launcher`.
+pub(crate) struct ProcessUse {
+    /// `plant`, `controller`, `logger` or `launcher`.
     pub process: &'static str,
     /// Processor time, ns.
     pub cpu_ns: u64,
-    /// Resident memory (VmRSS) at the first look, KiB.
+    /// Resident memory (VmRSS) at the first sample, KiB.
     pub first_kib: u64,
-    /// Resident memory at the last, KiB.
+    /// Resident memory at the last sample, KiB.
     pub last_kib: u64,
-    /// The cores on which it was seen.
+    /// The cores on which it ran.
     pub cores: BTreeSet<u32>,
 }
 
-/// What a run's processes used together.
+/// What all processes of a run used, over one or more blocks.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Usage {
-    /// From the first look to the last, s, all blocks together.
+pub(crate) struct Usage {
+    /// From the first sample to the last, s, all blocks together.
     pub seconds: f64,
-    /// Processor time of all processes as a share of one core; null where there was no time between the looks.
+    /// Processor time of all processes as a share of one core; null without time between the samples.
     pub share_of_a_core: Option<f64>,
-    /// Each of them; memory as in the longest block.
+    /// Each process; memory as in the longest block.
     pub processes: Vec<ProcessUse>,
-    /// The longest block, s.
+    /// Duration of the longest block, s.
     #[serde(skip)]
     longest: f64,
 }
 
 impl Usage {
-    /// Takes another block in.
+    /// Adds another block.
     pub fn add(&mut self, block: &Usage) {
         if block.processes.is_empty() {
             return;
@@ -70,9 +71,8 @@ impl Usage {
         self.share_of_a_core = (self.seconds > 0.0).then(|| cpu as f64 / 1e9 / self.seconds);
     }
 
-    /// One line a process.
+    /// One line per process.
     pub fn to_text(&self) -> String {
-        use std::fmt::Write as _;
         let mut text = String::new();
         if let Some(share) = self.share_of_a_core {
             let _ = writeln!(
@@ -83,7 +83,6 @@ impl Usage {
             );
         }
         for p in &self.processes {
-            let cores: Vec<_> = p.cores.iter().map(u32::to_string).collect();
             let _ = writeln!(
                 text,
                 "  {:<11} {:>9.2} ms, resident {:.1} MiB at first, {:.1} MiB at last, on core {}",
@@ -91,14 +90,19 @@ impl Usage {
                 p.cpu_ns as f64 / 1e6,
                 p.first_kib as f64 / 1024.0,
                 p.last_kib as f64 / 1024.0,
-                cores.join(", ")
+                cores_text(&p.cores)
             );
         }
         text
     }
 }
 
-/// One look at a process.
+/// Core numbers, separated by commas.
+pub(super) fn cores_text(cores: &BTreeSet<u32>) -> String {
+    cores.iter().map(u32::to_string).collect::<Vec<_>>().join(", ")
+}
+
+/// The state of a process at one instant.
 #[derive(Debug, Clone, Copy)]
 struct UsageSample {
     cpu_ns: u64,
@@ -107,8 +111,8 @@ struct UsageSample {
 }
 
 impl UsageSample {
-    /// All threads of process `pid`; `None` when it is gone.
-    fn at(pid: u32) -> Option<Self> {
+    /// The state of process `pid`, all its threads together; `None` when it has ended.
+    fn of(pid: u32) -> Option<Self> {
         Some(Self { cpu_ns: cpu_ns(pid)?, resident_kib: resident_kib(pid)?, core: core(&stat(pid)?)? })
     }
 }
@@ -116,12 +120,17 @@ impl UsageSample {
 fn cpu_ns(pid: u32) -> Option<u64> {
     let mut sum = 0;
     for thread in fs::read_dir(format!("/proc/{pid}/task")).ok()?.flatten() {
-        // Time on a core, time waiting for one, slices.
-        // A thread that has ended meanwhile is none of the process's any more.
+        // A thread that has ended meanwhile no longer belongs to the process.
         let Ok(text) = fs::read_to_string(thread.path().join("schedstat")) else { continue };
-        sum += text.split(' ').next()?.parse::<u64>().ok()?;
+        sum += running_ns(&text)?;
     }
     Some(sum)
+}
+
+/// The first field of `schedstat`: time on a core, ns. Time waiting for a core and the number of time slices
+/// follow.
+fn running_ns(schedstat: &str) -> Option<u64> {
+    schedstat.split(' ').next()?.parse().ok()
 }
 
 fn resident_kib(pid: u32) -> Option<u64> {
@@ -134,51 +143,51 @@ fn stat(pid: u32) -> Option<String> {
     fs::read_to_string(format!("/proc/{pid}/stat")).ok()
 }
 
-/// Field 39 of `stat`; the name in field 2 may hold anything.
+/// Field 39 of `stat`. The name in field 2 may contain any character.
 fn core(stat: &str) -> Option<u32> {
     stat.rsplit_once(") ")?.1.split(' ').nth(36)?.parse().ok()
 }
 
-/// The core on which process `pid` was seen last.
+/// The core on which process `pid` ran last.
 pub(super) fn core_of(pid: u32) -> Option<u32> {
     core(&stat(pid)?)
 }
 
-/// The run's processes among the children of this one, and this one, their launcher.
-fn processes() -> Vec<(&'static str, u32)> {
-    let ours = std::process::id();
+/// The run's processes among the children of this process, by role.
+fn run_processes() -> Vec<(&'static str, u32)> {
+    let parent = std::process::id().to_string();
     let mut found = Vec::new();
     for entry in fs::read_dir("/proc").into_iter().flatten().flatten() {
         let Some(pid) = entry.file_name().to_str().and_then(|name| name.parse().ok()) else { continue };
         let Some(stat) = stat(pid) else { continue };
         let Some((name, rest)) = stat.split_once(" (").and_then(|(_, rest)| rest.rsplit_once(") ")) else { continue };
-        if rest.split(' ').nth(1) != Some(&ours.to_string()) {
+        if rest.split(' ').nth(1) != Some(&parent) {
             continue;
         }
-        if let Some((_, role)) = PROCESSES.iter().find(|(begins, _)| name.starts_with(begins)) {
+        if let Some((_, role)) = PROCESSES.iter().find(|(prefix, _)| name.starts_with(prefix)) {
             found.push((*role, pid));
         }
     }
     found
 }
 
-/// Looks at a run's processes from another thread while it runs.
-pub struct UsageObserver {
+/// Samples the processes of a run from another thread while it runs.
+pub(super) struct UsageObserver {
     over: Arc<AtomicBool>,
     thread: JoinHandle<Usage>,
 }
 
 impl UsageObserver {
-    /// Begins to look as soon as ticks run in the run in `folder`, then every `every`.
+    /// Takes the first sample as soon as the run in `folder` has begun its ticks, then one every `every`.
     pub fn start(folder: &Path, every: Duration) -> Self {
         let over = Arc::new(AtomicBool::new(false));
         let (log, flag) = (folder.join(crate::log::LOG_FILE), Arc::clone(&over));
-        // The launcher's loop runs in the thread that starts this one.
+        // The launcher's loop runs in the calling thread.
         let launcher = rustix::thread::gettid().as_raw_pid();
-        Self { over, thread: std::thread::spawn(move || watch(&log, every, &flag, launcher)) }
+        Self { over, thread: std::thread::spawn(move || observe(&log, every, &flag, launcher)) }
     }
 
-    /// The run is over: what its processes used.
+    /// Ends the sampling. Returns what the run's processes used.
     pub fn finish(self) -> Usage {
         self.over.store(true, Ordering::Release);
         self.thread.thread().unpark();
@@ -186,76 +195,117 @@ impl UsageObserver {
     }
 }
 
-fn watch(log: &PathBuf, every: Duration, over: &AtomicBool, launcher: i32) -> Usage {
-    const PACE_NS: u64 = 5_000_000;
-    let over = || over.load(Ordering::Acquire);
-    let size = || fs::metadata(log).map_or(0, |m| m.len());
-    // Ticks run when the log grows a second time after it came to be.
-    let (mut last, mut growths) = (0, 0);
-    while growths < 3 {
-        if over() {
-            return Usage::default();
-        }
-        let now = size();
-        growths += u32::from(now > last);
-        last = now;
-        pause(PACE_NS);
-    }
-    let found = processes();
-    let launcher_ns = || {
-        let text = fs::read_to_string(format!("/proc/self/task/{launcher}/schedstat")).ok()?;
-        text.split(' ').next()?.parse::<u64>().ok()
-    };
-    let began = monotonic_ns();
-    let looks: Vec<_> = found.iter().filter_map(|&(role, pid)| Some((role, pid, UsageSample::at(pid)?))).collect();
-    let first_launcher = launcher_ns().unwrap_or(0);
-    let us = std::process::id();
-    let mut uses: Vec<ProcessUse> = looks
-        .iter()
-        .map(|(process, _, look)| ProcessUse {
-            process,
-            cpu_ns: 0,
-            first_kib: look.resident_kib,
-            last_kib: look.resident_kib,
-            cores: [look.core].into(),
-        })
-        .collect();
-    let own = resident_kib(us).unwrap_or(0);
-    let mut launcher_use =
-        ProcessUse { process: "launcher", cpu_ns: 0, first_kib: own, last_kib: own, cores: BTreeSet::new() };
-    let mut ended = began;
-    'looking: while !over() {
-        let next = monotonic_ns() + every.as_nanos() as u64;
-        // Asleep all the while: what wakes up in between would be in the way of what is measured.
-        while monotonic_ns() < next {
-            std::thread::park_timeout(Duration::from_nanos(next - monotonic_ns().min(next)));
-            if over() {
-                break 'looking;
-            }
-        }
-        let now: Vec<_> = looks.iter().map_while(|&(_, pid, _)| UsageSample::at(pid)).collect();
-        if now.len() < looks.len() {
-            // One has ended: the run is over.
-            break;
-        }
-        ended = monotonic_ns();
-        for ((used, look), (_, _, first)) in uses.iter_mut().zip(&now).zip(&looks) {
-            used.cpu_ns = look.cpu_ns.saturating_sub(first.cpu_ns);
-            used.last_kib = look.resident_kib;
-            used.cores.insert(look.core);
-        }
-        launcher_use.cpu_ns = launcher_ns().unwrap_or(0).saturating_sub(first_launcher);
-        launcher_use.last_kib = resident_kib(us).unwrap_or(0);
-        launcher_use.cores.extend(stat(us).and_then(|s| core(&s)));
-    }
-    if uses.is_empty() {
+fn observe(log: &Path, every: Duration, over: &AtomicBool, launcher: i32) -> Usage {
+    if !await_ticks(log, over) {
         return Usage::default();
     }
-    uses.push(launcher_use);
-    let seconds = (ended - began) as f64 / 1e9;
-    let mut usage = Usage::default();
-    usage.add(&Usage { seconds, share_of_a_core: None, processes: uses, longest: 0.0 });
-    usage
+    let mut meter = UsageMeter::start(launcher);
+    while sleep_unless_over(every, over) && meter.sample() {}
+    meter.finish()
+}
+
+/// Waits until the ticks of a run have begun: its log then grows a second time after its first content. False
+/// when the run is over before.
+fn await_ticks(log: &Path, over: &AtomicBool) -> bool {
+    const PACE_NS: u64 = 5_000_000;
+    let (mut last, mut growths) = (0, 0);
+    while growths < 3 {
+        if over.load(Ordering::Acquire) {
+            return false;
+        }
+        let size = fs::metadata(log).map_or(0, |m| m.len());
+        growths += u32::from(size > last);
+        last = size;
+        pause(PACE_NS);
+    }
+    true
+}
+
+/// Sleeps for `every`. False when the run is over. The thread does not wake up in between: that would disturb
+/// what is measured.
+fn sleep_unless_over(every: Duration, over: &AtomicBool) -> bool {
+    if over.load(Ordering::Acquire) {
+        return false;
+    }
+    let next = monotonic_ns() + every.as_nanos() as u64;
+    while monotonic_ns() < next {
+        std::thread::park_timeout(Duration::from_nanos(next - monotonic_ns().min(next)));
+        if over.load(Ordering::Acquire) {
+            return false;
+        }
+    }
+    true
+}
+
+/// The first sample of a run's processes, and what they have used since.
+struct UsageMeter {
+    /// Process id and first sample of each process.
+    first: Vec<(u32, UsageSample)>,
+    /// The use of each, in the same order.
+    uses: Vec<ProcessUse>,
+    launcher: ProcessUse,
+    /// The launcher's thread, and its processor time at the first sample, ns.
+    launcher_thread: i32,
+    launcher_first_ns: u64,
+    /// Instants of the first and the last sample, ns.
+    began_ns: u64,
+    ended_ns: u64,
+}
+
+impl UsageMeter {
+    fn start(launcher_thread: i32) -> Self {
+        let found = run_processes();
+        let began_ns = monotonic_ns();
+        let samples: Vec<_> =
+            found.into_iter().filter_map(|(role, pid)| Some((role, pid, UsageSample::of(pid)?))).collect();
+        let launcher_first_ns = thread_ns(launcher_thread);
+        let kib = resident_kib(std::process::id()).unwrap_or(0);
+        let unused = |process, kib, cores| ProcessUse { process, cpu_ns: 0, first_kib: kib, last_kib: kib, cores };
+        Self {
+            first: samples.iter().map(|&(_, pid, sample)| (pid, sample)).collect(),
+            uses: samples.iter().map(|(role, _, s)| unused(*role, s.resident_kib, [s.core].into())).collect(),
+            launcher: unused("launcher", kib, BTreeSet::new()),
+            launcher_thread,
+            launcher_first_ns,
+            began_ns,
+            ended_ns: began_ns,
+        }
+    }
+
+    /// Takes another sample. False when a process has ended, because the run is then over.
+    fn sample(&mut self) -> bool {
+        let now: Vec<_> = self.first.iter().map_while(|&(pid, _)| UsageSample::of(pid)).collect();
+        if now.len() < self.first.len() {
+            return false;
+        }
+        self.ended_ns = monotonic_ns();
+        for ((used, now), (_, first)) in self.uses.iter_mut().zip(&now).zip(&self.first) {
+            used.cpu_ns = now.cpu_ns.saturating_sub(first.cpu_ns);
+            used.last_kib = now.resident_kib;
+            used.cores.insert(now.core);
+        }
+        let this = std::process::id();
+        self.launcher.cpu_ns = thread_ns(self.launcher_thread).saturating_sub(self.launcher_first_ns);
+        self.launcher.last_kib = resident_kib(this).unwrap_or(0);
+        self.launcher.cores.extend(core_of(this));
+        true
+    }
+
+    fn finish(mut self) -> Usage {
+        let mut usage = Usage::default();
+        if !self.uses.is_empty() {
+            self.uses.push(self.launcher);
+            let seconds = (self.ended_ns - self.began_ns) as f64 / 1e9;
+            usage.add(&Usage { seconds, share_of_a_core: None, processes: self.uses, longest: 0.0 });
+        }
+        usage
+    }
+}
+
+/// The processor time of a thread of this process, ns; 0 if it cannot be read.
+fn thread_ns(thread: i32) -> u64 {
+    let text = fs::read_to_string(format!("/proc/self/task/{thread}/schedstat"));
+    text.ok().and_then(|text| running_ns(&text)).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -263,16 +313,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_process_that_lives_is_looked_at() {
-        let look = UsageSample::at(std::process::id()).unwrap();
-        assert!(look.cpu_ns > 0 && look.resident_kib > 100);
-        assert!(UsageSample::at(0).is_none());
+    fn a_running_process_can_be_sampled() {
+        let sample = UsageSample::of(std::process::id()).unwrap();
+        assert!(sample.cpu_ns > 0 && sample.resident_kib > 100);
+        assert!(UsageSample::of(0).is_none());
         let line = "7 (a ) b) R 1 ".to_owned() + &"0 ".repeat(34) + "5 0 0";
         assert_eq!(core(&line), Some(5));
     }
 
     #[test]
-    fn blocks_add_up_and_the_longest_tells_the_memory() {
+    fn blocks_add_up_and_memory_is_that_of_the_longest() {
         let block = |seconds, cpu_ns, last_kib| Usage {
             seconds,
             processes: vec![ProcessUse { process: "plant", cpu_ns, first_kib: 5, last_kib, cores: [1].into() }],

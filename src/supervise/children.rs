@@ -1,4 +1,4 @@
-//! The run's processes: starting them, knowing how they ended, and, if nothing else helps, killing them.
+//! The processes of a run: starts them, detects how each ended, and kills those that do not end by themselves.
 
 use std::io::Read;
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
@@ -11,40 +11,59 @@ use crate::channel::RunServices;
 use crate::clock::ProcessHandle;
 use crate::programs;
 use crate::runtime::exit;
-use crate::scenario::{Plan, RestartPolicy};
-use crate::wire::{ProcessState, Role};
+use crate::scenario::Plan;
+use crate::wire::{ProcessState, Role, Status};
 
-/// What stands in one process's place.
+/// The process that currently fills a role.
 #[derive(Debug)]
 enum ChildSlot {
-    /// A child of the launcher.
-    Child { child: Child, process: Option<ProcessHandle>, said: Option<JoinHandle<String>> },
-    /// Started by somebody else; known from its board once it is there.
+    /// A child of the launcher. A thread collects its standard error.
+    Child { child: Child, process: Option<ProcessHandle>, stderr: Option<JoinHandle<String>> },
+    /// Started by the user (`--by-hand`). Its process id is known once it has written its status board.
     ByHand { process: Option<ProcessHandle> },
-    /// Nobody, any more or for now.
-    Gone,
+    /// No process: it has ended, and was not started again or not yet.
+    Empty,
 }
 
 /// How a process failed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct ProcessFailure {
-    /// The exit code that the run takes over.
+    /// Which process.
+    pub role: Role,
+    /// The exit code that the run ends with because of it.
     pub code: u8,
-    /// One sentence.
+    /// What happened, one sentence.
     pub message: String,
-    /// The process, and all that it wrote to its standard error.
-    pub said: (Role, String),
+    /// The beginning of what the process wrote to its standard error.
+    pub stderr: String,
 }
 
-/// A process that ended before it had finished.
+impl ProcessFailure {
+    /// A failure with the exit code [`exit::PROCESS`] and without standard error.
+    pub fn new(role: Role, message: String) -> Self {
+        Self { role, code: exit::PROCESS, message, stderr: String::new() }
+    }
+}
+
+/// A process that ended before it had finished its part of the run.
 #[derive(Debug)]
 pub(super) struct ProcessDeath {
-    /// Its place.
-    pub role: Role,
-    /// What that means for the run, if it is not started again.
+    /// The failure of the run, unless the process is restarted.
     pub failure: ProcessFailure,
-    /// The last policy under which it is not started again.
-    pub unless: Option<RestartPolicy>,
+    /// Which restart policies apply to it.
+    pub kind: DeathKind,
+}
+
+/// Why a process ended, as far as its restart depends on it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum DeathKind {
+    /// It will not do better the next time, had already finished, or is not the launcher's child. No policy
+    /// restarts it.
+    Final,
+    /// It failed. The policies `on-failure` and `always` restart it.
+    Failure,
+    /// It exited in good order, but too early. Only the policy `always` restarts it.
+    EarlyExit,
 }
 
 /// How to start a process.
@@ -54,46 +73,30 @@ struct SpawnCommand {
     arguments: Vec<String>,
 }
 
-/// All processes, by [`Role`].
+/// All processes of a run, by [`Role`].
 #[derive(Debug)]
 pub(super) struct ChildProcesses {
     folder: PathBuf,
-    /// How to start each; `None` for one that somebody else starts.
-    starts: Vec<Option<SpawnCommand>>,
-    members: Vec<ChildSlot>,
+    /// How to start each process; `None` for one that the user starts.
+    commands: Vec<Option<SpawnCommand>>,
+    slots: Vec<ChildSlot>,
 }
 
 impl ChildProcesses {
-    /// Starts all processes but those in `by_hand`.
+    /// Starts all processes except those in `by_hand`.
     pub fn start(plan: &Plan, folder: &Path, by_hand: &[Role]) -> Result<Self, LaunchError> {
-        // All programs are found before any is started.
-        let mut starts = Vec::new();
+        // All programs are located before the first one starts, so that a missing one leaves no process behind.
+        let mut commands = Vec::new();
         for role in Role::ALL {
-            let (name, arguments): (&str, &[String]) = match role {
-                Role::Plant => (&plan.scenario.plant.program, &plan.scenario.plant.args),
-                Role::Controller => (programs::CONTROLLER, &[]),
-                Role::Logger => (programs::LOGGER, &[]),
-            };
-            if by_hand.contains(&role) {
-                starts.push(None);
-                continue;
-            }
-            let program = find(name).ok_or_else(|| LaunchError::Start {
-                role: role.name(),
-                program: name.to_owned(),
-                cause: "no such program beside `tectum` or in PATH; build all of them with `cargo build --release`, \
-                        or name the plant's program by its path"
-                    .to_owned(),
-            })?;
-            starts.push(Some(SpawnCommand { program, arguments: arguments.to_owned() }));
+            commands.push(if by_hand.contains(&role) { None } else { Some(SpawnCommand::locate(plan, role)?) });
         }
-        let mut children = Self { folder: folder.to_owned(), starts, members: Vec::new() };
+        let mut children = Self { folder: folder.to_owned(), commands, slots: Vec::new() };
         for role in Role::ALL {
-            let member = match children.starts[role as usize] {
+            let slot = match children.commands[role as usize] {
                 Some(_) => children.spawn(role)?,
                 None => ChildSlot::ByHand { process: None },
             };
-            children.members.push(member);
+            children.slots.push(slot);
         }
         Ok(children)
     }
@@ -104,79 +107,60 @@ impl ChildProcesses {
             program: program.display().to_string(),
             cause: cause.to_owned(),
         };
-        let Some(SpawnCommand { program, arguments }) = &self.starts[role as usize] else {
+        let Some(SpawnCommand { program, arguments }) = &self.commands[role as usize] else {
             return Err(failed(Path::new("?"), "it is started by hand"));
         };
         let mut command = Command::new(program);
-        // A process group of its own: a Ctrl-C at the terminal reaches the launcher alone, which ends the run in order.
+        // With a process group of its own, Ctrl-C at the terminal reaches only the launcher, which ends the run
+        // in order.
         command.args(arguments).arg("--run").arg(&self.folder).process_group(0);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child = command.spawn().map_err(|cause| failed(program, &cause.to_string()))?;
-        let said = child.stderr.take().map(|pipe| std::thread::spawn(move || listen(pipe)));
+        let stderr = child.stderr.take().map(|pipe| std::thread::spawn(move || collect(pipe)));
         let process = ProcessHandle::of(child.id());
-        Ok(ChildSlot::Child { child, process, said })
+        Ok(ChildSlot::Child { child, process, stderr })
     }
 
-    /// Starts a process anew whose place is empty.
+    /// Starts the process of an empty slot again.
     pub fn start_again(&mut self, role: Role) -> Result<(), LaunchError> {
-        self.members[role as usize] = self.spawn(role)?;
+        self.slots[role as usize] = self.spawn(role)?;
         Ok(())
     }
 
-    /// Notices who has ended, and says who did so before having finished.
+    /// Empties the slots of processes that have ended. Returns those that ended before they had finished.
     pub fn reap(&mut self, services: &RunServices) -> Vec<ProcessDeath> {
         let mut deaths = Vec::new();
-        for (role, member) in Role::ALL.into_iter().zip(&mut self.members) {
-            let board = services.status(role);
-            let finished = board.state() == ProcessState::Finished;
-            let death = match member {
-                ChildSlot::Gone => continue,
-                ChildSlot::Child { child, said, .. } => match child.try_wait() {
-                    Ok(None) => continue,
-                    Ok(Some(status)) => death_of(role, status, said.take(), board.ticks, finished),
-                    Err(_) => Some(ended_early(role, board.ticks, Some(RestartPolicy::Never))),
-                },
-                ChildSlot::ByHand { process } => {
-                    let mut ended = process.as_ref().is_some_and(ProcessHandle::ended);
-                    if process.is_none() && board.pid != 0 {
-                        *process = ProcessHandle::of(board.pid);
-                        ended = process.is_none();
-                    }
-                    match (ended, finished) {
-                        (false, _) => continue,
-                        (true, true) => None,
-                        (true, false) => Some(ended_early(role, board.ticks, None)),
-                    }
-                }
-            };
-            *member = ChildSlot::Gone;
-            deaths.extend(death);
+        for (role, slot) in Role::ALL.into_iter().zip(&mut self.slots) {
+            if let Some(ended) = slot.poll_end(role, &services.status(role)) {
+                *slot = ChildSlot::Empty;
+                deaths.extend(ended);
+            }
         }
         deaths
     }
 
-    /// Waits until a child has ended, or for `ns` nanoseconds.
+    /// Waits until a process has ended, or for `ns` nanoseconds.
     pub fn await_end(&self, ns: u64) {
-        ProcessHandle::await_any(self.members.iter().filter_map(ChildSlot::process), ns);
+        ProcessHandle::await_any(self.slots.iter().filter_map(ChildSlot::process), ns);
     }
 
-    /// A handle on a process that the launcher has started and that lives.
+    /// A handle on the launcher's child in this role, if it has not ended.
     pub fn child(&self, role: Role) -> Option<&ProcessHandle> {
-        match &self.members[role as usize] {
+        match &self.slots[role as usize] {
             ChildSlot::Child { process, .. } => process.as_ref(),
             _ => None,
         }
     }
 
-    /// Whether all processes have ended. One that is started by hand and never came counts as ended.
-    pub fn gone(&self) -> bool {
-        self.members.iter().all(|member| matches!(member, ChildSlot::Gone | ChildSlot::ByHand { process: None }))
+    /// Whether all processes have ended. One that the user should have started and never did counts as ended.
+    pub fn all_ended(&self) -> bool {
+        self.slots.iter().all(|slot| matches!(slot, ChildSlot::Empty | ChildSlot::ByHand { process: None }))
     }
 
-    /// Kills whoever is left, and waits for those that are ours.
+    /// Kills all remaining processes, and waits for the launcher's children among them.
     pub fn kill(&mut self) {
-        for member in &mut self.members {
-            match member {
+        for slot in &mut self.slots {
+            match slot {
                 ChildSlot::Child { child, .. } => {
                     let _ = child.kill();
                     let _ = child.wait();
@@ -184,16 +168,7 @@ impl ChildProcesses {
                 ChildSlot::ByHand { process: Some(process) } => process.kill(),
                 _ => {}
             }
-            *member = ChildSlot::Gone;
-        }
-    }
-}
-
-impl ChildSlot {
-    fn process(&self) -> Option<&ProcessHandle> {
-        match self {
-            Self::Child { process, .. } | Self::ByHand { process } => process.as_ref(),
-            Self::Gone => None,
+            *slot = ChildSlot::Empty;
         }
     }
 }
@@ -204,16 +179,66 @@ impl Drop for ChildProcesses {
     }
 }
 
-/// Reads all that a process says, so that it never waits for a reader, and keeps the beginning.
-fn listen(mut pipe: impl Read) -> String {
-    const KEPT: u64 = 64 << 10;
-    let mut said = Vec::new();
-    let _ = pipe.by_ref().take(KEPT).read_to_end(&mut said);
-    let _ = std::io::copy(&mut pipe, &mut std::io::sink());
-    String::from_utf8_lossy(&said).into_owned()
+impl ChildSlot {
+    fn process(&self) -> Option<&ProcessHandle> {
+        match self {
+            Self::Child { process, .. } | Self::ByHand { process } => process.as_ref(),
+            Self::Empty => None,
+        }
+    }
+
+    /// `None` while the process runs or the slot is empty; once it has ended, `Some` with its death, if it had not
+    /// finished its part of the run.
+    fn poll_end(&mut self, role: Role, board: &Status) -> Option<Option<ProcessDeath>> {
+        let finished = board.state() == ProcessState::Finished;
+        match self {
+            Self::Empty => None,
+            Self::Child { child, stderr, .. } => match child.try_wait() {
+                Ok(None) => None,
+                Ok(Some(status)) => Some(death_of(role, status, stderr.take(), board.ticks, finished)),
+                Err(_) => Some(Some(ended_early(role, board.ticks, DeathKind::Failure))),
+            },
+            Self::ByHand { process } => {
+                let mut ended = process.as_ref().is_some_and(ProcessHandle::ended);
+                if process.is_none() && board.pid != 0 {
+                    *process = ProcessHandle::of(board.pid);
+                    ended = process.is_none();
+                }
+                ended.then(|| (!finished).then(|| ended_early(role, board.ticks, DeathKind::Final)))
+            }
+        }
+    }
 }
 
-/// A program given by path, beside this one, or in `PATH`.
+impl SpawnCommand {
+    fn locate(plan: &Plan, role: Role) -> Result<Self, LaunchError> {
+        let (name, arguments): (&str, &[String]) = match role {
+            Role::Plant => (&plan.scenario.plant.program, &plan.scenario.plant.args),
+            Role::Controller => (programs::CONTROLLER, &[]),
+            Role::Logger => (programs::LOGGER, &[]),
+        };
+        let program = find(name).ok_or_else(|| LaunchError::Start {
+            role: role.name(),
+            program: name.to_owned(),
+            cause: "no such program beside `tectum` or in PATH; build all of them with `cargo build --release`, \
+                    or name the plant's program by its path"
+                .to_owned(),
+        })?;
+        Ok(Self { program, arguments: arguments.to_owned() })
+    }
+}
+
+/// Reads all that a process writes to its standard error, so that it never blocks on a full pipe. Keeps the
+/// beginning.
+fn collect(mut pipe: impl Read) -> String {
+    const KEPT: u64 = 64 << 10;
+    let mut text = Vec::new();
+    let _ = pipe.by_ref().take(KEPT).read_to_end(&mut text);
+    let _ = std::io::copy(&mut pipe, &mut std::io::sink());
+    String::from_utf8_lossy(&text).into_owned()
+}
+
+/// Locates a program: given by path, beside this program, or in `PATH`.
 fn find(name: &str) -> Option<PathBuf> {
     if name.contains('/') {
         return Some(PathBuf::from(name)).filter(|p| p.is_file());
@@ -223,41 +248,42 @@ fn find(name: &str) -> Option<PathBuf> {
     beside.into_iter().chain(std::env::split_paths(&path).map(|folder| folder.join(name))).find(|p| p.is_file())
 }
 
-fn ended_early(role: Role, tick: u64, unless: Option<RestartPolicy>) -> ProcessDeath {
+fn ended_early(role: Role, tick: u64, kind: DeathKind) -> ProcessDeath {
     let message = format!("the {} ended before the run was over, at tick {tick}", role.name());
-    ProcessDeath { role, failure: ProcessFailure { code: exit::PROCESS, message, said: (role, String::new()) }, unless }
+    ProcessDeath { failure: ProcessFailure::new(role, message), kind }
 }
 
+/// The death of a child that ended with `status`; `None` for one that succeeded and had finished.
 fn death_of(
     role: Role,
     status: ExitStatus,
-    said: Option<JoinHandle<String>>,
+    stderr: Option<JoinHandle<String>>,
     tick: u64,
     finished: bool,
 ) -> Option<ProcessDeath> {
     if status.success() {
-        return (!finished).then(|| ended_early(role, tick, Some(RestartPolicy::OnFailure)));
+        return (!finished).then(|| ended_early(role, tick, DeathKind::EarlyExit));
     }
-    let said = said.and_then(|listener| listener.join().ok()).unwrap_or_default();
+    let stderr = stderr.and_then(|collector| collector.join().ok()).unwrap_or_default();
     let name = role.name();
-    // A program's message opens with its own name, which here says nothing new.
-    let last = said.trim().lines().last().map(|line| line.split_once(": ").map_or(line, |(_, rest)| rest));
+    // A program's message begins with the program's name, which the launcher's message states already.
+    let last = stderr.trim().lines().last().map(|line| line.split_once(": ").map_or(line, |(_, rest)| rest));
     let message = match (status.signal(), last) {
         (Some(signal), _) => format!("the {name} was killed by signal {signal} at tick {tick}"),
         (None, Some(line)) => format!("the {name} ended: {line}"),
         (None, None) => format!("the {name} ended at tick {tick} with exit code {}", status.code().unwrap_or(-1)),
     };
     let is = |code: u8| status.code() == Some(i32::from(code));
-    // Codes that say what the user can do are taken over; all others say that a process failed.
+    // The run takes over the exit codes that tell the user what to do. All others become "a process failed".
     let code = [exit::INPUT, exit::MISMATCH].into_iter().find(|&code| is(code)).unwrap_or(exit::PROCESS);
-    let unless = match code {
-        // What does not fit will not fit the next time.
-        exit::INPUT | exit::MISMATCH => None,
-        // It has finished its part of the run, and tells what went wrong in it.
-        _ if finished => None,
-        // Somebody has asked it to end, and it did.
-        _ if is(exit::TERMINATED) || is(exit::INTERRUPTED) => Some(RestartPolicy::OnFailure),
-        _ => Some(RestartPolicy::Never),
+    let kind = match code {
+        // Bad input and a mismatch are the same at the next start.
+        exit::INPUT | exit::MISMATCH => DeathKind::Final,
+        // It has finished its part of the run, and reports what went wrong in it.
+        _ if finished => DeathKind::Final,
+        // It ended as a signal asked it to.
+        _ if is(exit::TERMINATED) || is(exit::INTERRUPTED) => DeathKind::EarlyExit,
+        _ => DeathKind::Failure,
     };
-    Some(ProcessDeath { role, failure: ProcessFailure { code, message, said: (role, said) }, unless })
+    Some(ProcessDeath { failure: ProcessFailure { role, code, message, stderr }, kind })
 }

@@ -1,23 +1,23 @@
-//! Why a run could not begin.
+//! The errors with which a run fails to start.
 
 use crate::channel::ChannelError;
 use crate::checkpoint::CheckpointError;
 use crate::runtime::exit;
 use crate::scenario::ScenarioError;
 
-/// Why a run could not begin. Nothing is left behind.
+/// Why a run could not start. It leaves nothing behind.
 #[derive(Debug, thiserror::Error)]
 pub enum LaunchError {
-    /// The scenario.
+    /// The scenario is not valid.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// The checkpoint to go on from.
+    /// The checkpoint to resume from cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// Shared memory.
+    /// Shared memory cannot be set up.
     #[error(transparent)]
     Channel(#[from] ChannelError),
-    /// The folder for the run.
+    /// The run's folder cannot be used.
     #[error("the run's folder {path} cannot be used: {cause}; choose another with --out")]
     Folder {
         /// The folder.
@@ -25,7 +25,7 @@ pub enum LaunchError {
         /// What is wrong with it.
         cause: String,
     },
-    /// The log would not fit.
+    /// The log would not fit on the disk.
     #[error(
         "the log needs about {needed} MB and {path} has {free} MB free; thin it with `[log] every`, run fewer --ticks, \
          or choose another --out"
@@ -38,7 +38,7 @@ pub enum LaunchError {
         /// Megabytes free.
         free: u64,
     },
-    /// A program is not there or cannot be started.
+    /// A program does not exist or cannot be started.
     #[error("the {role} cannot be started: {program}: {cause}")]
     Start {
         /// Which process.
@@ -48,37 +48,37 @@ pub enum LaunchError {
         /// What is wrong, and the remedy.
         cause: String,
     },
-    /// A process does not get ready.
+    /// A process does not become ready in time.
     #[error("the {role} did not get ready within {seconds} s; start it by hand with --by-hand to see why")]
     NotReady {
         /// Which process.
         role: &'static str,
-        /// How long it had.
+        /// The time it had, s.
         seconds: u64,
     },
-    /// A process ended before the run had begun.
+    /// A process ended before the first tick.
     #[error("{message}")]
     Refused {
-        /// The exit code that says how.
+        /// The exit code to end with.
         code: u8,
-        /// The process's own words.
+        /// The process's own error message.
         message: String,
     },
-    /// The simulator cannot simulate it.
+    /// The plant is a program of its own, which cannot run inside this process.
     #[error("the plant is `{0}`, which cannot run in one process with the controller; use --mode lockstep or realtime")]
     NotSimulated(String),
-    /// Servos know no virtual time.
+    /// A plant with servos cannot follow virtual time.
     #[error(
-        "the plant is one of servos, which live in real time alone, and --mode is {0}; leave --mode out, or give realtime"
+        "the plant drives servos, which run in real time only, and --mode is {0}; leave --mode out, or give realtime"
     )]
     OnlyRealtime(&'static str),
-    /// Signal handlers could not be installed.
+    /// Signal handlers cannot be installed.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
 }
 
 impl LaunchError {
-    /// The exit code that tells this error.
+    /// The exit code for this error.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Scenario(_)
@@ -86,8 +86,8 @@ impl LaunchError {
             | Self::Folder { .. }
             | Self::NoRoom { .. }
             | Self::OnlyRealtime(_)
-            | Self::NotSimulated(_) => exit::INPUT,
-            Self::Start { .. } => exit::INPUT,
+            | Self::NotSimulated(_)
+            | Self::Start { .. } => exit::INPUT,
             Self::Refused { code, .. } => *code,
             Self::NotReady { .. } => exit::PROCESS,
             Self::Channel(_) | Self::Signals(_) => exit::ERROR,

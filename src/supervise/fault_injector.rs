@@ -1,40 +1,52 @@
-//! What a scenario wants to happen to processes (`[[faults.process]]`): the launcher does it, at the first look at which the
-//! plant has come to the tick.
+//! Injects the process faults of a scenario (`[[faults.process]]`): the launcher kills, stops or restarts a
+//! process at its first poll at which the plant has reached the fault's tick.
 
 use super::children::ChildProcesses;
 use crate::scenario::{FaultsConfig, ProcessFaultKind};
 use crate::wire::Role;
 
-/// How often the launcher looks while something is still to happen, ns.
-const LOOK_NS: u64 = 200_000;
+/// How often the launcher polls while a fault is pending, ns.
+const POLL_NS: u64 = 200_000;
 
-/// What is still to happen.
+/// One fault.
+#[derive(Debug, Clone, Copy)]
+struct PlannedFault {
+    tick: u64,
+    role: Role,
+    kind: ProcessFaultKind,
+    /// For how long a process is stopped, ns.
+    duration_ns: u64,
+}
+
+/// The pending faults, and those in effect.
 #[derive(Debug)]
 pub(super) struct ProcessFaultInjector {
-    /// Tick, process, act, and for how long, ns; the last comes first in time.
-    acts: Vec<(u64, Role, ProcessFaultKind, u64)>,
-    /// Processes that stand still, and until when, ns.
+    /// Pending faults. The last element is the next in time.
+    pending: Vec<PlannedFault>,
+    /// Processes that are stopped, and until when, ns.
     stopped: Vec<(Role, u64)>,
-    /// Processes that were asked to end in order to be started again.
-    asked: Vec<Role>,
+    /// Processes that were asked to end so that they restart.
+    restarting: Vec<Role>,
 }
 
 impl ProcessFaultInjector {
-    /// What the table wants.
-    pub fn of(table: &FaultsConfig) -> Self {
-        let each = table.process.iter().flat_map(|fault| {
-            let ns = (fault.for_ms.unwrap_or(0.0) * 1e6) as u64;
-            fault.at.iter().map(move |&tick| (tick, fault.process.role(), fault.act, ns))
+    /// The faults of a scenario.
+    pub fn new(config: &FaultsConfig) -> Self {
+        let faults = config.process.iter().flat_map(|fault| {
+            let duration_ns = (fault.for_ms.unwrap_or(0.0) * 1e6) as u64;
+            let (role, kind) = (fault.process.role(), fault.act);
+            fault.at.iter().map(move |&tick| PlannedFault { tick, role, kind, duration_ns })
         });
-        let mut acts: Vec<_> = each.collect();
-        // Equal ticks keep the order of the file.
-        acts.sort_by_key(|act| act.0);
-        acts.reverse();
-        Self { acts, stopped: Vec::new(), asked: Vec::new() }
+        let mut pending: Vec<_> = faults.collect();
+        // The sort is stable: faults of equal ticks keep the order of the file.
+        pending.sort_by_key(|fault| fault.tick);
+        pending.reverse();
+        Self { pending, stopped: Vec::new(), restarting: Vec::new() }
     }
 
-    /// Does what is due at the plant's `tick`. A process that is away at the time is struck when it is back.
-    pub fn act(&mut self, tick: u64, now: u64, children: &ChildProcesses) {
+    /// Injects what is due at the plant's `tick`, and lets stopped processes continue whose time is over. A
+    /// fault of a process that is not running waits until it runs again.
+    pub fn inject(&mut self, tick: u64, now: u64, children: &ChildProcesses) {
         self.stopped.retain(|&(role, until)| {
             let over = now >= until;
             if let (true, Some(process)) = (over, children.child(role)) {
@@ -42,39 +54,39 @@ impl ProcessFaultInjector {
             }
             !over
         });
-        while let Some(&(at, role, act, ns)) = self.acts.last()
-            && at <= tick
+        while let Some(&fault) = self.pending.last()
+            && fault.tick <= tick
         {
-            let Some(process) = children.child(role) else { return };
-            match act {
+            let Some(process) = children.child(fault.role) else { return };
+            match fault.kind {
                 ProcessFaultKind::Kill => process.kill(),
                 ProcessFaultKind::Stop => {
                     process.stop(true);
-                    self.stopped.push((role, now + ns));
+                    self.stopped.push((fault.role, now + fault.duration_ns));
                 }
                 ProcessFaultKind::Restart => {
                     process.terminate();
-                    self.asked.push(role);
+                    self.restarting.push(fault.role);
                 }
             }
-            self.acts.pop();
+            self.pending.pop();
         }
     }
 
-    /// Whether a process that ended was asked to, in order to be started again.
-    pub fn wanted(&mut self, role: Role) -> bool {
-        let before = self.asked.len();
-        self.asked.retain(|&asked| asked != role);
-        self.asked.len() < before
+    /// Whether a process that has ended was asked to end so that it restarts. Forgets the request.
+    pub fn take_restart(&mut self, role: Role) -> bool {
+        let before = self.restarting.len();
+        self.restarting.retain(|&restarting| restarting != role);
+        self.restarting.len() < before
     }
 
-    /// Whether a process stands still because it was made to.
-    pub fn stands(&self, role: Role) -> bool {
+    /// Whether a process is stopped by a fault. Its missing heartbeat is then no hang.
+    pub fn is_stopped(&self, role: Role) -> bool {
         self.stopped.iter().any(|&(stopped, _)| stopped == role)
     }
 
-    /// How long the launcher may wait until its next look, if it would wait `ns` otherwise.
-    pub fn patience(&self, ns: u64) -> u64 {
-        if self.acts.is_empty() && self.stopped.is_empty() { ns } else { ns.min(LOOK_NS) }
+    /// The launcher's poll interval: `ns`, or less while a fault is pending or in effect.
+    pub fn poll_interval(&self, ns: u64) -> u64 {
+        if self.pending.is_empty() && self.stopped.is_empty() { ns } else { ns.min(POLL_NS) }
     }
 }

@@ -1,4 +1,5 @@
-//! A run's folder: made for the run, checked before anything starts, and taken away again if nothing did.
+//! A run's folder: created for the run, checked before anything starts, and removed again if the run does not
+//! start.
 
 use std::cell::Cell;
 use std::fs;
@@ -13,52 +14,52 @@ use crate::runtime::{RunManifest, realtime_path};
 use crate::scenario::Plan;
 use crate::wire::Role;
 
-/// Room that a run leaves on the disk, bytes: figure, reports, and other people's files.
+/// Disk space that a run leaves free for figure, reports and other programs, bytes.
 const SPARE_BYTES: u64 = 16 << 20;
 
 /// The folder of a run.
 #[derive(Debug)]
 pub(crate) struct RunFolder {
     path: PathBuf,
-    /// Whether this run made it.
-    made: bool,
-    /// Whether it stays.
+    /// Whether this run created it.
+    created: bool,
+    /// Whether it stays when this is dropped.
     kept: Cell<bool>,
 }
 
 impl RunFolder {
-    /// Makes the folder `out`, or `runs/<name>`, or the first free `runs/<scenario>-<n>`.
+    /// Creates the folder `out`, or `runs/<name>`, or the first free `runs/<scenario>-<n>`.
     pub fn create(out: Option<&Path>, name: Option<&str>, scenario: &str) -> Result<Self, LaunchError> {
         let path = match (out, name) {
             (Some(out), _) => out.to_owned(),
             (None, Some(name)) => Path::new(RUNS).join(name),
             (None, None) => return Self::numbered(scenario),
         };
-        let made = !path.exists();
-        fs::create_dir_all(&path).map_err(|e| refuse(&path, &e.to_string()))?;
-        let folder = Self { path, made, kept: Cell::new(false) };
+        let created = !path.exists();
+        fs::create_dir_all(&path).map_err(|e| unusable(&path, &e.to_string()))?;
+        let folder = Self { path, created, kept: Cell::new(false) };
         if RunManifest::path(&folder.path).exists() || RunManifest::log_path(&folder.path).exists() {
             folder.kept.set(true);
-            return Err(refuse(&folder.path, "it holds a run already"));
+            return Err(unusable(&folder.path, "it holds a run already"));
         }
-        // Whether files can be made here shows only when one is made.
+        // Only an attempt shows whether files can be created here.
         let probe = folder.path.join(".tectum-probe");
         fs::write(&probe, b"x")
             .and_then(|()| fs::remove_file(&probe))
-            .map_err(|e| refuse(&folder.path, &e.to_string()))?;
+            .map_err(|e| unusable(&folder.path, &e.to_string()))?;
         Ok(folder)
     }
 
     fn numbered(scenario: &str) -> Result<Self, LaunchError> {
         let runs = Path::new(RUNS);
-        fs::create_dir_all(runs).map_err(|e| refuse(runs, &e.to_string()))?;
+        fs::create_dir_all(runs).map_err(|e| unusable(runs, &e.to_string()))?;
         let mut number = 1_u64;
         loop {
             let path = runs.join(format!("{scenario}-{number}"));
             match fs::create_dir(&path) {
-                Ok(()) => return Ok(Self { path, made: true, kept: Cell::new(false) }),
+                Ok(()) => return Ok(Self { path, created: true, kept: Cell::new(false) }),
                 Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => number += 1,
-                Err(e) => return Err(refuse(&path, &e.to_string())),
+                Err(e) => return Err(unusable(&path, &e.to_string())),
             }
         }
     }
@@ -67,7 +68,7 @@ impl RunFolder {
         &self.path
     }
 
-    /// Refuses a run whose log cannot fit.
+    /// Refuses a run whose log would not fit on the disk.
     pub fn check_room(&self, plan: &Plan) -> Result<(), LaunchError> {
         let Ok(disk) = rustix::fs::statvfs(&self.path) else { return Ok(()) };
         let free = disk.f_bavail * disk.f_frsize;
@@ -80,33 +81,36 @@ impl RunFolder {
         Ok(())
     }
 
-    /// Leaves what a process needs to join.
+    /// Writes the scenario and the manifest, which a process needs to join the run.
     pub fn write_manifest(&self, manifest: &RunManifest, plan: &Plan) -> Result<(), LaunchError> {
         let text = serde_json::to_string_pretty(manifest).unwrap_or_default();
         self.write_scenario(plan)?;
-        // Last, because its being there is what makes the folder a run.
-        fs::write(RunManifest::path(&self.path), text).map_err(|e| refuse(&self.path, &e.to_string()))
+        // The manifest is written last, because it marks the folder as a run.
+        self.write(&RunManifest::path(&self.path), &text)
     }
 
-    /// Leaves the scenario with every default filled in.
+    /// Writes the scenario with every default filled in.
     pub fn write_scenario(&self, plan: &Plan) -> Result<(), LaunchError> {
-        fs::write(RunManifest::scenario_path(&self.path), plan.scenario.to_toml())
-            .map_err(|e| refuse(&self.path, &e.to_string()))
+        self.write(&RunManifest::scenario_path(&self.path), &plan.scenario.to_toml())
     }
 
-    /// The run has begun: the folder stays.
+    fn write(&self, path: &Path, text: &str) -> Result<(), LaunchError> {
+        fs::write(path, text).map_err(|e| unusable(&self.path, &e.to_string()))
+    }
+
+    /// Keeps the folder from now on, because the run has started.
     pub fn keep(&self) {
         self.kept.set(true);
     }
 
-    /// Keeps all that a process said which failed, for those who look into it. Best effort: the summary has the essence.
-    pub(super) fn keep_words(&self, failure: &ProcessFailure) {
-        let (role, said) = &failure.said;
-        if !said.is_empty() {
-            // One after the other, for a process that failed more than once.
-            let path = self.path.join(format!("{}.stderr", role.name()));
+    /// Writes the standard error of a failed process to `<role>.stderr`. Best effort: the summary has the last
+    /// line.
+    pub(super) fn write_stderr(&self, failure: &ProcessFailure) {
+        if !failure.stderr.is_empty() {
+            // Appended, for a process that failed more than once.
+            let path = self.path.join(format!("{}.stderr", failure.role.name()));
             let file = fs::OpenOptions::new().create(true).append(true).open(path);
-            let _ = file.and_then(|mut file| file.write_all(said.as_bytes()));
+            let _ = file.and_then(|mut file| file.write_all(failure.stderr.as_bytes()));
         }
     }
 }
@@ -116,19 +120,18 @@ impl Drop for RunFolder {
         if self.kept.get() {
             return;
         }
-        let accounts = Role::ALL.map(|role| realtime_path(&self.path, role));
-        for path in [RunManifest::path(&self.path), RunManifest::scenario_path(&self.path)].into_iter().chain(accounts)
-        {
+        let reports = Role::ALL.map(|role| realtime_path(&self.path, role));
+        for path in [RunManifest::path(&self.path), RunManifest::scenario_path(&self.path)].into_iter().chain(reports) {
             let _ = fs::remove_file(path);
         }
-        if self.made {
-            // Fails, as it should, when somebody has put something else there.
+        if self.created {
+            // Fails, as it should, when the folder holds files of another program.
             let _ = fs::remove_dir(&self.path);
             let _ = self.path.parent().filter(|p| *p == Path::new(RUNS)).map(fs::remove_dir);
         }
     }
 }
 
-fn refuse(path: &Path, cause: &str) -> LaunchError {
+fn unusable(path: &Path, cause: &str) -> LaunchError {
     LaunchError::Folder { path: path.display().to_string(), cause: cause.to_owned() }
 }

@@ -7,20 +7,20 @@ use super::{Launch, LaunchError};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::runtime::in_process;
 
-/// Runs a scenario with plant and controller in this process: the numbers of lockstep, without log.
+/// Runs a scenario with plant and controller in this process. The numbers are those of lockstep; there is no log.
 ///
 /// # Errors
-/// When the run cannot begin.
-pub fn study(launch: &Launch) -> Result<RunSummary, LaunchError> {
+/// When the run cannot start.
+pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let plan = &launch.plan;
-    let body = plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+    let plant = plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.write_scenario(plan)?;
     folder.keep();
     let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, launch.progress);
     let began = monotonic_ns();
-    let result = in_process(plan, body, |tick, statistics| {
+    let result = in_process(plan, plant, |tick, statistics| {
         progress.show_study(tick, statistics.now());
         signals.received() == 0
     });

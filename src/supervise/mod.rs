@@ -1,9 +1,10 @@
-//! Launching and supervising a run: a folder, a domain, processes, phases, and an orderly end.
+//! Launching and supervising a run: folder, shared-memory domain, processes, phases, and an orderly end.
 //!
-//! The launcher creates every service of the run and holds it until all processes have ended; the processes only open
-//! them. It leads them through the phases (ports made, connected, go), watches their boards and their lives, and ends
-//! the run when it is done, when a signal comes, or when a process fails. Whatever happens, it leaves no process and no
-//! shared memory behind.
+//! The launcher creates every service of the run and holds it until all processes have ended; the processes
+//! only open services. The launcher leads the processes through the phases (ports created, connected, running),
+//! watches their status boards and whether they still run, and restarts those that die or hang. It ends the run
+//! when all ticks are done, when a signal comes, or when a process fails. In every case it leaves no process
+//! and no shared memory behind.
 
 mod children;
 mod error;
@@ -12,6 +13,7 @@ mod folder;
 mod history;
 mod in_process;
 mod progress;
+mod progress_line;
 mod restarts;
 mod resume;
 mod summary;
@@ -20,8 +22,9 @@ mod supervisor;
 pub use error::LaunchError;
 pub(crate) use folder::RunFolder;
 pub(crate) use history::{body_changes, reach};
-pub use in_process::study;
+pub use in_process::run_in_process;
 pub(crate) use progress::RunProgress;
+pub(crate) use progress_line::ProgressLine;
 pub use restarts::RestartIncident;
 pub use resume::resume;
 pub use summary::{ProcessRealtime, RunOutcome, RunSummary, WindowSummary};
@@ -41,81 +44,86 @@ use crate::wire::{Control, Role};
 /// What to run, and how.
 #[derive(Debug, Clone)]
 pub struct Launch {
-    /// The scenario.
+    /// The validated scenario.
     pub plan: Plan,
-    /// Lockstep or real time.
+    /// Lockstep, real time or in one process.
     pub mode: Mode,
-    /// The folder for the run; without one, `runs/<scenario>-<n>`.
+    /// The run's folder; without one, `runs/<name>` or `runs/<scenario>-<n>`.
     pub out: Option<PathBuf>,
     /// The run's name, in place of `<scenario>-<n>`.
     pub name: Option<String>,
-    /// Processes that somebody else starts.
+    /// Processes that the user starts.
     pub by_hand: Vec<Role>,
-    /// A checkpoint every so many ticks; 0: only at the end.
+    /// Number of ticks from one checkpoint to the next; 0: only one at the end.
     pub checkpoint_every: u64,
-    /// In lockstep: leave the real instants of each tick in the run's folder, for `tectum bench`.
+    /// In lockstep: write the real instants of each tick to the run's folder, for `tectum bench`.
     pub stopwatch: bool,
-    /// Where the run begins, if it goes on with another one ([`resume`]).
+    /// Where the run starts, if it resumes another one ([`resume`]).
     pub resumed: Option<ResumePoint>,
     /// Show a progress line on standard error.
     pub progress: bool,
 }
 
-/// Real time: from the last process's being connected to tick 0.
+/// In real time: from the moment when the last process is connected to tick 0, ns.
 const LEAD_NS: u64 = 100_000_000;
-/// Runs a scenario with its processes.
+
+/// Runs a scenario in processes of its own.
 ///
 /// # Errors
-/// When the run cannot begin. A run that began always gives a summary, which says how it ended.
+/// When the run cannot start. A run that started always returns a summary, which tells how it ended.
 pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let plan = &launch.plan;
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.check_room(plan)?;
 
-    // What a launcher that was killed could not take away any more.
+    // A launcher that was killed could not remove its own.
     for left in remove_stale_domains(false) {
         say(&format!("tectum: removed {} from shared memory, which a run that was killed had left", left.domain));
     }
-    let run = run_id(plan);
-    let domain = DomainName::of(run);
+    let run_id = run_id(plan);
+    let domain = DomainName::of(run_id);
     let services = RunServices::create(&domain, &identity(plan), &plan.scenario.channels, plan.scenario.vision())?;
-    let manifest = RunManifest {
-        run: format!("{run:016x}"),
-        wire: Some(WireManifest::of(plan, &domain)),
-        mode: launch.mode,
-        domain,
-        launcher: std::process::id(),
-        checkpoint_every: launch.checkpoint_every,
-        stopwatch: launch.stopwatch,
-        resumed: launch.resumed.clone(),
-    };
-    folder.write_manifest(&manifest, plan)?;
+    folder.write_manifest(&manifest(launch, run_id, &domain), plan)?;
 
     services.control.put(Control::default());
     let children = ChildProcesses::start(plan, folder.path(), &launch.by_hand)?;
     let progress = RunProgress::new(launch, &folder);
-    let mut run = Supervisor::new(launch, services, children, signals, progress, &manifest.domain);
-    run.set_up(launch)?;
+    let mut supervisor = Supervisor::new(launch, services, children, signals, progress, domain);
+    supervisor.set_up(launch)?;
     folder.keep();
     if launch.mode == Mode::Realtime {
         warn_of_refusals(folder.path());
     }
 
     let began = monotonic_ns();
-    // At a whole multiple of the period, so that anybody can tell when ticks begin without asking; where that is long, soon.
+    // At a whole multiple of the period, so that every process can compute when ticks begin. With a period
+    // longer than the lead, the run starts at a multiple of the lead instead of waiting for the next period.
     let start = (began + LEAD_NS).next_multiple_of(plan.period_ns.clamp(1, LEAD_NS));
-    run.go(if launch.mode == Mode::Realtime { start } else { 0 });
-    let seconds = run.close(began);
-    // The domain goes with the run, before anything is drawn or printed.
-    let end = run.end();
+    supervisor.run_ticks(if launch.mode == Mode::Realtime { start } else { 0 });
+    let seconds = supervisor.close(began);
+    // This removes the domain, before anything is drawn or printed.
+    let end = supervisor.into_end();
     for death in &end.deaths {
-        folder.keep_words(death);
+        folder.write_stderr(death);
     }
     Ok(RunSummary::of_run(launch, folder.path(), end, seconds))
 }
 
-/// Says what the processes asked of the operating system and were refused. The run goes on without.
+fn manifest(launch: &Launch, run_id: u64, domain: &DomainName) -> RunManifest {
+    RunManifest {
+        run: format!("{run_id:016x}"),
+        wire: Some(WireManifest::of(&launch.plan, domain)),
+        mode: launch.mode,
+        domain: domain.clone(),
+        launcher: std::process::id(),
+        checkpoint_every: launch.checkpoint_every,
+        stopwatch: launch.stopwatch,
+        resumed: launch.resumed.clone(),
+    }
+}
+
+/// Warns of what the processes asked of the operating system and did not get. The run continues without it.
 fn warn_of_refusals(folder: &Path) {
     for role in Role::ALL {
         for refusal in read_realtime(folder, role).into_iter().flat_map(|report| report.refused) {
@@ -125,7 +133,7 @@ fn warn_of_refusals(folder: &Path) {
     }
 }
 
-/// A run's id: different for every run on this machine, also for two that start at the same instant.
+/// A run's id. It differs between all runs on this machine, even between two that start at the same instant.
 fn run_id(plan: &Plan) -> u64 {
     let mut bytes = [0; 28];
     bytes[..8].copy_from_slice(&wall_ns().to_le_bytes());

@@ -1,9 +1,9 @@
-//! One line that shows how the run goes, on standard error, and only when that is a terminal.
-
-use std::io::{IsTerminal as _, Write as _};
+//! The progress of a run or a study: ticks, rate, loss and, in real time, missed and lost samples, on a
+//! progress line.
 
 use super::Launch;
 use super::folder::RunFolder;
+use super::progress_line::ProgressLine;
 use crate::channel::RunServices;
 use crate::clock::monotonic_ns;
 use crate::process::say;
@@ -12,25 +12,24 @@ use crate::report::thousands;
 use crate::runtime::Mode;
 use crate::wire::Role;
 
-/// How often the line is drawn anew, ns.
-const EVERY_NS: u64 = 200_000_000;
+/// How often the line is redrawn, ns.
+const REDRAW_NS: u64 = 200_000_000;
 
-/// The progress line.
+/// The progress line of a run.
 #[derive(Debug)]
 pub(crate) struct RunProgress {
-    shown: bool,
+    line: ProgressLine,
     name: String,
     ticks: u64,
     realtime: bool,
-    /// When it was drawn last, and the ticks then.
+    /// When the line was last drawn, ns, and the ticks done by then; zero before the first time.
     last: (u64, u64),
-    /// What the learner had taken then, ns.
+    /// The learner's total computing time by then, ns.
     learner_ns: u64,
 }
 
 impl RunProgress {
-    /// A line for the run, silent unless it is wanted and standard error is a terminal. Says at once which processes are
-    /// waited for, because those must be started by somebody.
+    /// The progress of a run in processes of its own. Prints at once which processes the user has to start by hand.
     pub fn new(launch: &Launch, folder: &RunFolder) -> Self {
         for role in &launch.by_hand {
             let program = match role {
@@ -40,47 +39,40 @@ impl RunProgress {
             };
             say(&format!("waiting for the {}: {program} --run {}", role.name(), folder.path().display()));
         }
-        let mut progress = Self::silent(&launch.plan.scenario.name, launch.plan.scenario.ticks);
-        progress.shown = launch.progress && std::io::stderr().is_terminal();
-        progress.realtime = launch.mode == Mode::Realtime;
-        progress
+        let scenario = &launch.plan.scenario;
+        Self { realtime: launch.mode == Mode::Realtime, ..Self::study(&scenario.name, scenario.ticks, launch.progress) }
     }
 
-    fn silent(name: &str, ticks: u64) -> Self {
-        Self { shown: false, name: name.to_owned(), ticks, realtime: false, last: (0, 0), learner_ns: 0 }
-    }
-
-    /// A line for a run in one process.
+    /// The progress of a run or a study in this process.
     pub fn study(name: &str, ticks: u64, wanted: bool) -> Self {
-        Self { shown: wanted && std::io::stderr().is_terminal(), ..Self::silent(name, ticks) }
+        let line = ProgressLine::new(wanted);
+        Self { line, name: name.to_owned(), ticks, realtime: false, last: (0, 0), learner_ns: 0 }
     }
 
-    /// Draws the line from the boards, if it is time.
+    /// Draws the line from the status boards, if it is due.
     pub fn show(&mut self, services: &RunServices) {
-        if self.shown && self.due() {
-            let (plant, controller) = (services.status(Role::Plant), services.status(Role::Controller));
-            let timing = match (self.realtime, plant.missed, services.status(Role::Logger).lost) {
-                (true, missed, lost) => {
-                    format!(
-                        "  learner {:.0} %  missed {missed}  lost {lost}",
-                        self.learner_share(controller.learner_ns)
-                    )
-                }
-                _ => String::new(),
-            };
-            self.draw(plant.ticks, controller.loss, controller.end_error, &timing);
-            self.learner_ns = controller.learner_ns;
+        if !self.due() {
+            return;
         }
+        let (plant, controller) = (services.status(Role::Plant), services.status(Role::Controller));
+        let timing = if self.realtime {
+            let (share, lost) = (self.learner_share(controller.learner_ns), services.status(Role::Logger).lost);
+            format!("  learner {share:.0} %  missed {}  lost {lost}", plant.missed)
+        } else {
+            String::new()
+        };
+        self.draw(plant.ticks, controller.loss, controller.end_error, &timing);
+        self.learner_ns = controller.learner_ns;
     }
 
-    /// Draws the line from what is known in one process, if it is time.
+    /// Draws the line from the tick, loss and end error of a run in this process, if it is due.
     pub fn show_study(&mut self, tick: u64, (loss, end_error): (f32, f32)) {
-        if self.shown && self.due() {
+        if self.due() {
             self.draw(tick, loss, end_error, "");
         }
     }
 
-    /// The learner's share of the time since the line was drawn last, %.
+    /// The learner's share of the time since the line was last drawn, %.
     fn learner_share(&self, learner_ns: u64) -> f64 {
         match self.last {
             (0, _) => 0.0,
@@ -91,7 +83,7 @@ impl RunProgress {
     }
 
     fn due(&self) -> bool {
-        monotonic_ns() - self.last.0 >= EVERY_NS
+        self.line.enabled() && monotonic_ns() - self.last.0 >= REDRAW_NS
     }
 
     fn draw(&mut self, tick: u64, loss: f32, end_error: f32, timing: &str) {
@@ -103,26 +95,20 @@ impl RunProgress {
         let value = |label: &str, x: f32, unit: &str| {
             if x.is_finite() { format!("  {label} {x:.3}{unit}") } else { String::new() }
         };
-        let mut stderr = std::io::stderr().lock();
-        // A progress line that cannot be drawn is no reason to end a run.
-        let _ = write!(
-            stderr,
-            "\r{}  {} of {} ticks  {} ticks/s{}{}{timing}\x1b[K",
+        self.line.show(&format!(
+            "{}  {} of {} ticks  {} ticks/s{}{}{timing}",
             self.name,
             thousands(tick),
             thousands(self.ticks),
             thousands(rate as u64),
             value("loss", loss, ""),
             value("end error", end_error, " m"),
-        );
-        let _ = stderr.flush();
+        ));
         self.last = (now, tick);
     }
 
-    /// Takes the line away.
-    pub fn clear(&self) {
-        if self.shown {
-            let _ = std::io::stderr().write_all(b"\r\x1b[K");
-        }
+    /// Erases the line.
+    pub fn clear(&mut self) {
+        self.line.clear();
     }
 }

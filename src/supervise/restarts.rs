@@ -1,100 +1,117 @@
-//! Who is started again, and when: restart policies, back-off, and how long a silence may be.
+//! Restart policy: which processes are restarted, after what delay, and when a missing heartbeat counts as a hang.
 //!
-//! A wait that doubles keeps a process that dies at once from taking the machine; a healthy while makes it short again. Pure
-//! bookkeeping: the launcher hands in the time.
+//! The delay doubles with every restart in a row, so that a process that dies at once does not take the
+//! machine's time. After a process has run for a while without failing, its delay is short again. This is pure
+//! bookkeeping: the launcher passes the time in.
 
 use serde::Serialize;
 
-use super::children::ProcessDeath;
+use super::children::{DeathKind, ProcessDeath};
 use crate::channel::INCARNATIONS;
 use crate::scenario::{RestartConfig, RestartPolicy};
 use crate::wire::Role;
 
-/// Of a silence no more than this counts at a look, ns: if the launcher itself was not looking, others may have been as little to
-/// blame.
-const LONGEST_LOOK_NS: u64 = 200_000_000;
+/// The longest time that a single check may add to a process's silence, ns. If the launcher itself did not run
+/// for a while, neither may have the process.
+const LONGEST_CHECK_NS: u64 = 200_000_000;
 
-/// A process that died or hung, and came back.
+/// A process that died or hung and was restarted.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RestartIncident {
     /// Which process.
     pub process: &'static str,
     /// What happened to it, one sentence.
     pub what: String,
-    /// The start number under which it came back.
+    /// The incarnation that replaced it.
     pub incarnation: u32,
     /// Seconds between its death and its next start.
     pub away_s: f64,
 }
 
-/// What is known of one process.
-#[derive(Debug, Clone, Default)]
-struct ProcessRecord {
-    /// When it was started last, ns.
-    started: u64,
-    /// Starts in a row without a healthy while between them.
-    in_a_row: u32,
-    /// When it died and when it is to be started again, ns, and what happened.
-    due: Option<(u64, u64, String)>,
-    incarnation: u32,
-    /// Its last sign of life, when that was last looked at, and how long it has been the same, ns.
-    beat: u64,
-    looked: u64,
-    silent: u64,
+/// A process that has died and waits for its restart.
+#[derive(Debug, Clone)]
+struct PendingRestart {
+    /// When it died, ns.
+    died_ns: u64,
+    /// When it is to be started, ns.
+    due_ns: u64,
+    /// What happened to it.
+    what: String,
 }
 
-/// The launcher's book of its processes.
+/// What the launcher knows of one process.
+#[derive(Debug, Clone, Default)]
+struct ProcessRecord {
+    /// When it was last started, ns.
+    started_ns: u64,
+    /// Restarts in a row, without `healthy_s` of running between them.
+    restarts_in_a_row: u32,
+    pending: Option<PendingRestart>,
+    incarnation: u32,
+    /// Its last heartbeat.
+    heartbeat: u64,
+    /// When the heartbeat was last checked, ns.
+    checked_ns: u64,
+    /// For how long the heartbeat has not changed, ns.
+    silent_ns: u64,
+}
+
+/// Tracks the starts, deaths and heartbeats of a run's processes.
 #[derive(Debug)]
 pub(super) struct RestartTracker {
-    table: RestartConfig,
+    config: RestartConfig,
     records: [ProcessRecord; 3],
-    /// All that came back.
+    /// All restarts so far, in order.
     pub incidents: Vec<RestartIncident>,
 }
 
 impl RestartTracker {
-    /// A book under the rules of `table`; all processes have been started at `now`.
-    pub fn new(table: &RestartConfig, now: u64) -> Self {
-        let record = ProcessRecord { started: now, looked: now, ..ProcessRecord::default() };
-        Self { table: table.clone(), records: [(); 3].map(|()| record.clone()), incidents: Vec::new() }
+    /// A tracker under the rules of `config`. All processes have been started at `now`.
+    pub fn new(config: &RestartConfig, now: u64) -> Self {
+        let record = ProcessRecord { started_ns: now, checked_ns: now, ..ProcessRecord::default() };
+        Self { config: config.clone(), records: [(); 3].map(|()| record.clone()), incidents: Vec::new() }
     }
 
-    /// Whether the process is to be started again; then it is due after its wait. `at_once` is for one that was ended in
-    /// order to be started again.
-    pub fn take(&mut self, death: &ProcessDeath, now: u64, at_once: bool) -> bool {
-        let record = &mut self.records[death.role as usize];
-        let policy = self.table.of(death.role);
-        let wanted = match death.unless {
-            None => false,
-            Some(RestartPolicy::Never) => policy != RestartPolicy::Never,
-            Some(RestartPolicy::OnFailure | RestartPolicy::Always) => policy == RestartPolicy::Always,
+    /// Schedules the restart of a process, if its policy allows one. True if it does. `requested` is for a
+    /// process that was asked to end so that it restarts: it restarts whatever the policy, and without a delay.
+    pub fn schedule(&mut self, death: &ProcessDeath, now: u64, requested: bool) -> bool {
+        let role = death.failure.role;
+        let record = &mut self.records[role as usize];
+        let policy = self.config.of(role);
+        let allowed = match death.kind {
+            DeathKind::Final => false,
+            DeathKind::Failure => policy != RestartPolicy::Never,
+            DeathKind::EarlyExit => policy == RestartPolicy::Always,
         };
-        if now.saturating_sub(record.started) as f64 > self.table.healthy_s * 1e9 {
-            record.in_a_row = 0;
+        if now.saturating_sub(record.started_ns) as f64 > self.config.healthy_s * 1e9 {
+            record.restarts_in_a_row = 0;
         }
-        let left = record.in_a_row < self.table.give_up_after && record.incarnation + 1 < INCARNATIONS;
-        if !(wanted && left || at_once && record.incarnation + 1 < INCARNATIONS) {
+        let incarnations_left = record.incarnation + 1 < INCARNATIONS;
+        let given_up = record.restarts_in_a_row >= self.config.give_up_after;
+        if !incarnations_left || !requested && (!allowed || given_up) {
             return false;
         }
-        let doubled = self.table.backoff_ms * 2_f64.powi(record.in_a_row.min(64) as i32);
-        let listen = if at_once { 0.0 } else { doubled.min(self.table.backoff_cap_ms) };
-        record.in_a_row += 1;
-        record.due = Some((now, now + (listen * 1e6) as u64, death.failure.message.clone()));
+        let doubled = self.config.backoff_ms * 2_f64.powi(record.restarts_in_a_row.min(64) as i32);
+        let delay_ms = if requested { 0.0 } else { doubled.min(self.config.backoff_cap_ms) };
+        record.restarts_in_a_row += 1;
+        let what = death.failure.message.clone();
+        record.pending = Some(PendingRestart { died_ns: now, due_ns: now + (delay_ms * 1e6) as u64, what });
         true
     }
 
-    /// A process whose wait is over.
+    /// A process whose restart is due.
     pub fn due(&self, now: u64) -> Option<Role> {
-        Role::ALL.into_iter().find(|&role| self.records[role as usize].due.as_ref().is_some_and(|due| due.1 <= now))
+        let due = |role: &Role| self.records[*role as usize].pending.as_ref().is_some_and(|p| p.due_ns <= now);
+        Role::ALL.into_iter().find(due)
     }
 
-    /// The process is started again, under the start number that is returned.
-    pub fn started(&mut self, role: Role, now: u64) -> u32 {
+    /// Records that the process is started again. Returns its new incarnation.
+    pub fn record_restart(&mut self, role: Role, now: u64) -> u32 {
         let record = &mut self.records[role as usize];
         record.incarnation += 1;
-        (record.started, record.looked, record.beat, record.silent) = (now, now, 0, 0);
-        if let Some((died, _, what)) = record.due.take() {
-            let away_s = now.saturating_sub(died) as f64 / 1e9;
+        (record.started_ns, record.checked_ns, record.heartbeat, record.silent_ns) = (now, now, 0, 0);
+        if let Some(PendingRestart { died_ns, what, .. }) = record.pending.take() {
+            let away_s = now.saturating_sub(died_ns) as f64 / 1e9;
             self.incidents.push(RestartIncident {
                 process: role.name(),
                 what,
@@ -105,19 +122,19 @@ impl RestartTracker {
         record.incarnation
     }
 
-    /// Takes note of a process's sign of life. True if it has been silent for too long.
-    pub fn silent(&mut self, role: Role, beat: u64, now: u64) -> bool {
+    /// Records the heartbeat of a process. True if it has not changed for longer than the limit: the process hangs.
+    pub fn hangs(&mut self, role: Role, heartbeat: u64, now: u64) -> bool {
         let record = &mut self.records[role as usize];
-        let since = now.saturating_sub(record.looked).min(LONGEST_LOOK_NS);
-        record.looked = now;
-        record.silent = if beat == record.beat { record.silent + since } else { 0 };
-        record.beat = beat;
-        self.table.hang_s > 0.0 && record.silent as f64 > self.table.hang_s * 1e9
+        let since_check = now.saturating_sub(record.checked_ns).min(LONGEST_CHECK_NS);
+        record.checked_ns = now;
+        record.silent_ns = if heartbeat == record.heartbeat { record.silent_ns + since_check } else { 0 };
+        record.heartbeat = heartbeat;
+        self.config.hang_s > 0.0 && record.silent_ns as f64 > self.config.hang_s * 1e9
     }
 
-    /// How long since the process was started, ns.
-    pub fn age(&self, role: Role, now: u64) -> u64 {
-        now.saturating_sub(self.records[role as usize].started)
+    /// The time since the process was started, ns.
+    pub fn since_start(&self, role: Role, now: u64) -> u64 {
+        now.saturating_sub(self.records[role as usize].started_ns)
     }
 }
 
@@ -128,70 +145,71 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    fn death(role: Role, unless: Option<RestartPolicy>) -> ProcessDeath {
+    fn death(role: Role, kind: DeathKind) -> ProcessDeath {
         let message = "the logger was killed by signal 9 at tick 7".to_owned();
-        ProcessDeath { role, failure: ProcessFailure { code: 4, message, said: (role, String::new()) }, unless }
+        ProcessDeath { failure: ProcessFailure::new(role, message), kind }
     }
 
     #[test]
-    fn the_wait_doubles_up_to_its_cap_and_is_short_again_after_a_healthy_while() {
-        let table = RestartConfig { backoff_cap_ms: 300.0, give_up_after: 6, ..RestartConfig::default() };
-        let mut restarts = RestartTracker::new(&table, 0);
-        let died = death(Role::Logger, Some(RestartPolicy::Never));
+    fn the_delay_doubles_up_to_its_cap_and_is_short_again_after_a_healthy_period() {
+        let config = RestartConfig { backoff_cap_ms: 300.0, give_up_after: 6, ..RestartConfig::default() };
+        let mut restarts = RestartTracker::new(&config, 0);
+        let died = death(Role::Logger, DeathKind::Failure);
         let mut now = 0;
-        for listen in [100, 200, 300, 300] {
-            assert!(restarts.take(&died, now, false));
-            assert_eq!(restarts.due(now + listen * MS - 1), None);
-            now += listen * MS;
+        for delay in [100, 200, 300, 300] {
+            assert!(restarts.schedule(&died, now, false));
+            assert_eq!(restarts.due(now + delay * MS - 1), None);
+            now += delay * MS;
             assert_eq!(restarts.due(now), Some(Role::Logger));
-            restarts.started(Role::Logger, now);
+            restarts.record_restart(Role::Logger, now);
             assert_eq!(restarts.due(now), None);
         }
         now += 10_001 * MS;
-        assert!(restarts.take(&died, now, false));
+        assert!(restarts.schedule(&died, now, false));
         assert_eq!(restarts.due(now + 100 * MS), Some(Role::Logger));
-        assert_eq!(restarts.started(Role::Logger, now + 100 * MS), 5);
+        assert_eq!(restarts.record_restart(Role::Logger, now + 100 * MS), 5);
         assert_eq!(restarts.incidents.len(), 5);
         assert!((restarts.incidents[1].away_s - 0.2).abs() < 1e-9);
     }
 
     #[test]
-    fn who_dies_again_and_again_is_given_up() {
-        let mut restarts = RestartTracker::new(&RestartConfig { give_up_after: 3, ..RestartConfig::default() }, 0);
-        let died = death(Role::Plant, Some(RestartPolicy::Never));
+    fn a_process_that_dies_repeatedly_is_given_up() {
+        let config = RestartConfig { give_up_after: 3, ..RestartConfig::default() };
+        let mut restarts = RestartTracker::new(&config, 0);
+        let died = death(Role::Plant, DeathKind::Failure);
         for _ in 0..3 {
-            assert!(restarts.take(&died, 5, false));
-            restarts.started(Role::Plant, 6);
+            assert!(restarts.schedule(&died, 5, false));
+            restarts.record_restart(Role::Plant, 6);
         }
-        assert!(!restarts.take(&died, 7, false));
-        assert!(restarts.take(&died, 20_000 * MS, false), "unless it has lived for a while");
+        assert!(!restarts.schedule(&died, 7, false));
+        assert!(restarts.schedule(&died, 20_000 * MS, false), "unless it has run for a while");
     }
 
     #[test]
-    fn policies() {
-        let all = [None, Some(RestartPolicy::Never), Some(RestartPolicy::OnFailure)];
+    fn a_policy_restarts_the_deaths_it_names() {
+        let kinds = [DeathKind::Final, DeathKind::Failure, DeathKind::EarlyExit];
         for (policy, expected) in [
             (RestartPolicy::Never, [false, false, false]),
             (RestartPolicy::OnFailure, [false, true, false]),
             (RestartPolicy::Always, [false, true, true]),
         ] {
-            let table = RestartConfig { controller: policy, ..RestartConfig::default() };
-            let taken =
-                all.map(|unless| RestartTracker::new(&table, 0).take(&death(Role::Controller, unless), 1, false));
-            assert_eq!(taken, expected, "{policy:?}");
+            let config = RestartConfig { controller: policy, ..RestartConfig::default() };
+            let restarted =
+                kinds.map(|kind| RestartTracker::new(&config, 0).schedule(&death(Role::Controller, kind), 1, false));
+            assert_eq!(restarted, expected, "{policy:?}");
         }
     }
 
     #[test]
-    fn only_a_silence_that_was_listened_to_counts() {
+    fn only_a_silence_that_was_checked_counts() {
         let mut restarts = RestartTracker::new(&RestartConfig { hang_s: 1.0, ..RestartConfig::default() }, 0);
-        assert!(!restarts.silent(Role::Plant, 1, 100 * MS));
-        assert!(!restarts.silent(Role::Plant, 1, 60_000 * MS), "the launcher itself was away");
-        for look in 1..=8 {
-            let now = (60_000 + 100 * look) * MS;
-            assert!(!restarts.silent(Role::Plant, 1, now), "{look}");
+        assert!(!restarts.hangs(Role::Plant, 1, 100 * MS));
+        assert!(!restarts.hangs(Role::Plant, 1, 60_000 * MS), "the launcher itself was not running");
+        for check in 1..=8 {
+            let now = (60_000 + 100 * check) * MS;
+            assert!(!restarts.hangs(Role::Plant, 1, now), "{check}");
         }
-        assert!(restarts.silent(Role::Plant, 1, 60_901 * MS));
-        assert!(!restarts.silent(Role::Plant, 2, 60_950 * MS));
+        assert!(restarts.hangs(Role::Plant, 1, 60_901 * MS));
+        assert!(!restarts.hangs(Role::Plant, 2, 60_950 * MS));
     }
 }
