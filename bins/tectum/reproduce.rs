@@ -1,4 +1,4 @@
-//! `tectum reproduce`.
+//! `tectum reproduce`: the experiments of the paper.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -57,12 +57,10 @@ struct Options {
 
 pub fn main(arguments: &Arguments) -> ExitCode {
     study_ended(match &arguments.experiment {
-        Experiment::Arm(options) => arm(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())),
-        Experiment::Eye(options) => eye(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())),
-        Experiment::OpenLoop(options) => {
-            open_loop(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text()))
-        }
-        Experiment::Outlook(options) => outlook(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())),
+        Experiment::Arm(options) => arm(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
+        Experiment::Eye(options) => eye(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
+        Experiment::OpenLoop(options) => open_loop(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
+        Experiment::Outlook(options) => outlook(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
     })
 }
 
@@ -77,7 +75,8 @@ impl Options {
         }
     }
 
-    fn shown(&self, json: String, text: String) -> String {
+    /// The text to print.
+    fn text(&self, json: String, text: String) -> String {
         if self.json { json + "\n" } else { text }
     }
 }
