@@ -31,7 +31,8 @@ enum Experiment {
     /// The open-loop arm, section 4.2: 3 and 4 segments, and how the postures found differ between seeds
     #[command(after_help = "Example: tectum reproduce open-loop --seeds 7")]
     OpenLoop(Options),
-    /// The outlook, section 5: limited joints, relative angles, collisions, rewards, L1 noise, and the movements' shape
+    /// The outlook, section 5: limited joints, relative angles, collisions, rewards, L1 noise, and the
+    /// movements' shape
     #[command(after_help = "Example: tectum reproduce outlook --seeds 3")]
     Outlook(Options),
 }

@@ -1,8 +1,8 @@
 //! The noiseless test: a plant that is driven without exploration noise, through the scenario's gate.
 //!
-//! All studies that test a policy use these two parts. [`MeanPolicy`] turns inputs into the policy's mean command.
-//! [`Rollout`] applies commands to a plant through a fresh gate, as the plant's process does in a run. Faults of the
-//! channels do not act here: a test measures what was learned.
+//! All studies that test a policy use these two parts. [`MeanPolicy`] turns inputs into the policy's mean
+//! command. [`Rollout`] applies commands to a plant through a fresh gate, as the plant's process does in a
+//! run. Faults of the channels do not act here: a test measures what was learned.
 
 use crate::encoder::{Encoder, Features};
 use crate::plant::{Outcome, Plant};
@@ -48,7 +48,8 @@ impl<P: Plant> Rollout<P> {
         Self::sensed(plant, plan, [0.0; MAX_INPUTS])
     }
 
-    /// The same for a plant that has already been sensed in the tick that comes first, with the result `inputs`.
+    /// The same for a plant that has already been sensed in the tick that comes first, with the result
+    /// `inputs`.
     pub fn sensed(plant: P, plan: &Plan, inputs: [f32; MAX_INPUTS]) -> Self {
         let used = (plan.inputs.len(), plan.outputs.len());
         Self { plant, gate: Gate::new(&plan.scenario.gate, used.1), inputs, used }

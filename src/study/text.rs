@@ -1,4 +1,5 @@
-//! Pieces of text that several studies use: cells of tables and of CSV files, lists of seeds, lines of a summary.
+//! Pieces of text that several studies use: cells of tables and of CSV files, lists of seeds, lines of a
+//! summary.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,8 @@
 //! Runs the jobs of a study in parallel.
 //!
-//! One thread per core takes the next job, while the calling thread shows the progress and watches for signals. A job's
-//! result depends on the job alone, never on the thread that ran it or on the time at which it ran.
+//! One thread per core takes the next job, while the calling thread shows the progress and watches for
+//! signals. A job's result depends on the job alone, never on the thread that ran it or on the time at which
+//! it ran.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::thread;
@@ -36,8 +37,8 @@ impl JobProgress<'_> {
 }
 
 impl WorkerPool {
-    /// A pool that stops on SIGINT and SIGTERM. With `progress` it shows a progress line on standard error, if that is a
-    /// terminal.
+    /// A pool that stops on SIGINT and SIGTERM. With `progress` it shows a progress line on standard error,
+    /// if that is a terminal.
     ///
     /// # Errors
     /// When the signal handlers cannot be installed.
@@ -46,7 +47,8 @@ impl WorkerPool {
         Ok(Self { signals, progress })
     }
 
-    /// Runs `work` for all `jobs`, which have `ticks` ticks together. Gives the results in the order of the jobs.
+    /// Runs `work` for all `jobs`, which have `ticks` ticks together. Gives the results in the order of the
+    /// jobs.
     ///
     /// # Errors
     /// [`StudyError::Signal`] if a signal ended the study early.

@@ -95,8 +95,8 @@ impl MovementCollector {
             None => Some("the plant is not the simulator's".to_owned()),
             Some(follower) => follower.lost_at().map(|tick| {
                 format!(
-                    "from tick {tick} on the log is not what this build makes of it: ticks were missed or lost, or another \
-                     build wrote it"
+                    "from tick {tick} on the log is not what this build makes of it: ticks were missed or lost, \
+                     or another build wrote it"
                 )
             }),
         }

@@ -51,7 +51,8 @@ pub(super) struct MovementCutter {
     pub left_out: LeftOut,
 }
 
-/// Flags of a tick in which the plant did not follow the policy, so that the movement is not the policy's own.
+/// Flags of a tick in which the plant did not follow the policy, so that the movement is not the policy's
+/// own.
 const BROKEN: u32 = flag::MISSED | flag::SKIPPED | flag::NON_FINITE;
 
 impl MovementCutter {
@@ -117,7 +118,8 @@ impl MovementCutter {
         done
     }
 
-    /// For the current movement, the distance from the target when it appeared, m. `None` if the target's position is not known.
+    /// For the current movement, the distance from the target when it appeared, m. `None` if the target's
+    /// position is not known.
     pub fn distance(&self) -> Option<f64> {
         self.current.as_ref().map(|cut| cut.movement.distance).filter(|distance| distance.is_finite())
     }

@@ -22,8 +22,8 @@ pub enum AnalyseError {
     },
     /// The log was written with `every` above 1.
     #[error(
-        "the log {} holds every {every}th tick only, and a movement is made of all of them; run the scenario again with \
-         `every = 1` under [log]", path.display()
+        "the log {} holds every {every}th tick only, and a movement is made of all of them; run the scenario \
+         again with `every = 1` under [log]", path.display()
     )]
     Thinned {
         /// The log.
@@ -33,8 +33,8 @@ pub enum AnalyseError {
     },
     /// The plant does not measure error and end-effector.
     #[error(
-        "the plant of scenario \"{scenario}\" does not measure `{missing}` ({found} only), and movements are made of error, end_x \
-         and end_y; a plant of your own can report them, named under [plant] measures"
+        "the plant of scenario \"{scenario}\" does not measure `{missing}` ({found} only), and movements are made of \
+         error, end_x and end_y; a plant of your own can report them, named under [plant] measures"
     )]
     NoMeasures {
         /// The scenario's name.

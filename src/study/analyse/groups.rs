@@ -42,7 +42,8 @@ pub(super) struct MovementGroup {
     /// Quartiles by measure, in the order of [`COLUMNS`]; null for a measure that no movement has.
     #[serde(serialize_with = "by_name")]
     pub measures: Vec<Option<Quartiles>>,
-    /// Share of the movements whose reach had ended when the next target appeared. The others have no duration and no profile.
+    /// Share of the movements whose reach had ended when the next target appeared. The others have no
+    /// duration and no profile.
     pub completed: f64,
     /// Share of the movements that settled within the fixed tolerance.
     pub settled: f64,

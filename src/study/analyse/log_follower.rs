@@ -1,10 +1,11 @@
 //! The movements that the policy would have made without exploration noise.
 //!
-//! Noise of the paper's size moves the end-effector by a tenth of a metre per tick, so speeds that include it say little
-//! about the policy. A log holds everything that plant and controller received, so both can be run again along it: the
-//! plant advances with the applied commands, and the controller learns from the observations. Their output must equal the
-//! log to the last bit. When a target appears, a copy of the plant, in the same posture, is moved towards it with the mean
-//! of the current policy, through the gate, until the next target.
+//! Noise of the paper's size moves the end-effector by a tenth of a metre per tick, so speeds that include it
+//! say little about the policy. A log holds everything that plant and controller received, so both can be run
+//! again along it: the plant advances with the applied commands, and the controller learns from the
+//! observations. Their output must equal the log to the last bit. When a target appears, a copy of the plant,
+//! in the same posture, is moved towards it with the mean of the current policy, through the gate, until the
+//! next target.
 
 use super::cutter::MovementCutter;
 use super::movement::RecordedMovement;
@@ -70,8 +71,8 @@ impl LogFollower {
         }
     }
 
-    /// Runs the controller's tick of `command`, and compares its answer. Gives the noiseless movement if a target appeared in
-    /// this tick. `cutter` knows the places of the measures.
+    /// Runs the controller's tick of `command`, and compares its answer. Gives the noiseless movement if a
+    /// target appeared in this tick. `cutter` knows the places of the measures.
     pub fn command(&mut self, command: &Command, cutter: &MovementCutter) -> Option<(u64, RecordedMovement)> {
         let tick = command.header.tick;
         if self.lost_at.is_some() {

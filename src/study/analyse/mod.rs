@@ -1,14 +1,15 @@
-//! Analyses the movements of a run from its log: duration and peak speed against distance (isochrony), shape of the speed
-//! profiles, straightness, settling; at the beginning of the run and at its end.
+//! Analyses the movements of a run from its log: duration and peak speed against distance (isochrony), shape
+//! of the speed profiles, straightness, settling; at the beginning of the run and at its end.
 //!
-//! The paper (section 5) asks whether learned movements have the properties of human gestures, isochrony and bell-shaped
-//! speed profiles (its references 12 and 13). *Isochrony* means that movements over larger distances are faster, so that
-//! their duration depends little on distance (Viviani & Terzuolo 1982; Viviani & Schneider 1991): a straight line through
-//! durations against distances has a small slope, one through peak speeds a large one. [`movement`] defines the measures of
-//! a single movement.
+//! The paper (section 5) asks whether learned movements have the properties of human gestures, isochrony and
+//! bell-shaped speed profiles (its references 12 and 13). *Isochrony* means that movements over larger
+//! distances are faster, so that their duration depends little on distance (Viviani & Terzuolo 1982; Viviani
+//! & Schneider 1991): a straight line through durations against distances has a small slope, one through peak
+//! speeds a large one. `movement.rs` defines the measures of a single movement.
 //!
-//! Where possible, every movement is measured twice: as recorded, and as the policy of that moment would have made it
-//! without exploration noise (see [`log_follower`]). For a plant of your own, only the recorded movement is known.
+//! Where possible, every movement is measured twice: as recorded, and as the policy of that moment would have
+//! made it without exploration noise (see `log_follower.rs`). For a plant of your own, only the recorded
+//! movement is known.
 
 mod collector;
 mod cutter;
@@ -63,7 +64,8 @@ pub struct Analysis {
     noiseless_missing: Option<String>,
     /// As recorded.
     measured: MovementGroups,
-    /// The measures of a minimum-jerk movement with distance and duration of the median movement at the run's end.
+    /// The measures of a minimum-jerk movement with distance and duration of the median movement at the run's
+    /// end.
     minimum_jerk: Measures,
     /// The movements, one by one.
     #[serde(skip)]
@@ -72,11 +74,13 @@ pub struct Analysis {
 
 /// Analyses the movements in the log in `segments`, which belong to one run and stand in its order.
 ///
-/// With `noiseless`, plant and controller are run again along the log to find the movements without exploration noise. This
-/// takes as long as the learning took. With `progress`, a progress line is shown on standard error, if that is a terminal.
+/// With `noiseless`, plant and controller are run again along the log to find the movements without
+/// exploration noise. This takes as long as the learning took. With `progress`, a progress line is shown on
+/// standard error, if that is a terminal.
 ///
 /// # Errors
-/// [`AnalyseError`] if it is not a log, does not hold every tick, or its plant does not measure error and end-effector.
+/// [`AnalyseError`] if it is not a log, does not hold every tick, or its plant does not measure error and
+/// end-effector.
 pub fn analyse(segments: &[PathBuf], noiseless: bool, progress: bool) -> Result<Analysis, AnalyseError> {
     let mut log = RunLog::open(segments)?;
     let path = log.path().to_owned();
@@ -143,8 +147,8 @@ fn plan_of(log: &RunLog, path: &Path) -> Result<Plan, AnalyseError> {
         .map_err(|error| AnalyseError::Scenario { path: path.to_owned(), error: Box::new(error) })
 }
 
-/// A minimum-jerk movement to compare with. It has the distance of the median movement at the run's end, and between the
-/// thresholds its duration, rounded to whole ticks.
+/// A minimum-jerk movement to compare with. It has the distance of the median movement at the run's end, and
+/// between the thresholds its duration, rounded to whole ticks.
 fn matching_minimum_jerk(groups: &MovementGroups, period_s: f64, definitions: &Definitions) -> Measures {
     /// Share of the whole minimum-jerk movement between thresholds of 5 % of its peak speed.
     const BETWEEN: f64 = 0.881;

@@ -1,17 +1,21 @@
-//! The measures of one movement: the path of the end-effector, tick by tick, towards a target. Pure functions.
+//! The measures of one movement: the path of the end-effector, tick by tick, towards a target. Pure
+//! functions.
 //!
 //! The measures and their sources:
 //!
-//! - *Speed* is the tangential speed of the end-effector, the distance between two ticks over the period. The *reach* lasts
-//!   from the first to the last tick whose speed is at least [`Definitions::onset`] of the peak speed, the usual threshold
-//!   of 5 %. A reach that has not ended when the next target appears has no duration, no mean speed and no profile.
-//! - *Bell shape* (Morasso 1981; Flash & Hogan 1985, the paper's reference 13): the speed's peak lies in the middle of the
-//!   reach, the profile is its own mirror image, has one peak, and peak speed over mean speed is 1.875 for the movement of
-//!   minimum jerk from rest to rest; counted between thresholds of 5 % it is 1.66. See [`minimum_jerk`].
-//! - *Straightness* (Morasso 1981; Atkeson & Hollerbach 1985): the length of the path over the straight line between its
-//!   ends, 1 for a straight one, and the largest distance of the path from that line over its length, 0 for a straight one.
-//! - *Settling*: the time from the target's appearance to the first tick from which on the error stays within a tolerance:
-//!   a fixed one, and a share of the distance to the target.
+//! - *Speed* is the tangential speed of the end-effector, the distance between two ticks over the period. The
+//!   *reach* lasts from the first to the last tick whose speed is at least [`Definitions::onset`] of the peak
+//!   speed, the usual threshold of 5 %. A reach that has not ended when the next target appears has no
+//!   duration, no mean speed and no profile.
+//! - *Bell shape* (Morasso 1981; Flash & Hogan 1985, the paper's reference 13): the speed's peak lies in the
+//!   middle of the reach, the profile is its own mirror image, has one peak, and peak speed over mean speed
+//!   is 1.875 for the movement of minimum jerk from rest to rest; counted between thresholds of 5 % it is
+//!   1.66. See [`minimum_jerk`].
+//! - *Straightness* (Morasso 1981; Atkeson & Hollerbach 1985): the length of the path over the straight line
+//!   between its ends, 1 for a straight one, and the largest distance of the path from that line over its
+//!   length, 0 for a straight one.
+//! - *Settling*: the time from the target's appearance to the first tick from which on the error stays within
+//!   a tolerance: a fixed one, and a share of the distance to the target.
 //!
 //! A measure that does not exist (the ratio of speeds of an arm that never moved) is `None`, never NaN.
 
@@ -75,7 +79,8 @@ pub(crate) struct Measures {
     pub straightness: Option<f64>,
     /// Largest distance of the reach's path from that line over the line's length.
     pub deviation: Option<f64>,
-    /// From the target's appearance until the error stays within the fixed tolerance, s; `None` if it never does.
+    /// From the target's appearance until the error stays within the fixed tolerance, s; `None` if it never
+    /// does.
     pub settled_s: Option<f64>,
     /// The same for the tolerance that is a share of the distance.
     pub settled_share_s: Option<f64>,
@@ -155,8 +160,8 @@ pub(crate) fn measure(movement: &RecordedMovement, period_s: f64, definitions: &
     measures
 }
 
-/// The minimum-jerk movement over `distance_m` in `ticks` ticks, straight along x, followed by as many ticks of rest (Flash &
-/// Hogan 1985, equation for a point-to-point movement from rest to rest).
+/// The minimum-jerk movement over `distance_m` in `ticks` ticks, straight along x, followed by as many ticks
+/// of rest (Flash & Hogan 1985, equation for a point-to-point movement from rest to rest).
 pub(super) fn minimum_jerk(distance_m: f64, ticks: usize) -> RecordedMovement {
     let position = |tick: usize| {
         let t = (tick as f64 / ticks.max(1) as f64).min(1.0);
@@ -177,8 +182,8 @@ fn ratio(a: f64, b: f64) -> Option<f64> {
     ratio.is_finite().then_some(ratio)
 }
 
-/// The range of ticks, its end exclusive, from the first to the last speed of at least `share` of the peak speed. `None` if
-/// nothing moved.
+/// The range of ticks, its end exclusive, from the first to the last speed of at least `share` of the peak
+/// speed. `None` if nothing moved.
 fn reach(speeds: &[f64], share: f64) -> Option<(usize, usize)> {
     let peak = speeds.iter().copied().fold(0.0, f64::max);
     let moving = |&speed: &f64| speed > 0.0 && speed >= share * peak;
@@ -186,8 +191,8 @@ fn reach(speeds: &[f64], share: f64) -> Option<(usize, usize)> {
     Some((from, speeds.iter().rposition(moving)? + 1))
 }
 
-/// Position (in ticks) and size of the speed's peak: the vertex of a parabola through the largest speed and its two
-/// neighbours, because the true peak lies between ticks.
+/// Position (in ticks) and size of the speed's peak: the vertex of a parabola through the largest speed and
+/// its two neighbours, because the true peak lies between ticks.
 fn peak(speeds: &[f64]) -> (f64, f64) {
     let at = (0..speeds.len()).fold(0, |best, i| if speeds[i] > speeds[best] { i } else { best });
     let middle = at as f64 + 0.5;

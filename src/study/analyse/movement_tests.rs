@@ -38,7 +38,8 @@ fn minimum_jerk_has_the_published_measures() {
     }
 }
 
-/// 30 t^2 (1 - t)^2 is 5 % of its peak of 1.875 at t = 0.0594: what lies between lasts 0.881 of the whole and covers 0.9962.
+/// 30 t^2 (1 - t)^2 is 5 % of its peak of 1.875 at t = 0.0594: what lies between lasts 0.881 of the whole and
+/// covers 0.9962.
 #[test]
 fn thresholds_make_the_profile_flatter() {
     let m = measure(&minimum_jerk(0.5, 1000), PERIOD, &Definitions::default());

@@ -25,8 +25,8 @@ const LINES: [(&str, &str, usize); 14] = [
     ("end_error_m", "error at the end (m)", 3),
 ];
 
-/// Measures that mean nothing with exploration noise: the speeds are those of the noise, and the beginning and the end of a
-/// reach cannot be found.
+/// Measures that mean nothing with exploration noise: the speeds are those of the noise, and the beginning
+/// and the end of a reach cannot be found.
 const NOISE_SENSITIVE: [&str; 7] =
     ["onset_s", "duration_s", "mean_speed_m_s", "peak_to_mean", "peak_position", "symmetry", "deviation"];
 

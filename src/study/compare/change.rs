@@ -1,4 +1,5 @@
-//! Changes of the arm during a run: as `--change` writes them, as the reports name them, and as the scenario stores them.
+//! Changes of the arm during a run: as `--change` writes them, as the reports name them, and as the scenario
+//! stores them.
 
 use std::fmt;
 use std::str::FromStr;

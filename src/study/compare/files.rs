@@ -76,7 +76,8 @@ fn learning_figure(result: &ComparisonResult) -> LearningFigure {
     }
 }
 
-/// The losses of one learner in one condition, over the ticks since its beginning. `None` if the learner does not meet it.
+/// The losses of one learner in one condition, over the ticks since its beginning. `None` if the learner does
+/// not meet it.
 fn curve(result: &ComparisonResult, condition: usize, learner: usize) -> Option<LearnerCurve> {
     let runs: &[LearnerRun] = &result.runs[learner];
     let learner = &result.learners[learner];

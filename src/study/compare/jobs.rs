@@ -19,7 +19,8 @@ enum JobResult {
     Run(LearnerRun),
 }
 
-/// Measures the references and runs all learners with all seeds. Gives the runs by learner, in the order of the seeds.
+/// Measures the references and runs all learners with all seeds. Gives the runs by learner, in the order of
+/// the seeds.
 pub(super) fn run(
     pool: &WorkerPool,
     entries: &[LearnerEntry],

@@ -36,10 +36,11 @@ pub(crate) struct LearnerEntry {
     pub(super) estimated_tick_ns: u64,
 }
 
-/// A rule's usual length of a run (ticks), its usual tick of the block, and the estimated time of a tick (ns).
+/// A rule's usual length of a run (ticks), its usual tick of the block, and the estimated time of a tick
+/// (ns).
 ///
-/// The runs are long enough for the learner to reach its final loss and to recover from the block, and short enough for a
-/// comparison of all learners within minutes.
+/// The runs are long enough for the learner to reach its final loss and to recover from the block, and short
+/// enough for a comparison of all learners within minutes.
 fn usual(rule: Rule) -> (u64, u64, u64) {
     match rule {
         Rule::Paper => (12_000_000, 10_000_000, 2_500),
@@ -68,8 +69,8 @@ pub(crate) fn name_of(rule: Rule) -> String {
 }
 
 impl LearnerEntry {
-    /// The learner of `rule` with its preset. `settings` such as `learner.beta=0.5` replace those of the preset. Without
-    /// `ticks`, its runs have their usual length.
+    /// The learner of `rule` with its preset. `settings` such as `learner.beta=0.5` replace those of the
+    /// preset. Without `ticks`, its runs have their usual length.
     ///
     /// # Errors
     /// When a setting, a change or the length is invalid.
@@ -113,13 +114,15 @@ fn check_order(changes: &[ArmChange], ticks: u64, name: &str) -> Result<(), Stud
         let at = thousands(change.tick);
         if change.tick == 0 || change.tick >= ticks {
             return Err(StudyError::Asked(format!(
-                "tick {at} of a change lies outside the run of {name}, which has {} ticks; give another tick, or --ticks",
+                "tick {at} of a change lies outside the run of {name}, which has {} ticks; \
+                 give another tick, or --ticks",
                 thousands(ticks)
             )));
         }
         if i > 0 && change.tick <= changes[i - 1].tick {
             return Err(StudyError::Asked(format!(
-                "two changes at tick {at}, or one after a later one; give them in the order of their ticks, all different"
+                "two changes at tick {at}, or one after a later one; \
+                 give them in the order of their ticks, all different"
             )));
         }
     }
@@ -183,7 +186,8 @@ mod tests {
         }
         assert_eq!(
             rule("papers").unwrap_err().to_string(),
-            "there is no learner \"papers\"; the learners are paper, baseline, actor-critic, natural-actor-critic, learned-reward"
+            "there is no learner \"papers\"; \
+             the learners are paper, baseline, actor-critic, natural-actor-critic, learned-reward"
         );
     }
 

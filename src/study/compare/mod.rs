@@ -1,10 +1,11 @@
-//! `tectum compare`: how many ticks each learner needs, how it recovers from changes of the arm, and what a tick costs.
+//! `tectum compare`: how many ticks each learner needs, how it recovers from changes of the arm, and what a
+//! tick costs.
 //!
-//! Every learner runs with every seed, in one process without transport, on the built-in arm. At intervals the policy is
-//! tested without exploration noise on the [test set](super::reference), which is the same for all learners; the loss in
-//! this test is the only measure of learning. The tick at which the level is reached, or a change is recovered from, is
-//! known to the interval between tests, [`test_interval`](run::test_interval). Everything except times is a function of learners
-//! and seeds.
+//! Every learner runs with every seed, in one process without transport, on the built-in arm. At intervals
+//! the policy is tested without exploration noise on the [test set](super::reference), which is the same for
+//! all learners; the loss in this test is the only measure of learning. The tick at which the level is
+//! reached, or a change is recovered from, is known to the interval between tests,
+//! `test_interval` in `run.rs`. Everything except times is a function of learners and seeds.
 
 mod change;
 mod files;

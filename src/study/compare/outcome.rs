@@ -1,4 +1,5 @@
-//! The outcome of the runs: when the level was reached, the rest of the gap to the optimum, when a change was recovered from.
+//! The outcome of the runs: when the level was reached, the rest of the gap to the optimum, when a change was
+//! recovered from.
 
 use std::collections::BTreeMap;
 
@@ -71,7 +72,8 @@ impl SeedRow {
     }
 }
 
-/// Times of some ticks, ns. The runs share the cores with each other, so that the larger times include other work.
+/// Times of some ticks, ns. The runs share the cores with each other, so that the larger times include other
+/// work.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct Times {
     /// Mean.
@@ -160,7 +162,8 @@ pub(super) struct ChangeOutcome {
     pub change: String,
     /// First tick with the change.
     pub tick: u64,
-    /// Ticks until the loss was within 10 % of the changed arm's optimum, seed by seed; null where it never was.
+    /// Ticks until the loss was within 10 % of the changed arm's optimum, seed by seed; null where it never
+    /// was.
     pub ticks_to_recover: Vec<Option<u64>>,
 }
 

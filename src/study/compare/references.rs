@@ -29,7 +29,8 @@ pub(super) fn conditions(entry: &LearnerEntry) -> Vec<Condition> {
     std::iter::once(first).chain(entry.changes.iter().map(changed)).collect()
 }
 
-/// The scores of the reference controllers in all conditions. In JSON, an object by controller, then by condition.
+/// The scores of the reference controllers in all conditions. In JSON, an object by controller, then by
+/// condition.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct ReferenceTable {
     /// At the beginning, and after each change.

@@ -51,14 +51,14 @@ const TIMES: u64 = 400;
 
 /// Ticks until the next test, `since` ticks after the beginning or the last change.
 ///
-/// 20 ticks, a second, within the first 1,000 ticks; afterwards a twentieth of the power of ten below: 50 up to 10,000, 500
-/// up to 100,000.
+/// 20 ticks, a second, within the first 1,000 ticks; afterwards a twentieth of the power of ten below: 50 up
+/// to 10,000, 500 up to 100,000.
 pub(super) fn test_interval(since: u64) -> u64 {
     if since < 1_000 { 20 } else { 10_u64.pow(since.ilog10()) / 20 }
 }
 
-/// Runs `entry` with `seed` and tests it in the current one of `conditions`. `None` if the study has to stop before the run
-/// ends.
+/// Runs `entry` with `seed` and tests it in the current one of `conditions`. `None` if the study has to stop
+/// before the run ends.
 pub(super) fn run(
     entry: &LearnerEntry,
     seed: u64,

@@ -127,8 +127,8 @@ fn spread(spread: Option<Spread>, show: impl Fn(f64) -> String) -> [String; 2] {
     spread.map_or_else(|| ["-".to_owned(), "-".to_owned()], |s| [show(s.median), show(s.max)])
 }
 
-/// Aligns rows in columns: words to the left, numbers to the right. The first row names groups of two columns: a name stands
-/// over its own column and the next.
+/// Aligns rows in columns: words to the left, numbers to the right. The first row names groups of two
+/// columns: a name stands over its own column and the next.
 fn aligned(rows: &[Vec<String>]) -> String {
     let length = |cell: &String| cell.chars().count();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);

@@ -1,14 +1,15 @@
 //! Reference controller: damped least squares, classical control with the true arm.
 //!
-//! Every tick, the end-effector is to move a share of the way to the target. The joints follow by the damped inverse of the
-//! Jacobian, `J+ = J^T (J J^T + damping^2 I)^-1` (Nakamura & Hanafusa 1986; Wampler 1986). The null space of the Jacobian
-//! moves the joints towards a rest posture (Liégeois 1977). This posture is near all angles 0, which the reward asks for, but
-//! not equal to it: an arm that is stretched out straight cannot move along its length, and would stay stretched out for
-//! ever. All joint rates are limited by one factor, so that the direction of the movement stays.
+//! Every tick, the end-effector is to move a share of the way to the target. The joints follow by the damped
+//! inverse of the Jacobian, `J+ = J^T (J J^T + damping^2 I)^-1` (Nakamura & Hanafusa 1986; Wampler 1986). The
+//! null space of the Jacobian moves the joints towards a rest posture (Liégeois 1977). This posture is near
+//! all angles 0, which the reward asks for, but not equal to it: an arm that is stretched out straight cannot
+//! move along its length, and would stay stretched out for ever. All joint rates are limited by one factor,
+//! so that the direction of the movement stays.
 //!
-//! A search over one constant after the other found the five constants. It minimised the loss on the undamaged arm, over
-//! targets of the seeds 1 to 4; a test checks that halving or doubling any of them is worse. What remains above the
-//! trajectory optimum is the cost of planning only one tick ahead.
+//! A search over one constant after the other found the five constants. It minimised the loss on the
+//! undamaged arm, over targets of the seeds 1 to 4; a test checks that halving or doubling any of them is
+//! worse. What remains above the trajectory optimum is the cost of planning only one tick ahead.
 
 use super::FixedArm;
 use crate::policy::Outputs;
@@ -22,7 +23,8 @@ pub(super) struct DampingSettings {
     pub damping: f64,
     /// Share of the way to the rest posture in one tick, in the null space.
     pub posture: f64,
-    /// The rest posture's angle at the first joint, rad. The last joint has the opposite angle, those between are spaced evenly.
+    /// The rest posture's angle at the first joint, rad. The last joint has the opposite angle, those between
+    /// are spaced evenly.
     pub bend: f64,
     /// Largest turn of a joint in one tick, rad.
     pub turn: f64,
@@ -39,7 +41,8 @@ pub(super) struct DampedLeastSquares {
     settings: DampingSettings,
 }
 
-/// How far the end-effector moves for a turn of one joint, m/rad. Angles are absolute, so a joint turns only its own segment.
+/// How far the end-effector moves for a turn of one joint, m/rad. Angles are absolute, so a joint turns only
+/// its own segment.
 type JacobianColumn = [f64; 2];
 
 impl DampedLeastSquares {
@@ -86,8 +89,8 @@ impl DampedLeastSquares {
     }
 }
 
-/// The turn of each free joint, rad, that moves the end-effector by `step` (m) and the joints along `to_rest` (rad) as far as
-/// that leaves the end-effector where it is.
+/// The turn of each free joint, rad, that moves the end-effector by `step` (m) and the joints along `to_rest`
+/// (rad) as far as that leaves the end-effector where it is.
 fn turns(columns: &[JacobianColumn], step: [f64; 2], to_rest: &[f64], damping: f64) -> Vec<f64> {
     // J J^T + damping^2 I, symmetric 2 x 2.
     let (mut a, mut b, mut d) = (damping * damping, 0.0, damping * damping);

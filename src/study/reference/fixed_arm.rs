@@ -6,8 +6,8 @@ use crate::wire::MAX_INPUTS;
 
 /// An arm that no longer changes: all changes up to some tick of a run apply to it from the beginning.
 ///
-/// The reference controllers know the arm of the paper: absolute angles, joints that turn freely or stand still, and a
-/// reward for error, speed and posture. They ignore the other settings of the arm.
+/// The reference controllers know the arm of the paper: absolute angles, joints that turn freely or stand
+/// still, and a reward for error, speed and posture. They ignore the other settings of the arm.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct FixedArm {
     config: ArmConfig,
@@ -19,7 +19,8 @@ pub(crate) struct FixedArm {
 }
 
 impl FixedArm {
-    /// The arm of `config` in `tick` of a run whose period is `period_s`, s. Changes that begin in this tick apply.
+    /// The arm of `config` in `tick` of a run whose period is `period_s`, s. Changes that begin in this tick
+    /// apply.
     pub fn at(config: &ArmConfig, period_s: f64, tick: u64) -> Self {
         let mut config = config.at(tick);
         config.block.retain(|block| block.tick <= tick);
@@ -45,7 +46,8 @@ impl FixedArm {
         self.period_s
     }
 
-    /// For each joint from the base on, the angle at which it stands still, rad; `None` for a joint that moves.
+    /// For each joint from the base on, the angle at which it stands still, rad; `None` for a joint that
+    /// moves.
     pub fn fixed(&self) -> &[Option<f64>] {
         &self.fixed
     }
@@ -55,12 +57,14 @@ impl FixedArm {
         (0..self.fixed.len()).filter(|&joint| self.fixed[joint].is_none()).collect()
     }
 
-    /// The target's true position for these inputs, m. The inputs differ from it where the camera is mirrored.
+    /// The target's true position for these inputs, m. The inputs differ from it where the camera is
+    /// mirrored.
     pub fn target(&self, inputs: &[f32]) -> [f64; 2] {
         std::array::from_fn(|axis| f64::from(if self.mirrored[axis] { -inputs[axis] } else { inputs[axis] }))
     }
 
-    /// The first `count` targets that a run with this seed would draw for the arm, m. The arm can reach all of them.
+    /// The first `count` targets that a run with this seed would draw for the arm, m. The arm can reach all
+    /// of them.
     pub fn draw_targets(&self, count: usize, seed: u64) -> Vec<[f64; 2]> {
         let mut arm = Arm::new(&self.config, self.period_s, seed);
         let mut inputs = [0.0; MAX_INPUTS];

@@ -1,9 +1,9 @@
 //! The test set for reaching: fixed targets, a noiseless test of a policy on them, and reference controllers.
 //!
-//! The test shows 40 targets of 80 ticks each in sequence. It starts with all angles at 0 and adds no exploration noise. The
-//! targets are drawn with a seed that serves neither tuning nor reporting. A policy's *loss* is its mean loss per tick over
-//! the test. Its *miss* is the mean distance between end-effector and target in each target's last tick. Four references,
-//! measured on the same test, give these numbers a scale:
+//! The test shows 40 targets of 80 ticks each in sequence. It starts with all angles at 0 and adds no
+//! exploration noise. The targets are drawn with a seed that serves neither tuning nor reporting. A policy's
+//! *loss* is its mean loss per tick over the test. Its *miss* is the mean distance between end-effector and
+//! target in each target's last tick. Four references, measured on the same test, give these numbers a scale:
 //!
 //! | reference | what it knows | file |
 //! |---|---|---|
@@ -12,8 +12,9 @@
 //! | `damped-least-squares` | the true arm; moves by its Jacobian, one tick at a time | `damped_least_squares.rs` |
 //! | `trajectory-optimum` | the true arm and the true reward; plans each reach as a whole | `optimum.rs` |
 //!
-//! The arm can change during a run. A [`FixedArm`] is the arm in one condition, from some tick on. Each condition has its own
-//! test set and its own references, so that a policy is never measured by what a blocked arm cannot reach.
+//! The arm can change during a run. A `FixedArm` is the arm in one condition, from some tick on. Each
+//! condition has its own test set and its own references, so that a policy is never measured by what a
+//! blocked arm cannot reach.
 
 mod damped_least_squares;
 mod fixed_arm;
@@ -31,7 +32,8 @@ use crate::plant::Arm;
 use crate::policy::{Exploration, LinearPolicy, Outputs};
 use crate::scenario::Plan;
 
-/// The loss to reach: the loss of the paper's rule after 9 million ticks, without the cost of exploration noise.
+/// The loss to reach: the loss of the paper's rule after 9 million ticks, without the cost of exploration
+/// noise.
 pub(crate) const LEVEL: f64 = 0.0375;
 /// Number of targets in the test.
 pub(crate) const TARGETS: usize = 40;
@@ -118,8 +120,8 @@ impl TestSet {
         self.drive(|inputs| controller.command(inputs))
     }
 
-    /// The score of the best movements, each planned as a whole from `starts` first guesses. Takes seconds. Calls `go_on` now
-    /// and then; the result is `None` once that returns false.
+    /// The score of the best movements, each planned as a whole from `starts` first guesses. Takes seconds.
+    /// Calls `go_on` now and then; the result is `None` once that returns false.
     pub fn optimum(&self, starts: usize, go_on: impl Fn() -> bool) -> Option<Score> {
         trajectory_optimum(&self.arm, self.targets(), self.ticks_a_target() as usize, starts, go_on)
     }

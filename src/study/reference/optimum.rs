@@ -1,10 +1,11 @@
-//! The trajectory optimum: the least cost of movements to the test's targets, found with the true arm and the true reward.
+//! The trajectory optimum: the least cost of movements to the test's targets, found with the true arm and the
+//! true reward.
 //!
-//! Each target is planned in turn, from the posture in which the last movement ended. The unknowns are the angles of all
-//! ticks. Gauss-Newton steps with a ridge that grows where they fail (Levenberg-Marquardt) find the nearest minimum. Many
-//! first guesses (random postures, with joints that turn either way) find the best of the minima. The Hessian is
-//! block-tridiagonal, so that the cost of a step is linear in the number of ticks. Each target is planned by itself: no
-//! movement costs more in order that the next one costs less.
+//! Each target is planned in turn, from the posture in which the last movement ended. The unknowns are the
+//! angles of all ticks. Gauss-Newton steps with a ridge that grows where they fail (Levenberg-Marquardt) find
+//! the nearest minimum. Many first guesses (random postures, with joints that turn either way) find the best
+//! of the minima. The Hessian is block-tridiagonal, so that the cost of a step is linear in the number of
+//! ticks. Each target is planned by itself: no movement costs more in order that the next one costs less.
 
 use rand::RngExt as _;
 
@@ -27,8 +28,8 @@ const GUESS_TICKS: f64 = 3.0;
 type Trajectory<const N: usize> = Vec<[f64; N]>;
 type MatrixBlock<const N: usize> = [[f64; N]; N];
 
-/// Mean loss per tick and mean miss of the best movements to `targets` in sequence, `ticks` each, from all angles 0. Calls
-/// `go_on` before each first guess; the result is `None` once that returns false.
+/// Mean loss per tick and mean miss of the best movements to `targets` in sequence, `ticks` each, from all
+/// angles 0. Calls `go_on` before each first guess; the result is `None` once that returns false.
 pub(super) fn trajectory_optimum(
     arm: &FixedArm,
     targets: &[[f64; 2]],
@@ -49,7 +50,8 @@ pub(super) fn trajectory_optimum(
     by_joints!(0 1 2 3 4 5 6 7 8)
 }
 
-/// The arm as the optimiser uses it: N joints that move, and the constant part of the joints that stand still.
+/// The arm as the optimiser uses it: N joints that move, and the constant part of the joints that stand
+/// still.
 struct Planner<'a, const N: usize> {
     config: &'a ArmConfig,
     lengths: [f64; N],
@@ -157,8 +159,8 @@ impl<'a, const N: usize> Planner<'a, N> {
         cost
     }
 
-    /// Builds the equations of a Gauss-Newton step and eliminates their unknowns from the first tick to the last. Off the
-    /// diagonal, the blocks of the Hessian are `-e I` with `e` twice the effort.
+    /// Builds the equations of a Gauss-Newton step and eliminates their unknowns from the first tick to the
+    /// last. Off the diagonal, the blocks of the Hessian are `-e I` with `e` twice the effort.
     fn eliminate(
         &self,
         system: &mut NewtonSystem<N>,
@@ -193,7 +195,8 @@ impl<'a, const N: usize> Planner<'a, N> {
         }
     }
 
-    /// Solves the eliminated equations from the last tick to the first, and writes `path` after the step into `trial`.
+    /// Solves the eliminated equations from the last tick to the first, and writes `path` after the step into
+    /// `trial`.
     fn substitute(&self, system: &NewtonSystem<N>, path: &Trajectory<N>, trial: &mut Trajectory<N>) {
         let e = 2.0 * self.effort;
         let NewtonSystem { sides, inverses } = system;
@@ -239,8 +242,8 @@ impl<'a, const N: usize> Planner<'a, N> {
     }
 }
 
-/// The equations of a Gauss-Newton step after elimination: for each tick the right-hand side, and the inverse of the block on
-/// the diagonal.
+/// The equations of a Gauss-Newton step after elimination: for each tick the right-hand side, and the inverse
+/// of the block on the diagonal.
 struct NewtonSystem<const N: usize> {
     sides: Vec<[f64; N]>,
     inverses: Vec<MatrixBlock<N>>,

@@ -13,7 +13,10 @@ pub enum ReplayError {
     #[error(transparent)]
     Log(#[from] LogError),
     /// The scenario in the log is invalid for this build.
-    #[error("the scenario in the log {} cannot be read: {error}; replay it with the build that wrote it ({build})", path.display())]
+    #[error(
+        "the scenario in the log {} cannot be read: {error}; replay it with the build that wrote it ({build})",
+        path.display()
+    )]
     Scenario {
         /// The log.
         path: PathBuf,
@@ -24,8 +27,8 @@ pub enum ReplayError {
     },
     /// The log was written with `every` above 1.
     #[error(
-        "the log {} holds every {every}th tick only, and a replay needs all that was learned from; run the scenario again \
-         with `every = 1` under [log]", path.display()
+        "the log {} holds every {every}th tick only, and a replay needs all that was learned from; run the \
+         scenario again with `every = 1` under [log]", path.display()
     )]
     Thinned {
         /// The log.
@@ -36,8 +39,8 @@ pub enum ReplayError {
     /// The logger lost samples.
     #[error(
         "the log {} states a gap on channel {channel}, {count} missing from sequence number {first} on; {until}, \
-         and what was learned behind that{behind} cannot be told; run the scenario again in lockstep, where nothing is lost \
-         while its logger lives, or on a machine with less to do", path.display()
+         and what was learned behind that{behind} cannot be told; run the scenario again in lockstep, where \
+         nothing is lost while its logger lives, or on a machine with less to do", path.display()
     )]
     Lost {
         /// The log.

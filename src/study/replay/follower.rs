@@ -1,8 +1,9 @@
 //! Runs plant and controller again along a log, and compares every sample.
 //!
-//! The controller answers every observation that it receives, in the order of ticks. So it received exactly the observations
-//! whose command is in the log. In real time it may not receive an observation, and a late sample stands after samples of
-//! later ticks on other channels. So samples wait here for the samples that belong before them.
+//! The controller answers every observation that it receives, in the order of ticks. So it received exactly
+//! the observations whose command is in the log. In real time it may not receive an observation, and a late
+//! sample stands after samples of later ticks on other channels. So samples wait here for the samples that
+//! belong before them.
 
 use std::collections::VecDeque;
 
@@ -40,7 +41,8 @@ pub(super) struct ReplayFollower {
     observations: VecDeque<Observation>,
     commands: VecDeque<Command>,
     learnings: VecDeque<Learning>,
-    /// Replayed learning records whose logged counterpart was not read yet, with the observations that they belong to.
+    /// Replayed learning records whose logged counterpart was not read yet, with the observations that they
+    /// belong to.
     unmatched: VecDeque<(Observation, Learning)>,
     /// The last command that was replayed.
     answer: Option<Command>,
@@ -152,8 +154,8 @@ impl ReplayFollower {
         Ok(())
     }
 
-    /// Ends the log. If it is not `whole`, it was cut off, and samples of the last ticks may be missing. `complete` means that the
-    /// run reached its planned end of `ticks`.
+    /// Ends the log. If it is not `whole`, it was cut off, and samples of the last ticks may be missing.
+    /// `complete` means that the run reached its planned end of `ticks`.
     pub fn end(&mut self, whole: bool, complete: bool, ticks: u64) -> Result<(), Box<Difference>> {
         self.advance()?;
         while let Some(observation) = self.observations.pop_front() {

@@ -1,20 +1,21 @@
-//! Replays a run from its log and compares every command, every learning record and every hash of the weights, bit for bit
-//! (I3).
+//! Replays a run from its log and compares every command, every learning record and every hash of the
+//! weights, bit for bit (I3).
 //!
-//! A fresh controller of the log's own scenario receives the observations that the run's controller received, and must give
-//! the answers that are in the log. The plant's half is replayed as well: the applied commands and flags must follow from
-//! the commands and the gate. With a simulated plant, inputs, rewards and measures must follow from the applied commands. So
-//! nearly every changed byte of a log is found:
+//! A fresh controller of the log's own scenario receives the observations that the run's controller received,
+//! and must give the answers that are in the log. The plant's half is replayed as well: the applied commands
+//! and flags must follow from the commands and the gate. With a simulated plant, inputs, rewards and measures
+//! must follow from the applied commands. So nearly every changed byte of a log is found:
 //!
-//! - In lockstep with the simulator, every byte of every sample is checked, timestamps included. A writer's incarnation may rise
-//!   from one sample to the next, because a restarted process continues where it was. Nothing else in the log tells at which
-//!   sample it rose.
-//! - In real time, timestamps are not reproducible. That of publication is in the log twice, and the log reader compares the
-//!   two; that of sensing is also in the answer. Nothing else in the log tells when an observation that got no answer was
-//!   sensed (it must be between schedule and publication), or the flag `LATE`.
-//! - With a plant of your own, inputs, reward, measures and the flag `NEW_TARGET` are taken from the log. A wrong value is found
-//!   when it changes what is learned. Nothing is learned from measures, unused entries, `NEW_TARGET`, and the last bits of
-//!   a number that rounding removes.
+//! - In lockstep with the simulator, every byte of every sample is checked, timestamps included. A writer's
+//!   incarnation may rise from one sample to the next, because a restarted process continues where it was.
+//!   Nothing else in the log tells at which sample it rose.
+//! - In real time, timestamps are not reproducible. That of publication is in the log twice, and the log
+//!   reader compares the two; that of sensing is also in the answer. Nothing else in the log tells when an
+//!   observation that got no answer was sensed (it must be between schedule and publication), or the flag
+//!   `LATE`.
+//! - With a plant of your own, inputs, reward, measures and the flag `NEW_TARGET` are taken from the log. A
+//!   wrong value is found when it changes what is learned. Nothing is learned from measures, unused entries,
+//!   `NEW_TARGET`, and the last bits of a number that rounding removes.
 
 mod error;
 mod follower;
@@ -72,10 +73,11 @@ pub struct ReplayResult {
     pub torn: bool,
     /// Hash of the weights at the end of the replay, hexadecimal.
     pub weights_hash: String,
-    /// Why a difference may not be a fault of the log: another build wrote it, or the scenario has another meaning to this build.
+    /// Why a difference may not be a fault of the log: another build wrote it, or the scenario has another
+    /// meaning to this build.
     pub warnings: Vec<String>,
-    /// With another learner: the score of the log's own learner at the end, on the [test set](super::reference), without
-    /// exploration noise. Null if the plant is not the simulator's arm.
+    /// With another learner: the score of the log's own learner at the end, without exploration noise, on the
+    /// [test set](super::reference). Null if the plant is not the simulator's arm.
     pub noiseless: Option<Score>,
     /// The result of another learner with the same experience; null unless asked for.
     pub other: Option<OffPolicy>,
@@ -83,8 +85,8 @@ pub struct ReplayResult {
 
 /// Replays the log in `segments`, which belong to one run and stand in its order.
 ///
-/// With `learner`, a learner of that rule, with its preset, gets the same experience (see [`OffPolicy`]). With `progress`, a
-/// progress line is shown on standard error, if that is a terminal.
+/// With `learner`, a learner of that rule, with its preset, gets the same experience (see [`OffPolicy`]).
+/// With `progress`, a progress line is shown on standard error, if that is a terminal.
 ///
 /// # Errors
 ///
@@ -199,7 +201,8 @@ fn result(
     }
 }
 
-/// The test set with the arm in its condition at the end of the log. `None` if the plant is not the simulator's arm.
+/// The test set with the arm in its condition at the end of the log. `None` if the plant is not the
+/// simulator's arm.
 fn test_set(plan: &Plan, plant: &PlantReplay) -> Option<TestSet> {
     let config = plan.scenario.plant.arm.as_ref().filter(|_| plant.simulated() && plan.scalars.is_empty())?;
     let arm = FixedArm::at(config, plan.scenario.period_ms / 1000.0, plant.last()?);

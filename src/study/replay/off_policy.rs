@@ -1,14 +1,15 @@
 //! What another learner learns from the experience in a log: off-policy learning.
 //!
-//! The other learner starts with fresh weights. It receives the inputs, applied commands and rewards of the log, at the ticks
-//! at which the log's own learner received them. It did not choose the commands. Let `a` be the applied command, `m` the
-//! mean of the log's policy, and `m'` the mean of the other policy. A policy-gradient rule credits the score of its own
-//! policy at the applied command, `(a - m') / sigma^2`. So it gets `a - m'` as its noise: the exploration of the log,
-//! `a - m`, plus the distance between the two policies, `m - m'`. The controller credits a command that the gate has limited
-//! in the same way, with the same code. There are no importance weights `pi'(a) / pi(a)`: over a trace of ticks they would
-//! be nearly 0 or huge. So the gradient belongs to the commands of the log, not to those that the other policy would have
-//! sent, and means less the further the policies are apart. Learned models of reward and movement (`learned-reward`) do not
-//! depend on who chose the commands.
+//! The other learner starts with fresh weights. It receives the inputs, applied commands and rewards of the
+//! log, at the ticks at which the log's own learner received them. It did not choose the commands. Let `a` be
+//! the applied command, `m` the mean of the log's policy, and `m'` the mean of the other policy. A
+//! policy-gradient rule credits the score of its own policy at the applied command, `(a - m') / sigma^2`. So
+//! it gets `a - m'` as its noise: the exploration of the log, `a - m`, plus the distance between the two
+//! policies, `m - m'`. The controller credits a command that the gate has limited in the same way, with the
+//! same code. There are no importance weights `pi'(a) / pi(a)`: over a trace of ticks they would be nearly 0
+//! or huge. So the gradient belongs to the commands of the log, not to those that the other policy would have
+//! sent, and means less the further the policies are apart. Learned models of reward and movement
+//! (`learned-reward`) do not depend on who chose the commands.
 
 use serde::Serialize;
 
@@ -44,10 +45,11 @@ pub struct OffPolicy {
     pub weights_norm: f32,
     /// Their hash, hexadecimal.
     pub weights_hash: String,
-    /// Root mean square, over ticks and outputs, of the distance between its mean command and that of the log.
+    /// Root mean square, over ticks and outputs, of the distance between its mean command and that of the
+    /// log.
     pub distance: f64,
-    /// Its score on the [test set](crate::study::reference), without exploration noise; null if the plant is not the
-    /// simulator's arm.
+    /// Its score on the [test set](crate::study::reference), without exploration noise; null if the plant is
+    /// not the simulator's arm.
     pub noiseless: Option<Score>,
     /// The tick at which its weights were no longer numbers.
     pub diverged_at: Option<u64>,

@@ -1,13 +1,14 @@
 //! Replays the plant's half of the ticks along a log.
 //!
-//! The applied command and the flags in an observation follow from the command that arrived in the tick before, and from the
-//! gate. With a simulated plant, everything else in the observation follows as well. The flags tell whether a command
-//! arrived in time, with two exceptions: the plant skipped ticks right afterwards, or the scenario's faults may have removed
-//! the command. In these cases both possibilities are tried.
+//! The applied command and the flags in an observation follow from the command that arrived in the tick
+//! before, and from the gate. With a simulated plant, everything else in the observation follows as well. The
+//! flags tell whether a command arrived in time, with two exceptions: the plant skipped ticks right
+//! afterwards, or the scenario's faults may have removed the command. In these cases both possibilities are
+//! tried.
 //!
-//! For a plant that cannot be run again, the gate's position limits depend on joint positions that are not in the log. A
-//! command that was applied under them is accepted if it lies between zero and the command that the gate would have applied
-//! without them.
+//! For a plant that cannot be run again, the gate's position limits depend on joint positions that are not in
+//! the log. A command that was applied under them is accepted if it lies between zero and the command that
+//! the gate would have applied without them.
 
 use std::path::Path;
 
@@ -20,8 +21,8 @@ use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor};
 use crate::wire::{Command, MAX_INPUTS, Observation, flag};
 
-/// Largest number of candidates that are kept. A further one needs another skip of ticks for which it makes no difference
-/// whether the command arrived.
+/// Largest number of candidates that are kept. A further one needs another skip of ticks for which it makes
+/// no difference whether the command arrived.
 const MOST_CANDIDATES: usize = 8;
 
 /// Where the plant's inputs, rewards and measures come from.
@@ -33,7 +34,8 @@ enum ReplayedPlant {
     Logged { inputs: [f32; MAX_INPUTS], fresh: bool, outcome: Outcome, own: Option<PlantOwnLimits> },
 }
 
-/// What the log tells of a plant that applies a command within its tick. Such a plant has limits of its own behind the gate.
+/// What the log tells of a plant that applies a command within its tick. Such a plant has limits of its own
+/// behind the gate.
 #[derive(Debug, Clone, Copy, Default)]
 struct PlantOwnLimits {
     /// The command that it applied.
@@ -164,7 +166,8 @@ impl PlantReplay {
         self.last
     }
 
-    /// Compares `logged` with the replayed observation. `command` is the answer to the observation before, if the log has one.
+    /// Compares `logged` with the replayed observation. `command` is the answer to the observation before, if
+    /// the log has one.
     pub fn check(
         &mut self,
         logged: &Observation,
@@ -203,8 +206,8 @@ impl PlantReplay {
         Ok(())
     }
 
-    /// Checks the tick of `logged`, the number of skipped ticks, and the header; `due` is the tick after the last one. Gives the
-    /// observation with the replayed header.
+    /// Checks the tick of `logged`, the number of skipped ticks, and the header; `due` is the tick after the
+    /// last one. Gives the observation with the replayed header.
     fn check_header(
         &self,
         logged: &Observation,
@@ -228,8 +231,8 @@ impl PlantReplay {
         Ok(replayed)
     }
 
-    /// The commands that may have arrived in the tick before `logged`; `None` for no command. In lockstep a command always
-    /// arrives.
+    /// The commands that may have arrived in the tick before `logged`; `None` for no command. In lockstep a
+    /// command always arrives.
     fn possible_commands<'a>(
         &self,
         logged: &Observation,

@@ -1,5 +1,5 @@
-//! The timestamps and headers of a run. In lockstep they are a function of the tick. In real time, only the relations between
-//! them can be checked.
+//! The timestamps and headers of a run. In lockstep they are a function of the tick. In real time, only the
+//! relations between them can be checked.
 
 use super::sample_diff::Difference;
 use crate::log::RunLog;
@@ -32,7 +32,8 @@ impl StampChecker {
         self.t0_ns.wrapping_add(tick.wrapping_mul(self.period_ns))
     }
 
-    /// Sets the timestamps of an observation. In real time, those of sensing and publication stay as they are.
+    /// Sets the timestamps of an observation. In real time, those of sensing and publication stay as they
+    /// are.
     pub fn stamp_observation(&self, header: &mut Header) {
         header.scheduled_ns = self.scheduled(header.tick);
         if self.lockstep {
@@ -41,8 +42,8 @@ impl StampChecker {
         }
     }
 
-    /// Sets the header of an answer to `observation`, by a writer of at least this `incarnation`. In real time, the timestamp of
-    /// publication is taken from `logged`.
+    /// Sets the header of an answer to `observation`, by a writer of at least this `incarnation`. In real
+    /// time, the timestamp of publication is taken from `logged`.
     pub fn stamp_answer(
         &self,
         header: &mut Header,

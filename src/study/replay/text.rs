@@ -17,7 +17,8 @@ impl ReplayResult {
     pub fn failure(&self) -> Option<String> {
         let Difference { tick, channel, field, logged, replayed } = self.difference.as_ref()?;
         Some(format!(
-            "the log {} does not replay: at tick {tick}, channel {channel}, {field} is {logged}, and should be {replayed}",
+            "the log {} does not replay: at tick {tick}, channel {channel}, {field} is {logged}, \
+             and should be {replayed}",
             self.log.display()
         ))
     }

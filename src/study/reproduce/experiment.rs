@@ -1,4 +1,5 @@
-//! What all experiments share: plans over seeds, runs on all cores, the folder with the results, and the facts of the study.
+//! What all experiments share: plans over seeds, runs on all cores, the folder with the results, and the
+//! facts of the study.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -24,8 +25,8 @@ impl ReproduceSettings {
         (self.first_seed..self.first_seed.saturating_add(self.seeds)).collect()
     }
 
-    /// One plan per seed of the built-in scenario `name`, changed by `change`. The plans have the scenario's ticks or those of
-    /// the settings.
+    /// One plan per seed of the built-in scenario `name`, changed by `change`. The plans have the scenario's
+    /// ticks or those of the settings.
     pub(super) fn plans(&self, name: &str, change: impl Fn(&mut Scenario)) -> Result<Vec<Plan>, StudyError> {
         let plan = |seed| {
             let mut scenario = Scenario::built_in(name)?;

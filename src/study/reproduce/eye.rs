@@ -1,4 +1,5 @@
-//! The saccades (paper section 4.1, figure 2): a linear and a log-polar retina, each with scalar and topographic inputs.
+//! The saccades (paper section 4.1, figure 2): a linear and a log-polar retina, each with scalar and
+//! topographic inputs.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -20,10 +21,10 @@ const POINTS: u64 = 300;
 const ROWS: u64 = 6;
 /// Number of trials in the paper.
 const TRIALS: u64 = 3_000_000;
-/// Share of the learning step that is used for scalar inputs, by retina. Scalar inputs have no norm of their own: a target far
-/// out, or an angle of pi, makes a long feature vector. With the whole step, four of five seeds of the linear eye diverge
-/// within two million trials. With a seventh of it, the log-polar eye still diverges within 250,000 trials, and never
-/// learns to hit the target anyway.
+/// Share of the learning step that is used for scalar inputs, by retina. Scalar inputs have no norm of their
+/// own: a target far out, or an angle of pi, makes a long feature vector. With the whole step, four of five
+/// seeds of the linear eye diverge within two million trials. With a seventh of it, the log-polar eye still
+/// diverges within 250,000 trials, and never learns to hit the target anyway.
 const SCALAR_STEPS: [f64; 2] = [1.0 / 3.0, 1.0 / 30.0];
 
 /// Means over the trials since the row before, in retina coordinates (the edge is at 1).

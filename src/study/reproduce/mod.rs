@@ -1,8 +1,9 @@
-//! The paper's experiments, run again: the closed-loop arm of its figure 4, the saccades of its figure 2, the open-loop arm
-//! that it mentions without results, and its outlook.
+//! The paper's experiments, run again: the closed-loop arm of its figure 4, the saccades of its figure 2, the
+//! open-loop arm that it mentions without results, and its outlook.
 //!
-//! Every experiment runs one or more built-in scenarios with several seeds. The results are shown as in the paper, and
-//! with the spread over seeds, which the paper does not show. `experiment.rs` has what all experiments share.
+//! Every experiment runs one or more built-in scenarios with several seeds. The results are shown as in the
+//! paper, and with the spread over seeds, which the paper does not show. `experiment.rs` has what all
+//! experiments share.
 
 mod arm;
 mod experiment;

@@ -1,9 +1,10 @@
-//! The open-loop arm (paper section 4.2). The paper omits its results: with 3 and 4 segments every run finds other postures
-//! for the same targets.
+//! The open-loop arm (paper section 4.2). The paper omits its results: with 3 and 4 segments every run finds
+//! other postures for the same targets.
 //!
-//! A tick is a trial: a target appears, the command turns the joints from 0 to a posture, and the reward is the negative
-//! squared error of the end-effector. The controller sees only the target, so it learns one posture per target. A fixed set
-//! of targets, without exploration noise, shows how these postures differ between seeds.
+//! A tick is a trial: a target appears, the command turns the joints from 0 to a posture, and the reward is
+//! the negative squared error of the end-effector. The controller sees only the target, so it learns one
+//! posture per target. A fixed set of targets, without exploration noise, shows how these postures differ
+//! between seeds.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
@@ -51,8 +52,8 @@ struct OpenLoopArm {
     last_error_m: Spread,
     /// Mean error of the noiseless postures for the test's targets, m.
     test_error_m: Spread,
-    /// For every two seeds, the mean difference of their segments' directions over the test's targets, rad. 0: the same
-    /// postures; pi / 2: unrelated postures.
+    /// For every two seeds, the mean difference of their segments' directions over the test's targets, rad.
+    /// 0: the same postures; pi / 2: unrelated postures.
     difference_rad: Option<Spread>,
     /// The group of each seed, in the order of the seeds: seeds with the same number found the same postures.
     ways: Vec<usize>,

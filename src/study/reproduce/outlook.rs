@@ -1,10 +1,11 @@
-//! The paper's outlook (section 5): joints of limited range, relative angles, self-collision as a penalty, a reward near the
-//! target alone, L1 exploration, and the reward of Todorov and Jordan. Also measured: whether the movements have the
-//! isochrony and the bell-shaped speed profile of human gestures.
+//! The paper's outlook (section 5): joints of limited range, relative angles, self-collision as a penalty, a
+//! reward near the target alone, L1 exploration, and the reward of Todorov and Jordan. Also measured: whether
+//! the movements have the isochrony and the bell-shaped speed profile of human gestures.
 //!
-//! Each variant is a built-in scenario. The paper's arm with the same actor-critic is the comparison; it counts segments
-//! that cross, at no cost. Learning is measured in the last twentieth of each run, with exploration noise. Movements are
-//! measured without noise on a fixed set of targets, by the measures of [`analyse`](crate::study::analyse).
+//! Each variant is a built-in scenario. The paper's arm with the same actor-critic is the comparison; it
+//! counts segments that cross, at no cost. Learning is measured in the last twentieth of each run, with
+//! exploration noise. Movements are measured without noise on a fixed set of targets, by the measures of
+//! [`analyse`](crate::study::analyse).
 
 use std::path::PathBuf;
 
@@ -57,7 +58,8 @@ struct OutlookRow {
     rule: String,
     /// Ticks of each run.
     ticks: u64,
-    /// Loss per tick without the cost of exploration noise alone. Rewards differ between rows, so losses do not compare.
+    /// Loss per tick without the cost of exploration noise alone. Rewards differ between rows, so losses do
+    /// not compare.
     loss_without_noise: Spread,
     /// Mean error at the end of a target, m.
     end_error_m: Option<Spread>,
@@ -79,7 +81,8 @@ struct OutlookRow {
     duration_slope_s_m: Option<Spread>,
     /// Rise of a movement's peak speed with the distance to its target, 1/s.
     speed_slope_per_s: Option<Spread>,
-    /// The tick at which the learner stopped because a number was not finite, one per seed; null where it did not stop.
+    /// The tick at which the learner stopped because a number was not finite, one per seed; null where it did
+    /// not stop.
     diverged: Vec<Option<u64>>,
 }
 
@@ -291,8 +294,10 @@ impl OutlookResult {
         text.push_str("\nwithout exploration noise, 40 targets:\n\n");
         text.push_str(&columns(&self.movement_table()));
         text.push_str(
-            "\nmedian over seeds (least to largest); reached: error below 0.1 m; the last two columns are slopes against the\n\
-             distance: isochrony is 0 for duration. A movement of minimum jerk has peak/mean 1.66, its peak at 0.5, path/line 1.\n",
+            "\nmedian over seeds (least to largest); reached: error below 0.1 m; \
+             the last two columns are slopes against the\n\
+             distance: isochrony is 0 for duration. \
+             A movement of minimum jerk has peak/mean 1.66, its peak at 0.5, path/line 1.\n",
         );
         for row in &self.rows {
             push_divergences(&mut text, &format!("{}, ", row.name), "tick", &self.seeds, &row.diverged);
