@@ -1,4 +1,4 @@
-//! `tectum analyse`.
+//! `tectum analyse`: the movements in a run's log.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

@@ -1,4 +1,4 @@
-//! `tectum compare`.
+//! `tectum compare`: the learners beside each other.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -14,7 +14,7 @@ use super::tick_count::tick_count;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Every learner runs with every seed on the built-in arm, and is tested without exploration noise on the
-same 40 targets. ArmChangeKind it says of each: ticks until its loss reaches the level (that of the paper's rule
+same 40 targets. What it says of each: ticks until its loss reaches the level (that of the paper's rule
 after 9 million ticks), ticks until it is over the block of a joint (within 10 % of the blocked arm's
 optimum), what is left to the optimum, what a tick costs; beside controllers that know the true arm.
 
@@ -64,11 +64,11 @@ pub struct Arguments {
 }
 
 pub fn main(arguments: &Arguments) -> ExitCode {
-    let told = |compared: ComparisonResult| if arguments.json { compared.to_json() + "\n" } else { compared.to_text() };
-    study_ended(comparison(arguments).and_then(|comparison| compare(&comparison)).map(told))
+    let text = |result: ComparisonResult| if arguments.json { result.to_json() + "\n" } else { result.to_text() };
+    study_ended(comparison(arguments).and_then(|comparison| compare(&comparison)).map(text))
 }
 
-/// From what was asked for to what will be done.
+/// The comparison for the arguments.
 fn comparison(arguments: &Arguments) -> Result<Comparison, StudyError> {
     let learners = match &arguments.learners[..] {
         [] => LEARNERS.to_vec(),

@@ -1,4 +1,4 @@
-//! `tectum replay`.
+//! `tectum replay`: a run's log, replayed and compared bit for bit.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -60,9 +60,9 @@ impl RuleArgument {
 
 pub fn main(arguments: &Arguments) -> ExitCode {
     match study(arguments) {
-        Ok(done) => {
-            print(&if arguments.json { done.to_json() + "\n" } else { done.to_text() });
-            match done.failure() {
+        Ok(result) => {
+            print(&if arguments.json { result.to_json() + "\n" } else { result.to_text() });
+            match result.failure() {
                 Some(failure) => {
                     say(&format!("tectum: {failure}"));
                     ExitCode::from(exit::ERROR)

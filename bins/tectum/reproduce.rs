@@ -1,4 +1,4 @@
-//! `tectum reproduce`.
+//! `tectum reproduce`: the experiments of the paper.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -32,7 +32,8 @@ enum Experiment {
     /// The open-loop arm, section 4.2: 3 and 4 segments, and how the postures found differ between seeds
     #[command(after_help = "Example: tectum reproduce open-loop --seeds 7")]
     OpenLoop(Options),
-    /// The outlook, section 5: limited joints, relative angles, collisions, rewards, L1 noise, and the movements' shape
+    /// The outlook, section 5: limited joints, relative angles, collisions, rewards, L1 noise, and the
+    /// movements' shape
     #[command(after_help = "Example: tectum reproduce outlook --seeds 3")]
     Outlook(Options),
 }
@@ -58,12 +59,10 @@ struct Options {
 
 pub fn main(arguments: &Arguments) -> ExitCode {
     study_ended(match &arguments.experiment {
-        Experiment::Arm(options) => arm(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())),
-        Experiment::Eye(options) => eye(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())),
-        Experiment::OpenLoop(options) => {
-            open_loop(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text()))
-        }
-        Experiment::Outlook(options) => outlook(&options.settings()).map(|r| options.shown(r.to_json(), r.to_text())),
+        Experiment::Arm(options) => arm(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
+        Experiment::Eye(options) => eye(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
+        Experiment::OpenLoop(options) => open_loop(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
+        Experiment::Outlook(options) => outlook(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
     })
 }
 
@@ -78,7 +77,8 @@ impl Options {
         }
     }
 
-    fn shown(&self, json: String, text: String) -> String {
+    /// The text to print.
+    fn text(&self, json: String, text: String) -> String {
         if self.json { json + "\n" } else { text }
     }
 }

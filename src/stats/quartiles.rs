@@ -1,4 +1,4 @@
-//! What many movements say together: quartiles, and a straight line through points.
+//! Statistics over many movements: quartiles, and a straight line through points.
 
 use serde::Serialize;
 
@@ -38,12 +38,12 @@ pub struct Fit {
     pub intercept: f64,
     /// Rise a unit.
     pub slope: f64,
-    /// Pearson's correlation; null where the values do not differ.
+    /// Pearson's correlation; null where the values are all equal.
     pub r: Option<f64>,
 }
 
 impl Fit {
-    /// The line through `points`; `None` of fewer than three, or if they lie above each other.
+    /// The line through `points`; `None` for fewer than three points, or if all have the same x.
     pub fn of(points: &[(f64, f64)]) -> Option<Self> {
         let n = points.len() as f64;
         let mean = |value: &dyn Fn(&(f64, f64)) -> f64| points.iter().map(value).sum::<f64>() / n;

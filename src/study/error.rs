@@ -1,4 +1,4 @@
-//! Why a study gave nothing.
+//! Why a study gave no result.
 
 use std::path::{Path, PathBuf};
 
@@ -7,36 +7,36 @@ use crate::runtime::exit;
 use crate::scenario::ScenarioError;
 use crate::supervise::LaunchError;
 
-/// Why a study gave nothing.
+/// Why a study gave no result.
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
-    /// The folder for its files, or its signal handlers.
+    /// The result folder cannot be made, or the signal handlers cannot be installed.
     #[error(transparent)]
     Launch(#[from] LaunchError),
-    /// A scenario.
+    /// A scenario is invalid.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// Something that was asked for and makes no sense; says what, and the remedy.
+    /// An argument is invalid; the text names it and the remedy.
     #[error("{0}")]
     Asked(String),
-    /// A figure.
+    /// The figure cannot be drawn or written.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// A file.
+    /// A result file cannot be written.
     #[error("{} cannot be written: {error}; choose another --out", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The operating system's error.
         error: std::io::Error,
     },
-    /// A signal came before the end.
+    /// A signal ended the study early.
     #[error("ended by signal {0}: a study writes its results at its end, so there are none")]
     Signal(u32),
 }
 
 impl StudyError {
-    /// The exit code that tells this error.
+    /// The exit code for this error.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Launch(error) => error.exit_code(),
@@ -44,10 +44,9 @@ impl StudyError {
             Self::Scenario(_) | Self::Asked(_) | Self::Report(_) | Self::Write { .. } => exit::INPUT,
         }
     }
+}
 
-    /// For `map_err`: a file that cannot be written.
-    pub(super) fn write(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.to_owned();
-        move |error| Self::Write { path, error }
-    }
+/// Writes one result file of a study.
+pub(super) fn write_file(path: &Path, contents: impl AsRef<[u8]>) -> Result<(), StudyError> {
+    std::fs::write(path, contents).map_err(|error| StudyError::Write { path: path.to_owned(), error })
 }

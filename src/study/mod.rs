@@ -1,18 +1,21 @@
-//! Studies: many runs in one process, side by side on all cores, and what they say together.
+//! Studies: experiments of many runs in one process, and the analysis and replay of a run's log.
 //!
-//! A study has no transport and no log: it is [`in_process`](crate::runtime::in_process) over seeds and settings, and its
-//! numbers are those of lockstep. Each study stands in a file (or folder) of its own and gives one plain result, which is
-//! the object of `--json`, the rows of a CSV and the matter of a figure.
+//! A study uses no transport and writes no log. Its runs are [`in_process`](crate::runtime::in_process) runs
+//! over seeds and settings, one per core at a time, and give the same numbers as lockstep. Each study has its
+//! own file or folder and returns one plain result. `--json` prints this result as an object; the CSV files
+//! and the figure show it.
 
 pub mod analyse;
 pub mod compare;
 mod error;
 pub mod film;
+mod noiseless;
 pub mod reference;
 pub mod replay;
 pub mod reproduce;
+mod text;
 mod worker_pool;
 
 pub use crate::stats::Spread;
 pub use error::StudyError;
-pub use worker_pool::{ChildProcesses, JobProgress};
+pub(crate) use worker_pool::{JobProgress, WorkerPool};

@@ -1,85 +1,91 @@
-//! Work side by side: one thread a core, each taking the next job, while the calling thread shows how it goes and looks
-//! for signals. What a job gives depends on the job alone, never on which thread took it or when.
+//! Runs the jobs of a study in parallel.
+//!
+//! One thread per core takes the next job, while the calling thread shows the progress and watches for
+//! signals. A job's result depends on the job alone, never on the thread that ran it or on the time at which
+//! it ran.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::thread;
 
+use super::StudyError;
 use crate::clock::{TerminationSignals, pause};
-use crate::supervise::RunProgress;
+use crate::supervise::{LaunchError, RunProgress};
 
-/// How often the calling thread looks up, ns.
-const LOOK_NS: u64 = 20_000_000;
+/// How often the calling thread checks for signals and shows the progress, ns.
+const POLL_NS: u64 = 20_000_000;
 
-/// Does the jobs of a study.
+/// Runs the jobs of a study on all cores.
 #[derive(Debug)]
-pub struct ChildProcesses {
+pub(crate) struct WorkerPool {
     signals: TerminationSignals,
     progress: bool,
 }
 
-/// What a job sees of its surroundings: it reports ticks, and hears when to stop.
+/// A job's connection to the pool: it counts the ticks done, and asks the job to stop.
 #[derive(Debug)]
-pub struct JobProgress<'a> {
+pub(crate) struct JobProgress<'a> {
     done: &'a AtomicU64,
     stop: &'a AtomicBool,
 }
 
 impl JobProgress<'_> {
-    /// Reports `ticks` more ticks done. False when the study is to end.
+    /// Reports that `ticks` more ticks are done. False when the job has to stop.
     pub fn report(&self, ticks: u64) -> bool {
         self.done.fetch_add(ticks, Ordering::Relaxed);
         !self.stop.load(Ordering::Relaxed)
     }
 }
 
-impl ChildProcesses {
-    /// A crew that ends on SIGINT and SIGTERM, and shows a line on standard error if `progress` and that is a terminal.
+impl WorkerPool {
+    /// A pool that stops on SIGINT and SIGTERM. With `progress` it shows a progress line on standard error,
+    /// if that is a terminal.
     ///
     /// # Errors
-    /// When signals cannot be handled.
-    pub fn new(progress: bool) -> std::io::Result<Self> {
-        Ok(Self { signals: TerminationSignals::install()?, progress })
+    /// When the signal handlers cannot be installed.
+    pub fn new(progress: bool) -> Result<Self, StudyError> {
+        let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
+        Ok(Self { signals, progress })
     }
 
-    /// Does `work` for all `jobs`, `ticks` in all, and gives what came of them in their order; `Err` with the number of the
-    /// signal that ended it early.
+    /// Runs `work` for all `jobs`, which have `ticks` ticks together. Gives the results in the order of the
+    /// jobs.
     ///
     /// # Errors
-    /// The number of the signal.
-    pub fn work<J: Sync, T: Send>(
+    /// [`StudyError::Signal`] if a signal ended the study early.
+    pub fn run<J: Sync, T: Send>(
         &self,
         name: &str,
         ticks: u64,
         jobs: &[J],
         work: impl Fn(&J, &JobProgress) -> T + Sync,
-    ) -> Result<Vec<T>, u32> {
+    ) -> Result<Vec<T>, StudyError> {
         let (done, stop, next) = (AtomicU64::new(0), AtomicBool::new(false), AtomicUsize::new(0));
         let threads = thread::available_parallelism().map_or(1, usize::from).min(jobs.len());
         let mut progress = RunProgress::study(name, ticks, self.progress);
         let mut results: Vec<Option<T>> = jobs.iter().map(|_| None).collect();
         thread::scope(|scope| {
-            let busy = || {
-                let mut mine = Vec::new();
-                while let Some((at, job)) = {
-                    let at = next.fetch_add(1, Ordering::Relaxed);
-                    jobs.get(at).map(|job| (at, job))
+            let worker = || {
+                let mut results = Vec::new();
+                while let Some((index, job)) = {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    jobs.get(index).map(|job| (index, job))
                 } {
-                    mine.push((at, work(job, &JobProgress { done: &done, stop: &stop })));
+                    results.push((index, work(job, &JobProgress { done: &done, stop: &stop })));
                 }
-                mine
+                results
             };
-            let pool: Vec<_> = (0..threads).map(|_| scope.spawn(busy)).collect();
-            while !pool.iter().all(thread::ScopedJoinHandle::is_finished) {
+            let workers: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
+            while !workers.iter().all(thread::ScopedJoinHandle::is_finished) {
                 if self.signals.received() != 0 {
                     stop.store(true, Ordering::Relaxed);
                     next.store(jobs.len(), Ordering::Relaxed);
                 }
                 progress.show_study(done.load(Ordering::Relaxed), (f32::NAN, f32::NAN));
-                pause(LOOK_NS);
+                pause(POLL_NS);
             }
-            for member in pool {
-                match member.join() {
-                    Ok(mine) => mine.into_iter().for_each(|(at, result)| results[at] = Some(result)),
+            for worker in workers {
+                match worker.join() {
+                    Ok(finished) => finished.into_iter().for_each(|(index, result)| results[index] = Some(result)),
                     Err(panic) => std::panic::resume_unwind(panic),
                 }
             }
@@ -87,7 +93,7 @@ impl ChildProcesses {
         progress.clear();
         match self.signals.received() {
             0 => Ok(results.into_iter().flatten().collect()),
-            signal => Err(signal),
+            signal => Err(StudyError::Signal(signal)),
         }
     }
 }
@@ -97,10 +103,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn results_stand_in_the_order_of_the_jobs() {
+    fn results_keep_the_order_of_the_jobs() {
         let jobs: Vec<u64> = (0..20).collect();
-        let pool = ChildProcesses::new(false).unwrap();
-        let squares = pool.work("test", 20, &jobs, |&job, ticks| {
+        let pool = WorkerPool::new(false).unwrap();
+        let squares = pool.run("test", 20, &jobs, |&job, ticks| {
             assert!(ticks.report(1));
             job * job
         });

@@ -1,4 +1,4 @@
-//! Movements whose measures are known beforehand.
+//! Movements whose measures are known.
 
 use super::*;
 use proptest::prelude::*;
@@ -11,8 +11,8 @@ fn near(found: Option<f64>, expected: f64, tolerance: f64) {
     assert!((found - expected).abs() <= tolerance, "{found} for {expected}");
 }
 
-/// A movement along `points` to where it ends.
-fn track(points: Vec<[f64; 2]>) -> RecordedMovement {
+/// A movement along `points` whose target is the last of them.
+fn movement(points: Vec<[f64; 2]>) -> RecordedMovement {
     let target = points[points.len() - 1];
     let errors = points[1..].iter().map(|&p| distance(p, target)).collect();
     RecordedMovement { errors, distance: distance(points[0], target), points }
@@ -20,7 +20,7 @@ fn track(points: Vec<[f64; 2]>) -> RecordedMovement {
 
 /// Without a threshold the whole movement counts, and the numbers are those of the literature.
 #[test]
-fn minimum_jerk_is_a_bell() {
+fn minimum_jerk_has_the_published_measures() {
     let all = Definitions { onset: 0.0, ..Definitions::default() };
     for ticks in [20, 50, 201] {
         let m = measure(&minimum_jerk(0.8, ticks), PERIOD, &all);
@@ -38,9 +38,10 @@ fn minimum_jerk_is_a_bell() {
     }
 }
 
-/// 30 t^2 (1 - t)^2 is 5 % of its peak of 1.875 at t = 0.0594: what lies between lasts 0.881 of the whole and covers 0.9962.
+/// 30 t^2 (1 - t)^2 is 5 % of its peak of 1.875 at t = 0.0594: what lies between lasts 0.881 of the whole and
+/// covers 0.9962.
 #[test]
-fn between_thresholds_the_bell_is_somewhat_flatter() {
+fn thresholds_make_the_profile_flatter() {
     let m = measure(&minimum_jerk(0.5, 1000), PERIOD, &Definitions::default());
     near(m.duration_s, 0.8812 * 1000.0 * PERIOD, 0.1);
     near(m.onset_s, 0.0594 * 1000.0 * PERIOD, 0.1);
@@ -52,7 +53,7 @@ fn between_thresholds_the_bell_is_somewhat_flatter() {
 
 /// 10 t^3 - 15 t^4 + 6 t^5 is 0.9 at t = 0.7534 and 0.8 at t = 0.6734.
 #[test]
-fn settling_is_when_the_error_stays_small() {
+fn settling_is_when_the_error_stays_within_the_tolerance() {
     let m = measure(&minimum_jerk(0.5, 1000), 0.001, &Definitions::default());
     near(m.settled_share_s, 0.7534, 0.001);
     near(m.settled_s, 0.6734, 0.001);
@@ -62,14 +63,14 @@ fn settling_is_when_the_error_stays_small() {
         errors: errors.to_vec(),
         distance: 1.0,
     };
-    let settled = |track: &RecordedMovement| measure(track, 1.0, &Definitions::default()).settled_s;
+    let settled = |movement: &RecordedMovement| measure(movement, 1.0, &Definitions::default()).settled_s;
     assert_eq!(settled(&errors(&[0.5, 0.05, 0.3, 0.1, 0.0])), Some(4.0), "within, out again, and back");
     assert_eq!(settled(&errors(&[0.5, 0.05, 0.3])), None);
     assert_eq!(settled(&errors(&[0.05, 0.05])), Some(1.0));
     assert_eq!(
         settled(&RecordedMovement { distance: 0.1, ..errors(&[0.05, 0.05]) }),
         Some(0.0),
-        "there from the beginning"
+        "within the tolerance from the beginning"
     );
     assert_eq!(settled(&errors(&[])), None);
 }
@@ -79,21 +80,21 @@ fn a_detour_is_not_straight() {
     // Half a circle and then rest: its length is pi/2 of the straight line, its deviation half of it.
     let angle = |i: usize| std::f64::consts::PI * (1.0 - i.min(400) as f64 / 400.0);
     let circle = (0..=500).map(|i| [angle(i).cos(), angle(i).sin()]).collect();
-    let m = measure(&track(circle), PERIOD, &Definitions::default());
+    let m = measure(&movement(circle), PERIOD, &Definitions::default());
     near(m.straightness, std::f64::consts::FRAC_PI_2, 1e-4);
     near(m.deviation, 0.5, 1e-6);
     near(m.peak_to_mean, 1.0, 1e-6);
-    // Back to where it began: there is no straight line to compare with.
-    let m = measure(&track(vec![[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]]), PERIOD, &Definitions::default());
+    // It ends where it began, so there is no straight line to compare with.
+    let m = measure(&movement(vec![[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]]), PERIOD, &Definitions::default());
     assert_eq!((m.straightness, m.deviation, m.peaks), (None, None, Some(1.0)));
 }
 
 #[test]
 fn sub_movements_are_counted() {
-    let wake = |ticks: usize| minimum_jerk(0.4, ticks).points.into_iter().take(ticks + 1);
-    let two: Vec<[f64; 2]> = wake(20).chain(wake(20).skip(1).map(|p| [p[0] + 0.4, 0.0])).collect();
-    near(measure(&track(two), PERIOD, &Definitions::default()).peaks, 2.0, 0.0);
-    // Ripples of less than a tenth are none; a sudden start is one.
+    let bell = |ticks: usize| minimum_jerk(0.4, ticks).points.into_iter().take(ticks + 1);
+    let two: Vec<[f64; 2]> = bell(20).chain(bell(20).skip(1).map(|p| [p[0] + 0.4, 0.0])).collect();
+    near(measure(&movement(two), PERIOD, &Definitions::default()).peaks, 2.0, 0.0);
+    // Ripples of less than a tenth are not peaks; a sudden start is one.
     assert_eq!(peaks(&[1.0, 0.95, 1.0, 0.93, 0.99, 0.5, 0.55, 0.0], 0.1), 1);
     assert_eq!(peaks(&[1.0, 0.6, 0.3, 0.2, 0.1], 0.1), 1);
     assert_eq!(peaks(&[0.3, 1.0, 0.3, 0.6, 0.2], 0.1), 2);
@@ -101,28 +102,29 @@ fn sub_movements_are_counted() {
 
 /// A controller that starts at full speed and slows down, as a policy linear in the error does.
 #[test]
-fn a_sudden_start_is_no_bell() {
-    let m = measure(&track((0..80).map(|i| [1.0 - 0.8_f64.powi(i), 0.0]).collect()), PERIOD, &Definitions::default());
+fn a_sudden_start_is_not_bell_shaped() {
+    let m =
+        measure(&movement((0..80).map(|i| [1.0 - 0.8_f64.powi(i), 0.0]).collect()), PERIOD, &Definitions::default());
     near(m.onset_s, 0.0, 0.0);
     assert!(m.peak_position.unwrap() < 0.1 && m.symmetry.unwrap() < 0.6 && m.peaks == Some(1.0), "{m:?}");
 }
 
 #[test]
-fn a_reach_that_is_still_under_way_has_no_duration() {
+fn a_reach_that_has_not_ended_has_no_duration() {
     let mut cut = minimum_jerk(0.8, 40);
     cut.points.truncate(31);
     cut.errors.truncate(30);
     let m = measure(&cut, PERIOD, &Definitions::default());
     assert_eq!((m.duration_s, m.mean_speed, m.peak_to_mean, m.symmetry), (None, None, None, None));
     assert!(m.profile.is_empty());
-    // What can be said all the same.
+    // These measures exist without a duration.
     near(m.peak_speed, 1.875 * 0.8 / 2.0, 0.003);
     near(m.straightness, 1.0, 1e-9);
 }
 
 #[test]
 fn an_arm_that_never_moves_has_no_speeds() {
-    let m = measure(&track(vec![[0.3, 0.2]; 5]), PERIOD, &Definitions::default());
+    let m = measure(&movement(vec![[0.3, 0.2]; 5]), PERIOD, &Definitions::default());
     assert_eq!((m.duration_s, m.peak_speed, m.straightness, m.end_error_m), (None, None, None, Some(0.0)));
     assert!(m.profile.is_empty());
     let none = measure(&RecordedMovement::default(), PERIOD, &Definitions::default());
@@ -130,7 +132,7 @@ fn an_arm_that_never_moves_has_no_speeds() {
 }
 
 proptest! {
-    /// Whatever single precision can say of places, the measures are numbers, and within what they mean.
+    /// For any positions in single precision, the measures are numbers within their ranges.
     #[test]
     fn measures_are_numbers(
         points in proptest::collection::vec(
@@ -144,7 +146,7 @@ proptest! {
             .map(|p| p.map(|x| if x.is_finite() { f64::from(x) } else { 0.0 }))
             .flat_map(|p| std::iter::repeat_n(p, repeat))
             .collect();
-        let m = measure(&track(points), PERIOD, &Definitions::default());
+        let m = measure(&movement(points), PERIOD, &Definitions::default());
         for x in [
             m.onset_s, m.duration_s, m.peak_speed, m.mean_speed, m.peak_to_mean, m.peak_position, m.symmetry, m.peaks,
             m.straightness, m.deviation, m.settled_s, m.settled_share_s, m.end_error_m,

@@ -1,10 +1,11 @@
-//! An analysis for people and for spreadsheets.
+//! An analysis as text: tables for people, CSV for spreadsheets.
 
 use std::fmt::Write as _;
 
 use super::movement::{COLUMNS, Measures};
 use super::{Analysis, Fit, MovementGroup, MovementGroups};
-use crate::report::thousands;
+use crate::report::{columns, thousands};
+use crate::study::text::csv_cell;
 
 /// The measures in the table: name in [`COLUMNS`], words, decimals.
 const LINES: [(&str, &str, usize); 14] = [
@@ -24,13 +25,18 @@ const LINES: [(&str, &str, usize); 14] = [
     ("end_error_m", "error at the end (m)", 3),
 ];
 
+/// Measures that mean nothing with exploration noise: the speeds are those of the noise, and the beginning
+/// and the end of a reach cannot be found.
+const NOISE_SENSITIVE: [&str; 7] =
+    ["onset_s", "duration_s", "mean_speed_m_s", "peak_to_mean", "peak_position", "symmetry", "deviation"];
+
 impl Analysis {
-    /// One JSON object.
+    /// The result as one JSON object.
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// One row a movement; a measure that there is not is an empty cell.
+    /// The movements as CSV, one per row. A measure that does not exist is an empty cell.
     pub fn to_csv(&self) -> String {
         let mut text = "from_tick,ticks".to_owned();
         for prefix in ["measured", "noiseless"] {
@@ -44,10 +50,7 @@ impl Analysis {
                 [(true, &row.measured), (row.noiseless.is_some(), row.noiseless.as_ref().unwrap_or(&none))]
             {
                 for (_, value) in COLUMNS {
-                    match value(measures).filter(|_| known) {
-                        Some(x) => drop(write!(text, ",{x}")),
-                        None => text.push(','),
-                    }
+                    let _ = write!(text, ",{}", csv_cell(value(measures).filter(|_| known)));
                 }
             }
             text.push('\n');
@@ -55,7 +58,7 @@ impl Analysis {
         text
     }
 
-    /// The table for people.
+    /// The result as tables for people.
     pub fn to_text(&self) -> String {
         let mut text = format!(
             "{}, seed {}: {} movements in {} ticks",
@@ -79,8 +82,8 @@ impl Analysis {
         if self.torn {
             text += "The log was cut off; it was analysed as far as it goes.\n";
         }
-        if let Some(view) = &self.noiseless {
-            text += &self.table("without exploration noise", view, true);
+        if let Some(groups) = &self.noiseless {
+            text += &self.table("without exploration noise", groups, true);
         }
         text += &self.table("as measured, exploration noise included", &self.measured, self.noiseless.is_none());
         if let Some(why) = &self.noiseless_missing {
@@ -89,73 +92,67 @@ impl Analysis {
         text
     }
 
-    /// Medians at the beginning, at the end, of all, and of the movement to compare with; then isochrony, if `whole`.
-    fn table(&self, head: &str, view: &MovementGroups, whole: bool) -> String {
+    /// A table of medians at the beginning, at the end, and of all movements. A `complete` table also has the
+    /// minimum-jerk movement, the measures that exploration noise would spoil, and isochrony.
+    fn table(&self, title: &str, groups: &MovementGroups, complete: bool) -> String {
         let mut rows = vec![[
-            format!("medians, {head}"),
-            format!("first {}", thousands(view.early.n as u64)),
-            format!("last {}", thousands(view.late.n as u64)),
+            format!("medians, {title}"),
+            format!("first {}", thousands(groups.early.n as u64)),
+            format!("last {}", thousands(groups.late.n as u64)),
             "all".to_owned(),
-            if whole { "minimum jerk".to_owned() } else { String::new() },
+            if complete { "minimum jerk".to_owned() } else { String::new() },
         ]];
-        for (name, words, decimals) in LINES {
-            // With noise in them, speeds say how the noise shakes the arm, and where a reach begins and ends, nothing.
-            let shaken =
-                ["onset_s", "duration_s", "mean_speed_m_s", "peak_to_mean", "peak_position", "symmetry", "deviation"];
-            if !whole && shaken.contains(&name) {
-                continue;
+        for line in LINES {
+            if complete || !NOISE_SENSITIVE.contains(&line.0) {
+                rows.push(self.table_row(line, groups, complete));
             }
-            let number = |x: Option<f64>| x.map_or("-".to_owned(), |x| format!("{x:.decimals$}"));
-            let median = |group: &MovementGroup| {
-                let share = match name {
-                    "duration_s" => group.completed,
-                    "settled_s" => group.settled,
-                    "settled_share_s" => group.settled_share,
-                    _ => return number(group.get(name).map(|q| q.median)),
-                };
-                format!("{} ({:.0} %)", number(group.get(name).map(|q| q.median)), 100.0 * share)
-            };
-            let words = match name {
-                "duration_s" => format!("{words}, of those that ended"),
-                "settled_s" => format!("{words} within {} m", self.definitions.near_m),
-                "settled_share_s" => {
-                    format!("{words} within {:.0} % of the distance", 100.0 * self.definitions.near_share)
-                }
-                _ => words.to_owned(),
-            };
-            let jerk =
-                COLUMNS.iter().find(|(column, _)| *column == name).and_then(|(_, value)| value(&self.minimum_jerk));
-            let jerk = if whole { number(jerk) } else { String::new() };
-            rows.push([words, median(&view.early), median(&view.late), median(&view.all), jerk]);
         }
-        let widths: [usize; 5] =
-            std::array::from_fn(|column| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0));
-        let mut text = "\n".to_owned();
-        for row in &rows {
-            let mut line = format!("{:<1$}", row[0], widths[0]);
-            for (cell, width) in row.iter().zip(widths).skip(1) {
-                let _ = write!(line, "  {cell:>width$}");
-            }
-            text += line.trim_end();
-            text.push('\n');
-        }
-        if whole {
-            for (which, group) in [("last", &view.late), ("all", &view.all)] {
+        let mut text = "\n".to_owned() + &columns(&rows);
+        if complete {
+            for (which, group) in [("last", &groups.late), ("all", &groups.all)] {
                 let _ = writeln!(
                     text,
                     "isochrony, {which} {}: duration {}; peak speed {}",
                     thousands(group.n as u64),
-                    line(group.isochrony.duration, "s"),
-                    line(group.isochrony.peak_speed, "m/s"),
+                    fit_in_words(group.isochrony.duration, "s"),
+                    fit_in_words(group.isochrony.peak_speed, "m/s"),
                 );
             }
         }
         text
     }
+
+    /// The row of one measure.
+    fn table_row(
+        &self,
+        (name, words, decimals): (&str, &str, usize),
+        groups: &MovementGroups,
+        complete: bool,
+    ) -> [String; 5] {
+        let number = |x: Option<f64>| x.map_or("-".to_owned(), |x| format!("{x:.decimals$}"));
+        let median = |group: &MovementGroup| {
+            let share = match name {
+                "duration_s" => group.completed,
+                "settled_s" => group.settled,
+                "settled_share_s" => group.settled_share,
+                _ => return number(group.get(name).map(|q| q.median)),
+            };
+            format!("{} ({:.0} %)", number(group.get(name).map(|q| q.median)), 100.0 * share)
+        };
+        let words = match name {
+            "duration_s" => format!("{words}, of those that ended"),
+            "settled_s" => format!("{words} within {} m", self.definitions.near_m),
+            "settled_share_s" => format!("{words} within {:.0} % of the distance", 100.0 * self.definitions.near_share),
+            _ => words.to_owned(),
+        };
+        let jerk = COLUMNS.iter().find(|(column, _)| *column == name).and_then(|(_, value)| value(&self.minimum_jerk));
+        let jerk = if complete { number(jerk) } else { String::new() };
+        [words, median(&groups.early), median(&groups.late), median(&groups.all), jerk]
+    }
 }
 
-/// `0.62 s + 0.05 s for a metre more (r 0.31)`.
-fn line(fit: Option<Fit>, unit: &str) -> String {
+/// A straight line in words: `0.62 s + 0.05 s a metre (r 0.31)`.
+fn fit_in_words(fit: Option<Fit>, unit: &str) -> String {
     let Some(fit) = fit else { return "-".to_owned() };
     let sign = if fit.slope < 0.0 { '-' } else { '+' };
     let r = fit.r.map_or(String::new(), |r| format!(" (r {r:.2})"));

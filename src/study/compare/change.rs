@@ -1,31 +1,32 @@
-//! What happens to the arm during a run: in words, as `--change` has it, and in the scenario's tables.
+//! Changes of the arm during a run: as `--change` writes them, as the reports name them, and as the scenario
+//! stores them.
 
 use std::fmt;
 use std::str::FromStr;
 
 use crate::scenario::{ArmConfig, BlockConfig, MirrorAxis, MirrorConfig, ShortenConfig};
 
-/// One change of the arm, and when.
+/// One change of the arm, and its tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ArmChange {
-    /// What changes.
+    /// The change.
     pub what: ArmChangeKind,
-    /// First tick with it.
+    /// First tick with the change.
     pub tick: u64,
 }
 
-/// The changes that there are.
+/// The kinds of changes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ArmChangeKind {
-    /// A joint, from 1, stands still at an angle, rad.
+    /// A joint, counted from 1, stands still at an angle, rad.
     Block(usize, f64),
-    /// A segment, from 1, has another length, m.
+    /// A segment, counted from 1, has another length, m.
     Shorten(usize, f64),
     /// A coordinate of the target is reported with the other sign.
     Mirror(MirrorAxis),
 }
 
-/// How `--change` is written.
+/// The forms of `--change`, for error messages.
 const FORMS: &str =
     "write block:JOINT@TICK, block:JOINT:ANGLE@TICK, shorten:SEGMENT:LENGTH@TICK, mirror:x@TICK or mirror:y@TICK";
 
@@ -35,8 +36,8 @@ impl ArmChange {
         Self { what: ArmChangeKind::Block(3, 0.0), tick }
     }
 
-    /// Writes the change into an arm's table.
-    pub fn apply(&self, arm: &mut ArmConfig) {
+    /// Adds the change to the settings of an arm.
+    pub(super) fn apply(&self, arm: &mut ArmConfig) {
         let tick = self.tick;
         match self.what {
             ArmChangeKind::Block(joint, angle) => arm.block.push(BlockConfig { joint, tick, angle }),
@@ -88,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn changes_are_read_as_they_are_written() {
+    fn changes_are_parsed_in_all_forms() {
         for (text, what, tick) in [
             ("block:3@3000", ArmChangeKind::Block(3, 0.0), 3000),
             ("block:1:-0.5@6_000", ArmChangeKind::Block(1, -0.5), 6000),
@@ -100,8 +101,8 @@ mod tests {
         for text in
             ["", "block", "block@3", "block:3", "block:x@3", "block:3@", "mirror:z@3", "shorten:2@5", "melt:1@5"]
         {
-            let said = text.parse::<ArmChange>().unwrap_err();
-            assert!(said.contains("write block:JOINT@TICK"), "{text}: {said}");
+            let message = text.parse::<ArmChange>().unwrap_err();
+            assert!(message.contains("write block:JOINT@TICK"), "{text}: {message}");
         }
     }
 }

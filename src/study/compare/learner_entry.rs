@@ -1,4 +1,4 @@
-//! A learner as it enters a comparison: its scenario, its length, and what happens to the arm on the way.
+//! A learner in a comparison: its scenario, its length, and the changes of the arm during its runs.
 
 use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
@@ -6,41 +6,41 @@ use serde::de::IntoDeserializer as _;
 use super::ArmChange;
 use crate::report::thousands;
 use crate::scenario::{ArmConfig, FilePosition, LearnerConfig, Plan, Rule, Scenario, ScenarioError, merge};
-
 use crate::study::StudyError;
 
 /// All learners, in the order in which they are shown.
 pub const LEARNERS: [Rule; 5] =
     [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward];
 
-/// What happens to the arm.
+/// Which changes of the arm the learners meet.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Changes {
-    /// Joint 3 blocks when the learner should have learned; nothing if the run is shorter than that.
+    /// Joint 3 blocks at a tick by which the learner should have learned. No change if the run is shorter.
     Usual,
-    /// Nothing.
+    /// No changes.
     None,
-    /// These, in the order of their ticks.
+    /// These changes, in the order of their ticks.
     These(Vec<ArmChange>),
 }
 
 /// A learner with its scenario.
 #[derive(Debug, Clone)]
-pub struct LearnerEntry {
-    /// The rule's name, as scenarios have it.
+pub(crate) struct LearnerEntry {
+    /// The rule's name, as in scenarios.
     pub name: String,
-    /// The scenario, of seed 0.
+    /// The scenario with seed 0.
     pub plan: Plan,
-    /// What happens, in the order of time.
+    /// The changes of the arm, in the order of their ticks.
     pub changes: Vec<ArmChange>,
-    /// What a tick takes, roughly, ns: long runs are begun first.
-    pub(super) rough_ns: u64,
+    /// Estimated time of a tick, ns. It orders the jobs: long runs start first.
+    pub(super) estimated_tick_ns: u64,
 }
 
-/// Usual length of a run and instant of the block, ticks, and what a tick takes, roughly, ns.
+/// A rule's usual length of a run (ticks), its usual tick of the block, and the estimated time of a tick
+/// (ns).
 ///
-/// Long enough to see the learner arrive and get over the block, and short enough for a comparison of all of them in
-/// minutes.
+/// The runs are long enough for the learner to reach its final loss and to recover from the block, and short
+/// enough for a comparison of all learners within minutes.
 fn usual(rule: Rule) -> (u64, u64, u64) {
     match rule {
         Rule::Paper => (12_000_000, 10_000_000, 2_500),
@@ -51,10 +51,10 @@ fn usual(rule: Rule) -> (u64, u64, u64) {
     }
 }
 
-/// The rule of that name.
+/// The rule with this name.
 ///
 /// # Errors
-/// [`StudyError::Asked`], which lists the names.
+/// [`StudyError::Asked`], with a list of the names.
 pub fn rule(name: &str) -> Result<Rule, StudyError> {
     let source: serde::de::value::StrDeserializer<'_, serde::de::value::Error> = name.into_deserializer();
     Rule::deserialize(source).map_err(|_| {
@@ -63,28 +63,28 @@ pub fn rule(name: &str) -> Result<Rule, StudyError> {
     })
 }
 
-/// The name of a rule.
-pub fn name_of(rule: Rule) -> String {
+/// The name of a rule, as in scenarios.
+pub(crate) fn name_of(rule: Rule) -> String {
     toml::Value::try_from(rule).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
 impl LearnerEntry {
-    /// The learner of `rule` under its preset, with `settings` such as `learner.beta=0.5` in place of the preset's, for
-    /// `ticks` (its usual length if there are none).
+    /// The learner of `rule` with its preset. `settings` such as `learner.beta=0.5` replace those of the
+    /// preset. Without `ticks`, its runs have their usual length.
     ///
     /// # Errors
-    /// What is wrong with a setting, a change or the length.
+    /// When a setting, a change or the length is invalid.
     pub fn new(rule: Rule, ticks: Option<u64>, changes: &Changes, settings: &[String]) -> Result<Self, StudyError> {
         let name = name_of(rule);
-        let (usual_ticks, usual_block, rough_ns) = usual(rule);
+        let (usual_ticks, usual_block, estimated_tick_ns) = usual(rule);
         let mut scenario = Scenario::built_in("arm")?;
         scenario.name = "compare".to_owned();
         scenario.seed = 0;
-        // The arm that the references know, and nothing happens to it but what is asked for.
+        // The arm that the reference controllers know, with no other changes than those asked for.
         scenario.plant.arm = Some(ArmConfig::default());
         scenario.ticks = ticks.unwrap_or(usual_ticks);
         scenario.learner = LearnerConfig::preset(rule);
-        let mut scenario = with(scenario, settings, &name)?;
+        let mut scenario = with_settings(scenario, settings, &name)?;
         let ticks = scenario.ticks;
         let changes = match changes {
             Changes::None => Vec::new(),
@@ -92,15 +92,15 @@ impl LearnerEntry {
             Changes::Usual => vec![ArmChange::block(usual_block)],
             Changes::These(changes) => changes.clone(),
         };
-        in_order(&changes, ticks, &name)?;
+        check_order(&changes, ticks, &name)?;
         if let Some(arm) = &mut scenario.plant.arm {
             changes.iter().for_each(|change| change.apply(arm));
         }
-        let plan = scenario.plan().map_err(|error| nameless(error, &name))?;
-        Ok(Self { name, plan, changes, rough_ns })
+        let plan = scenario.plan().map_err(|error| without_line(error, &name))?;
+        Ok(Self { name, plan, changes, estimated_tick_ns })
     }
 
-    /// The scenario of one seed.
+    /// The scenario with one seed.
     pub fn plan(&self, seed: u64) -> Plan {
         let mut plan = self.plan.clone();
         plan.scenario.seed = seed;
@@ -108,26 +108,29 @@ impl LearnerEntry {
     }
 }
 
-fn in_order(changes: &[ArmChange], ticks: u64, name: &str) -> Result<(), StudyError> {
+/// Checks that the changes lie within the run, in the order of their ticks, each at another tick.
+fn check_order(changes: &[ArmChange], ticks: u64, name: &str) -> Result<(), StudyError> {
     for (i, change) in changes.iter().enumerate() {
         let at = thousands(change.tick);
         if change.tick == 0 || change.tick >= ticks {
             return Err(StudyError::Asked(format!(
-                "tick {at} of a change lies outside the run of {name}, which has {} ticks; give another tick, or --ticks",
+                "tick {at} of a change lies outside the run of {name}, which has {} ticks; \
+                 give another tick, or --ticks",
                 thousands(ticks)
             )));
         }
         if i > 0 && change.tick <= changes[i - 1].tick {
             return Err(StudyError::Asked(format!(
-                "two changes at tick {at}, or one after a later one; give them in the order of their ticks, all different"
+                "two changes at tick {at}, or one after a later one; \
+                 give them in the order of their ticks, all different"
             )));
         }
     }
     Ok(())
 }
 
-/// The scenario with settings in place of what it says.
-fn with(scenario: Scenario, settings: &[String], learner: &str) -> Result<Scenario, StudyError> {
+/// The scenario, with some of its settings replaced.
+fn with_settings(scenario: Scenario, settings: &[String], learner: &str) -> Result<Scenario, StudyError> {
     if settings.is_empty() {
         return Ok(scenario);
     }
@@ -136,7 +139,7 @@ fn with(scenario: Scenario, settings: &[String], learner: &str) -> Result<Scenar
     for text in settings {
         let form = "write learner.KEY=VALUE or policy.KEY=VALUE in TOML, with words in quotes";
         let setting: toml::Table = toml::from_str(text).map_err(|_| refused(text, form))?;
-        // The rest is the yardstick's: the same arm and the same eyes for all.
+        // All other settings are the same for all learners, so that their test is the same.
         if setting.is_empty() || setting.keys().any(|key| key != "learner" && key != "policy") {
             return Err(refused(text, form));
         }
@@ -146,11 +149,11 @@ fn with(scenario: Scenario, settings: &[String], learner: &str) -> Result<Scenar
         merge(&mut table, setting);
     }
     let text = toml::to_string(&table).unwrap_or_default();
-    Scenario::parse(&text, "--set").map_err(|error| nameless(error, learner))
+    Scenario::parse(&text, "--set").map_err(|error| without_line(error, learner))
 }
 
-/// The scenario's own message without a line: the text that it counts in is nobody's file.
-fn nameless(mut error: ScenarioError, learner: &str) -> StudyError {
+/// The scenario's error without its line number: the line is of a text that is in no file.
+fn without_line(mut error: ScenarioError, learner: &str) -> StudyError {
     match &mut error {
         ScenarioError::UnknownKey { place, .. }
         | ScenarioError::MissingKey { place, .. }
@@ -171,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn every_learner_enters_under_its_name() {
+    fn every_learner_has_its_name_and_preset() {
         for rule_ in LEARNERS {
             let entry = LearnerEntry::new(rule_, None, &Changes::Usual, &[]).unwrap();
             assert_eq!(rule(&entry.name).unwrap(), rule_);
@@ -179,16 +182,17 @@ mod tests {
             assert_eq!(entry.changes.len(), 1);
             let short = LearnerEntry::new(rule_, Some(1000), &Changes::Usual, &[]).unwrap();
             assert_eq!(short.changes, []);
-            assert_eq!(short.plan.scenario.plant.arm, Some(ArmConfig::default()), "nothing happens unasked");
+            assert_eq!(short.plan.scenario.plant.arm, Some(ArmConfig::default()), "no changes unless asked for");
         }
         assert_eq!(
             rule("papers").unwrap_err().to_string(),
-            "there is no learner \"papers\"; the learners are paper, baseline, actor-critic, natural-actor-critic, learned-reward"
+            "there is no learner \"papers\"; \
+             the learners are paper, baseline, actor-critic, natural-actor-critic, learned-reward"
         );
     }
 
     #[test]
-    fn settings_take_the_presets_place() {
+    fn settings_replace_those_of_the_preset() {
         let settings = ["learner.beta = 0.5".to_owned(), "learner.critic.step=0.1".to_owned()];
         let entry = LearnerEntry::new(Rule::ActorCritic, None, &Changes::None, &settings).unwrap();
         let learner = &entry.plan.scenario.learner;
@@ -197,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_no_sense_is_refused_by_name() {
+    fn invalid_arguments_are_refused_by_name() {
         let block = |tick| Changes::These(vec![ArmChange::block(tick)]);
         let two = Changes::These(vec![ArmChange::block(9), ArmChange::block(9)]);
         for (rule, ticks, changes, settings, expected) in [
@@ -218,8 +222,8 @@ mod tests {
             (Rule::Paper, Some(500), block(0), &[], "tick 0 of a change lies outside"),
             (Rule::Paper, Some(500), two, &[], "two changes at tick 9"),
         ] {
-            let said = message(rule, ticks, &changes, settings);
-            assert!(said.contains(expected), "{settings:?}: {said}");
+            let found = message(rule, ticks, &changes, settings);
+            assert!(found.contains(expected), "{settings:?}: {found}");
         }
         let joint = Changes::These(vec![ArmChange { what: super::super::ArmChangeKind::Block(7, 0.0), tick: 5 }]);
         assert!(

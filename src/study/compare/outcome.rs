@@ -1,4 +1,5 @@
-//! What the courses say: when the level was reached, what was left of the gap, when a change had been got over.
+//! The outcome of the runs: when the level was reached, the rest of the gap to the optimum, when a change was
+//! recovered from.
 
 use std::collections::BTreeMap;
 
@@ -10,14 +11,14 @@ use crate::scenario::LearnerConfig;
 use crate::study::Spread;
 use crate::study::reference::LEVEL;
 
-/// The instants at which losses are told, ticks.
-pub const DECADES: [u64; 5] = [1_000, 10_000, 100_000, 1_000_000, 10_000_000];
-/// A change counts as got over when the loss is within this factor of the changed world's optimum.
-pub const RECOVERED: f64 = 1.1;
+/// The ticks at which losses are reported.
+pub(super) const DECADES: [u64; 5] = [1_000, 10_000, 100_000, 1_000_000, 10_000_000];
+/// A learner has recovered from a change when its loss is within this factor of the changed arm's optimum.
+const RECOVERED: f64 = 1.1;
 
 /// One learner with one seed.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SeedRow {
+pub(super) struct SeedRow {
     /// Seed of the run.
     pub seed: u64,
     /// Ticks until the loss was at the level or below, before any change.
@@ -26,11 +27,11 @@ pub struct SeedRow {
     pub loss_at: [Option<f64>; DECADES.len()],
     /// Loss at the first change, or at the end if there was none.
     pub loss: f64,
-    /// Of the way from standing still (1) to the trajectory optimum (0), what that loss leaves.
+    /// Where that loss lies between zero commands (1) and the trajectory optimum (0).
     pub share_of_gap: f64,
-    /// Largest loss from the level on until the first change.
+    /// Largest loss between reaching the level and the first change.
     pub worst_after_level: Option<f64>,
-    /// For each change: ticks until it had been got over, before the next one.
+    /// For each change: ticks until the learner had recovered from it, if that was before the next change.
     pub ticks_to_recover: Vec<Option<u64>>,
     /// Loss at the end.
     pub loss_at_end: f64,
@@ -41,38 +42,40 @@ pub struct SeedRow {
 }
 
 impl SeedRow {
-    pub(super) fn of(entry: &LearnerEntry, seed: u64, course: &LearnerRun, references: &ReferenceTable) -> Self {
-        let unchanged: Vec<_> = course.samples.iter().take_while(|s| s.world == 0).collect();
-        let level = unchanged.iter().find(|s| s.score.loss <= LEVEL).map(|s| s.tick);
-        let loss = unchanged.last().map_or(f64::NAN, |s| s.score.loss);
-        let (zero, optimum) = (references.worlds[0].zero.loss, references.worlds[0].trajectory_optimum.loss);
+    pub fn of(entry: &LearnerEntry, seed: u64, run: &LearnerRun, references: &ReferenceTable) -> Self {
+        let unchanged: Vec<_> = run.tests.iter().take_while(|t| t.condition == 0).collect();
+        let level = unchanged.iter().find(|t| t.score.loss <= LEVEL).map(|t| t.tick);
+        let loss = unchanged.last().map_or(f64::NAN, |t| t.score.loss);
+        let first = &references.conditions[0];
+        let (zero, optimum) = (first.zero.loss, first.trajectory_optimum.loss);
         let recovered = |(i, change): (usize, &super::ArmChange)| {
-            let enough = RECOVERED * references.worlds[i + 1].trajectory_optimum.loss;
-            let found = course.samples.iter().find(|s| s.world == i + 1 && s.score.loss <= enough)?;
+            let enough = RECOVERED * references.conditions[i + 1].trajectory_optimum.loss;
+            let found = run.tests.iter().find(|t| t.condition == i + 1 && t.score.loss <= enough)?;
             Some(found.tick - change.tick)
         };
         Self {
             seed,
             ticks_to_level: level,
-            loss_at: DECADES.map(|tick| unchanged.iter().find(|s| s.tick == tick).map(|s| s.score.loss)),
+            loss_at: DECADES.map(|tick| unchanged.iter().find(|t| t.tick == tick).map(|t| t.score.loss)),
             loss,
             share_of_gap: (loss - optimum) / (zero - optimum),
             worst_after_level: level.map(|level| {
-                let after = unchanged.iter().filter(|s| s.tick >= level).map(|s| s.score.loss);
-                // A loss that is no number is the worst of all.
+                let after = unchanged.iter().filter(|t| t.tick >= level).map(|t| t.score.loss);
+                // A loss that is not a number counts as the largest.
                 after.fold(0.0, |worst, loss| if loss > worst || loss.is_nan() { loss } else { worst })
             }),
             ticks_to_recover: entry.changes.iter().enumerate().map(recovered).collect(),
-            loss_at_end: course.samples.last().map_or(f64::NAN, |s| s.score.loss),
-            diverged_at: course.diverged_at,
-            weights_hash: course.weights_hash.clone(),
+            loss_at_end: run.tests.last().map_or(f64::NAN, |t| t.score.loss),
+            diverged_at: run.diverged_at,
+            weights_hash: run.weights_hash.clone(),
         }
     }
 }
 
-/// Times of some ticks, ns. Runs shared the cores with each other, so that the larger ones hold other people's work.
+/// Times of some ticks, ns. The runs share the cores with each other, so that the larger times include other
+/// work.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Times {
+pub(super) struct Times {
     /// Mean.
     pub mean: f64,
     /// Median.
@@ -94,14 +97,14 @@ impl Times {
     }
 }
 
-/// What a tick of a learner costs, ns.
+/// The time of a tick of a learner, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Costs {
-    /// All of it.
+pub(super) struct Costs {
+    /// The whole tick.
     pub tick: Times,
     /// From the observation to the command: learning, encoding, drawing.
     pub before_command: Times,
-    /// After the command has gone out: improving the policy, and the account.
+    /// After the command was sent: improving the policy, and the statistics.
     pub after_command: Times,
 }
 
@@ -117,34 +120,34 @@ impl Costs {
 
 /// One learner over all seeds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct LearnerOutcome {
+pub(super) struct LearnerOutcome {
     /// The rule.
     pub name: String,
     /// Length of a run, ticks.
     pub ticks: u64,
-    /// What happened to the arm, and when.
+    /// The changes of the arm.
     pub changes: Vec<ChangeOutcome>,
-    /// Ticks to the level, seed by seed; null where it was never reached (before the first change).
+    /// Ticks to the level, seed by seed; null where it was not reached before the first change.
     pub ticks_to_level: Vec<Option<u64>>,
-    /// Ticks to get over the first change, seed by seed; null where it never was.
+    /// Ticks to recover from the first change, seed by seed; null where the learner did not.
     pub ticks_to_recover: Vec<Option<u64>>,
-    /// Loss after so many ticks; null where the run was shorter, or the arm had changed by then.
+    /// Loss by number of ticks; null where the run was shorter, or the arm had changed by then.
     pub loss_at: BTreeMap<u64, Option<Spread>>,
-    /// Loss at the first change; without one, at the end.
+    /// Loss at the first change, or at the end if there was none.
     pub loss: Option<Spread>,
-    /// Of the way from standing still (1) to the trajectory optimum (0), what that loss leaves.
+    /// Where that loss lies between zero commands (1) and the trajectory optimum (0).
     pub share_of_gap: Option<Spread>,
-    /// Largest loss from the level on until the first change; null where no seed reached the level.
+    /// Largest loss between reaching the level and the first change; null where no seed reached the level.
     pub worst_loss_after_level: Option<Spread>,
     /// Loss at the end, after all changes.
     pub loss_at_end: Option<Spread>,
     /// Median time of a tick, ns.
     pub ns_per_tick: f64,
-    /// The same in more detail.
+    /// The time of a tick in more detail.
     pub cost_ns: Costs,
-    /// Number of seeds whose weights did not stay numbers.
+    /// Number of seeds whose weights diverged.
     pub diverged: usize,
-    /// The tick of that, seed by seed; null where they did.
+    /// The tick at which the weights were no longer numbers, seed by seed; null where they are.
     pub diverged_at: Vec<Option<u64>>,
     /// XXH3-64 of the weights at the end, hexadecimal, seed by seed.
     pub weights_hash: Vec<String>,
@@ -152,19 +155,20 @@ pub struct LearnerOutcome {
     pub settings: LearnerConfig,
 }
 
-/// A change, and how it was got over.
+/// A change, and the recovery from it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ChangeOutcome {
-    /// What changed.
+pub(super) struct ChangeOutcome {
+    /// The change in words.
     pub change: String,
-    /// First tick with it.
+    /// First tick with the change.
     pub tick: u64,
-    /// Ticks until the loss was within 10 % of the changed world's optimum, seed by seed; null where it never was.
+    /// Ticks until the loss was within 10 % of the changed arm's optimum, seed by seed; null where it never
+    /// was.
     pub ticks_to_recover: Vec<Option<u64>>,
 }
 
 impl LearnerOutcome {
-    pub(super) fn of(entry: &LearnerEntry, rows: &[SeedRow], costs: &[TickCost]) -> Self {
+    pub fn of(entry: &LearnerEntry, rows: &[SeedRow], costs: &[TickCost]) -> Self {
         let over = |value: &dyn Fn(&SeedRow) -> Option<f64>| Spread::of(rows.iter().filter_map(value));
         let recover = |i: usize| rows.iter().map(|r| r.ticks_to_recover.get(i).copied().flatten()).collect();
         let cost = Costs::of(costs);
@@ -208,39 +212,38 @@ mod tests {
 
     fn references() -> ReferenceTable {
         let score = |loss| Score { loss, miss_m: 0.0 };
-        let world = |optimum| ReferenceScores {
-            world: String::new(),
+        let scores = |optimum| ReferenceScores {
+            name: String::new(),
             zero: score(0.52),
             random: score(0.3),
             damped_least_squares: score(0.03),
             trajectory_optimum: score(optimum),
         };
-        ReferenceTable { worlds: vec![world(0.02), world(0.03)] }
+        ReferenceTable { conditions: vec![scores(0.02), scores(0.03)] }
     }
 
     #[test]
-    fn a_course_is_read_in_the_worlds_that_it_goes_through() {
+    fn a_run_is_measured_in_the_conditions_of_its_arm() {
         let changes = Changes::These(vec![ArmChange::block(2000)]);
         let entry = LearnerEntry::new(Rule::Paper, Some(4000), &changes, &[]).unwrap();
-        let samples =
+        let tests =
             [(500, 0, 0.2), (1000, 0, 0.0375), (1500, 0, 0.05), (2000, 0, 0.03), (2020, 1, 0.034), (2500, 1, 0.033)];
-        let course = LearnerRun {
-            samples: samples
-                .map(|(tick, world, loss)| PolicyTest { tick, world, score: Score { loss, miss_m: 0.0 } })
+        let run = LearnerRun {
+            tests: tests
+                .map(|(tick, condition, loss)| PolicyTest { tick, condition, score: Score { loss, miss_m: 0.0 } })
                 .to_vec(),
             costs: vec![TickCost { before: 1.0, after: 2.0 }; 3],
             diverged_at: None,
             weights_hash: String::new(),
         };
-        let row = SeedRow::of(&entry, 7, &course, &references());
+        let row = SeedRow::of(&entry, 7, &run, &references());
         assert_eq!((row.ticks_to_level, row.worst_after_level), (Some(1000), Some(0.05)));
         assert_eq!(row.loss_at, [Some(0.0375), None, None, None, None]);
         assert_eq!((row.loss, row.loss_at_end), (0.03, 0.033));
         assert!((row.share_of_gap - 0.02).abs() < 1e-12, "{}", row.share_of_gap);
         assert_eq!(row.ticks_to_recover, [Some(500)]);
 
-        let outcome =
-            LearnerOutcome::of(&entry, &[row.clone(), SeedRow { ticks_to_level: None, ..row }], &course.costs);
+        let outcome = LearnerOutcome::of(&entry, &[row.clone(), SeedRow { ticks_to_level: None, ..row }], &run.costs);
         assert_eq!(outcome.ticks_to_level, [Some(1000), None]);
         assert_eq!(outcome.ticks_to_recover, [Some(500); 2]);
         assert_eq!((outcome.ns_per_tick, outcome.diverged), (3.0, 0));

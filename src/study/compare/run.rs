@@ -1,39 +1,39 @@
-//! One learner, one seed: the run, its tests on the way, and what its ticks cost.
+//! The run of one learner with one seed: its noiseless tests, and the cost of its ticks.
 
 use std::time::Instant;
 
-use super::LearnerEntry;
+use super::{Condition, LearnerEntry};
 use crate::runtime::{Controller, PlantSide};
 use crate::study::JobProgress;
-use crate::study::reference::{Score, TestSet};
+use crate::study::reference::Score;
 use crate::wire::{Command, Observation};
 
-/// One test of the policy as it was.
+/// One test of the policy.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PolicyTest {
+pub(super) struct PolicyTest {
     /// Ticks done before the test.
     pub tick: u64,
-    /// Changes of the arm before the test; the test is the one of that world.
-    pub world: usize,
-    /// What came of it.
+    /// Number of changes of the arm before the test. The test is the one of the condition with this number.
+    pub condition: usize,
+    /// The result.
     pub score: Score,
 }
 
-/// What a tick cost, ns.
+/// The cost of one tick, ns.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TickCost {
+pub(super) struct TickCost {
     /// From the observation to the command: learning, encoding, drawing.
     pub before: f64,
-    /// After the command has gone out.
+    /// After the command was sent.
     pub after: f64,
 }
 
-/// What came of a run.
+/// The result of a run.
 #[derive(Debug, Clone)]
-pub struct LearnerRun {
-    /// The tests, in the order of time.
-    pub samples: Vec<PolicyTest>,
-    /// Some ticks' costs.
+pub(super) struct LearnerRun {
+    /// The tests, in the order of ticks.
+    pub tests: Vec<PolicyTest>,
+    /// The costs of some ticks.
     pub costs: Vec<TickCost>,
     /// The first tick at which the weights were no longer numbers.
     pub diverged_at: Option<u64>,
@@ -41,42 +41,42 @@ pub struct LearnerRun {
     pub weights_hash: String,
 }
 
-/// Ticks between two reports, so that a slow learner's run ends well within a second.
+/// Ticks between two reports of progress, so that a slow learner's run stops well within a second.
 const REPORT: u64 = 64;
-/// Ticks in a row that are timed, and how often in a run.
+/// Consecutive ticks that are timed together.
 const TIMED: u64 = 8;
+/// How many times in a run such ticks are timed.
 const TIMES: u64 = 400;
 
-/// Ticks to the next test, `since` ticks after the beginning or the last change. Instants are known to that.
+/// Ticks until the next test, `since` ticks after the beginning or the last change.
 ///
-/// 20 ticks, a second, in the first 1,000; then a twentieth of the power of ten below: 50 up to 10,000, 500 up to 100,000.
-pub fn spacing(since: u64) -> u64 {
+/// 20 ticks, a second, within the first 1,000 ticks; afterwards a twentieth of the power of ten below: 50 up
+/// to 10,000, 500 up to 100,000.
+pub(super) fn test_interval(since: u64) -> u64 {
     if since < 1_000 { 20 } else { 10_u64.pow(since.ilog10()) / 20 }
 }
 
-/// Runs `entry` with `seed`, with one test for each world: that of the beginning and that after each change. `None` if the
-/// study is to end before the run does.
-pub fn run(entry: &LearnerEntry, seed: u64, tests: &[TestSet], progress: &JobProgress) -> Option<LearnerRun> {
+/// Runs `entry` with `seed` and tests it in the current one of `conditions`. `None` if the study has to stop
+/// before the run ends.
+pub(super) fn run(
+    entry: &LearnerEntry,
+    seed: u64,
+    conditions: &[Condition],
+    progress: &JobProgress,
+) -> Option<LearnerRun> {
     let plan = entry.plan(seed);
     let mut side = PlantSide::new(plan.simulated_plant()?, &plan);
     let mut controller = Controller::new(&plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let ticks = plan.scenario.ticks;
     let stride = (ticks / TIMES).max(TIMED);
-    let look = look();
-    let mut course =
-        LearnerRun { samples: Vec::new(), costs: Vec::new(), diverged_at: None, weights_hash: String::new() };
-    let (mut world, mut next) = (0, spacing(0));
+    let clock_ns = clock_read_ns();
+    let (mut tests, mut costs) = (Vec::new(), Vec::new());
+    let (mut condition, mut next) = (0, test_interval(0));
     for tick in 0..ticks {
         side.observe(tick, 0, 0, &mut observation);
         if tick % stride < TIMED {
-            let began = Instant::now();
-            controller.respond(&observation, &mut command);
-            let answered = Instant::now();
-            controller.after_command(&observation);
-            let settled = Instant::now();
-            let ns = |from: Instant, to: Instant| ((to - from).as_nanos() as f64 - look).max(0.0);
-            course.costs.push(TickCost { before: ns(began, answered), after: ns(answered, settled) });
+            costs.push(timed_tick(&mut controller, &observation, &mut command, clock_ns));
         } else {
             controller.respond(&observation, &mut command);
             controller.after_command(&observation);
@@ -87,34 +87,48 @@ pub fn run(entry: &LearnerEntry, seed: u64, tests: &[TestSet], progress: &JobPro
         if done.is_multiple_of(REPORT) && !progress.report(REPORT) {
             return None;
         }
-        let change = entry.changes.get(world).map(|change| change.tick);
+        let change = entry.changes.get(condition).map(|change| change.tick);
         if done == next || done == ticks || change == Some(done) {
-            let score = tests[world].score(controller.policy());
-            course.samples.push(PolicyTest { tick: done, world, score });
+            let score = conditions[condition].test.score(controller.policy());
+            tests.push(PolicyTest { tick: done, condition, score });
             if change == Some(done) {
-                world += 1;
+                condition += 1;
             }
-            let since = done - if world == 0 { 0 } else { entry.changes[world - 1].tick };
-            next = done + spacing(since);
+            let since = done - if condition == 0 { 0 } else { entry.changes[condition - 1].tick };
+            next = done + test_interval(since);
         }
     }
     if !progress.report(ticks % REPORT) {
         return None;
     }
     let report = controller.finish();
-    course.diverged_at = report.diverged_at;
-    course.weights_hash = report.weights_hash;
-    Some(course)
+    Some(LearnerRun { tests, costs, diverged_at: report.diverged_at, weights_hash: report.weights_hash })
 }
 
-/// What a look at the clock costs, ns.
-fn look() -> f64 {
-    const LOOKS: u32 = 10_000;
+/// One tick of the controller, timed. Reading the clock takes `clock_ns`, which is not counted.
+fn timed_tick(
+    controller: &mut Controller,
+    observation: &Observation,
+    command: &mut Command,
+    clock_ns: f64,
+) -> TickCost {
     let began = Instant::now();
-    for _ in 0..LOOKS {
+    controller.respond(observation, command);
+    let answered = Instant::now();
+    controller.after_command(observation);
+    let ended = Instant::now();
+    let ns = |from: Instant, to: Instant| ((to - from).as_nanos() as f64 - clock_ns).max(0.0);
+    TickCost { before: ns(began, answered), after: ns(answered, ended) }
+}
+
+/// The cost of reading the clock, ns.
+fn clock_read_ns() -> f64 {
+    const READS: u32 = 10_000;
+    let began = Instant::now();
+    for _ in 0..READS {
         std::hint::black_box(Instant::now());
     }
-    began.elapsed().as_nanos() as f64 / f64::from(LOOKS)
+    began.elapsed().as_nanos() as f64 / f64::from(READS)
 }
 
 #[cfg(test)]
@@ -122,10 +136,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_power_of_ten_is_tested_at() {
+    fn every_power_of_ten_has_a_test() {
         let (mut at, mut tests) = (0, vec![]);
         while at < 12_000_000 {
-            at += spacing(at);
+            at += test_interval(at);
             tests.push(at);
         }
         assert!([1_000, 10_000, 100_000, 1_000_000, 10_000_000].iter().all(|tick| tests.contains(tick)));

@@ -1,18 +1,19 @@
-//! The comparison for people: a few tables in plain text.
+//! The comparison for people: a few tables as plain text.
 
 use std::fmt::Write as _;
 
 use super::ComparisonResult;
 use crate::report::thousands;
 use crate::study::Spread;
+use crate::study::text::cells;
 
 impl ComparisonResult {
-    /// One JSON object.
+    /// The result as one JSON object.
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// The short report.
+    /// The result as tables for people.
     pub fn to_text(&self) -> String {
         let mut text = String::new();
         let (first, last) = (self.seeds.first().unwrap_or(&0), self.seeds.last().unwrap_or(&0));
@@ -24,12 +25,12 @@ impl ComparisonResult {
             self.cores(),
             self.level
         );
-        text += &aligned(&self.learned());
-        let changed = self.changed();
-        if changed.len() > 2 {
-            let _ = write!(text, "\n{}", aligned(&changed));
+        text += &aligned(&self.learning_table());
+        let recovery = self.recovery_table();
+        if recovery.len() > 2 {
+            let _ = write!(text, "\n{}", aligned(&recovery));
         }
-        let _ = write!(text, "\n{}", aligned(&self.scale()));
+        let _ = write!(text, "\n{}", aligned(&self.reference_table()));
         let folder = self.folder.display();
         let _ =
             writeln!(text, "\nfigure  {folder}/figure.svg\ntables  {folder}/compare.csv, curves.csv and compare.json");
@@ -40,8 +41,8 @@ impl ComparisonResult {
         self.machine.get("cores").map_or("the", String::as_str)
     }
 
-    /// Before anything changed.
-    fn learned(&self) -> Vec<Vec<String>> {
+    /// Learning before the first change.
+    fn learning_table(&self) -> Vec<Vec<String>> {
         let mut rows = vec![
             cells(["", "", "to the level", "", "loss", "", "gap left", "", "ns a tick", "", ""]),
             cells([
@@ -51,7 +52,7 @@ impl ComparisonResult {
         ];
         for l in &self.learners {
             let until = l.changes.first().map_or(l.ticks, |change| change.tick);
-            let [level, worst_level] = instants(&l.ticks_to_level);
+            let [level, worst_level] = ticks_in_words(&l.ticks_to_level);
             let [loss, worst_loss] = spread(l.loss, |x| format!("{x:.4}"));
             let [gap, worst_gap] = spread(l.share_of_gap, |x| format!("{:.1} %", 100.0 * x));
             rows.push(vec![
@@ -71,15 +72,15 @@ impl ComparisonResult {
         rows
     }
 
-    /// After each change.
-    fn changed(&self) -> Vec<Vec<String>> {
+    /// Recovery after each change.
+    fn recovery_table(&self) -> Vec<Vec<String>> {
         let mut rows = vec![
             cells(["", "", "", "got over after", "", "loss at the end", ""]),
             cells(["learner", "change", "at tick", "median", "worst", "median", "worst"]),
         ];
         for l in &self.learners {
             for (i, change) in l.changes.iter().enumerate() {
-                let [median, worst] = instants(&change.ticks_to_recover);
+                let [median, worst] = ticks_in_words(&change.ticks_to_recover);
                 let last = i + 1 == l.changes.len();
                 let [loss, worst_loss] =
                     if last { spread(l.loss_at_end, |x| format!("{x:.4}")) } else { Default::default() };
@@ -90,16 +91,16 @@ impl ComparisonResult {
         rows
     }
 
-    /// What the numbers mean: a row for each world.
-    fn scale(&self) -> Vec<Vec<String>> {
+    /// The reference controllers, which give the losses a scale: one row per condition.
+    fn reference_table(&self) -> Vec<Vec<String>> {
         let mut rows = vec![cells([""]), cells(["for scale"])];
         let controllers = self.references.by_controller();
         for (name, _) in &controllers {
             rows[0].extend(cells([*name, ""]));
             rows[1].extend(cells(["loss", "miss (m)"]));
         }
-        for (i, world) in self.references.worlds.iter().enumerate() {
-            let mut row = vec![world.world.clone()];
+        for (i, condition) in self.references.conditions.iter().enumerate() {
+            let mut row = vec![condition.name.clone()];
             for (_, scores) in &controllers {
                 row.extend([format!("{:.4}", scores[i].loss), format!("{:.3}", scores[i].miss_m)]);
             }
@@ -109,13 +110,9 @@ impl ComparisonResult {
     }
 }
 
-fn cells<const N: usize>(words: [&str; N]) -> Vec<String> {
-    words.map(str::to_owned).to_vec()
-}
-
-/// Median and worst of instants; one that never came is later than all others.
-fn instants(instants: &[Option<u64>]) -> [String; 2] {
-    let mut sorted: Vec<u64> = instants.iter().map(|at| at.unwrap_or(u64::MAX)).collect();
+/// Median and worst of some ticks. `None`, which stands for never, is later than all ticks.
+fn ticks_in_words(ticks: &[Option<u64>]) -> [String; 2] {
+    let mut sorted: Vec<u64> = ticks.iter().map(|at| at.unwrap_or(u64::MAX)).collect();
     sorted.sort_unstable();
     let show = |at: Option<&u64>| match at {
         Some(&u64::MAX) => "never".to_owned(),
@@ -125,12 +122,13 @@ fn instants(instants: &[Option<u64>]) -> [String; 2] {
     [show(sorted.get(sorted.len().saturating_sub(1) / 2)), show(sorted.last())]
 }
 
+/// Median and largest value.
 fn spread(spread: Option<Spread>, show: impl Fn(f64) -> String) -> [String; 2] {
     spread.map_or_else(|| ["-".to_owned(), "-".to_owned()], |s| [show(s.median), show(s.max)])
 }
 
-/// Columns under each other, words to the left and numbers to the right. The first row names groups: a name stands over its
-/// own column and the next.
+/// Aligns rows in columns: words to the left, numbers to the right. The first row names groups of two
+/// columns: a name stands over its own column and the next.
 fn aligned(rows: &[Vec<String>]) -> String {
     let length = |cell: &String| cell.chars().count();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
@@ -140,7 +138,7 @@ fn aligned(rows: &[Vec<String>]) -> String {
         let room: usize = widths[column..].iter().take(2).sum::<usize>() + GAP;
         widths[column] += length(group).saturating_sub(room);
     }
-    let words = |column: usize| column == 0 || rows[1][column] == "change";
+    let left = |column: usize| column == 0 || rows[1][column] == "change";
     let mut text = String::new();
     for (number, row) in rows.iter().enumerate() {
         let mut line = String::new();
@@ -151,7 +149,7 @@ fn aligned(rows: &[Vec<String>]) -> String {
             let gap = if column == 0 { "" } else { "  " };
             let cell = &row[column];
             let _ =
-                if words(column) { write!(line, "{gap}{cell:<width$}") } else { write!(line, "{gap}{cell:>width$}") };
+                if left(column) { write!(line, "{gap}{cell:<width$}") } else { write!(line, "{gap}{cell:>width$}") };
             column += if double { 2 } else { 1 };
         }
         text += line.trim_end();
@@ -169,13 +167,13 @@ mod tests {
 
     #[test]
     fn never_is_later_than_any_tick() {
-        assert_eq!(instants(&[Some(3000), None, Some(1000)]), ["3,000", "never"]);
-        assert_eq!(instants(&[None, None]), ["never", "never"]);
-        assert_eq!(instants(&[]), ["-", "-"]);
+        assert_eq!(ticks_in_words(&[Some(3000), None, Some(1000)]), ["3,000", "never"]);
+        assert_eq!(ticks_in_words(&[None, None]), ["never", "never"]);
+        assert_eq!(ticks_in_words(&[]), ["-", "-"]);
     }
 
     #[test]
-    fn a_group_stands_over_its_two_columns() {
+    fn a_group_name_spans_two_columns() {
         let rows = vec![
             cells(["", "to the level", "", ""]),
             cells(["who", "median", "worst", "n"]),

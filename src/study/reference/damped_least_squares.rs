@@ -1,30 +1,32 @@
-//! What classical control does with the true arm: damped least squares.
+//! Reference controller: damped least squares, classical control with the true arm.
 //!
-//! Every tick the end-effector is sent a share of the way to the target, and the joints follow through the damped inverse
-//! of the Jacobian, `J+ = J^T (J J^T + damping^2 I)^-1` (Nakamura & Hanafusa 1986; Wampler 1986). What is left of the
-//! joints' freedom goes towards a posture near the one that the reward asks for, through the null space of the Jacobian
-//! (Liégeois 1977): not to all angles 0 itself, because an arm that is stretched out straight has one direction in which it
-//! cannot move, and would stay stretched out for ever. The rates are limited together, so that the direction stays.
+//! Every tick, the end-effector is to move a share of the way to the target. The joints follow by the damped
+//! inverse of the Jacobian, `J+ = J^T (J J^T + damping^2 I)^-1` (Nakamura & Hanafusa 1986; Wampler 1986). The
+//! null space of the Jacobian moves the joints towards a rest posture (Liégeois 1977). This posture is near
+//! all angles 0, which the reward asks for, but not equal to it: an arm that is stretched out straight cannot
+//! move along its length, and would stay stretched out for ever. All joint rates are limited by one factor,
+//! so that the direction of the movement stays.
 //!
-//! The five constants were found by a search along one after the other for the least loss on the undamaged arm, over
-//! targets of the seeds 1 to 4; a test holds them to it. What remains above the trajectory optimum is the price of
-//! looking one tick ahead.
+//! A search over one constant after the other found the five constants. It minimised the loss on the
+//! undamaged arm, over targets of the seeds 1 to 4; a test checks that halving or doubling any of them is
+//! worse. What remains above the trajectory optimum is the cost of planning only one tick ahead.
 
 use super::FixedArm;
 use crate::policy::Outputs;
 
-/// The constants.
+/// The controller's constants.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct DampingSettings {
-    /// Share of the way to the target a tick.
+    /// Share of the way to the target in one tick.
     pub approach: f64,
     /// Damping of the inverse, m.
     pub damping: f64,
-    /// Share of the way to the posture a tick, in the null space.
+    /// Share of the way to the rest posture in one tick, in the null space.
     pub posture: f64,
-    /// The posture's angle at the first joint, rad; at the last it is the opposite, and in between they go evenly over.
+    /// The rest posture's angle at the first joint, rad. The last joint has the opposite angle, those between
+    /// are spaced evenly.
     pub bend: f64,
-    /// Largest turn of a joint in a tick, rad.
+    /// Largest turn of a joint in one tick, rad.
     pub turn: f64,
 }
 
@@ -33,71 +35,80 @@ pub(super) const TUNED: DampingSettings =
 
 /// The controller.
 #[derive(Debug, Clone)]
-pub struct DampedLeastSquares {
-    world: FixedArm,
+pub(super) struct DampedLeastSquares {
+    arm: FixedArm,
     free: Vec<usize>,
     settings: DampingSettings,
 }
 
+/// How far the end-effector moves for a turn of one joint, m/rad. Angles are absolute, so a joint turns only
+/// its own segment.
+type JacobianColumn = [f64; 2];
+
 impl DampedLeastSquares {
-    /// The controller of the arm in `world`.
-    pub fn new(world: &FixedArm) -> Self {
-        Self::with(world, TUNED)
+    /// The controller for `arm`.
+    pub fn new(arm: &FixedArm) -> Self {
+        Self::with(arm, TUNED)
     }
 
-    pub(super) fn with(world: &FixedArm, settings: DampingSettings) -> Self {
-        Self { world: world.clone(), free: world.free(), settings }
+    pub fn with(arm: &FixedArm, settings: DampingSettings) -> Self {
+        Self { arm: arm.clone(), free: arm.free(), settings }
     }
 
-    /// The command for inputs: target x and y (m), then the angles (rad).
+    /// The command for these inputs: target x and y (m), then the angles (rad).
     pub fn command(&self, inputs: &[f32]) -> Outputs {
-        let DampingSettings { approach, damping, posture, bend, turn } = self.settings;
-        let table = self.world.table();
-        let target = self.world.target(inputs);
-        let angle = |joint: usize| self.world.fixed()[joint].unwrap_or(f64::from(inputs[2 + joint]));
-        let mut way = [target[0] - table.base[0], target[1] - table.base[1]];
-        for (joint, length) in table.lengths.iter().enumerate() {
+        let settings = &self.settings;
+        let config = self.arm.config();
+        let target = self.arm.target(inputs);
+        let angle = |joint: usize| self.arm.fixed()[joint].unwrap_or(f64::from(inputs[2 + joint]));
+        let mut error = [target[0] - config.base[0], target[1] - config.base[1]];
+        for (joint, length) in config.lengths.iter().enumerate() {
             let (sin, cos) = libm::sincos(angle(joint));
-            way = [way[0] - length * cos, way[1] - length * sin];
+            error = [error[0] - length * cos, error[1] - length * sin];
         }
-        // One column of the Jacobian a free joint: angles are absolute, so each turns its own segment only.
-        let columns: Vec<[f64; 2]> = self
+        let columns: Vec<JacobianColumn> = self
             .free
             .iter()
             .map(|&joint| {
                 let (sin, cos) = libm::sincos(angle(joint));
-                [-table.lengths[joint] * sin, table.lengths[joint] * cos]
+                [-config.lengths[joint] * sin, config.lengths[joint] * cos]
             })
             .collect();
-        // J J^T + damping^2 I, symmetric 2 x 2.
-        let (mut a, mut b, mut d) = (damping * damping, 0.0, damping * damping);
-        for [x, y] in &columns {
-            (a, b, d) = (a + x * x, b + x * y, d + y * y);
-        }
-        let determinant = a * d - b * b;
-        let solve = |v: [f64; 2]| [(d * v[0] - b * v[1]) / determinant, (a * v[1] - b * v[0]) / determinant];
-
-        let reach = solve(way.map(|w| approach * w));
-        let last = table.lengths.len().saturating_sub(1).max(1) as f64;
-        let home = |joint: usize| bend * (1.0 - 2.0 * joint as f64 / last);
-        let home: Vec<f64> = self.free.iter().map(|&joint| posture * (home(joint) - angle(joint))).collect();
-        // What going home would move the end-effector by is taken out again.
-        let mut drift = [0.0; 2];
-        for ([x, y], h) in columns.iter().zip(&home) {
-            drift = [drift[0] + x * h, drift[1] + y * h];
-        }
-        let drift = solve(drift);
-        let turns: Vec<f64> = columns
-            .iter()
-            .zip(&home)
-            .map(|([x, y], h)| h + x * (reach[0] - drift[0]) + y * (reach[1] - drift[1]))
-            .collect();
+        let last = config.lengths.len().saturating_sub(1).max(1) as f64;
+        let rest = |joint: usize| settings.bend * (1.0 - 2.0 * joint as f64 / last);
+        let to_rest: Vec<f64> =
+            self.free.iter().map(|&joint| settings.posture * (rest(joint) - angle(joint))).collect();
+        let turns = turns(&columns, error.map(|e| settings.approach * e), &to_rest, settings.damping);
         let largest = turns.iter().fold(0.0, |most: f64, t| most.max(t.abs()));
-        let share = if largest > turn { turn / largest } else { 1.0 };
+        let share = if largest > settings.turn { settings.turn / largest } else { 1.0 };
         let mut command = Outputs::default();
         for (&joint, t) in self.free.iter().zip(&turns) {
-            command[joint] = (share * t / (table.gain * self.world.period_s())) as f32;
+            command[joint] = (share * t / (config.gain * self.arm.period_s())) as f32;
         }
         command
     }
+}
+
+/// The turn of each free joint, rad, that moves the end-effector by `step` (m) and the joints along `to_rest`
+/// (rad) as far as that leaves the end-effector where it is.
+fn turns(columns: &[JacobianColumn], step: [f64; 2], to_rest: &[f64], damping: f64) -> Vec<f64> {
+    // J J^T + damping^2 I, symmetric 2 x 2.
+    let (mut a, mut b, mut d) = (damping * damping, 0.0, damping * damping);
+    for [x, y] in columns {
+        (a, b, d) = (a + x * x, b + x * y, d + y * y);
+    }
+    let determinant = a * d - b * b;
+    let solve = |v: [f64; 2]| [(d * v[0] - b * v[1]) / determinant, (a * v[1] - b * v[0]) / determinant];
+
+    let reach = solve(step);
+    let mut drift = [0.0; 2];
+    for ([x, y], turn) in columns.iter().zip(to_rest) {
+        drift = [drift[0] + x * turn, drift[1] + y * turn];
+    }
+    let drift = solve(drift);
+    columns
+        .iter()
+        .zip(to_rest)
+        .map(|([x, y], turn)| turn + x * (reach[0] - drift[0]) + y * (reach[1] - drift[1]))
+        .collect()
 }

@@ -1,109 +1,96 @@
-//! The yardstick for reaching: a fixed test set, the noiseless test of a policy on it, and controllers for scale.
+//! The test set for reaching: fixed targets, a noiseless test of a policy on them, and reference controllers.
 //!
-//! The test shows 40 targets of 80 ticks each in sequence, from all angles 0, without exploration noise; its targets are
-//! drawn with a seed that nobody tunes on or reports on. A policy's *loss* is its mean loss a tick over the test, its *miss*
-//! the mean distance of the end-effector from the target at the targets' last ticks. What the numbers mean is told by four
-//! references, measured on the same test:
+//! The test shows 40 targets of 80 ticks each in sequence. It starts with all angles at 0 and adds no
+//! exploration noise. The targets are drawn with a seed that serves neither tuning nor reporting. A policy's
+//! *loss* is its mean loss per tick over the test. Its *miss* is the mean distance between end-effector and
+//! target in each target's last tick. Four references, measured on the same test, give these numbers a scale:
 //!
 //! | reference | what it knows | file |
 //! |---|---|---|
 //! | `zero` | nothing: all commands are 0, as with weights 0 | here |
-//! | `random` | nothing: the exploration noise alone | here |
+//! | `random` | nothing: it sends exploration noise alone | here |
 //! | `damped-least-squares` | the true arm; moves by its Jacobian, one tick at a time | `damped_least_squares.rs` |
 //! | `trajectory-optimum` | the true arm and the true reward; plans each reach as a whole | `optimum.rs` |
 //!
-//! The arm can change during a run. A [`FixedArm`] is the arm as it stands from some tick on, with its own test set and its own
-//! references: what a blocked arm cannot reach is nobody's loss.
+//! The arm can change during a run. A `FixedArm` is the arm in one condition, from some tick on. Each
+//! condition has its own test set and its own references, so that a policy is never measured by what a
+//! blocked arm cannot reach.
 
 mod damped_least_squares;
+mod fixed_arm;
 mod optimum;
-mod world;
 
-pub use damped_least_squares::DampedLeastSquares;
-pub use optimum::{STARTS, trajectory_optimum};
-pub use world::FixedArm;
+use damped_least_squares::DampedLeastSquares;
+pub(crate) use fixed_arm::FixedArm;
+pub use optimum::STARTS;
+use optimum::trajectory_optimum;
 
 use serde::Serialize;
 
-use crate::encoder::Encoder;
+use super::noiseless::{MeanPolicy, Rollout};
 use crate::plant::Arm;
 use crate::policy::{Exploration, LinearPolicy, Outputs};
-use crate::runtime::PlantSide;
-use crate::scenario::{FaultsConfig, Plan};
-use crate::wire::{Command, Observation};
+use crate::scenario::Plan;
 
-/// The loss to reach: that of the paper's rule after 9 million ticks, exploration noise's share taken out.
-pub const LEVEL: f64 = 0.0375;
-/// Targets of the test.
-pub const TARGETS: usize = 40;
-/// The seed of the test's targets and of the random reference.
-pub const TEST_SEED: u64 = 2010;
+/// The loss to reach: the loss of the paper's rule after 9 million ticks, without the cost of exploration
+/// noise.
+pub(crate) const LEVEL: f64 = 0.0375;
+/// Number of targets in the test.
+pub(crate) const TARGETS: usize = 40;
+/// The seed of every study's test targets, and of the random reference.
+pub(crate) const TEST_SEED: u64 = 2010;
 
-/// What came of a test.
+/// The result of a test.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Score {
-    /// Mean loss (reward with its sign turned) a tick.
+    /// Mean loss (reward with its sign turned) per tick.
     pub loss: f64,
-    /// Mean distance from the target at the targets' last ticks, m.
+    /// Mean distance from the target in the targets' last ticks, m.
     pub miss_m: f64,
 }
 
-/// The test in one world. It is built once, and taken as often as one likes.
+/// The test for one condition of the arm. Built once, used for any number of policies.
 #[derive(Debug, Clone)]
-pub struct TestSet {
-    /// The scenario with the world's arm and the test's targets.
+pub(crate) struct TestSet {
+    /// The scenario, with the arm in this condition and the test's targets.
     plan: Plan,
-    world: FixedArm,
-    encoder: Encoder,
+    arm: FixedArm,
+    policy: MeanPolicy,
 }
 
 impl TestSet {
-    /// The test of `world` for policies of `plan`, whose plant is the arm.
-    pub fn new(plan: &Plan, world: FixedArm) -> Self {
+    /// The test with `arm` for policies of `plan`, whose plant is the simulator's arm.
+    pub fn new(plan: &Plan, arm: FixedArm) -> Self {
         let mut plan = plan.clone();
-        // A test of what was learned, not of what went wrong on the way.
-        plan.scenario.faults = FaultsConfig::default();
-        plan.scenario.plant.arm = Some(world.with_targets(&world.draw_targets(TARGETS, TEST_SEED)));
-        let encoder = Encoder::new(&plan.maps, plan.scenario.encoder.normalise);
-        Self { plan, world, encoder }
+        plan.scenario.plant.arm = Some(arm.with_targets(&arm.draw_targets(TARGETS, TEST_SEED)));
+        let policy = MeanPolicy::new(&plan);
+        Self { plan, arm, policy }
     }
 
-    /// The world that the test is for.
-    pub fn world(&self) -> &FixedArm {
-        &self.world
-    }
-
-    /// The test's targets, m, where they are and not where a mirrored camera shows them.
+    /// The true positions of the test's targets, m. A mirrored camera shows them elsewhere.
     pub fn targets(&self) -> &[[f64; 2]] {
         self.plan.scenario.plant.arm.as_ref().map_or(&[], |arm| &arm.targets)
     }
 
     /// Ticks for which each target is shown.
     pub fn ticks_a_target(&self) -> u64 {
-        self.world.table().target_every
+        self.arm.config().target_every
     }
 
-    /// The score of whatever answers inputs with commands.
+    /// The score of a controller: `control` answers each tick's inputs with a command.
     pub fn drive(&self, mut control: impl FnMut(&[f32]) -> Outputs) -> Score {
         let period_s = self.plan.scenario.period_ms / 1000.0;
-        let table = self.plan.scenario.plant.arm.clone().unwrap_or_default();
-        let mut side = PlantSide::new(Arm::new(&table, period_s, TEST_SEED), &self.plan);
-        let (mut observation, mut command) = (Observation::default(), Command::default());
+        let config = self.plan.scenario.plant.arm.clone().unwrap_or_default();
+        let mut rollout = Rollout::new(Arm::new(&config, period_s, TEST_SEED), &self.plan);
         let every = self.ticks_a_target();
         let ticks = TARGETS as u64 * every;
         let (mut loss, mut miss) = (0.0, 0.0);
-        // One more look than there are ticks: what comes of a tick is told with the next observation.
-        for tick in 0..=ticks {
-            side.observe(tick, 0, 0, &mut observation);
-            if tick > 0 {
-                loss -= f64::from(observation.reward);
-                if tick.is_multiple_of(every) {
-                    miss += f64::from(observation.measures[0]);
-                }
-            }
-            if tick < ticks {
-                command.drawn = control(&observation.inputs[..self.plan.inputs.len()]);
-                side.step(tick, Some(&command));
+        for tick in 0..ticks {
+            rollout.sense(tick);
+            let outcome = rollout.advance(tick, &mut control);
+            loss -= f64::from(outcome.reward);
+            if (tick + 1).is_multiple_of(every) {
+                miss += f64::from(outcome.measures[0]);
             }
         }
         Score { loss: loss / ticks as f64, miss_m: miss / TARGETS as f64 }
@@ -111,20 +98,16 @@ impl TestSet {
 
     /// The score of a policy's mean commands.
     pub fn score(&self, policy: &LinearPolicy) -> Score {
-        let mut encoder = self.encoder.clone();
-        let mut features = encoder.features();
-        self.drive(|inputs| {
-            encoder.encode(inputs, &mut features);
-            policy.mean(features.as_slice())
-        })
+        let mut mean = self.policy.clone();
+        self.drive(|inputs| mean.command(policy, inputs))
     }
 
-    /// The score of standing still, which is that of a policy whose weights are 0.
+    /// The score of zero commands, which is the score of a policy whose weights are 0.
     pub fn zero(&self) -> Score {
         self.drive(|_| Outputs::default())
     }
 
-    /// The score of the exploration noise alone.
+    /// The score of exploration noise alone.
     pub fn random(&self) -> Score {
         let sigma = self.plan.scenario.policy.sigma as f32;
         let mut noise = Exploration::new(TEST_SEED, sigma, self.plan.outputs.len());
@@ -133,14 +116,14 @@ impl TestSet {
 
     /// The score of damped least squares with the true arm.
     pub fn damped_least_squares(&self) -> Score {
-        let controller = DampedLeastSquares::new(&self.world);
+        let controller = DampedLeastSquares::new(&self.arm);
         self.drive(|inputs| controller.command(inputs))
     }
 
-    /// The score of the best movements, each planned as a whole from `starts` first guesses. Takes seconds; `go_on` is asked
-    /// now and then, and when it says false the result is `None`.
+    /// The score of the best movements, each planned as a whole from `starts` first guesses. Takes seconds.
+    /// Calls `go_on` now and then; the result is `None` once that returns false.
     pub fn optimum(&self, starts: usize, go_on: impl Fn() -> bool) -> Option<Score> {
-        trajectory_optimum(&self.world, self.targets(), self.ticks_a_target() as usize, starts, go_on)
+        trajectory_optimum(&self.arm, self.targets(), self.ticks_a_target() as usize, starts, go_on)
     }
 }
 

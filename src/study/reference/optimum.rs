@@ -1,10 +1,11 @@
-//! The trajectory optimum: what the best movements cost, found with the true arm and the true reward.
+//! The trajectory optimum: the least cost of movements to the test's targets, found with the true arm and the
+//! true reward.
 //!
-//! For each target in turn, from where the last movement ended: the angles of all ticks are the unknowns, Gauss-Newton
-//! steps with a ridge that grows where they fail (Levenberg-Marquardt) find the nearest minimum, and many first guesses
-//! (postures drawn at random, joints turning either way) find the best of them. The Hessian is block-tridiagonal, so that a step
-//! costs as much as there are ticks. Each target is planned by itself: no movement costs more so that the next may cost
-//! less.
+//! Each target is planned in turn, from the posture in which the last movement ended. The unknowns are the
+//! angles of all ticks. Gauss-Newton steps with a ridge that grows where they fail (Levenberg-Marquardt) find
+//! the nearest minimum. Many first guesses (random postures, with joints that turn either way) find the best
+//! of the minima. The Hessian is block-tridiagonal, so that the cost of a step is linear in the number of
+//! ticks. Each target is planned by itself: no movement costs more in order that the next one costs less.
 
 use rand::RngExt as _;
 
@@ -12,36 +13,36 @@ use super::{FixedArm, Score};
 use crate::scenario::ArmConfig;
 use crate::seed::stream;
 
-/// First guesses for a target that make the result the same to four digits as ten times as many do.
+/// Number of first guesses per target. Ten times as many give the same result to four digits.
 pub const STARTS: usize = 20;
 
 const TURN: f64 = std::f64::consts::TAU;
-/// Most steps of a descent.
+/// Largest number of steps in a descent.
 const STEPS: usize = 100;
-/// A step that gains less ends it.
+/// A descent ends with a step that lowers the cost by less than this.
 const GAIN: f64 = 1e-7;
-/// Ticks in which a first guess is two thirds of the way there.
+/// Ticks after which a first guess has covered two thirds of the way.
 const GUESS_TICKS: f64 = 3.0;
 
-/// A movement of N joints: their angles at the end of each tick, rad, without wrapping.
+/// A movement of N joints: their angles at the end of each tick, rad, not wrapped.
 type Trajectory<const N: usize> = Vec<[f64; N]>;
 type MatrixBlock<const N: usize> = [[f64; N]; N];
 
-/// Mean loss a tick and mean miss of the best movements to `targets` in sequence, `ticks` each, from all angles 0. `go_on`
-/// is asked before each first guess; `None` when it says false.
-pub fn trajectory_optimum(
-    world: &FixedArm,
+/// Mean loss per tick and mean miss of the best movements to `targets` in sequence, `ticks` each, from all
+/// angles 0. Calls `go_on` before each first guess; the result is `None` once that returns false.
+pub(super) fn trajectory_optimum(
+    arm: &FixedArm,
     targets: &[[f64; 2]],
     ticks: usize,
     starts: usize,
     go_on: impl Fn() -> bool,
 ) -> Option<Score> {
-    // The number of joints is known to the compiler: most of the time goes into matrices of that size.
+    // The compiler has to know the number of joints: most of the time goes into matrices of that size.
     macro_rules! by_joints {
         ($($n:literal)*) => {
-            match world.free().len() {
-                $($n => Planner::<$n>::new(world).optimum(targets, ticks, starts, go_on),)*
-                // No scenario has more.
+            match arm.free().len() {
+                $($n => Planner::<$n>::new(arm).optimum(targets, ticks, starts, go_on),)*
+                // No scenario has more joints.
                 _ => None,
             }
         };
@@ -49,44 +50,46 @@ pub fn trajectory_optimum(
     by_joints!(0 1 2 3 4 5 6 7 8)
 }
 
-/// The arm as the optimiser knows it: N joints that move, and what the others add.
+/// The arm as the optimiser uses it: N joints that move, and the constant part of the joints that stand
+/// still.
 struct Planner<'a, const N: usize> {
-    table: &'a ArmConfig,
+    config: &'a ArmConfig,
     lengths: [f64; N],
-    /// Where the end-effector would be without the segments that move, m.
+    /// The end-effector's position without the segments that move, m.
     base: [f64; 2],
-    /// What the angles of joints that stand still cost a tick.
-    standing: f64,
-    /// What a squared change of an angle in a tick costs.
+    /// Cost per tick of the angles of joints that stand still.
+    fixed_cost: f64,
+    /// Cost of a squared change of an angle within one tick, 1/rad^2.
     effort: f64,
 }
 
+/// The angle between -pi and pi, rad.
 fn wrapped(x: f64) -> f64 {
     x - TURN * libm::round(x / TURN)
 }
 
 impl<'a, const N: usize> Planner<'a, N> {
-    fn new(world: &'a FixedArm) -> Self {
-        let (table, free) = (world.table(), world.free());
-        let (mut base, mut squares) = (table.base, 0.0);
-        for (length, fixed) in table.lengths.iter().zip(world.fixed()) {
+    fn new(arm: &'a FixedArm) -> Self {
+        let (config, free) = (arm.config(), arm.free());
+        let (mut base, mut squares) = (config.base, 0.0);
+        for (length, fixed) in config.lengths.iter().zip(arm.fixed()) {
             if let Some(angle) = fixed {
                 let (sin, cos) = libm::sincos(*angle);
                 base = [base[0] + length * cos, base[1] + length * sin];
                 squares += angle * angle;
             }
         }
-        let reward = &table.reward;
+        let reward = &config.reward;
         Self {
-            table,
-            lengths: std::array::from_fn(|i| table.lengths[free[i]]),
+            config,
+            lengths: std::array::from_fn(|i| config.lengths[free[i]]),
             base,
-            standing: reward.scale * reward.angle * squares,
-            effort: reward.scale * reward.speed / (world.period_s() * world.period_s()),
+            fixed_cost: reward.scale * reward.angle * squares,
+            effort: reward.scale * reward.speed / (arm.period_s() * arm.period_s()),
         }
     }
 
-    /// From the target to the end-effector, m, and how it moves with each angle.
+    /// The vector from the target to the end-effector, m, and its derivative by each angle, m/rad.
     fn error(&self, at: &[f64; N], target: [f64; 2]) -> ([f64; 2], [[f64; 2]; N]) {
         let mut error = [self.base[0] - target[0], self.base[1] - target[1]];
         let rows = std::array::from_fn(|i| {
@@ -97,17 +100,17 @@ impl<'a, const N: usize> Planner<'a, N> {
         (error, rows)
     }
 
-    /// What a posture costs in a tick.
+    /// The cost of a posture in one tick.
     fn posture(&self, at: &[f64; N], target: [f64; 2]) -> f64 {
         let ([x, y], _) = self.error(at, target);
         let squares: f64 = at.iter().map(|a| wrapped(*a) * wrapped(*a)).sum();
-        self.standing + self.table.reward.scale * (x * x + y * y + self.table.reward.angle * squares)
+        self.fixed_cost + self.config.reward.scale * (x * x + y * y + self.config.reward.angle * squares)
     }
 
-    /// The gradient of that and its Gauss-Newton Hessian, which is positive definite.
-    fn slope(&self, at: &[f64; N], target: [f64; 2]) -> ([f64; N], MatrixBlock<N>) {
+    /// The gradient of a posture's cost and its Gauss-Newton Hessian, which is positive definite.
+    fn derivatives(&self, at: &[f64; N], target: [f64; 2]) -> ([f64; N], MatrixBlock<N>) {
         let (error, rows) = self.error(at, target);
-        let (scale, angle) = (2.0 * self.table.reward.scale, self.table.reward.angle);
+        let (scale, angle) = (2.0 * self.config.reward.scale, self.config.reward.angle);
         let product = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
         let gradient = std::array::from_fn(|i| scale * (product(rows[i], error) + angle * wrapped(at[i])));
         let hessian = std::array::from_fn(|i| {
@@ -116,6 +119,7 @@ impl<'a, const N: usize> Planner<'a, N> {
         (gradient, hessian)
     }
 
+    /// The cost of a movement that starts at `from`.
     fn cost(&self, from: &[f64; N], path: &Trajectory<N>, target: [f64; 2]) -> f64 {
         let mut last = from;
         let mut sum = 0.0;
@@ -127,46 +131,15 @@ impl<'a, const N: usize> Planner<'a, N> {
         sum
     }
 
-    /// Descends from `path` to the nearest minimum; gives its cost.
+    /// Descends from `path` to the nearest minimum and gives its cost.
     fn descend(&self, from: &[f64; N], path: &mut Trajectory<N>, target: [f64; 2]) -> f64 {
-        let (ticks, e) = (path.len(), 2.0 * self.effort);
         let mut cost = self.cost(from, path, target);
         let mut ridge = 1e-3;
-        let mut sides = vec![[0.0; N]; ticks];
-        let mut inverses = vec![[[0.0; N]; N]; ticks];
+        let mut system = NewtonSystem { sides: vec![[0.0; N]; path.len()], inverses: vec![[[0.0; N]; N]; path.len()] };
         let mut trial = path.clone();
         for _ in 0..STEPS {
-            // Elimination from the first tick to the last; off the diagonal the blocks are -e I.
-            for k in 0..ticks {
-                let (mut side, mut block) = self.slope(&path[k], target);
-                let before = if k == 0 { from } else { &path[k - 1] };
-                let after = path.get(k + 1);
-                for i in 0..N {
-                    side[i] += e * (path[k][i] - before[i]);
-                    block[i][i] += e + ridge;
-                    if let Some(after) = after {
-                        side[i] += e * (path[k][i] - after[i]);
-                        block[i][i] += e;
-                    }
-                }
-                if k > 0 {
-                    let (inverse, last): (&MatrixBlock<N>, &[f64; N]) = (&inverses[k - 1], &sides[k - 1]);
-                    for i in 0..N {
-                        for j in 0..N {
-                            block[i][j] -= e * e * inverse[i][j];
-                            side[i] += e * inverse[i][j] * last[j];
-                        }
-                    }
-                }
-                (inverses[k], sides[k]) = (inverse(block), side);
-            }
-            // And back.
-            let mut step = [0.0; N];
-            for k in (0..ticks).rev() {
-                let side: [f64; N] = std::array::from_fn(|i| sides[k][i] + e * step[i]);
-                step = std::array::from_fn(|i| (0..N).map(|j| inverses[k][i][j] * side[j]).sum());
-                trial[k] = std::array::from_fn(|i| path[k][i] - step[i]);
-            }
+            self.eliminate(&mut system, from, path, target, ridge);
+            self.substitute(&system, path, &mut trial);
             let new = self.cost(from, &trial, target);
             if new < cost {
                 let gain = cost - new;
@@ -186,6 +159,56 @@ impl<'a, const N: usize> Planner<'a, N> {
         cost
     }
 
+    /// Builds the equations of a Gauss-Newton step and eliminates their unknowns from the first tick to the
+    /// last. Off the diagonal, the blocks of the Hessian are `-e I` with `e` twice the effort.
+    fn eliminate(
+        &self,
+        system: &mut NewtonSystem<N>,
+        from: &[f64; N],
+        path: &Trajectory<N>,
+        target: [f64; 2],
+        ridge: f64,
+    ) {
+        let e = 2.0 * self.effort;
+        for k in 0..path.len() {
+            let (mut side, mut block) = self.derivatives(&path[k], target);
+            let before = if k == 0 { from } else { &path[k - 1] };
+            let after = path.get(k + 1);
+            for i in 0..N {
+                side[i] += e * (path[k][i] - before[i]);
+                block[i][i] += e + ridge;
+                if let Some(after) = after {
+                    side[i] += e * (path[k][i] - after[i]);
+                    block[i][i] += e;
+                }
+            }
+            if k > 0 {
+                let (inverse, last): (&MatrixBlock<N>, &[f64; N]) = (&system.inverses[k - 1], &system.sides[k - 1]);
+                for i in 0..N {
+                    for j in 0..N {
+                        block[i][j] -= e * e * inverse[i][j];
+                        side[i] += e * inverse[i][j] * last[j];
+                    }
+                }
+            }
+            (system.inverses[k], system.sides[k]) = (inverse(block), side);
+        }
+    }
+
+    /// Solves the eliminated equations from the last tick to the first, and writes `path` after the step into
+    /// `trial`.
+    fn substitute(&self, system: &NewtonSystem<N>, path: &Trajectory<N>, trial: &mut Trajectory<N>) {
+        let e = 2.0 * self.effort;
+        let NewtonSystem { sides, inverses } = system;
+        let mut step = [0.0; N];
+        for k in (0..path.len()).rev() {
+            let side: [f64; N] = std::array::from_fn(|i| sides[k][i] + e * step[i]);
+            step = std::array::from_fn(|i| (0..N).map(|j| inverses[k][i][j] * side[j]).sum());
+            trial[k] = std::array::from_fn(|i| path[k][i] - step[i]);
+        }
+    }
+
+    /// The best movements to all `targets` in sequence; see [`trajectory_optimum`].
     fn optimum(&self, targets: &[[f64; 2]], ticks: usize, starts: usize, go_on: impl Fn() -> bool) -> Option<Score> {
         let mut rng = stream(0, "optimum");
         let mut from = [0.0; N];
@@ -196,7 +219,7 @@ impl<'a, const N: usize> Planner<'a, N> {
                 if !go_on() {
                     return None;
                 }
-                // The first guess of all is to stay; half a turn either way leads to any posture.
+                // The first of the guesses is to stay. Half a turn either way leads to any posture.
                 let goal = from.map(|f| if start == 0 { f } else { f + TURN * (rng.random::<f64>() - 0.5) });
                 let mut path: Trajectory<N> = (1..=ticks)
                     .map(|k| {
@@ -219,7 +242,14 @@ impl<'a, const N: usize> Planner<'a, N> {
     }
 }
 
-/// The inverse of a positive definite matrix, by Gauss and Jordan.
+/// The equations of a Gauss-Newton step after elimination: for each tick the right-hand side, and the inverse
+/// of the block on the diagonal.
+struct NewtonSystem<const N: usize> {
+    sides: Vec<[f64; N]>,
+    inverses: Vec<MatrixBlock<N>>,
+}
+
+/// The inverse of a positive definite matrix, by Gauss-Jordan elimination.
 fn inverse<const N: usize>(mut a: MatrixBlock<N>) -> MatrixBlock<N> {
     let mut b: MatrixBlock<N> = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1.0 } else { 0.0 }));
     for i in 0..N {

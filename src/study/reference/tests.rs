@@ -1,37 +1,38 @@
-//! The yardstick against known worlds, and its references in the order in which they must stand.
+//! The test set with arms whose optimum is known, and the order of its references.
 
 use super::damped_least_squares::{DampingSettings, TUNED};
 use super::*;
+use crate::encoder::Encoder;
 use crate::scenario::{ArmConfig, BlockConfig, MirrorAxis, MirrorConfig, Scenario, ShortenConfig};
 
-fn test_set(table: &ArmConfig) -> TestSet {
-    TestSet::new(&Scenario::find("arm").unwrap().plan().unwrap(), FixedArm::at(table, 0.05, 0))
+fn test_set(config: &ArmConfig) -> TestSet {
+    TestSet::new(&Scenario::find("arm").unwrap().plan().unwrap(), FixedArm::at(config, 0.05, 0))
 }
 
 fn blocked() -> ArmConfig {
     ArmConfig { block: vec![BlockConfig { joint: 3, tick: 0, angle: 0.0 }], ..ArmConfig::default() }
 }
 
-/// Few starts find nearly the optimum, and are quick.
+/// Few starts find nearly the optimum, and take little time.
 fn optimum(set: &TestSet) -> Score {
     set.optimum(3, || true).unwrap()
 }
 
 #[test]
-fn who_knows_more_does_better() {
-    for table in [ArmConfig::default(), blocked()] {
-        let set = test_set(&table);
+fn references_that_know_more_have_less_loss() {
+    for config in [ArmConfig::default(), blocked()] {
+        let set = test_set(&config);
         let (zero, random) = (set.zero(), set.random());
         let (classical, best) = (set.damped_least_squares(), optimum(&set));
         let losses = [best.loss, classical.loss, random.loss, zero.loss];
         assert!(losses.is_sorted(), "{losses:?}");
-        assert!(classical.loss < 1.1 * best.loss, "a fair ceiling: {losses:?}");
+        assert!(classical.loss < 1.1 * best.loss, "damped least squares is near the optimum: {losses:?}");
         assert!(classical.miss_m < 0.15 && best.miss_m < 0.15, "{classical:?} {best:?}");
     }
 }
 
 #[test]
-fn the_numbers_that_others_are_measured_by() {
+fn published_optima_level_and_targets() {
     let (whole, blocked) = (test_set(&ArmConfig::default()), test_set(&blocked()));
     // With many starts the optima are 0.01926 and 0.02431.
     let (best, worse) = (optimum(&whole).loss, optimum(&blocked).loss);
@@ -43,7 +44,7 @@ fn the_numbers_that_others_are_measured_by() {
 }
 
 #[test]
-fn a_policy_that_knows_nothing_stands_still() {
+fn a_policy_with_zero_weights_scores_as_zero_commands() {
     let set = test_set(&ArmConfig::default());
     let encoder = Encoder::new(&set.plan.maps, true);
     let policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
@@ -51,10 +52,10 @@ fn a_policy_that_knows_nothing_stands_still() {
 }
 
 #[test]
-fn the_optimum_is_what_trying_everything_finds() {
-    // One joint, one target, three ticks: all turns in steps of 0.02 rad against the planner.
-    let table = ArmConfig { lengths: vec![0.8], base: [0.0, 0.0], ..ArmConfig::default() };
-    let (world, target) = (FixedArm::at(&table, 0.05, 0), [0.2, 0.7]);
+fn the_optimum_equals_an_exhaustive_search() {
+    // One joint, one target, three ticks: all turns in steps of 0.02 rad, compared with the planner.
+    let config = ArmConfig { lengths: vec![0.8], base: [0.0, 0.0], ..ArmConfig::default() };
+    let (arm, target) = (FixedArm::at(&config, 0.05, 0), [0.2, 0.7]);
     let tick = |angle: f64, turn: f64| {
         let error = (0.8 * angle.cos() - target[0]).powi(2) + (0.8 * angle.sin() - target[1]).powi(2);
         0.1 * (error + 0.025 * (turn / 0.05).powi(2) + 0.01 * angle * angle)
@@ -70,24 +71,24 @@ fn the_optimum_is_what_trying_everything_finds() {
             }
         }
     }
-    let found = trajectory_optimum(&world, &[target], 3, 10, || true).unwrap().loss;
+    let found = trajectory_optimum(&arm, &[target], 3, 10, || true).unwrap().loss;
     let tried = least / 3.0;
     assert!(found <= tried && tried - found < 1e-4, "{found} {tried}");
 }
 
 #[test]
-fn an_arm_that_cannot_move_costs_what_standing_costs() {
+fn an_arm_that_cannot_move_has_the_loss_of_zero_commands() {
     let block = (1..=4).map(|joint| BlockConfig { joint, tick: 0, angle: 0.3 }).collect();
-    let table = ArmConfig { block, ..ArmConfig::default() };
-    let set = test_set(&table);
+    let config = ArmConfig { block, ..ArmConfig::default() };
+    let set = test_set(&config);
     let (best, zero) = (optimum(&set), set.zero());
     assert!((best.loss - zero.loss).abs() < 1e-5 && (best.miss_m - zero.miss_m).abs() < 1e-5, "{best:?} {zero:?}");
 }
 
 #[test]
-fn damped_least_squares_reaches() {
+fn damped_least_squares_reaches_most_targets() {
     let set = test_set(&ArmConfig::default());
-    let controller = DampedLeastSquares::new(set.world());
+    let controller = DampedLeastSquares::new(&set.arm);
     let (mut tick, mut ends) = (0, Vec::new());
     set.drive(|inputs| {
         let angles: f64 = inputs[2..].iter().map(|a| f64::from(a * a)).sum();
@@ -107,17 +108,17 @@ fn damped_least_squares_reaches() {
 }
 
 #[test]
-fn its_constants_are_not_better_elsewhere() {
+fn halved_or_doubled_constants_are_worse() {
     let whole = test_set(&ArmConfig::default());
     let sets: Vec<TestSet> = (1..=4)
         .map(|seed| {
             let mut set = whole.clone();
-            set.plan.scenario.plant.arm = Some(set.world.with_targets(&set.world.draw_targets(TARGETS, seed)));
+            set.plan.scenario.plant.arm = Some(set.arm.with_targets(&set.arm.draw_targets(TARGETS, seed)));
             set
         })
         .collect();
     let loss = |settings: DampingSettings| -> f64 {
-        let controller = DampedLeastSquares::with(whole.world(), settings);
+        let controller = DampedLeastSquares::with(&whole.arm, settings);
         sets.iter().map(|set| set.drive(|inputs| controller.command(inputs)).loss).sum()
     };
     let tuned = loss(TUNED);
@@ -136,28 +137,25 @@ fn its_constants_are_not_better_elsewhere() {
 }
 
 #[test]
-fn a_world_is_what_happened_until_then() {
-    let table = ArmConfig {
+fn a_fixed_arm_has_the_changes_up_to_its_tick() {
+    let config = ArmConfig {
         block: vec![BlockConfig { joint: 3, tick: 100, angle: 0.2 }, BlockConfig { joint: 3, tick: 200, angle: 0.0 }],
         shorten: vec![ShortenConfig { segment: 2, tick: 150, length: 0.3 }],
         mirror: vec![MirrorConfig { axis: MirrorAxis::X, tick: 180 }],
         ..ArmConfig::default()
     };
-    let world = |tick| FixedArm::at(&table, 0.05, tick);
-    assert_eq!(world(99).table(), &ArmConfig::default());
-    assert_eq!(
-        (world(100).fixed()[2], world(199).fixed()[2], world(200).fixed()[2]),
-        (Some(0.2), Some(0.2), Some(0.0))
-    );
-    assert_eq!(world(200).free(), [0, 1, 3]);
-    assert_eq!((world(149).table().lengths[1], world(150).table().lengths[1]), (0.5, 0.3));
-    assert_eq!((world(179).target(&[0.5, -0.5]), world(180).target(&[0.5, -0.5])), ([0.5, -0.5], [-0.5, -0.5]));
+    let arm = |tick| FixedArm::at(&config, 0.05, tick);
+    assert_eq!(arm(99).config(), &ArmConfig::default());
+    assert_eq!((arm(100).fixed()[2], arm(199).fixed()[2], arm(200).fixed()[2]), (Some(0.2), Some(0.2), Some(0.0)));
+    assert_eq!(arm(200).free(), [0, 1, 3]);
+    assert_eq!((arm(149).config().lengths[1], arm(150).config().lengths[1]), (0.5, 0.3));
+    assert_eq!((arm(179).target(&[0.5, -0.5]), arm(180).target(&[0.5, -0.5])), ([0.5, -0.5], [-0.5, -0.5]));
 }
 
 #[test]
-fn a_mirror_changes_what_is_seen_and_not_what_can_be_reached() {
-    let table = ArmConfig { mirror: vec![MirrorConfig { axis: MirrorAxis::X, tick: 0 }], ..ArmConfig::default() };
-    let (plain, mirrored) = (test_set(&ArmConfig::default()), test_set(&table));
+fn a_mirror_changes_the_inputs_and_not_the_targets() {
+    let config = ArmConfig { mirror: vec![MirrorConfig { axis: MirrorAxis::X, tick: 0 }], ..ArmConfig::default() };
+    let (plain, mirrored) = (test_set(&ArmConfig::default()), test_set(&config));
     assert_eq!(plain.targets(), mirrored.targets());
     assert_eq!(plain.damped_least_squares(), mirrored.damped_least_squares());
     let shown = |set: &TestSet| {
@@ -172,9 +170,10 @@ fn a_mirror_changes_what_is_seen_and_not_what_can_be_reached() {
 }
 
 #[test]
-fn a_shorter_arm_is_asked_for_less() {
-    let table = ArmConfig { shorten: vec![ShortenConfig { segment: 2, tick: 0, length: 0.3 }], ..ArmConfig::default() };
-    let set = test_set(&table);
+fn a_shorter_arm_gets_nearer_targets() {
+    let config =
+        ArmConfig { shorten: vec![ShortenConfig { segment: 2, tick: 0, length: 0.3 }], ..ArmConfig::default() };
+    let set = test_set(&config);
     assert!(set.targets().iter().all(|[x, y]| x.hypot(y + 1.0) <= 1.8 + 1e-6));
     let best = optimum(&set);
     assert!(best.loss < set.damped_least_squares().loss && best.miss_m < 0.1, "{best:?}");

@@ -1,79 +1,81 @@
-//! A run followed through its log: which observations its controller saw, and what it then did.
+//! Runs plant and controller again along a log, and compares every sample.
 //!
-//! The controller answers every observation that it sees, in the order of ticks, and no other; so it saw those whose
-//! command is in the log. In real time it may pass observations by, and a sample that came late stands behind later ticks'
-//! samples of other channels; so samples wait here for those that belong before them.
+//! The controller answers every observation that it receives, in the order of ticks. So it received exactly
+//! the observations whose command is in the log. In real time it may not receive an observation, and a late
+//! sample stands after samples of later ticks on other channels. So samples wait here for the samples that
+//! belong before them.
 
 use std::collections::VecDeque;
 
-use super::compare::{Difference, compare};
 use super::off_policy::OffPolicyLearner;
 use super::plant_replay::PlantReplay;
+use super::sample_diff::{Difference, compare};
 use super::stamps::StampChecker;
 use crate::log::LogRecord;
 use crate::runtime::Controller;
 use crate::scenario::Plan;
 use crate::wire::{Command, Learning, Observation, flag};
 
-/// What was checked so far.
+/// Numbers of samples checked so far.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct CheckCounts {
-    /// Commands, and the learning records that belong to them.
+pub(super) struct CheckCounts {
+    /// Commands.
     pub answers: u64,
     /// Learning records.
     pub records: u64,
     /// Hashes of the weights.
     pub hashes: u64,
-    /// Observations that the controller never saw.
+    /// Observations that the controller never received.
     pub unseen: u64,
 }
 
-/// The run, as its log's beginning makes it go on.
-pub struct ReplayFollower {
-    clock: StampChecker,
+/// A run that is replayed along its log.
+pub(super) struct ReplayFollower {
+    stamps: StampChecker,
     plant: PlantReplay,
     /// The log's own learner.
     pub controller: Controller,
-    /// Another one, which is given the same experience.
+    /// Another learner, which gets the same experience.
     pub other: Option<OffPolicyLearner>,
-    /// Read and not yet followed.
+    /// Samples that were read and not yet replayed.
     observations: VecDeque<Observation>,
     commands: VecDeque<Command>,
     learnings: VecDeque<Learning>,
-    /// What the learner did in ticks whose record has not come yet, with the observation that it answered.
-    due: VecDeque<(Observation, Learning)>,
-    /// The last command followed.
+    /// Replayed learning records whose logged counterpart was not read yet, with the observations that they
+    /// belong to.
+    unmatched: VecDeque<(Observation, Learning)>,
+    /// The last command that was replayed.
     answer: Option<Command>,
-    /// Start numbers of the writers of commands and learning records: they only rise.
+    /// Incarnations of the writers of commands and learning records so far. They only rise.
     incarnations: [u32; 2],
-    /// What was checked.
+    /// Numbers of samples checked.
     pub counts: CheckCounts,
 }
 
 impl ReplayFollower {
     /// The beginning of a run of `plan`.
-    pub fn new(plan: &Plan, clock: StampChecker, other: Option<OffPolicyLearner>) -> Self {
+    pub fn new(plan: &Plan, stamps: StampChecker, other: Option<OffPolicyLearner>) -> Self {
         Self {
-            clock,
+            stamps,
             plant: PlantReplay::new(plan),
             controller: Controller::new(plan),
             other,
             observations: VecDeque::new(),
             commands: VecDeque::new(),
             learnings: VecDeque::new(),
-            due: VecDeque::new(),
+            unmatched: VecDeque::new(),
             answer: None,
             incarnations: [0; 2],
             counts: CheckCounts::default(),
         }
     }
 
-    /// The plant's half.
+    /// The replayed plant.
     pub fn plant(&self) -> &PlantReplay {
         &self.plant
     }
 
-    /// Takes the log's next message in and follows as far as that goes.
+    /// Takes the log's next message and replays as far as the messages so far allow.
     pub fn take(&mut self, record: &LogRecord) -> Result<(), Box<Difference>> {
         match record {
             LogRecord::Observation(s) => self.observations.push_back(*s),
@@ -85,96 +87,112 @@ impl ReplayFollower {
     }
 
     fn advance(&mut self) -> Result<(), Box<Difference>> {
+        self.advance_ticks()?;
+        self.match_learning()
+    }
+
+    /// Replays all ticks up to the last command that was read.
+    fn advance_ticks(&mut self) -> Result<(), Box<Difference>> {
         while let Some(command) = self.commands.front() {
             let Some(observation) = self.observations.front() else { break };
-            let (seen, answered) = (observation.header.tick, command.header.tick);
-            if seen > answered {
-                return Err(lone("command", answered, "an answer to an observation that is not there", "none"));
+            let (observed, answered) = (observation.header.tick, command.header.tick);
+            if observed > answered {
+                return Err(unpaired("command", answered, "an answer to an observation that is not there", "none"));
             }
             let observation = *observation;
             self.observations.pop_front();
             self.plant.check(
                 &observation,
                 self.answer.as_ref().filter(|a| self.plant.last() == Some(a.header.tick)),
-                &self.clock,
+                &self.stamps,
             )?;
-            if seen == answered {
+            if observed == answered {
                 self.answer(&observation)?;
-            } else if self.clock.lockstep {
-                return Err(lone("command", seen, "none", "an answer to the observation"));
+            } else if self.stamps.lockstep {
+                return Err(unpaired("command", observed, "none", "an answer to the observation"));
             } else {
                 self.counts.unseen += 1;
             }
         }
-        while let (Some((observation, replayed)), Some(logged)) = (self.due.front_mut(), self.learnings.front()) {
+        Ok(())
+    }
+
+    /// Compares the replayed learning records with those of the log that were read.
+    fn match_learning(&mut self) -> Result<(), Box<Difference>> {
+        while let (Some((observation, replayed)), Some(logged)) = (self.unmatched.front_mut(), self.learnings.front()) {
             let (header, known) = (&mut replayed.header, self.incarnations[1]);
-            self.clock.stamp_answer(header, &observation.header, self.counts.records, known, &logged.header);
+            self.stamps.stamp_answer(header, &observation.header, self.counts.records, known, &logged.header);
             compare("learning", observation.header.tick, logged, replayed)?;
             self.incarnations[1] = logged.header.incarnation;
-            self.clock.check_order(&logged.header, "learning")?;
+            self.stamps.check_order(&logged.header, "learning")?;
             self.counts.hashes += u64::from(logged.header.flags & flag::HASHED != 0);
             self.counts.records += 1;
-            self.due.pop_front();
+            self.unmatched.pop_front();
             self.learnings.pop_front();
         }
         Ok(())
     }
 
-    /// The controller's tick, held against the first command that waits.
+    /// Replays the controller's tick, and compares its answer with the next command of the log.
     fn answer(&mut self, observation: &Observation) -> Result<(), Box<Difference>> {
         let Some(logged) = self.commands.pop_front() else { return Ok(()) };
         let (mut command, mut learning) = (Command::default(), Learning::default());
         self.controller.respond(observation, &mut command);
         let (header, known) = (&mut command.header, self.incarnations[0]);
-        self.clock.stamp_answer(header, &observation.header, self.counts.answers, known, &logged.header);
+        self.stamps.stamp_answer(header, &observation.header, self.counts.answers, known, &logged.header);
         compare("command", observation.header.tick, &logged, &command)?;
         self.incarnations[0] = logged.header.incarnation;
-        self.clock.check_order(&logged.header, "command")?;
+        self.stamps.check_order(&logged.header, "command")?;
         self.controller.after_command(observation);
         self.controller.record(observation, &mut learning);
         if let Some(other) = &mut self.other {
-            other.take(observation, &command);
+            other.learn(observation, &command);
         }
-        self.due.push_back((*observation, learning));
+        self.unmatched.push_back((*observation, learning));
         self.answer = Some(logged);
         self.counts.answers += 1;
         Ok(())
     }
 
-    /// The log has ended: `whole`, or cut off, and then samples of the last ticks may be missing. `complete` says that the
-    /// run came to its planned end of `ticks`.
+    /// Ends the log. If it is not `whole`, it was cut off, and samples of the last ticks may be missing.
+    /// `complete` means that the run reached its planned end of `ticks`.
     pub fn end(&mut self, whole: bool, complete: bool, ticks: u64) -> Result<(), Box<Difference>> {
         self.advance()?;
         while let Some(observation) = self.observations.pop_front() {
             let command = self.answer.as_ref().filter(|a| self.plant.last() == Some(a.header.tick));
             if !whole && command.is_none() {
-                // The answers in between were behind the cut.
+                // The answers before this observation were lost with the end of the log.
                 break;
             }
-            self.plant.check(&observation, command, &self.clock)?;
+            self.plant.check(&observation, command, &self.stamps)?;
             self.counts.unseen += 1;
-            if self.clock.lockstep && complete {
-                return Err(lone("command", observation.header.tick, "none", "an answer to the observation"));
+            if self.stamps.lockstep && complete {
+                return Err(unpaired("command", observation.header.tick, "none", "an answer to the observation"));
             }
         }
         if let (true, Some(command)) = (whole, self.commands.front()) {
-            return Err(lone("command", command.header.tick, "an answer to an observation that is not there", "none"));
+            return Err(unpaired(
+                "command",
+                command.header.tick,
+                "an answer to an observation that is not there",
+                "none",
+            ));
         }
         if let (true, Some(learning)) = (whole, self.learnings.front()) {
-            return Err(lone("learning", learning.header.tick, "a record of a tick without an answer", "none"));
+            return Err(unpaired("learning", learning.header.tick, "a record of a tick without an answer", "none"));
         }
-        if let (true, true, Some((observation, _))) = (whole, complete, self.due.front()) {
-            return Err(lone("learning", observation.header.tick, "none", "a record of the tick"));
+        if let (true, true, Some((observation, _))) = (whole, complete, self.unmatched.front()) {
+            return Err(unpaired("learning", observation.header.tick, "none", "a record of the tick"));
         }
-        if whole && complete && self.clock.lockstep && self.plant.seen() != ticks {
-            return Err(lone("observation", self.plant.seen(), "none", "an observation"));
+        if whole && complete && self.stamps.lockstep && self.plant.seen() != ticks {
+            return Err(unpaired("observation", self.plant.seen(), "none", "an observation"));
         }
         Ok(())
     }
 }
 
-/// A sample that is there and should not be, or the other way round.
-fn lone(channel: &'static str, tick: u64, logged: &str, replayed: &str) -> Box<Difference> {
+/// The difference for a sample that exists only in the log or only in the replay.
+fn unpaired(channel: &'static str, tick: u64, logged: &str, replayed: &str) -> Box<Difference> {
     let field = "the whole sample".to_owned();
     Box::new(Difference { tick, channel, field, logged: logged.to_owned(), replayed: replayed.to_owned() })
 }

@@ -1,48 +1,50 @@
-//! A run done again from its log: every command, every learning record and every hash of the weights, bit for bit (I3).
+//! Replays a run from its log and compares every command, every learning record and every hash of the
+//! weights, bit for bit (I3).
 //!
-//! A fresh controller of the log's own scenario is given the log's observations, those that the run's controller saw, and
-//! must say what the log says. The plant's half is followed as well: what was applied and flagged must come of the commands
-//! through the gate, and with the simulator's bodies, inputs, rewards and measures must come of what was applied. So hardly
-//! a byte of a log can be another one without being found:
+//! A fresh controller of the log's own scenario receives the observations that the run's controller received,
+//! and must give the answers that are in the log. The plant's half is replayed as well: the applied commands
+//! and flags must follow from the commands and the gate. With a simulated plant, inputs, rewards and measures
+//! must follow from the applied commands. So nearly every changed byte of a log is found:
 //!
-//! - In lockstep with the simulator, every byte of every sample is checked, stamps included. A writer's start number within
-//!   the run may rise from one sample to the next: a process that comes back goes on where it was. At which sample it rose,
-//!   nothing else tells.
-//! - In real time instants are what they are. That of publication stands twice in the log, and the reader compares them; that
-//!   of sensing stands in the answer, too. What nothing else tells is the instant at which an observation that nobody
-//!   answered was sensed (it must lie between schedule and publication), and the flag `LATE`.
-//! - With a plant of your own, inputs, reward, measures and the flag `NEW_TARGET` are what the controller is told. They are
-//!   found wrong by what is learned from them; nothing is learned from measures, entries that are not used, `NEW_TARGET`
-//!   and the last bits of a number that rounding takes away.
+//! - In lockstep with the simulator, every byte of every sample is checked, timestamps included. A writer's
+//!   incarnation may rise from one sample to the next, because a restarted process continues where it was.
+//!   Nothing else in the log tells at which sample it rose.
+//! - In real time, timestamps are not reproducible. That of publication is in the log twice, and the log
+//!   reader compares the two; that of sensing is also in the answer. Nothing else in the log tells when an
+//!   observation that got no answer was sensed (it must be between schedule and publication), or the flag
+//!   `LATE`.
+//! - With a plant of your own, inputs, reward, measures and the flag `NEW_TARGET` are taken from the log. A
+//!   wrong value is found when it changes what is learned. Nothing is learned from measures, unused entries,
+//!   `NEW_TARGET`, and the last bits of a number that rounding removes.
 
-mod compare;
 mod error;
 mod follower;
 mod off_policy;
 mod plant_replay;
+mod sample_diff;
 mod stamps;
+mod text;
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-pub use compare::Difference;
 pub use error::ReplayError;
 pub use off_policy::OffPolicy;
+pub use sample_diff::Difference;
 
 use super::reference::{FixedArm, Score, TestSet};
 use crate::log::{LogRecord, RunLog};
-use crate::report::thousands;
 use crate::runtime::Controller;
 use crate::scenario::{LearnerConfig, Plan, Rule, Scenario};
 use crate::supervise::RunProgress;
+use crate::wire::Gap;
 use follower::ReplayFollower;
 use off_policy::OffPolicyLearner;
 use plant_replay::PlantReplay;
 use stamps::StampChecker;
 
-/// What came of a replay.
+/// The result of a replay.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ReplayResult {
     /// The log.
@@ -51,9 +53,9 @@ pub struct ReplayResult {
     pub scenario: String,
     /// The run's seed.
     pub seed: u64,
-    /// How ticks followed each other.
+    /// The run's mode: lockstep or real time.
     pub mode: String,
-    /// The first difference; null when there is none.
+    /// The first difference; null if there is none.
     pub difference: Option<Difference>,
     /// Observations checked.
     pub observations: u64,
@@ -61,58 +63,51 @@ pub struct ReplayResult {
     pub commands: u64,
     /// Learning records checked.
     pub learnings: u64,
-    /// Hashes of the weights among them.
+    /// Hashes of the weights checked.
     pub hashes: u64,
-    /// Observations that the run's controller never saw.
+    /// Observations that the run's controller never received.
     pub unseen: u64,
-    /// The plant is the simulator's, and was run again.
+    /// Whether the plant is the simulator's, and was run again.
     pub plant_simulated: bool,
-    /// The log was cut off, and was replayed as far as it goes.
+    /// Whether the log was cut off. It was replayed as far as it goes.
     pub torn: bool,
     /// Hash of the weights at the end of the replay, hexadecimal.
     pub weights_hash: String,
-    /// Why differences may be no fault of the log: another build wrote it, or its scenario means something else to this one.
+    /// Why a difference may not be a fault of the log: another build wrote it, or the scenario has another
+    /// meaning to this build.
     pub warnings: Vec<String>,
-    /// With another learner: how the log's own does at the end on the [yardstick](super::yardstick), without exploration noise,
-    /// for scale. Null if the plant is not the simulator's arm.
+    /// With another learner: the score of the log's own learner at the end, without exploration noise, on the
+    /// [test set](super::reference). Null if the plant is not the simulator's arm.
     pub noiseless: Option<Score>,
-    /// What another learner has learned from the same; null unless asked for.
+    /// The result of another learner with the same experience; null unless asked for.
     pub other: Option<OffPolicy>,
 }
 
-/// Replays the log in `segments`, of one run and in their order. With `learner`, a learner of that rule under its preset is given the same experience (see
-/// [`OffPolicy`]). With `progress`, a line on standard error shows how far it is, if that is a terminal.
+/// Replays the log in `segments`, which belong to one run and stand in its order.
+///
+/// With `learner`, a learner of that rule, with its preset, gets the same experience (see [`OffPolicy`]).
+/// With `progress`, a progress line is shown on standard error, if that is a terminal.
 ///
 /// # Errors
 ///
-/// [`ReplayError`] if there is nothing to replay: no log, a damaged one, one without all ticks.
+/// [`ReplayError`] if the log cannot be replayed: it is not a log, is damaged, or does not hold every tick.
 pub fn replay(segments: &[PathBuf], learner: Option<Rule>, progress: bool) -> Result<ReplayResult, ReplayError> {
     over(RunLog::open(segments)?, learner, progress)
 }
 
-/// The same from a log at its beginning.
+/// Replays an open log from its beginning.
 ///
 /// # Errors
 ///
 /// As [`replay`].
 pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<ReplayResult, ReplayError> {
     let path = log.path().to_owned();
-    let path = path.as_path();
     let build = log.run("build").unwrap_or("unknown").to_owned();
-    let plan = Scenario::parse(log.scenario(), "scenario.toml").and_then(Scenario::plan).map_err(|error| {
-        ReplayError::Scenario { path: path.to_owned(), error: Box::new(error), build: build.clone() }
-    })?;
-    if log.every() > 1 {
-        return Err(ReplayError::Thinned { path: path.to_owned(), every: log.every() });
-    }
-    if log.log_segment().begins != [0; 3] {
-        let remedy = match log.log_segment().number {
-            0 => "its run goes on with another one, whose log it would need",
-            _ => "it is a later segment: give the run's folder, with all of them",
-        };
-        return Err(ReplayError::Middle { path: path.to_owned(), remedy });
-    }
-    let other = learner.map(|rule| other(&plan, rule, path)).transpose()?;
+    let plan = Scenario::parse(log.scenario(), "scenario.toml")
+        .and_then(Scenario::plan)
+        .map_err(|error| ReplayError::Scenario { path: path.clone(), error: Box::new(error), build: build.clone() })?;
+    check_complete(&log, &path)?;
+    let other = learner.map(|rule| other(&plan, rule, &path)).transpose()?;
     let mut run = ReplayFollower::new(&plan, StampChecker::of(&log, &plan), other);
     let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, progress);
     let mut difference = None;
@@ -120,18 +115,7 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
         let record = record.inspect_err(|_| progress.clear())?;
         if let LogRecord::Gap(gap) = &record {
             progress.clear();
-            let until = run.plant().last().map_or("nothing comes before".to_owned(), |tick| {
-                format!("up to tick {tick} it is what this build makes of it")
-            });
-            let gap = *gap;
-            return Err(ReplayError::Lost {
-                path: path.to_owned(),
-                channel: ["observation", "command", "learning"].get(gap.channel as usize).copied().unwrap_or("unknown"),
-                first: gap.first,
-                count: gap.count,
-                until,
-                behind: behind(&mut log, run.plant().last())?,
-            });
+            return Err(lost(*gap, &path, &mut log, run.plant().last())?);
         }
         if let Err(found) = run.take(&record) {
             difference = Some(*found);
@@ -146,20 +130,63 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
     progress.clear();
     if difference.is_none() {
         let complete = log.totals().is_some_and(|totals| totals.complete);
-        // What was repaired is as cut off as it was before.
-        let whole = log.finished() && !log.repaired();
-        difference = run.end(whole, complete, plan.scenario.ticks).err().map(|found| *found);
+        difference = run.end(is_whole(&log), complete, plan.scenario.ticks).err().map(|found| *found);
     }
-    let test = run.other.as_ref().and_then(|_| test_set(&plan, run.plant()));
-    let noiseless = |controller: &Controller| test.as_ref().map(|test| test.score(controller.policy()));
-    let (own, others) =
-        (noiseless(&run.controller), run.other.as_ref().and_then(|other| noiseless(other.controller())));
-    Ok(ReplayResult {
-        log: path.to_owned(),
+    Ok(result(&log, path, &plan, run, difference, &build))
+}
+
+/// Whether the log was written to its end. A repaired log lacks what it lacked before.
+fn is_whole(log: &RunLog) -> bool {
+    log.finished() && !log.repaired()
+}
+
+/// Checks that the log holds every tick from the run's beginning on.
+fn check_complete(log: &RunLog, path: &Path) -> Result<(), ReplayError> {
+    if log.every() > 1 {
+        return Err(ReplayError::Thinned { path: path.to_owned(), every: log.every() });
+    }
+    if log.log_segment().begins != [0; 3] {
+        let remedy = match log.log_segment().number {
+            0 => "its run goes on with another one, whose log it would need",
+            _ => "it is a later segment: give the run's folder, with all of them",
+        };
+        return Err(ReplayError::Middle { path: path.to_owned(), remedy });
+    }
+    Ok(())
+}
+
+/// The error for a gap in the log; `last` is the last tick that was replayed.
+fn lost(gap: Gap, path: &Path, log: &mut RunLog, last: Option<u64>) -> Result<ReplayError, ReplayError> {
+    let until = last.map_or("nothing comes before".to_owned(), |tick| {
+        format!("up to tick {tick} it is what this build makes of it")
+    });
+    Ok(ReplayError::Lost {
+        path: path.to_owned(),
+        channel: ["observation", "command", "learning"].get(gap.channel as usize).copied().unwrap_or("unknown"),
+        first: gap.first,
+        count: gap.count,
+        until,
+        behind: behind(log, last)?,
+    })
+}
+
+fn result(
+    log: &RunLog,
+    path: PathBuf,
+    plan: &Plan,
+    run: ReplayFollower,
+    difference: Option<Difference>,
+    build: &str,
+) -> ReplayResult {
+    let test = run.other.as_ref().and_then(|_| test_set(plan, run.plant()));
+    let score = |controller: &Controller| test.as_ref().map(|test| test.score(controller.policy()));
+    let (own, others) = (score(&run.controller), run.other.as_ref().and_then(|other| score(other.controller())));
+    ReplayResult {
+        log: path,
         scenario: plan.scenario.name.clone(),
         seed: plan.scenario.seed,
         mode: log.run("mode").unwrap_or("unknown").to_owned(),
-        torn: difference.is_none() && (!log.finished() || log.repaired()),
+        torn: difference.is_none() && !is_whole(log),
         difference,
         observations: run.plant().seen(),
         commands: run.counts.answers,
@@ -168,20 +195,21 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
         unseen: run.counts.unseen,
         plant_simulated: run.plant().simulated(),
         weights_hash: format!("{:016x}", run.controller.policy().hash()),
-        warnings: warnings(&log, &plan, &build),
+        warnings: warnings(log, plan, build),
         noiseless: own,
         other: run.other.map(|other| other.finish(others)),
-    })
+    }
 }
 
-/// The yardstick for the arm as it stands at the end of the log.
+/// The test set with the arm in its condition at the end of the log. `None` if the plant is not the
+/// simulator's arm.
 fn test_set(plan: &Plan, plant: &PlantReplay) -> Option<TestSet> {
-    let table = plan.scenario.plant.arm.as_ref().filter(|_| plant.simulated() && plan.scalars.is_empty())?;
-    let world = FixedArm::at(table, plan.scenario.period_ms / 1000.0, plant.last()?);
-    Some(TestSet::new(plan, world))
+    let config = plan.scenario.plant.arm.as_ref().filter(|_| plant.simulated() && plan.scalars.is_empty())?;
+    let arm = FixedArm::at(config, plan.scenario.period_ms / 1000.0, plant.last()?);
+    Some(TestSet::new(plan, arm))
 }
 
-/// The fresh learner of `rule`, its constants those of its preset.
+/// A fresh learner of `rule` with its preset.
 fn other(plan: &Plan, rule: Rule, path: &Path) -> Result<OffPolicyLearner, ReplayError> {
     let mut scenario = plan.scenario.clone();
     scenario.learner = LearnerConfig::preset(rule);
@@ -193,7 +221,7 @@ fn other(plan: &Plan, rule: Rule, path: &Path) -> Result<OffPolicyLearner, Repla
     Ok(OffPolicyLearner::new(&plan))
 }
 
-/// The ticks behind a gap, of which nothing can be told.
+/// The ticks after a gap, which cannot be replayed, in words.
 fn behind(log: &mut RunLog, last: Option<u64>) -> Result<String, ReplayError> {
     let mut end = None;
     for record in log {
@@ -203,6 +231,7 @@ fn behind(log: &mut RunLog, last: Option<u64>) -> Result<String, ReplayError> {
     Ok(end.filter(|&end| end >= from).map_or_else(String::new, |end| format!(" (ticks {from} to {end})")))
 }
 
+/// Why a difference may not be a fault of the log.
 fn warnings(log: &RunLog, plan: &Plan, build: &str) -> Vec<String> {
     let mut warnings = Vec::new();
     if build != crate::BUILD {
@@ -214,74 +243,4 @@ fn warnings(log: &RunLog, plan: &Plan, build: &str) -> Vec<String> {
         );
     }
     warnings
-}
-
-impl ReplayResult {
-    /// The object of `--json`.
-    pub fn to_json(&self) -> String {
-        serde_json::to_string_pretty(self).unwrap_or_default()
-    }
-
-    /// The first difference in a sentence.
-    pub fn failure(&self) -> Option<String> {
-        let Difference { tick, channel, field, logged, replayed } = self.difference.as_ref()?;
-        Some(format!(
-            "the log {} does not replay: at tick {tick}, channel {channel}, {field} is {logged}, and should be {replayed}",
-            self.log.display()
-        ))
-    }
-
-    /// The same as [`to_json`](Self::to_json) for people.
-    pub fn to_text(&self) -> String {
-        let mut text = format!("{}, {}, seed {}\n\n", self.scenario, self.mode, self.seed);
-        let mut row = |key: &str, value: String| {
-            let line = format!("{key:<14}{value}");
-            let _ = writeln!(text, "{}", line.trim_end());
-        };
-        for warning in &self.warnings {
-            row("note", warning.clone());
-        }
-        if self.torn {
-            row("note", "the log was cut off; it was replayed as far as it goes".to_owned());
-        }
-        let plant =
-            if self.plant_simulated { ", the plant run again" } else { ", inputs and rewards taken as they are" };
-        row("observations", format!("{}{plant}", thousands(self.observations)));
-        row("commands", thousands(self.commands));
-        row(
-            "learning",
-            format!("{} records, {} hashes of the weights", thousands(self.learnings), thousands(self.hashes)),
-        );
-        if self.unseen > 0 {
-            row("unseen", format!("{} observations that the controller passed by", thousands(self.unseen)));
-        }
-        row("weights", self.weights_hash.clone());
-        row("result", if self.difference.is_some() { "not the same" } else { "the same, bit for bit" }.to_owned());
-        if let Some(other) = &self.other {
-            row("", String::new());
-            row("off-policy", format!("{}, which did not choose the commands that it learned from", name(other.rule)));
-            row(
-                "learned",
-                format!("{} ticks, its trace cut {} times", thousands(other.learned), thousands(other.cuts)),
-            );
-            row("weights", format!("{}, norm {:.4}", other.weights_hash, other.weights_norm));
-            row("distance", format!("{:.3e} between its mean command and the log's, root mean square", other.distance));
-            if let (Some(own), Some(score)) = (self.noiseless, other.noiseless) {
-                let loss = |score: Score| format!("{:.4} a tick, miss {:.3} m", score.loss, score.miss_m);
-                row("loss", format!("{}; the log's own: {} (40 targets, without noise)", loss(score), loss(own)));
-            }
-            if let Some(tick) = other.diverged_at {
-                row("diverged", format!("at tick {tick} its weights were no longer numbers"));
-            }
-        }
-        text
-    }
-}
-
-/// The rule's name as in a scenario.
-fn name(rule: Rule) -> String {
-    match serde_json::to_value(rule) {
-        Ok(serde_json::Value::String(name)) => name,
-        _ => format!("{rule:?}"),
-    }
 }

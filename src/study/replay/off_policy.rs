@@ -1,14 +1,15 @@
-//! What another learner would have learned of the same experience: off-policy.
+//! What another learner learns from the experience in a log: off-policy learning.
 //!
-//! The other learner sees the inputs, applied commands and rewards of the log, at the ticks at which the log's own learner
-//! saw them, and starts from nothing. It did not choose the commands. Let `a` be the applied command, `m` the mean that the
-//! log's policy had, and `m'` that of the other. A policy-gradient rule credits the score of its own policy at what was
-//! done, `(a - m') / sigma^2`, so `a - m'` is handed to it as its noise: the exploration of the log, `a - m`, and the
-//! distance between the two policies, `m - m'`. That is the credit that the controller gives to a command that the gate has
-//! limited, and the same code. There are no importance weights `pi'(a) / pi(a)`: over a trace of ticks they would be
-//! nearly 0 or huge. So the gradient is that of the commands of the log, not of those that the other policy would have
-//! given, and the further the policies are apart the less it says. Learned models of reward and movement (`learned-reward`)
-//! do not mind who chose the commands.
+//! The other learner starts with fresh weights. It receives the inputs, applied commands and rewards of the
+//! log, at the ticks at which the log's own learner received them. It did not choose the commands. Let `a` be
+//! the applied command, `m` the mean of the log's policy, and `m'` the mean of the other policy. A
+//! policy-gradient rule credits the score of its own policy at the applied command, `(a - m') / sigma^2`. So
+//! it gets `a - m'` as its noise: the exploration of the log, `a - m`, plus the distance between the two
+//! policies, `m - m'`. The controller credits a command that the gate has limited in the same way, with the
+//! same code. There are no importance weights `pi'(a) / pi(a)`: over a trace of ticks they would be nearly 0
+//! or huge. So the gradient belongs to the commands of the log, not to those that the other policy would have
+//! sent, and means less the further the policies are apart. Learned models of reward and movement
+//! (`learned-reward`) do not depend on who chose the commands.
 
 use serde::Serialize;
 
@@ -17,9 +18,9 @@ use crate::scenario::{Plan, Rule};
 use crate::study::reference::Score;
 use crate::wire::{Command, Learning, Observation, flag};
 
-/// Another learner, being taught.
+/// The other learner during the replay.
 #[derive(Debug)]
-pub struct OffPolicyLearner {
+pub(super) struct OffPolicyLearner {
     rule: Rule,
     controller: Controller,
     outputs: usize,
@@ -29,25 +30,26 @@ pub struct OffPolicyLearner {
     norm: f32,
 }
 
-/// What another learner has learned.
+/// The result of off-policy learning.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OffPolicy {
     /// Its rule.
     pub rule: Rule,
-    /// Always true: it did not choose the commands that it learned from.
+    /// Always true: the learner did not choose the commands that it learned from.
     pub off_policy: bool,
-    /// Ticks learned from.
+    /// Number of ticks that it learned from.
     pub learned: u64,
-    /// Times that its trace was cut.
+    /// How often its trace was cut.
     pub cuts: u64,
     /// Euclidean norm of its weights.
     pub weights_norm: f32,
     /// Their hash, hexadecimal.
     pub weights_hash: String,
-    /// Root mean square, over ticks and outputs, of the distance between its mean command and that of the log.
+    /// Root mean square, over ticks and outputs, of the distance between its mean command and that of the
+    /// log.
     pub distance: f64,
-    /// How it does on the [yardstick](crate::study::reference), without exploration noise; null if the plant is not the
-    /// simulator's arm.
+    /// Its score on the [test set](crate::study::reference), without exploration noise; null if the plant is
+    /// not the simulator's arm.
     pub noiseless: Option<Score>,
     /// The tick at which its weights were no longer numbers.
     pub diverged_at: Option<u64>,
@@ -66,14 +68,14 @@ impl OffPolicyLearner {
         }
     }
 
-    /// Learns from what `observation` tells; `command` is what the log's own policy answered.
-    pub fn take(&mut self, observation: &Observation, command: &Command) {
-        let (mut told, mut own, mut learning) = (*observation, Command::default(), Learning::default());
-        // Whatever it would have asked for, something else was applied.
-        told.header.flags |= flag::CLAMPED;
-        self.controller.respond(&told, &mut own);
-        self.controller.after_command(&told);
-        self.controller.record(&told, &mut learning);
+    /// Learns from `observation`; `command` is the answer of the log's own policy.
+    pub fn learn(&mut self, observation: &Observation, command: &Command) {
+        let (mut received, mut own, mut learning) = (*observation, Command::default(), Learning::default());
+        // The applied command is not its own, so the credit must be that of a limited command.
+        received.header.flags |= flag::CLAMPED;
+        self.controller.respond(&received, &mut own);
+        self.controller.after_command(&received);
+        self.controller.record(&received, &mut learning);
         self.norm = learning.weights_norm;
         let means = own.mean.iter().zip(&command.mean).take(self.outputs);
         self.squares += means.map(|(own, log)| f64::from(own - log).powi(2)).sum::<f64>();
@@ -85,7 +87,7 @@ impl OffPolicyLearner {
         &self.controller
     }
 
-    /// What came of it; `noiseless` is its score without noise.
+    /// The result; `noiseless` is its score without noise.
     pub fn finish(self, noiseless: Option<Score>) -> OffPolicy {
         let n = (self.ticks * self.outputs as u64).max(1);
         let report = self.controller.finish();

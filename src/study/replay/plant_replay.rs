@@ -1,14 +1,18 @@
-//! The plant's half of the ticks, followed through a log.
+//! Replays the plant's half of the ticks along a log.
 //!
-//! What an observation says of the tick before (the applied command, the flags) follows from the command that arrived and
-//! the gate; with the simulator's bodies, so does everything else in it. Whether a command arrived in time is told by the
-//! flags, except where the plant passed ticks over right after, or where the scenario's faults may have taken it: then both
-//! are tried.
+//! The applied command and the flags in an observation follow from the command that arrived in the tick
+//! before, and from the gate. With a simulated plant, everything else in the observation follows as well. The
+//! flags tell whether a command arrived in time, with two exceptions: the plant skipped ticks right
+//! afterwards, or the scenario's faults may have removed the command. In these cases both possibilities are
+//! tried.
 //!
-//! The limits of position of a plant that nobody can run again depend on what the log does not tell. What was applied under
-//! them is taken as it stands, if it lies between zero and what the gate would have let through without them.
+//! For a plant that cannot be run again, the gate's position limits depend on joint positions that are not in
+//! the log. A command that was applied under them is accepted if it lies between zero and the command that
+//! the gate would have applied without them.
 
-use super::compare::{Difference, compare};
+use std::path::Path;
+
+use super::sample_diff::{Difference, compare};
 use super::stamps::StampChecker;
 use crate::plant::{JointState, Outcome, Plant, SimulatedPlant};
 use crate::policy::Outputs;
@@ -18,38 +22,39 @@ use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor};
 use crate::wire::{Command, MAX_INPUTS, Observation, flag};
 
-/// More ways to have come here than this are not kept apart: each needs ticks passed over whose command may have arrived or
-/// not, with the same outcome.
-const MOST: usize = 8;
+/// Largest number of candidates that are kept. A further one needs another skip of ticks for which it makes
+/// no difference whether the command arrived.
+const MOST_CANDIDATES: usize = 8;
 
-/// Whose words are taken for what the plant sensed.
+/// Where the plant's inputs, rewards and measures come from.
 #[derive(Debug, Clone)]
-enum SensedBy {
-    /// A body of the simulator, which lives through the run again.
+enum ReplayedPlant {
+    /// A simulated plant, which is run again.
     Simulated(SimulatedPlant),
-    /// The log's own, for a plant that nobody can run again.
-    Told { inputs: [f32; MAX_INPUTS], fresh: bool, outcome: Outcome, own: Option<PlantOwnLimits> },
+    /// The log, for a plant that cannot be run again.
+    Logged { inputs: [f32; MAX_INPUTS], fresh: bool, outcome: Outcome, own: Option<PlantOwnLimits> },
 }
 
-/// What a body that acts at once has said of a tick: such a one has limits of its own, behind the gate's.
+/// What the log tells of a plant that applies a command within its tick. Such a plant has limits of its own
+/// behind the gate.
 #[derive(Debug, Clone, Copy, Default)]
 struct PlantOwnLimits {
-    /// What it applied.
+    /// The command that it applied.
     applied: Outputs,
-    /// What the observation says of it.
+    /// The flags of the observation.
     flags: u32,
-    /// Whether both are of the tick that is lived through now, and not of a later one.
+    /// Whether both belong to the current tick, and not to a later one.
     current: bool,
 }
 
 impl PlantOwnLimits {
-    /// Flags by which a body says that it did something else than it was asked to.
-    const ELSE: u32 = flag::CLAMPED | flag::UNARMED | flag::TRIPPED | flag::BLIND;
-    /// All flags that it may add to the gate's.
-    const ALL: u32 = Self::ELSE | flag::POSITION_LIMITED | flag::RAMPED;
+    /// Flags by which a plant reports that it did not apply the command as the gate passed it.
+    const DEVIATION: u32 = flag::CLAMPED | flag::UNARMED | flag::TRIPPED | flag::BLIND;
+    /// All flags that the plant may add to those of the gate.
+    const ALL: u32 = Self::DEVIATION | flag::POSITION_LIMITED | flag::RAMPED;
 }
 
-impl Persist for SensedBy {
+impl Persist for ReplayedPlant {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         if let Self::Simulated(body) = self {
             body.visit_state(visitor);
@@ -57,12 +62,12 @@ impl Persist for SensedBy {
     }
 }
 
-impl Plant for SensedBy {
+impl Plant for ReplayedPlant {
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
         match self {
             Self::Simulated(body) => body.sense(tick, inputs),
-            Self::Told { inputs: told, fresh, .. } => {
-                inputs.copy_from_slice(told);
+            Self::Logged { inputs: logged, fresh, .. } => {
+                inputs.copy_from_slice(logged);
                 *fresh
             }
         }
@@ -71,20 +76,20 @@ impl Plant for SensedBy {
     fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome {
         match self {
             Self::Simulated(body) => body.advance(tick, applied),
-            Self::Told { outcome, .. } => *outcome,
+            Self::Logged { outcome, .. } => *outcome,
         }
     }
 
     fn acts_within(&self) -> Option<u64> {
         match self {
-            Self::Told { own: Some(_), .. } => Some(0),
+            Self::Logged { own: Some(_), .. } => Some(0),
             _ => None,
         }
     }
 
     fn act(&mut self, _tick: u64, applied: &mut [f32], _flags: u32) -> u32 {
         match self {
-            Self::Told { own: Some(own), .. } if own.current && own.flags & PlantOwnLimits::ELSE != 0 => {
+            Self::Logged { own: Some(own), .. } if own.current && own.flags & PlantOwnLimits::DEVIATION != 0 => {
                 applied.copy_from_slice(&own.applied[..applied.len()]);
                 own.flags & PlantOwnLimits::ALL
             }
@@ -94,7 +99,7 @@ impl Plant for SensedBy {
 
     fn remarks(&self) -> u32 {
         match self {
-            Self::Told { own: Some(own), .. } => own.flags & flag::BLIND,
+            Self::Logged { own: Some(own), .. } => own.flags & flag::BLIND,
             _ => 0,
         }
     }
@@ -102,23 +107,24 @@ impl Plant for SensedBy {
     fn joints(&self) -> Option<JointState> {
         match self {
             Self::Simulated(body) => body.joints(),
-            // A log does not tell them.
-            Self::Told { .. } => None,
+            // They are not in a log.
+            Self::Logged { .. } => None,
         }
     }
 }
 
-/// Gate and body of a run, followed through its log.
+/// Gate and plant of a run, replayed along its log.
 #[derive(Debug)]
-pub struct PlantReplay {
-    /// The ways to have come here; one, as a rule.
-    sides: Vec<PlantSide<SensedBy>>,
+pub(super) struct PlantReplay {
+    /// The states that agree with the log so far; mostly one.
+    candidates: Vec<PlantSide<ReplayedPlant>>,
     simulated: bool,
-    /// A command that arrived may be missed all the same, by a fault of the channel.
+    /// Whether the scenario has faults of the channels, so that a command that was sent may have been missed.
     faulty: bool,
     ticks: u64,
-    /// Observations so far, and the tick of the last.
+    /// Number of observations so far.
     seen: u64,
+    /// Tick of the last observation.
     last: Option<u64>,
     incarnation: u32,
 }
@@ -126,22 +132,31 @@ pub struct PlantReplay {
 impl PlantReplay {
     /// The beginning of a run of `plan`.
     pub fn new(plan: &Plan) -> Self {
-        // Another program may be given the simulator's tables, and be something else all the same.
+        // Another program may use the simulator's settings and still be another plant.
         let body = plan.simulated_plant().filter(|_| is_simulator(&plan.scenario.plant.program));
         let simulated = body.is_some();
         let own = plan.scenario.plant.servos.as_ref().map(|_| PlantOwnLimits::default());
-        let told = SensedBy::Told { inputs: [0.0; MAX_INPUTS], fresh: false, outcome: Outcome::default(), own };
-        let side = PlantSide::new(body.map_or(told, SensedBy::Simulated), plan);
+        let logged =
+            ReplayedPlant::Logged { inputs: [0.0; MAX_INPUTS], fresh: false, outcome: Outcome::default(), own };
+        let side = PlantSide::new(body.map_or(logged, ReplayedPlant::Simulated), plan);
         let faulty = !side.is_fault_free();
-        Self { sides: vec![side], simulated, faulty, ticks: plan.scenario.ticks, seen: 0, last: None, incarnation: 0 }
+        Self {
+            candidates: vec![side],
+            simulated,
+            faulty,
+            ticks: plan.scenario.ticks,
+            seen: 0,
+            last: None,
+            incarnation: 0,
+        }
     }
 
-    /// Whether the body is run again, so that every bit of an observation is checked.
+    /// Whether the plant is run again, so that every bit of an observation is checked.
     pub fn simulated(&self) -> bool {
         self.simulated
     }
 
-    /// Observations so far.
+    /// Number of observations so far.
     pub fn seen(&self) -> u64 {
         self.seen
     }
@@ -151,83 +166,109 @@ impl PlantReplay {
         self.last
     }
 
-    /// Holds `logged` against what should be told; `command` is the answer to the observation before, if there is one in
-    /// the log.
+    /// Compares `logged` with the replayed observation. `command` is the answer to the observation before, if
+    /// the log has one.
     pub fn check(
         &mut self,
         logged: &Observation,
         command: Option<&Command>,
-        clock: &StampChecker,
+        stamps: &StampChecker,
     ) -> Result<(), Box<Difference>> {
         let due = self.last.map_or(0, |last| last + 1);
+        let mut replayed = self.check_header(logged, due, stamps)?;
+        let arrived = self.possible_commands(logged, replayed.skipped, command, stamps);
         let tick = logged.header.tick;
-        let mut replayed = *logged;
-        // First what the rest is counted from: the tick, and how far it is from the one before.
-        replayed.header.run = clock.run;
-        replayed.header.sequence = self.seen;
-        // Whoever was started anew does not go back.
-        replayed.header.incarnation = logged.header.incarnation.max(self.incarnation);
-        if clock.lockstep || tick < due || tick >= self.ticks {
-            replayed.header.tick = due;
-        }
-        let skipped = replayed.header.tick - due;
-        replayed.skipped = u32::try_from(skipped).unwrap_or(u32::MAX);
-        clock.stamp_observation(&mut replayed.header);
-        compare("observation", due + skipped, logged, &replayed)?;
-        clock.check_order(&logged.header, "observation")?;
-
-        // Then what came of the tick before. In lockstep a command always arrives.
-        let missed = logged.header.flags & (flag::MISSED | flag::NON_FINITE) == flag::MISSED;
-        let arrived: &[Option<&Command>] = match (skipped, command) {
-            (_, None) => &[None],
-            (0, Some(command)) if clock.lockstep => &[Some(command)],
-            (0, Some(_)) if missed && !self.faulty => &[None],
-            (0, Some(command)) if !missed => &[Some(command)],
-            (_, Some(command)) => &[Some(command), None],
-        };
-        // Entries that no input uses are 0.
+        // Whether a command came after its tick depends on times that are not in the log.
+        let late = if stamps.lockstep { 0 } else { logged.header.flags & flag::LATE };
+        // Inputs that the scenario does not use are 0.
         replayed.inputs = [0.0; MAX_INPUTS];
         let mut fitting = Vec::with_capacity(1);
         let mut first = Ok(());
-        for side in self.sides.drain(..) {
-            for command in arrived {
+        for side in self.candidates.drain(..) {
+            for command in &arrived {
                 let mut side = side.clone();
                 side.follow(due, tick, *command, logged);
-                // A command that came after its tick is a matter of instants, which nobody else saw.
-                let late = if clock.lockstep { 0 } else { logged.header.flags & flag::LATE };
                 side.observe(tick, late, replayed.skipped, &mut replayed);
                 match compare("observation", tick, logged, &replayed) {
-                    Ok(()) if fitting.len() < MOST => fitting.push(side),
+                    Ok(()) if fitting.len() < MOST_CANDIDATES => fitting.push(side),
                     Ok(()) => {}
                     Err(difference) => first = first.and(Err(difference)),
                 }
             }
         }
-        if fitting.len() > 1 {
-            // Ways that have come to the same are one.
-            let mut known: Vec<Vec<u8>> = Vec::with_capacity(fitting.len());
-            fitting.retain_mut(|side| {
-                let standing = side.state_bytes();
-                let new = !known.contains(&standing);
-                known.push(standing);
-                new
-            });
-        }
         if fitting.is_empty() {
             return first;
         }
-        self.sides = fitting;
+        self.candidates = distinct(fitting);
         self.seen += 1;
         self.last = Some(tick);
         self.incarnation = logged.header.incarnation;
         Ok(())
     }
+
+    /// Checks the tick of `logged`, the number of skipped ticks, and the header; `due` is the tick after the
+    /// last one. Gives the observation with the replayed header.
+    fn check_header(
+        &self,
+        logged: &Observation,
+        due: u64,
+        stamps: &StampChecker,
+    ) -> Result<Observation, Box<Difference>> {
+        let tick = logged.header.tick;
+        let mut replayed = *logged;
+        replayed.header.run = stamps.run;
+        replayed.header.sequence = self.seen;
+        // An incarnation never falls.
+        replayed.header.incarnation = logged.header.incarnation.max(self.incarnation);
+        if stamps.lockstep || tick < due || tick >= self.ticks {
+            replayed.header.tick = due;
+        }
+        let skipped = replayed.header.tick - due;
+        replayed.skipped = u32::try_from(skipped).unwrap_or(u32::MAX);
+        stamps.stamp_observation(&mut replayed.header);
+        compare("observation", due + skipped, logged, &replayed)?;
+        stamps.check_order(&logged.header, "observation")?;
+        Ok(replayed)
+    }
+
+    /// The commands that may have arrived in the tick before `logged`; `None` for no command. In lockstep a
+    /// command always arrives.
+    fn possible_commands<'a>(
+        &self,
+        logged: &Observation,
+        skipped: u32,
+        command: Option<&'a Command>,
+        stamps: &StampChecker,
+    ) -> Vec<Option<&'a Command>> {
+        let missed = logged.header.flags & (flag::MISSED | flag::NON_FINITE) == flag::MISSED;
+        match (skipped, command) {
+            (_, None) => vec![None],
+            (0, Some(command)) if stamps.lockstep => vec![Some(command)],
+            (0, Some(_)) if missed && !self.faulty => vec![None],
+            (0, Some(command)) if !missed => vec![Some(command)],
+            (_, Some(command)) => vec![Some(command), None],
+        }
+    }
 }
 
-impl PlantSide<SensedBy> {
-    /// Lives from tick `due` - 1, of which `command` came in time, to the beginning of `tick`.
+/// The candidates without those whose state equals that of an earlier one.
+fn distinct(mut candidates: Vec<PlantSide<ReplayedPlant>>) -> Vec<PlantSide<ReplayedPlant>> {
+    if candidates.len() > 1 {
+        let mut known: Vec<Vec<u8>> = Vec::with_capacity(candidates.len());
+        candidates.retain_mut(|side| {
+            let state = side.state_bytes();
+            let new = !known.contains(&state);
+            known.push(state);
+            new
+        });
+    }
+    candidates
+}
+
+impl PlantSide<ReplayedPlant> {
+    /// Advances from tick `due` - 1, in which `command` arrived in time, to the beginning of `tick`.
     fn follow(&mut self, due: u64, tick: u64, command: Option<&Command>, logged: &Observation) {
-        if let SensedBy::Told { inputs, fresh, outcome, own } = self.body_mut() {
+        if let ReplayedPlant::Logged { inputs, fresh, outcome, own } = self.body_mut() {
             *inputs = logged.inputs;
             *fresh = logged.header.flags & flag::NEW_TARGET != 0;
             *outcome = Outcome { reward: logged.reward, measures: logged.measures };
@@ -235,8 +276,8 @@ impl PlantSide<SensedBy> {
                 *own = PlantOwnLimits { applied: logged.applied, flags: logged.header.flags, current: tick == due };
             }
         }
-        let guessed = matches!(self.body_mut(), SensedBy::Told { .. }) && self.limits_positions();
-        if guessed {
+        let assumed_limits = matches!(self.body_mut(), ReplayedPlant::Logged { .. }) && self.limits_positions();
+        if assumed_limits {
             let limited = logged.header.flags & flag::POSITION_LIMITED != 0;
             self.set_command_ranges(
                 logged.applied.map(|u| if limited { [u.min(0.0), u.max(0.0)] } else { [f32::MIN, f32::MAX] }),
@@ -245,12 +286,12 @@ impl PlantSide<SensedBy> {
         if due > 0 {
             self.step(due - 1, command);
         }
-        if let SensedBy::Told { own: Some(own), .. } = self.body_mut() {
+        if let ReplayedPlant::Logged { own: Some(own), .. } = self.body_mut() {
             own.current = true;
         }
         self.skip(due, tick);
-        // Of the ticks passed over, the log tells the last one only.
-        if guessed && tick > due {
+        // Of the skipped ticks, the log has only the last one.
+        if assumed_limits && tick > due {
             self.adopt_applied(logged);
         }
     }

@@ -1,23 +1,24 @@
-//! The stamps of a run: in lockstep a function of the tick, in real time as far as one follows from another.
+//! The timestamps and headers of a run. In lockstep they are a function of the tick. In real time, only the
+//! relations between them can be checked.
 
-use super::compare::Difference;
+use super::sample_diff::Difference;
 use crate::log::RunLog;
 use crate::scenario::Plan;
 use crate::wire::Header;
 
-/// What is known of a run's stamps.
+/// Computes and checks the headers of a run.
 #[derive(Debug, Clone, Copy)]
-pub struct StampChecker {
+pub(super) struct StampChecker {
     /// The run's id.
     pub run: u64,
-    /// Time is the tick's.
+    /// Whether the run was in lockstep, so that all timestamps are scheduled times.
     pub lockstep: bool,
     t0_ns: u64,
     period_ns: u64,
 }
 
 impl StampChecker {
-    /// The clock of the run in `log`.
+    /// The checker for the run in `log`.
     pub fn of(log: &RunLog, plan: &Plan) -> Self {
         Self {
             run: log.run("run").and_then(|run| u64::from_str_radix(run, 16).ok()).unwrap_or(0),
@@ -31,7 +32,8 @@ impl StampChecker {
         self.t0_ns.wrapping_add(tick.wrapping_mul(self.period_ns))
     }
 
-    /// The stamps of an observation; in real time, when it was sensed and published is taken as it stands.
+    /// Sets the timestamps of an observation. In real time, those of sensing and publication stay as they
+    /// are.
     pub fn stamp_observation(&self, header: &mut Header) {
         header.scheduled_ns = self.scheduled(header.tick);
         if self.lockstep {
@@ -40,8 +42,8 @@ impl StampChecker {
         }
     }
 
-    /// The header of an answer to `observation`, by a writer that has been started at least `incarnation` times anew; in
-    /// real time, when it was published is taken as `logged`.
+    /// Sets the header of an answer to `observation`, by a writer of at least this `incarnation`. In real
+    /// time, the timestamp of publication is taken from `logged`.
     pub fn stamp_answer(
         &self,
         header: &mut Header,
@@ -58,7 +60,7 @@ impl StampChecker {
         header.incarnation = logged.incarnation.max(incarnation);
     }
 
-    /// Nothing is sensed before its time, nor published before it was sensed.
+    /// Checks that nothing is sensed before its scheduled time, or published before it was sensed.
     pub fn check_order(&self, header: &Header, channel: &'static str) -> Result<(), Box<Difference>> {
         let (scheduled, sensed, published) = (header.scheduled_ns, header.sensed_ns, header.published_ns);
         let at_least = |field: &str, logged: u64, bound: u64| {

@@ -1,42 +1,39 @@
-//! The paper's outlook (section 5): joints of limited course, relative angles, self-collision as a penalty, a reward near the
-//! target alone, L1 exploration, the reward of Todorov and Jordan; and whether the movements have the isochrony and the
-//! bell-shaped speed of human gestures.
+//! The paper's outlook (section 5): joints of limited range, relative angles, self-collision as a penalty, a
+//! reward near the target alone, L1 exploration, and the reward of Todorov and Jordan. Also measured: whether
+//! the movements have the isochrony and the bell-shaped speed profile of human gestures.
 //!
-//! Each is a built-in scenario. For comparison stands the paper's arm under the same actor-critic, counting crossings that
-//! cost nothing. Learning is measured in the last twentieth of each run, with its exploration noise; movements on a fixed
-//! set of targets without it, by the measures of [`analyse`](crate::study::analyse).
+//! Each variant is a built-in scenario. The paper's arm with the same actor-critic is the comparison; it
+//! counts segments that cross, at no cost. Learning is measured in the last twentieth of each run, with
+//! exploration noise. Movements are measured without noise on a fixed set of targets, by the measures of
+//! [`analyse`](crate::study::analyse).
 
-use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::{ReproduceSettings, StudyError, write_lines};
-use crate::clock::{facts, monotonic_ns};
-use crate::plant::{Arm, Plant, noise_share};
-use crate::report::{columns, figures, thousands};
-use crate::runtime::{Controller, in_process_seen};
-use crate::scenario::{ArmConfig, Plan, Scenario};
+use super::ReproduceSettings;
+use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
+use crate::plant::{Arm, noise_share};
+use crate::policy::LinearPolicy;
+use crate::report::{columns, thousands};
+use crate::scenario::{ArmConfig, Plan};
 use crate::study::analyse::movement::{Definitions, Measures, RecordedMovement, measure};
 use crate::study::analyse::{Fit, Quartiles};
 use crate::study::compare::name_of;
-use crate::study::{JobProgress, Spread};
-use crate::wire::{MAX_INPUTS, MAX_OUTPUTS, Observation, flag};
+use crate::study::noiseless::{MeanPolicy, Rollout};
+use crate::study::reference::{TARGETS, TEST_SEED};
+use crate::study::text::{cells, csv_cell, push_divergences, push_files, spread_in_words, write_lines};
+use crate::study::{JobProgress, Spread, StudyError};
+use crate::wire::{Observation, flag};
 
-/// Targets of the test, and the seed that they are drawn with: neither one to tune on nor one to report on.
-const TARGETS: u64 = 40;
-const TEST_SEED: u64 = 2010;
-/// Part of a run that counts as its end.
-const SHARE: u64 = 20;
-/// An error at which a target counts as reached, m.
+/// One part in this many of a run counts as its end.
+const END_SHARE: u64 = 20;
+/// A target counts as reached with an error below this, m.
 const REACHED: f64 = 0.1;
-/// A weight of crossings that counts them and costs nothing.
+/// A weight of crossings so small that they are counted at no cost.
 const COUNTED: f64 = 1e-9;
-/// Ticks between two reports of progress; a power of two that the slowest learner passes within seconds.
-const REPORT: u64 = 256;
 
-/// A row: its name, its scenario, and what is changed in it.
+/// A row: its name, its scenario, and the change of the scenario's arm.
 type Variant = (&'static str, &'static str, fn(&mut ArmConfig));
 
 const VARIANTS: [Variant; 8] = [
@@ -50,64 +47,59 @@ const VARIANTS: [Variant; 8] = [
     ("Todorov and Jordan", "todorov", |_| {}),
 ];
 
-/// What one variant gave.
+/// The results of one variant.
 #[derive(Debug, Clone, Serialize)]
-pub struct OutlookRow {
-    /// What is special.
-    pub name: &'static str,
+struct OutlookRow {
+    /// Name of the variant.
+    name: &'static str,
     /// The scenario.
-    pub scenario: &'static str,
+    scenario: &'static str,
     /// Its learning rule.
-    pub rule: String,
+    rule: String,
     /// Ticks of each run.
-    pub ticks: u64,
-    /// Loss a tick without what exploration noise alone costs; rewards differ, so that losses of different rows do not compare.
-    pub loss_without_noise: Spread,
+    ticks: u64,
+    /// Loss per tick without the cost of exploration noise alone. Rewards differ between rows, so losses do
+    /// not compare.
+    loss_without_noise: Spread,
     /// Mean error at the end of a target, m.
-    pub end_error_m: Option<Spread>,
+    end_error_m: Option<Spread>,
     /// Share of the targets that ended with an error below 0.1 m.
-    pub reached: Option<Spread>,
-    /// Share of the ticks in which segments crossed; null where nobody counted.
-    pub crossed: Option<Spread>,
-    /// Share of the joints that stood at a stop; null where there are none.
-    pub stopped: Option<Spread>,
+    reached: Option<Spread>,
+    /// Share of the ticks in which segments crossed; null where crossings are not counted.
+    crossed: Option<Spread>,
+    /// Share of the joints that stood at a stop; null where there are no stops.
+    stopped: Option<Spread>,
     /// Mean error at the end of the test's targets without noise, m.
-    pub test_error_m: Option<Spread>,
-    /// Peak speed over mean speed of a movement; minimum jerk has 1.66 (see the definitions of `analyse`).
-    pub peak_to_mean: Option<Spread>,
-    /// Where in the movement the peak of the speed lies, from 0 to 1.
-    pub peak_position: Option<Spread>,
-    /// Path over straight line.
-    pub straightness: Option<Spread>,
-    /// Rise of a movement's duration with the distance to its target, s/m: 0 is perfect isochrony.
-    pub duration_slope_s_m: Option<Spread>,
-    /// Rise of its peak speed with the distance, 1/s.
-    pub speed_slope_per_s: Option<Spread>,
-    /// The tick at which the learner stopped for a number that was none, one a seed; null where it did not.
-    pub diverged: Vec<Option<u64>>,
+    test_error_m: Option<Spread>,
+    /// Peak speed over mean speed of a movement; 1.66 for minimum jerk (see the definitions of `analyse`).
+    peak_to_mean: Option<Spread>,
+    /// Position of the speed's peak in the movement, from 0 to 1.
+    peak_position: Option<Spread>,
+    /// Length of the path over that of the straight line.
+    straightness: Option<Spread>,
+    /// Rise of a movement's duration with the distance to its target, s/m; 0 is perfect isochrony.
+    duration_slope_s_m: Option<Spread>,
+    /// Rise of a movement's peak speed with the distance to its target, 1/s.
+    speed_slope_per_s: Option<Spread>,
+    /// The tick at which the learner stopped because a number was not finite, one per seed; null where it did
+    /// not stop.
+    diverged: Vec<Option<u64>>,
 }
 
-/// What came out.
+/// The result of [`outlook`].
 #[derive(Debug, Clone, Serialize)]
 pub struct OutlookResult {
-    /// The seeds.
-    pub seeds: Vec<u64>,
-    /// The same in words.
-    #[serde(skip)]
-    runs: String,
-    /// The rows.
-    pub rows: Vec<OutlookRow>,
-    /// Seconds that all runs took together.
-    pub seconds: f64,
-    /// The machine.
-    pub machine: BTreeMap<String, String>,
-    /// The folder with the table.
-    pub folder: PathBuf,
+    /// The seeds, in the order of all lists.
+    seeds: Vec<u64>,
+    /// One row per variant.
+    rows: Vec<OutlookRow>,
+    #[serde(flatten)]
+    facts: ExperimentFacts,
     /// The table, seed by seed.
-    pub csv: PathBuf,
+    csv: PathBuf,
 }
 
-/// What one seed gave; the names are those of the row.
+/// The run of one seed. The names are those of the row.
 struct OutlookRun {
     loss: f64,
     end_error: Option<f64>,
@@ -115,10 +107,10 @@ struct OutlookRun {
     crossed: Option<f64>,
     stopped: Option<f64>,
     test: Vec<Measures>,
-    diverged: Option<u64>,
+    end: LearnerEnd,
 }
 
-/// A value of a run, by its name in the CSV.
+/// A value of a run, with its name in the CSV.
 type OutlookValue = (&'static str, fn(&OutlookRun) -> Option<f64>);
 
 const VALUES: [OutlookValue; 11] = [
@@ -152,46 +144,24 @@ fn slope(run: &OutlookRun, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
 /// Runs the scenarios of the outlook.
 ///
 /// # Errors
-/// When the folder cannot be used, a file not be written, or a signal came.
+/// When the folder or a file cannot be written, or a signal ended the study.
 pub fn outlook(settings: &ReproduceSettings) -> Result<OutlookResult, StudyError> {
     let mut plans = Vec::new();
     for (_, name, change) in VARIANTS {
-        for seed in settings.seeds() {
-            let mut scenario = Scenario::built_in(name)?;
-            scenario.seed = seed;
-            scenario.ticks = settings.ticks.unwrap_or(scenario.ticks);
+        plans.extend(settings.plans(name, |scenario| {
             scenario.plant.arm.as_mut().map(change);
-            plans.push(scenario.plan()?);
-        }
+        })?);
     }
-    let pool = settings.pool()?;
-    let folder = settings.folder("reproduce-outlook")?;
-    let began = monotonic_ns();
-    let total = plans.iter().map(|p| p.scenario.ticks).sum();
-    let runs = pool.work("outlook", total, &plans, run).map_err(StudyError::Signal)?;
-    let seconds = (monotonic_ns() - began) as f64 / 1e9;
-    folder.keep();
-
-    let per_row = settings.seeds as usize;
-    let rows = VARIANTS.iter().zip(plans.chunks(per_row).zip(runs.chunks(per_row)));
+    let experiment = settings.run("outlook", plans, run_variant)?;
+    let rows = VARIANTS.iter().zip(experiment.variants());
     let result = OutlookResult {
         seeds: settings.seeds(),
-        runs: settings.in_words(),
-        rows: rows.filter_map(|(variant, (plans, runs))| row(variant, &plans[0], runs)).collect(),
-        seconds,
-        machine: facts(),
-        folder: folder.path().to_owned(),
-        csv: folder.path().join("outlook.csv"),
+        rows: rows.filter_map(|(variant, (plan, runs))| row(variant, plan, runs)).collect(),
+        csv: experiment.facts.path("outlook.csv"),
+        facts: experiment.facts.clone(),
     };
-    let mut lines = vec![format!("name,scenario,seed,{}", VALUES.map(|v| v.0).join(","))];
-    for ((name, scenario, _), runs) in VARIANTS.iter().zip(runs.chunks(per_row)) {
-        for (run, seed) in runs.iter().zip(&result.seeds) {
-            lines.push(format!("{name},{scenario},{seed},{}", VALUES.map(|v| super::cell(v.1(run))).join(",")));
-        }
-    }
-    write_lines(&result.csv, lines)?;
-    let json = folder.path().join("result.json");
-    std::fs::write(&json, result.to_json()).map_err(StudyError::write(&json))?;
+    write_table(&result, &experiment)?;
+    result.facts.write_json(&result.to_json())?;
     Ok(result)
 }
 
@@ -213,8 +183,18 @@ fn row((name, scenario, _): &Variant, plan: &Plan, runs: &[OutlookRun]) -> Optio
         straightness: spread(8),
         duration_slope_s_m: spread(9),
         speed_slope_per_s: spread(10),
-        diverged: runs.iter().map(|r| r.diverged).collect(),
+        diverged: runs.iter().map(|r| r.end.diverged_at).collect(),
     })
+}
+
+fn write_table(result: &OutlookResult, experiment: &Experiment<OutlookRun>) -> Result<(), StudyError> {
+    let mut lines = vec![format!("name,scenario,seed,{}", VALUES.map(|v| v.0).join(","))];
+    for ((name, scenario, _), (_, runs)) in VARIANTS.iter().zip(experiment.variants()) {
+        for (run, seed) in runs.iter().zip(&result.seeds) {
+            lines.push(format!("{name},{scenario},{seed},{}", VALUES.map(|v| csv_cell(v.1(run))).join(",")));
+        }
+    }
+    write_lines(&result.csv, &lines)
 }
 
 /// Sums over the end of a run.
@@ -230,9 +210,9 @@ struct OutlookSums {
 }
 
 impl OutlookSums {
-    fn see(&mut self, table: &ArmConfig, plan: &Plan, observation: &Observation) {
+    fn add(&mut self, config: &ArmConfig, plan: &Plan, observation: &Observation) {
         self.ticks += 1.0;
-        let noise = noise_share(table, plan.scenario.policy.sigma, observation.header.tick);
+        let noise = noise_share(config, plan.scenario.policy.sigma, observation.header.tick);
         self.loss -= f64::from(observation.reward) + noise;
         if observation.header.flags & flag::NEW_TARGET != 0 {
             let error = f64::from(observation.measures[0]);
@@ -240,30 +220,28 @@ impl OutlookSums {
             self.end_error += error;
             self.reached += f64::from(error < REACHED);
         }
-        // The measure is there where crossings count.
+        // The fourth measure exists where crossings are counted.
         self.crossed += f64::from(plan.measures.len() > 3 && observation.measures[3] > 0.0);
-        for (&theta, limits) in observation.inputs[2..].iter().zip(&table.limits) {
+        for (&theta, limits) in observation.inputs[2..].iter().zip(&config.limits) {
             let stopped = limits.iter().any(|&limit| theta == limit as f32);
-            self.stopped += f64::from(stopped) / table.limits.len() as f64;
+            self.stopped += f64::from(stopped) / config.limits.len() as f64;
         }
     }
 }
 
-fn run(plan: &Plan, ticks: &JobProgress) -> OutlookRun {
-    let table = plan.scenario.plant.arm.clone().unwrap_or_default();
-    let Some(body) = plan.simulated_plant() else { unreachable!("the built-in arms are the simulator's") };
+fn run_variant(plan: &Plan, progress: &JobProgress) -> OutlookRun {
+    let config = plan.scenario.plant.arm.clone().unwrap_or_default();
     let length = plan.scenario.ticks;
     let mut sums = OutlookSums::default();
-    let mut movements = Vec::new();
-    let result = in_process_seen(plan, body, |observation, controller| {
+    let mut test = Vec::new();
+    let end = run(plan, progress, |observation, controller| {
         let tick = observation.header.tick;
-        if tick > 0 && tick >= length - length / SHARE {
-            sums.see(&table, plan, observation);
+        if tick > 0 && tick >= length - length / END_SHARE {
+            sums.add(&config, plan, observation);
         }
         if tick + 1 == length {
-            movements = test(plan, controller);
+            test = noiseless_movements(plan, controller.policy());
         }
-        !tick.is_multiple_of(REPORT) || ticks.report(REPORT)
     });
     let share = |sum: f64, of: f64| (of > 0.0).then_some(sum / of);
     OutlookRun {
@@ -271,106 +249,89 @@ fn run(plan: &Plan, ticks: &JobProgress) -> OutlookRun {
         end_error: share(sums.end_error, sums.ends),
         reached: share(sums.reached, sums.ends),
         crossed: share(sums.crossed, sums.ticks).filter(|_| plan.measures.len() > 3),
-        stopped: share(sums.stopped, sums.ticks).filter(|_| !table.limits.is_empty()),
-        test: movements,
-        diverged: result.controller.diverged_at,
+        stopped: share(sums.stopped, sums.ticks).filter(|_| !config.limits.is_empty()),
+        test,
+        end,
     }
 }
 
-/// The movements that the policy makes without noise.
-fn test(plan: &Plan, controller: &Controller) -> Vec<Measures> {
+/// The measures of the policy's movements to the test's targets, without exploration noise.
+fn noiseless_movements(plan: &Plan, policy: &LinearPolicy) -> Vec<Measures> {
     let period_s = plan.period_ns as f64 / 1e9;
-    let table = plan.scenario.plant.arm.as_ref().map(|arm| arm.at(plan.scenario.ticks)).unwrap_or_default();
-    let mut arm = Arm::new(&table, period_s, TEST_SEED);
-    let mut encoder = plan.encoder();
-    let mut features = encoder.features();
-    let limits = plan.scenario.gate.max_command.outputs();
-    let mut inputs = [0.0; MAX_INPUTS];
+    let config = plan.scenario.plant.arm.as_ref().map(|arm| arm.at(plan.scenario.ticks)).unwrap_or_default();
+    let mut rollout = Rollout::new(Arm::new(&config, period_s, TEST_SEED), plan);
+    let mut mean = MeanPolicy::new(plan);
     let movement = |target: u64| {
-        let from = target * table.target_every;
-        arm.sense(from, &mut inputs);
-        let start = arm.end().map(f64::from);
-        let goal = arm.target().map(f64::from);
-        let mut track = RecordedMovement {
-            points: vec![start],
-            errors: Vec::new(),
-            distance: (start[0] - goal[0]).hypot(start[1] - goal[1]),
-        };
-        for tick in from..from + table.target_every {
-            arm.sense(tick, &mut inputs);
-            encoder.encode(&inputs[..plan.inputs.len()], &mut features);
-            let mut command = [0.0; MAX_OUTPUTS];
-            let mean = controller.policy().mean(features.as_slice());
-            for ((to, mean), limit) in command.iter_mut().zip(mean).zip(limits) {
-                *to = mean.clamp(-limit, limit);
+        let from = target * config.target_every;
+        rollout.sense(from);
+        let start = rollout.plant().end().map(f64::from);
+        let goal = rollout.plant().target().map(f64::from);
+        let distance = (start[0] - goal[0]).hypot(start[1] - goal[1]);
+        let mut movement = RecordedMovement { points: vec![start], errors: Vec::new(), distance };
+        for tick in from..from + config.target_every {
+            if tick > from {
+                rollout.sense(tick);
             }
-            let outcome = arm.advance(tick, &command[..plan.outputs.len()]);
-            track.points.push(arm.end().map(f64::from));
-            track.errors.push(f64::from(outcome.measures[0]));
+            let outcome = rollout.advance(tick, |inputs| mean.command(policy, inputs));
+            movement.points.push(rollout.plant().end().map(f64::from));
+            movement.errors.push(f64::from(outcome.measures[0]));
         }
-        measure(&track, period_s, &Definitions::default())
+        measure(&movement, period_s, &Definitions::default())
     };
-    (0..TARGETS).map(movement).collect()
+    (0..TARGETS as u64).map(movement).collect()
 }
 
 impl OutlookResult {
-    /// One JSON object.
+    /// The result as one JSON object.
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// The tables for people: what was learned, and how it moves.
+    /// The result for people: a table of what was learned, and a table of the movements.
     pub fn to_text(&self) -> String {
-        let mut text = format!("outlook, {}: {:.1} s\n\n", self.runs, self.seconds);
-        let short = |s: Option<Spread>| match s {
-            Some(s) => {
-                let [median, min, max] = [s.median, s.min, s.max].map(|x| figures(Some(x)));
-                format!("{median} ({min} to {max})")
-            }
-            None => "-".to_owned(),
-        };
-        let head = ["", "learner", "ticks", "end error (m)", "targets reached", "ticks crossed", "joints at a stop"];
-        let mut rows = vec![head.map(str::to_owned).to_vec()];
-        for row in &self.rows {
-            rows.push(vec![
-                row.name.to_owned(),
-                row.rule.clone(),
-                thousands(row.ticks),
-                short(row.end_error_m),
-                short(row.reached),
-                short(row.crossed),
-                short(row.stopped),
-            ]);
-        }
-        text.push_str(&columns(&rows));
+        let mut text = format!("outlook, {}: {:.1} s\n\n", seeds_in_words(&self.seeds), self.facts.seconds);
+        text.push_str(&columns(&self.learning_table()));
         text.push_str("\nwithout exploration noise, 40 targets:\n\n");
-        let head =
-            ["", "end error (m)", "peak/mean speed", "peak at", "path/line", "duration (s/m)", "peak speed (1/s)"];
-        let mut rows = vec![head.map(str::to_owned).to_vec()];
-        for row in &self.rows {
-            rows.push(vec![
-                row.name.to_owned(),
-                short(row.test_error_m),
-                short(row.peak_to_mean),
-                short(row.peak_position),
-                short(row.straightness),
-                short(row.duration_slope_s_m),
-                short(row.speed_slope_per_s),
-            ]);
-        }
-        text.push_str(&columns(&rows));
+        text.push_str(&columns(&self.movement_table()));
         text.push_str(
-            "\nmedian over seeds (least to largest); reached: error below 0.1 m; the last two columns are slopes against the\n\
-             distance: isochrony is 0 for duration. A movement of minimum jerk has peak/mean 1.66, its peak at 0.5, path/line 1.\n",
+            "\nmedian over seeds (least to largest); reached: error below 0.1 m; \
+             the last two columns are slopes against the\n\
+             distance: isochrony is 0 for duration. \
+             A movement of minimum jerk has peak/mean 1.66, its peak at 0.5, path/line 1.\n",
         );
         for row in &self.rows {
-            for (seed, tick) in self.seeds.iter().zip(&row.diverged) {
-                if let Some(tick) = tick {
-                    let _ = writeln!(text, "{}, seed {seed} diverged at tick {}", row.name, thousands(*tick));
-                }
-            }
+            push_divergences(&mut text, &format!("{}, ", row.name), "tick", &self.seeds, &row.diverged);
         }
-        let _ = writeln!(text, "table   {}", self.csv.display());
+        push_files(&mut text, None, std::slice::from_ref(&self.csv));
         text
+    }
+
+    fn learning_table(&self) -> Vec<Vec<String>> {
+        let head = ["", "learner", "ticks", "end error (m)", "targets reached", "ticks crossed", "joints at a stop"];
+        let mut rows = vec![cells(head)];
+        for row in &self.rows {
+            let mut line = vec![row.name.to_owned(), row.rule.clone(), thousands(row.ticks)];
+            line.extend([row.end_error_m, row.reached, row.crossed, row.stopped].map(spread_in_words));
+            rows.push(line);
+        }
+        rows
+    }
+
+    fn movement_table(&self) -> Vec<Vec<String>> {
+        let head =
+            ["", "end error (m)", "peak/mean speed", "peak at", "path/line", "duration (s/m)", "peak speed (1/s)"];
+        let mut rows = vec![cells(head)];
+        for row in &self.rows {
+            let values = [
+                row.test_error_m,
+                row.peak_to_mean,
+                row.peak_position,
+                row.straightness,
+                row.duration_slope_s_m,
+                row.speed_slope_per_s,
+            ];
+            rows.push(std::iter::once(row.name.to_owned()).chain(values.map(spread_in_words)).collect());
+        }
+        rows
     }
 }

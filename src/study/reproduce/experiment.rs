@@ -1,0 +1,135 @@
+//! What all experiments share: plans over seeds, runs on all cores, the folder with the results, and the
+//! facts of the study.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::ReproduceSettings;
+use crate::clock::{facts, monotonic_ns};
+use crate::runtime::{Controller, in_process_seen};
+use crate::scenario::{Plan, Scenario};
+use crate::study::error::write_file;
+use crate::study::{JobProgress, StudyError, WorkerPool};
+use crate::supervise::RunFolder;
+use crate::wire::Observation;
+
+/// Ticks between two reports of progress; a power of two that the slowest learner passes within seconds.
+const REPORT: u64 = 256;
+
+impl ReproduceSettings {
+    /// The seeds, in the order of all lists of a result.
+    pub(super) fn seeds(&self) -> Vec<u64> {
+        (self.first_seed..self.first_seed.saturating_add(self.seeds)).collect()
+    }
+
+    /// One plan per seed of the built-in scenario `name`, changed by `change`. The plans have the scenario's
+    /// ticks or those of the settings.
+    pub(super) fn plans(&self, name: &str, change: impl Fn(&mut Scenario)) -> Result<Vec<Plan>, StudyError> {
+        let plan = |seed| {
+            let mut scenario = Scenario::built_in(name)?;
+            scenario.seed = seed;
+            change(&mut scenario);
+            scenario.ticks = self.ticks.unwrap_or(scenario.ticks);
+            Ok(scenario.plan()?)
+        };
+        self.seeds().into_iter().map(plan).collect()
+    }
+
+    /// Runs `work` for all `plans` and gives the results in their order. `name` is the experiment's name.
+    ///
+    /// The folder is made before the first run, so that a place that cannot be written is reported at once.
+    pub(super) fn run<T: Send>(
+        &self,
+        name: &str,
+        plans: Vec<Plan>,
+        work: impl Fn(&Plan, &JobProgress) -> T + Sync,
+    ) -> Result<Experiment<T>, StudyError> {
+        let pool = WorkerPool::new(self.progress)?;
+        let folder = RunFolder::create(self.out.as_deref(), None, &format!("reproduce-{}", name.replace(' ', "-")))?;
+        let began = monotonic_ns();
+        let ticks = plans.iter().map(|plan| plan.scenario.ticks).sum();
+        let runs = pool.run(name, ticks, &plans, work)?;
+        let seconds = (monotonic_ns() - began) as f64 / 1e9;
+        folder.keep();
+        let facts = ExperimentFacts { seconds, machine: facts(), folder: folder.path().to_owned() };
+        Ok(Experiment { plans, runs, per_variant: self.seeds as usize, facts })
+    }
+}
+
+/// The runs of an experiment. Its variants follow each other; each variant has one run per seed.
+pub(super) struct Experiment<T> {
+    pub plans: Vec<Plan>,
+    pub runs: Vec<T>,
+    per_variant: usize,
+    pub facts: ExperimentFacts,
+}
+
+impl<T> Experiment<T> {
+    /// For each variant, the plan of its first run, and its runs in the order of the seeds.
+    pub fn variants(&self) -> impl Iterator<Item = (&Plan, &[T])> {
+        let plans = self.plans.chunks(self.per_variant).map(|plans| &plans[0]);
+        plans.zip(self.runs.chunks(self.per_variant))
+    }
+}
+
+/// How long an experiment took, and where; the last keys of every result.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct ExperimentFacts {
+    /// Seconds that all runs took together.
+    pub seconds: f64,
+    /// The machine.
+    pub machine: BTreeMap<String, String>,
+    /// The folder with the files.
+    pub folder: PathBuf,
+}
+
+impl ExperimentFacts {
+    /// The path of a file in the folder.
+    pub fn path(&self, file: &str) -> PathBuf {
+        self.folder.join(file)
+    }
+
+    /// Writes the result as JSON into the folder.
+    pub fn write_json(&self, json: &str) -> Result<(), StudyError> {
+        write_file(&self.path("result.json"), json)
+    }
+}
+
+/// How the learner of one run ended.
+pub(super) struct LearnerEnd {
+    /// XXH3-64 of the final weights, hexadecimal.
+    pub weights_hash: String,
+    /// The tick at which the weights were no longer numbers; `None` if they are.
+    pub diverged_at: Option<u64>,
+}
+
+impl LearnerEnd {
+    /// The hashes and the ticks of divergence of several runs.
+    pub fn lists<'a>(ends: impl Iterator<Item = &'a Self> + Clone) -> (Vec<String>, Vec<Option<u64>>) {
+        (ends.clone().map(|end| end.weights_hash.clone()).collect(), ends.map(|end| end.diverged_at).collect())
+    }
+}
+
+/// Runs `plan` in one process. `observe` gets every observation before the controller answers it.
+pub(super) fn run(
+    plan: &Plan,
+    progress: &JobProgress,
+    mut observe: impl FnMut(&Observation, &Controller),
+) -> LearnerEnd {
+    let Some(body) = plan.simulated_plant() else { unreachable!("the built-in scenarios use simulated plants") };
+    let result = in_process_seen(plan, body, |observation, controller| {
+        observe(observation, controller);
+        !observation.header.tick.is_multiple_of(REPORT) || progress.report(REPORT)
+    });
+    LearnerEnd { weights_hash: result.controller.weights_hash, diverged_at: result.controller.diverged_at }
+}
+
+/// `5 seeds from 1`, or `seed 1`.
+pub(super) fn seeds_in_words(seeds: &[u64]) -> String {
+    match seeds {
+        [seed] => format!("seed {seed}"),
+        seeds => format!("{} seeds from {}", seeds.len(), seeds.first().unwrap_or(&0)),
+    }
+}
