@@ -338,7 +338,7 @@ mod tests {
         assert!((1_800..2_200).contains(&first.len()), "{}", first.len());
         assert!(drops(&tenth, 1) == first);
         assert!(drops(&tenth, 2) != first);
-        // A fault behind it in the list changes nothing. A fault before it changes its index.
+        // A later fault in the list changes nothing. An earlier fault changes its index.
         let late = fault("duplicate", "probability = 0.5");
         assert!(drops(&(tenth.clone() + &late), 1) == first);
         assert!(drops(&(late + &tenth), 1) != first);

@@ -83,7 +83,7 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
     Ok(report)
 }
 
-/// What the log already contains: the segments of earlier incarnations, behind the point at which the run
+/// What the log already contains: the segments of earlier incarnations, from the point at which the run
 /// resumes.
 fn recover(session: &Session) -> LogRecovery {
     let participant = &session.participant;

@@ -2,7 +2,7 @@
 //! statement of the missing ones.
 //!
 //! It knows no channels and no clock: the logger's loop passes in the samples that it receives. A restarted
-//! logger continues behind the existing log ([`LogRecovery`]). When the log can no longer be written (its disk
+//! logger continues after the existing log ([`LogRecovery`]). When the log can no longer be written (its disk
 //! is full), the merger still consumes samples, so that no process waits for the logger.
 
 use crate::log::{LatencyHistograms, LogError, LogRecord, LogRecovery, LogTotals, LogWriter};
@@ -34,7 +34,7 @@ pub(super) struct MergeInput {
 }
 
 impl MergeInput {
-    /// The input of channel `i` behind the existing log.
+    /// The input of channel `i`, which continues after the existing log.
     fn after(recovered: &LogRecovery, i: usize) -> Self {
         Self {
             channel: i as u64,
@@ -82,7 +82,7 @@ impl MergeInput {
         self.missing_since = Some(waiting.unwrap_or(self.expected));
     }
 
-    /// The run is over, and `sent` samples were sent. Returns the gap behind the last written sample.
+    /// The run is over, and `sent` samples were sent. Returns the gap after the last written sample.
     fn end(&mut self, sent: u64) -> Option<Gap> {
         let end = self.expected.max(sent);
         if let Some(first) = self.missing_since.take() {
@@ -147,7 +147,7 @@ pub(super) struct MergeOutcome {
 }
 
 impl LogMerger {
-    /// Continues behind `recovered`, into `log`. When `log` is an error, all samples from now on are missing.
+    /// Continues after `recovered`, into `log`. When `log` is an error, all samples from now on are missing.
     pub fn new(log: Result<LogWriter, LogError>, recovered: &LogRecovery, every: u64, real: bool) -> Self {
         let mut merger = Self {
             inputs: [0, 1, 2].map(|i| MergeInput::after(recovered, i)),

@@ -103,6 +103,7 @@ struct PlantLoop<P> {
     real: bool,
     /// The run's number of ticks.
     ticks: u64,
+    /// Ticks between checkpoints; 0 for none.
     checkpoint_every: u64,
     /// The next tick to begin.
     tick: u64,
