@@ -7,6 +7,7 @@ use super::{Launch, LaunchError};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::plant::SimulatedPlant;
 use crate::runtime::in_process;
+use crate::scenario::Plan;
 
 /// Runs a scenario with plant and controller in this process. The numbers are those of lockstep; there is no log.
 ///
@@ -15,8 +16,7 @@ use crate::runtime::in_process;
 pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let plan = &launch.plan;
-    let plant =
-        SimulatedPlant::of(plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+    let plant = simulated_plant(plan)?;
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.write_scenario(plan)?;
     folder.keep();
@@ -33,4 +33,12 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
         number => RunOutcome::Signal(number),
     };
     Ok(RunSummary::of_study(launch, folder.path(), ended, result, seconds))
+}
+
+/// The simulated plant of a scenario.
+///
+/// # Errors
+/// [`LaunchError::NotSimulated`] when the plant is a program of its own.
+pub(crate) fn simulated_plant(plan: &Plan) -> Result<SimulatedPlant, LaunchError> {
+    SimulatedPlant::of(plan).ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))
 }
