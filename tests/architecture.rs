@@ -102,7 +102,8 @@ fn arrows(rooms: &BTreeSet<String>) -> BTreeMap<String, BTreeSet<String>> {
         if matches!(room.as_str(), "lib" | "build") || tests {
             continue;
         }
-        let uses = used(&code(&file)).into_iter().filter(|name| *name != room && rooms.contains(name));
+        let mut uses = used(&code(&file));
+        uses.retain(|name| *name != room && rooms.contains(name));
         arrows.entry(room).or_default().extend(uses);
     }
     arrows

@@ -46,8 +46,8 @@ enum Command {
 #[command(after_help = "\
 A real run of the paper's scenario (plant, controller, logger) takes turns with the same payload over bare
 iceoryx2 (event, and polling with a yield), a Unix-domain socket, a pipe, and shared memory with a futex,
-each between two processes. All series count from the scheduled instant, and include the
-ticks that a stall skipped.
+each between two processes. All series count from the scheduled instant, and include the ticks that a
+stall skipped.
 
 Examples:
   tectum bench latency                              ticks of 50 ms, ten seconds of each transport

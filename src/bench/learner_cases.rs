@@ -15,7 +15,7 @@ use crate::runtime::{Controller, PlantSide};
 use crate::scenario::{LearnerConfig, Plan, Rule, Scenario};
 use crate::simd::SimdPath;
 use crate::study::compare::{LEARNERS, name_of};
-use crate::supervise::LaunchError;
+use crate::supervise::simulated_plant;
 use crate::wire::{Command, Learning, Observation};
 
 /// The exploration noise of every tick.
@@ -100,8 +100,7 @@ impl ControlLoop {
     /// # Errors
     /// When the plant of `plan` is not simulated.
     pub fn new(plan: &Plan, path: SimdPath) -> Result<Self, BenchError> {
-        let plant =
-            plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+        let plant = simulated_plant(plan)?;
         let mut control_loop = Self {
             plant: PlantSide::new(plant, plan),
             controller: Controller::new(plan).on(path),

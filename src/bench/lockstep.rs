@@ -18,7 +18,7 @@ use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::report::thousands;
 use crate::runtime::{Mode, in_process};
 use crate::study::Spread;
-use crate::supervise::LaunchError;
+use crate::supervise::simulated_plant;
 
 /// The thinned log has one tick in this many, as in the paper's scenario.
 const THINNED: u64 = 100;
@@ -139,7 +139,7 @@ fn measure_block(case: usize, ticks: u64, context: &BenchContext, into: &mut Cas
 /// Ticks per second of plant and controller in this process.
 fn one_process(block: &RunBlock, signals: &TerminationSignals) -> Result<f64, BenchError> {
     let plan = run_block::plan(block)?;
-    let plant = plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+    let plant = simulated_plant(&plan)?;
     let began = monotonic_ns();
     let _ = in_process(&plan, plant, |_, _| signals.received() == 0);
     let ns = monotonic_ns() - began;

@@ -5,7 +5,9 @@ use super::progress::RunProgress;
 use super::summary::{RunOutcome, RunSummary};
 use super::{Launch, LaunchError};
 use crate::clock::{TerminationSignals, monotonic_ns};
+use crate::plant::SimulatedPlant;
 use crate::runtime::in_process;
+use crate::scenario::Plan;
 
 /// Runs a scenario with plant and controller in this process. The numbers are those of lockstep; there is no log.
 ///
@@ -14,7 +16,7 @@ use crate::runtime::in_process;
 pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let plan = &launch.plan;
-    let plant = plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))?;
+    let plant = simulated_plant(plan)?;
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.write_scenario(plan)?;
     folder.keep();
@@ -31,4 +33,12 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
         number => RunOutcome::Signal(number),
     };
     Ok(RunSummary::of_study(launch, folder.path(), ended, result, seconds))
+}
+
+/// The simulated plant of a scenario.
+///
+/// # Errors
+/// [`LaunchError::NotSimulated`] when the plant is a program of its own.
+pub(crate) fn simulated_plant(plan: &Plan) -> Result<SimulatedPlant, LaunchError> {
+    plan.simulated_plant().ok_or_else(|| LaunchError::NotSimulated(plan.scenario.plant.program.clone()))
 }

@@ -23,6 +23,7 @@ pub use error::LaunchError;
 pub(crate) use folder::RunFolder;
 pub(crate) use history::{body_changes, reach};
 pub use in_process::run_in_process;
+pub(crate) use in_process::simulated_plant;
 pub(crate) use progress::RunProgress;
 pub(crate) use progress_line::ProgressLine;
 pub use restarts::RestartIncident;

@@ -10,8 +10,6 @@
 //! the log. A command that was applied under them is accepted if it lies between zero and the command that
 //! the gate would have applied without them.
 
-use std::path::Path;
-
 use super::sample_diff::{Difference, compare};
 use super::stamps::StampChecker;
 use crate::plant::{JointState, Outcome, Plant, SimulatedPlant};
