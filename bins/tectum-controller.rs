@@ -6,5 +6,9 @@ use tectum::runtime::run_controller;
 use tectum::wire::Role;
 
 fn main() -> ExitCode {
-    tectum::process::main(Role::Controller, "Answers a plant's observations, and learns while it does", run_controller)
+    tectum::process::main(
+        Role::Controller,
+        "Answers a plant's observations with commands, and learns while it does",
+        run_controller,
+    )
 }

@@ -1,4 +1,4 @@
-//! The logger process: everything that the others send, in one MCAP file.
+//! The logger process: writes every sample of a run into one MCAP file.
 
 use std::process::ExitCode;
 
@@ -6,5 +6,5 @@ use tectum::runtime::run_logger;
 use tectum::wire::Role;
 
 fn main() -> ExitCode {
-    tectum::process::main(Role::Logger, "Writes everything that a run's processes send into its log", run_logger)
+    tectum::process::main(Role::Logger, "Writes every sample of a run into its log", run_logger)
 }

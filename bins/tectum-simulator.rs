@@ -1,4 +1,4 @@
-//! The simulator process: the scenario's arm or eye in the plant's place.
+//! The simulator process: the plant of a run, simulated as the scenario describes (arm or eye).
 
 use std::process::ExitCode;
 

@@ -15,7 +15,7 @@ use super::print;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  tectum log info runs/arm-1                what it is, whole or torn, what it holds and what it lacks
+  tectum log info runs/arm-1                its run, whether it is whole, what it holds and what is missing
   tectum log repair runs/arm-1              makes a torn log whole
   tectum log csv runs/arm-1 --out arm.csv   its observations as a table")]
 pub struct Arguments {
@@ -25,10 +25,10 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Work {
-    /// Say of which run a log is, whether it is whole, what it holds and what it lacks
+    /// Show a log's run, whether the log is whole, what it holds and what is missing from it
     #[command(after_help = "Example: tectum log info runs/arm-1 --json")]
     Info(Common),
-    /// Make a torn log whole, all its segments, so that every MCAP reader takes it; a whole one is left alone
+    /// Make a torn log whole, all its segments, so that every MCAP reader accepts it; a whole log stays as it is
     #[command(after_help = "\
 Examples:
   tectum log repair runs/arm-1                      the torn original is kept as log.mcap.torn
@@ -36,11 +36,11 @@ Examples:
     Repair {
         #[command(flatten)]
         common: Common,
-        /// Write the whole log there, and leave the torn one alone
+        /// Write the repaired log there, and leave the torn one as it is
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Export a channel as a table: a row a sample, columns by the scenario's names, with units
+    /// Export a channel as CSV: one row per sample, columns by the scenario's names, with units
     #[command(after_help = "\
 Examples:
   tectum log csv runs/arm-1                         observations, to standard output
@@ -74,7 +74,7 @@ enum ChannelArgument {
     Command,
     /// Noise, steps, norms and hashes
     Learning,
-    /// What the log lacks
+    /// Samples missing from the log
     Gap,
 }
 
@@ -90,16 +90,16 @@ impl ChannelArgument {
 }
 
 pub fn main(arguments: &Arguments) -> ExitCode {
-    let done = match &arguments.work {
+    let result = match &arguments.work {
         Work::Info(common) => find(&common.log)
             .and_then(|log| LogInfo::of(&log))
             .map(|info| print(&if common.json { info.to_json() + "\n" } else { info.to_text() })),
         Work::Repair { common, out } => find(&common.log)
-            .and_then(|log| mend(&log, out.as_deref()))
-            .map(|done| print(&if common.json { json(&done) + "\n" } else { text(&done) })),
+            .and_then(|log| repair_segments(&log, out.as_deref()))
+            .map(|repairs| print(&if common.json { json(&repairs) + "\n" } else { text(&repairs) })),
         Work::Csv { log, channel, out } => find(log).and_then(|log| export(&log, channel.channel(), out.as_deref())),
     };
-    match done {
+    match result {
         Ok(()) => ExitCode::from(exit::OK),
         Err(error) => {
             say(&format!("tectum: {error}"));
@@ -108,8 +108,8 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     }
 }
 
-/// Makes every segment whole that is torn. One after the other: what is done is done, whatever comes after.
-fn mend(segments: &[PathBuf], out: Option<&Path>) -> Result<Vec<Repair>, LogError> {
+/// Repairs every torn segment, one after the other. A failure leaves the segments before it repaired.
+fn repair_segments(segments: &[PathBuf], out: Option<&Path>) -> Result<Vec<Repair>, LogError> {
     if let (Some(out), true) = (out, segments.len() > 1) {
         let error = std::io::Error::other("the log has several segments, which would all go there; name one of them");
         return Err(LogError::Export { path: out.to_owned(), error });
@@ -117,24 +117,24 @@ fn mend(segments: &[PathBuf], out: Option<&Path>) -> Result<Vec<Repair>, LogErro
     segments.iter().map(|log| repair(log, out)).collect()
 }
 
-/// One object, or one a segment.
-fn json(done: &[Repair]) -> String {
-    match done {
+/// One object for a log of one segment; otherwise a list with one object per segment.
+fn json(repairs: &[Repair]) -> String {
+    match repairs {
         [one] => one.to_json(),
         several => format!("[{}]", several.iter().map(Repair::to_json).collect::<Vec<_>>().join(",\n")),
     }
 }
 
-fn text(done: &[Repair]) -> String {
-    done.iter().map(Repair::to_text).collect()
+fn text(repairs: &[Repair]) -> String {
+    repairs.iter().map(Repair::to_text).collect()
 }
 
 fn export(segments: &[PathBuf], channel: CsvChannel, out: Option<&Path>) -> Result<(), LogError> {
     let mut log = RunLog::open(segments)?;
     let target = out.unwrap_or(Path::new("standard output"));
     let failed = |error| LogError::Export { path: target.to_owned(), error };
-    // Opened for writing, a file is empty.
-    if out.is_some_and(|out| segments.iter().any(|log| same(out, log))) {
+    // Opening the log for writing would empty it.
+    if out.is_some_and(|out| segments.iter().any(|log| is_same_file(out, log))) {
         return Err(failed(std::io::Error::other("it is the log itself")));
     }
     let mut sink: Box<dyn Write> = match out {
@@ -142,7 +142,7 @@ fn export(segments: &[PathBuf], channel: CsvChannel, out: Option<&Path>) -> Resu
         None => Box::new(std::io::stdout().lock()),
     };
     match csv(&mut log, channel, &mut BufWriter::new(&mut sink)) {
-        // Whoever reads has seen enough.
+        // The reader of standard output has closed it: nothing more is wanted.
         Err(error) if out.is_none() && error.kind() == ErrorKind::BrokenPipe => return Ok(()),
         done => drop(done.map_err(failed)??),
     }
@@ -153,6 +153,6 @@ fn export(segments: &[PathBuf], channel: CsvChannel, out: Option<&Path>) -> Resu
 }
 
 /// Whether both paths lead to the same file.
-fn same(a: &Path, b: &Path) -> bool {
+fn is_same_file(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
