@@ -152,7 +152,7 @@ TECTUM_ASSERT(offsetof(tectum_control, incarnations) == 16);
 
 /* A process's board: how far it is. */
 typedef struct tectum_status {
-    /* A `State` as a number. */
+    /* A `ProcessState` as a number. */
     uint32_t state;
     /* Operating-system id of the process. */
     uint32_t pid;
