@@ -166,7 +166,7 @@ fn reaching_arm(plan: &Plan) -> Result<&ArmConfig, FilmError> {
         (Some(arm), _) if arm.open_loop => Err(no("an arm in an open loop, where each tick is a trial of its own")),
         (Some(arm), _) => Ok(arm),
         (None, Some(_)) => Err(no("an eye")),
-        (None, None) => Err(no("a program of its own")),
+        (None, None) => Err(no("not one of the simulator's")),
     }
 }
 

@@ -166,7 +166,7 @@ mod tests {
         // A reach that begins with the change counts, the one before does not.
         let selected = select(&[1600, 800], [50; 20].into_iter().chain([7, 3, 9])).unwrap();
         // Errors 7, 3 and 9: the median is the first.
-        assert_eq!(from(&selected), [0, 240, 1600]);
+        assert_eq!(from(&selected), [0, 320, 1600]);
         assert_eq!((selected.late_count, selected.changed), (3, Some(1600)));
         // The last reach began before the change.
         let selected = select(&[1601], [50; 20].into_iter().chain([7])).unwrap();
@@ -185,7 +185,7 @@ mod tests {
         assert_eq!(select(&[], []), None);
         assert_eq!(select(&[], [1, 2, 3, 4, 5, 6]), None);
         let selected = select(&[], [1, 2, 3, 4, 4, 4, 7]).unwrap();
-        assert_eq!((from(&selected), selected.late_count), ([0, 240, 480], 1));
+        assert_eq!((from(&selected), selected.late_count), ([0, 320, 480], 1));
     }
 
     #[test]
