@@ -43,7 +43,7 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Analyse the movements in a run's log: isochrony, speed profiles, straightness, settling
     Analyse(analyse::Arguments),
-    /// Make an animated picture of a run from its log: the arm before learning, after ten seconds, and at the end
+    /// Make an animated picture of a run from its log: the arm at first, after ten seconds, and at the end
     Film(film::Arguments),
     /// Learners side by side: how much experience each needs, and what a tick of it costs
     Compare(compare::Arguments),

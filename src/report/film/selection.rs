@@ -152,8 +152,8 @@ mod tests {
 
     #[test]
     fn the_first_and_typical_early_and_late_ones_are_chosen() {
-        // The early ones are numbers 3 to 5. The last ten are numbers 20 to 29, with errors 9 down to 0: the lower median
-        // is 4, number 25.
+        // The early ones are numbers 3 to 5. The last ten are numbers 20 to 29, with errors 9 down to 0: the lower
+        // median is 4, number 25.
         let selected = select(&[], (0..30).map(|i| 29 - i)).unwrap();
         assert_eq!(from(&selected), [0, 320, 25 * 80]);
         assert_eq!((selected.early_count, selected.late_count, selected.changed), (3, 10, None));
