@@ -93,7 +93,7 @@ fn a_runs_film_is_an_animated_picture_without_script() {
 }
 
 #[test]
-fn without_a_change_of_the_body_the_last_panel_is_the_end() {
+fn without_a_change_of_the_body_the_film_shows_the_end() {
     let place = Place::new();
     // The block at tick 9,300,000 of the paper's scenario is never reached.
     ran(&place, &[("every", "1")], "600");
