@@ -36,7 +36,8 @@ struct Arguments {
     /// The seed of noise, jitter and faults; left out, the scenario's, or 1
     #[arg(long)]
     seed: Option<u64>,
-    /// A fault as `KIND`, `KIND:SERVO`, `KIND:SERVO:FROM_S` or `KIND:SERVO:FROM_S:UNTIL_S`; may be given several times
+    /// A fault as `KIND`, `KIND:SERVO`, `KIND:SERVO:FROM_S` or `KIND:SERVO:FROM_S:UNTIL_S`; may be given
+    /// several times
     #[arg(long = "fault", value_name = "FAULT")]
     faults: Vec<String>,
     /// A symbolic link to the terminal

@@ -1,8 +1,8 @@
 //! What is left of a bridge that was killed: a process that waits for its end and then turns torque off.
 //!
-//! A SIGKILL leaves a program no last word. Dynamixel's bus watchdog then stops the motors after 200 ms, with torque still on; Feetech
-//! has none. So the bridge starts this, which takes the port when the bridge is dead. A successor that has the port by then
-//! keeps it: it turns torque off by itself before it does anything else.
+//! A SIGKILL leaves a program no last word. Dynamixel's bus watchdog then stops the motors after 200 ms, with
+//! torque still on; Feetech has none. So the bridge starts this, which takes the port when the bridge is dead.
+//! A successor that has the port by then keeps it: it turns torque off by itself before it does anything else.
 
 use std::process::{Command, ExitCode};
 

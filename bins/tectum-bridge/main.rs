@@ -1,4 +1,5 @@
-//! The plant on serial-bus servos; the tools that find, calibrate, move and watch them; and the guard that turns torque off when it was killed.
+//! The plant on serial-bus servos; the tools that find, calibrate, move and watch them; and the guard that
+//! turns torque off when it was killed.
 
 mod guard;
 mod tools;

@@ -1,9 +1,10 @@
-//! The emulated chain behind a pseudo-terminal, in real time: what opens its path finds a serial port with servos at its end.
+//! The emulated chain behind a pseudo-terminal, in real time: what opens its path finds a serial port with
+//! servos at its end.
 //!
-//! The loop sleeps in `poll` until bytes come or an answer is due, and looks up ten times a second for signals. The terminal is raw, and one
-//! descriptor of its far end stays open, so that hosts may come and go. A real port forgets that a program wanted it for itself (TIOCEXCL)
-//! when the last descriptor is closed, which here never happens: so the emulator takes that mark away, and locks (`flock`) alone keep
-//! others out.
+//! The loop sleeps in `poll` until bytes come or an answer is due, and looks up ten times a second for signals.
+//! The terminal is raw, and one descriptor of its far end stays open, so that hosts may come and go. A real
+//! port forgets that a program wanted it for itself (TIOCEXCL) when the last descriptor is closed, which here
+//! never happens: so the emulator takes that mark away, and locks (`flock`) alone keep others out.
 
 use std::fs;
 use std::io::{self, Write as _};

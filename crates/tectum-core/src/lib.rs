@@ -1,8 +1,8 @@
 //! Tectum's numerical core: policies, learning rules, simulated plants and random streams.
 //!
-//! Everything here is pure computation, without clock, transport or files, and without allocation once built. Time is the
-//! number of a tick. Randomness comes from named [streams](seed::stream). The state of every component can be saved and
-//! restored through one trait ([`state::Persist`]).
+//! Everything here is pure computation, without clock, transport or files, and without allocation once built.
+//! Time is the number of a tick. Randomness comes from named [streams](seed::stream). The state of every
+//! component can be saved and restored through one trait ([`state::Persist`]).
 //!
 //! | module | content |
 //! |---|---|

@@ -1,5 +1,5 @@
-//! Random streams. The seed of every stream is derived from (scenario seed, stream name), so that adding a stream, or
-//! drawing more from one, never changes another.
+//! Random streams. The seed of every stream is derived from (scenario seed, stream name), so that adding a
+//! stream, or drawing more from one, never changes another.
 
 use std::convert::Infallible;
 
@@ -50,8 +50,8 @@ struct GeneratorState {
     s: [u64; 4],
 }
 
-/// The generator's four state words. The conversion through JSON takes about 300 ns, does not allocate, and needs no code
-/// that depends on the generator's private fields.
+/// The generator's four state words. The conversion through JSON takes about 300 ns, does not allocate, and
+/// needs no code that depends on the generator's private fields.
 fn words(generator: &Xoshiro256PlusPlus) -> [u64; 4] {
     let mut text = [0; 128];
     let mut rest = &mut text[..];

@@ -1,5 +1,5 @@
-//! Pairs of numbers in configuration files. Serde's reader of arrays of two ignores a third number, which would hide a
-//! mistake; these readers report it as an error.
+//! Pairs of numbers in configuration files. Serde's reader of arrays of two ignores a third number, which would
+//! hide a mistake; these readers report it as an error.
 
 use std::fmt;
 

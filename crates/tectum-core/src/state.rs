@@ -1,8 +1,9 @@
 //! The state of a component: everything that it needs to continue as if it had never stopped.
 //!
-//! A component lists its numbers to a [`StateVisitor`], in a fixed order and by name. The visitor decides what happens to
-//! them: one visitor copies the numbers out, another overwrites them. Saving and restoring cannot disagree, because both
-//! use the same list. Values that can be computed from the scenario (constants, scratch memory) are not listed.
+//! A component lists its numbers to a [`StateVisitor`], in a fixed order and by name. The visitor decides what
+//! happens to them: one visitor copies the numbers out, another overwrites them. Saving and restoring cannot
+//! disagree, because both use the same list. Values that can be computed from the scenario (constants, scratch
+//! memory) are not listed.
 //!
 //! ```
 //! use tectum_core::policy::Exploration;
@@ -189,15 +190,16 @@ pub fn size(component: &mut dyn Persist) -> usize {
     counter.0
 }
 
-/// Copies the state of `component` into `to` and returns its size, or `None` if `to` is too small. Does not allocate.
+/// Copies the state of `component` into `to` and returns its size, or `None` if `to` is too small. Does not
+/// allocate.
 pub fn save(component: &mut dyn Persist, to: &mut [u8]) -> Option<usize> {
     let mut writer = StateWriter { to, at: 0 };
     component.visit_state(&mut writer);
     (writer.at <= writer.to.len()).then_some(writer.at)
 }
 
-/// Restores into `component`, built from the same scenario, the state that was saved in `from`. Returns false if `from`
-/// has the wrong size; `component` is then partly overwritten and must not be used.
+/// Restores into `component`, built from the same scenario, the state that was saved in `from`. Returns false
+/// if `from` has the wrong size; `component` is then partly overwritten and must not be used.
 #[must_use]
 pub fn load(component: &mut dyn Persist, from: &[u8]) -> bool {
     let mut reader = StateReader { from, at: 0 };

@@ -1,18 +1,20 @@
-//! The exponential and its constants, shared by the SIMD kernel and the scalar implementation, which must agree to the
-//! last bit.
+//! The exponential and its constants, shared by the SIMD kernel and the scalar implementation, which must agree
+//! to the last bit.
 //!
-//! A unit's activation is `2^-y` with `y` the square of the scaled distance. It is computed as `2^-n * 2^g`, where
-//! `n` is `y` rounded to an integer and `g = n - y` lies in [-1/2, 1/2]: `2^g` is a polynomial, `2^-n` goes straight
-//! into the exponent bits.
+//! A unit's activation is `2^-y` with `y` the square of the scaled distance. It is computed as `2^-n * 2^g`,
+//! where `n` is `y` rounded to an integer and `g = n - y` lies in [-1/2, 1/2]: `2^g` is a polynomial, `2^-n`
+//! goes straight into the exponent bits.
 
-/// Upper limit of `y` for a unit: just under `30 log2(e) = 43.2808..`, so that no activation of a line is below exp(-30).
+/// Upper limit of `y` for a unit: just under `30 log2(e) = 43.2808..`, so that no activation of a line is below
+/// exp(-30).
 ///
-/// Without the limit, a unit far from the input would be subnormal, and subnormal numbers make the learner's loop take
-/// up to twice as long. In a plane the smallest product is exp(-60), still far above the smallest normal number.
+/// Without the limit, a unit far from the input would be subnormal, and subnormal numbers make the learner's
+/// loop take up to twice as long. In a plane the smallest product is exp(-60), still far above the smallest
+/// normal number.
 pub(super) const FLOOR: f32 = 43.28;
 
-/// The `y` of a padding unit: the exponent field of `2^-127` is 0, so the result is exactly 0 (given that the polynomial
-/// is exactly 1 at 0). Padding therefore needs no mask and no branch.
+/// The `y` of a padding unit: the exponent field of `2^-127` is 0, so the result is exactly 0 (given that the
+/// polynomial is exactly 1 at 0). Padding therefore needs no mask and no branch.
 pub(super) const VANISH: f32 = 127.0;
 
 /// `1.5 * 2^23`: adding it rounds to the nearest integer and leaves that integer in the lowest bits of the sum.
@@ -29,16 +31,16 @@ pub(super) const POLYNOMIAL: [f32; 6] = [1.0, 0.693_146_94, 0.240_222_35, 0.055_
 
 /// `2^96`, the scale factor of sums of squares.
 ///
-/// A plane whose inputs are far outside its range has features near exp(-60), whose squares an `f32` cannot hold: the
-/// sum of squares of a plane lies between `2^-172` and `2^24`. With this factor, products, totals and reciprocals are
-/// all normal numbers. It is a power of two, so it adds no rounding error.
+/// A plane whose inputs are far outside its range has features near exp(-60), whose squares an `f32` cannot
+/// hold: the sum of squares of a plane lies between `2^-172` and `2^24`. With this factor, products, totals and
+/// reciprocals are all normal numbers. It is a power of two, so it adds no rounding error.
 pub(super) const SUM_SCALE: f32 = (1u128 << 96) as f32;
 
 /// The square root of [`SUM_SCALE`].
 const NORM_SCALE: f32 = (1u64 << 48) as f32;
 
-/// Largest magnitude of a scaled input. It is far outside any map, but finite, so that the distance to the centre of a
-/// padding unit, which is infinity, is never NaN.
+/// Largest magnitude of a scaled input. It is far outside any map, but finite, so that the distance to the
+/// centre of a padding unit, which is infinity, is never NaN.
 const LIMIT: f32 = 1e30;
 
 /// An input in a line's unit of length, limited to [`LIMIT`]. NaN, which callers should not pass, gives the limit.

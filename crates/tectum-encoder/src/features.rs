@@ -1,4 +1,5 @@
-//! Memory layout of features: one contiguous array of `f32`, aligned so that no vector load or store crosses a cache line.
+//! Memory layout of features: one contiguous array of `f32`, aligned so that no vector load or store crosses a
+//! cache line.
 //!
 //! Policy and learner read all features once a tick and need a plain slice; the kernel needs groups of sixteen.
 //! [`Features`] offers both views of memory that is aligned to cache lines.
@@ -20,9 +21,9 @@ pub(super) const GROUP: usize = 2 * LANES;
 
 /// The features of one tick, in the encoder's padded order.
 ///
-/// Made by [`Encoder::features`](super::Encoder::features), filled by [`Encoder::encode`](super::Encoder::encode).
-/// The padding is exactly 0 whenever an encoder made or filled the memory, so sums over the whole slice are sums over
-/// the true features.
+/// Made by [`Encoder::features`](super::Encoder::features), filled by
+/// [`Encoder::encode`](super::Encoder::encode). The padding is exactly 0 whenever an encoder made or filled the
+/// memory, so sums over the whole slice are sums over the true features.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Features {
     lines: Vec<CacheLine>,

@@ -1,17 +1,17 @@
 //! The SIMD kernel: encodes eight features at a time, with any implementation of [`F32x8`].
 //!
-//! Exponentials are computed for *lines* only (96 units for the arm's 320 features). Their sums of squares give the norm
-//! of all features before the features are computed. The scale is therefore folded into the lines, and each feature is
-//! written once and never read again.
+//! Exponentials are computed for *lines* only (96 units for the arm's 320 features). Their sums of squares give
+//! the norm of all features before the features are computed. The scale is therefore folded into the lines, and
+//! each feature is written once and never read again.
 //!
-//! The lines are processed in several passes with short chains of dependent operations, through scratch memory that
-//! stays in the first-level cache. A single pass has one long chain. The processor looks about a hundred operations
-//! ahead, which is too few to find independent work in a long chain: a single pass took a quarter longer for the arm's
-//! features. For the same reason a pass works on groups of sixteen units at once.
+//! The lines are processed in several passes with short chains of dependent operations, through scratch memory
+//! that stays in the first-level cache. A single pass has one long chain. The processor looks about a hundred
+//! operations ahead, which is too few to find independent work in a long chain: a single pass took a quarter
+//! longer for the arm's features. For the same reason a pass works on groups of sixteen units at once.
 //!
-//! Fused multiply-add is not used: without the `fma` target feature `mul_add` is a library call per lane, and with it the
-//! bits would depend on the machine. [`squares`] adds in the same order for every register width; all other operations
-//! are lane by lane.
+//! Fused multiply-add is not used: without the `fma` target feature `mul_add` is a library call per lane, and
+//! with it the bits would depend on the machine. [`squares`] adds in the same order for every register width;
+//! all other operations are lane by lane.
 
 use glam::Vec4;
 
@@ -85,8 +85,8 @@ fn power<L: F32x8>(g: L) -> L {
     p * g2 + (L::splat(c1) * g + L::splat(c0))
 }
 
-/// Third pass: the sum of squares of all features, times [`SUM_SCALE`]. For a plane it is the product of the sums of its
-/// two lines.
+/// Third pass: the sum of squares of all features, times [`SUM_SCALE`]. For a plane it is the product of the
+/// sums of its two lines.
 #[inline(always)]
 fn sum_of_squares<L: F32x8>(tables: &EncoderTables, lines: &[CacheLine]) -> f32 {
     let mut total = 0.0;
@@ -97,7 +97,8 @@ fn sum_of_squares<L: F32x8>(tables: &EncoderTables, lines: &[CacheLine]) -> f32 
     total + squares::<L>(&lines[tables.lines..]) * SUM_SCALE
 }
 
-/// The sum of squares of some groups. The order is fixed: the four blocks of a group, then the groups, then the lanes.
+/// The sum of squares of some groups. The order is fixed: the four blocks of a group, then the groups, then the
+/// lanes.
 #[inline(always)]
 fn squares<L: F32x8>(groups: &[CacheLine]) -> f32 {
     let mut sum = Vec4::ZERO;

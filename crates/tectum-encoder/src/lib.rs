@@ -1,9 +1,9 @@
 //! Topographic maps: encode inputs as features (Daucé & Dutech 2010, section 3.3).
 //!
-//! The policy does not act on raw inputs. Each input, or each pair of inputs, is encoded by a map of units with Gaussian
-//! kernels, `exp(-(x - centre)^2 / (2 radius^2))`. The activations of all maps, concatenated, are the features of policy
-//! and learner. An [`Encoder`] is built once from [`Map`]s and then fills [`Features`] every tick. It uses no clock, no
-//! files and no transport, and it does not allocate once it is built.
+//! The policy does not act on raw inputs. Each input, or each pair of inputs, is encoded by a map of units with
+//! Gaussian kernels, `exp(-(x - centre)^2 / (2 radius^2))`. The activations of all maps, concatenated, are the
+//! features of policy and learner. An [`Encoder`] is built once from [`Map`]s and then fills [`Features`] every
+//! tick. It uses no clock, no files and no transport, and it does not allocate once it is built.
 //!
 //! ```
 //! use tectum_encoder::{Axis, Encoder, Map};
@@ -20,38 +20,43 @@
 //! assert!((feature(4) - (-0.5_f32).exp()).abs() < 1e-6);
 //! ```
 //!
-//! An encoder can also pass inputs through unchanged. These *scalars* follow the features of the maps and are never
-//! normalised. The paper compares topographic coding with a "scalar" eye (section 4.1), which has scalars and no maps.
+//! An encoder can also pass inputs through unchanged. These *scalars* follow the features of the maps and are
+//! never normalised. The paper compares topographic coding with a "scalar" eye (section 4.1), which has scalars
+//! and no maps.
 //!
 //! # Layout
 //!
-//! Features are stored map after map; in a plane the first axis is the slow one. Every row along the fast axis is padded
-//! to a multiple of 4 with features that are always exactly 0, so weights and traces with the same layout need no special
-//! case. [`Encoder::positions`] maps the true order, without padding, to positions in memory.
+//! Features are stored map after map; in a plane the first axis is the slow one. Every row along the fast axis
+//! is padded to a multiple of 4 with features that are always exactly 0, so weights and traces with the same
+//! layout need no special case. [`Encoder::positions`] maps the true order, without padding, to positions in
+//! memory.
 //!
 //! # Accuracy
 //!
-//! The absolute error of a feature, compared with the same formula in double precision at the same `f32` inputs, is the
-//! sum of
+//! The absolute error of a feature, compared with the same formula in double precision at the same `f32`
+//! inputs, is the sum of
 //!
-//! - the rounding of scaled input and scaled centre, half a unit in the last place each. In units of `1.18 radius` both
-//!   are at most `r = 0.85 max|x| / radius`, and the steepest slope of a kernel is 0.72 there. This part is therefore at
-//!   most `0.72 r 2^-23`, proportional to range over radius: 4.6e-7 for the arm's angles (`r = 5.3`);
-//! - the error of the polynomial (9.5e-8), the rounding of the exponent (2e-7 where a feature is 0.4, less elsewhere) and
-//!   of the operations after it, a few 1e-8 of the feature;
+//! - the rounding of scaled input and scaled centre, half a unit in the last place each. In units of `1.18
+//!   radius` both are at most `r = 0.85 max|x| / radius`, and the steepest slope of a kernel is 0.72 there.
+//!   This part is therefore at most `0.72 r 2^-23`, proportional to range over radius: 4.6e-7 for the arm's
+//!   angles (`r = 5.3`);
+//! - the error of the polynomial (9.5e-8), the rounding of the exponent (2e-7 where a feature is 0.4, less
+//!   elsewhere) and of the operations after it, a few 1e-8 of the feature;
 //! - with normalisation, the rounding of the norm, another few 1e-8 of the feature, which is then well below 1.
 //!
-//! By these bounds the features of arm and eye are within 1e-6; tests find at most 4e-7. The first part is as large as
-//! the effect of rounding an input to `f32`, so it matters only for kernels too narrow for `f32` inputs.
+//! By these bounds the features of arm and eye are within 1e-6; tests find at most 4e-7. The first part is as
+//! large as the effect of rounding an input to `f32`, so it matters only for kernels too narrow for `f32`
+//! inputs.
 //!
-//! Before normalisation no activation of a line is below exp(-30), and no feature of a plane below exp(-60). The exact
-//! value far from an input is smaller, but subnormal numbers would make the learner's loop take up to twice as long.
+//! Before normalisation no activation of a line is below exp(-30), and no feature of a plane below exp(-60).
+//! The exact value far from an input is smaller, but subnormal numbers would make the learner's loop take up to
+//! twice as long.
 //!
 //! # Two implementations
 //!
-//! [`Encoder::encode`] uses the widest vectors of the machine ([`SimdPath`]). [`Encoder::encode_scalar`] does the same
-//! operations in plain `f32` and gives the same bits on every path; it is the test oracle. [`naive`] has plain baselines
-//! for benches and tests.
+//! [`Encoder::encode`] uses the widest vectors of the machine ([`SimdPath`]). [`Encoder::encode_scalar`] does
+//! the same operations in plain `f32` and gives the same bits on every path; it is the test oracle. [`naive`]
+//! has plain baselines for benches and tests.
 
 #![warn(missing_docs)]
 
@@ -72,7 +77,8 @@ use tables::EncoderTables;
 
 pub use simd::SimdPath;
 
-/// One axis of a map: `units` Gaussian kernels with centres evenly spaced from `min` to `max`, over input number `input`.
+/// One axis of a map: `units` Gaussian kernels with centres evenly spaced from `min` to `max`, over input
+/// number `input`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Axis {
     /// Index of the input that the axis encodes.
@@ -144,8 +150,8 @@ impl Encoder {
         self.len() == 0
     }
 
-    /// Position in memory of one unit of map number `map`: unit `slow` along the first axis of a plane (0 for a line),
-    /// unit `fast` along the last axis.
+    /// Position in memory of one unit of map number `map`: unit `slow` along the first axis of a plane (0 for a
+    /// line), unit `fast` along the last axis.
     ///
     /// # Panics
     ///
@@ -156,7 +162,8 @@ impl Encoder {
         layout.start + slow * layout.stride() + fast
     }
 
-    /// Positions in memory of all units, in the true order of the features: converts between padded and plain order.
+    /// Positions in memory of all units, in the true order of the features: converts between padded and plain
+    /// order.
     pub fn positions(&self) -> impl Iterator<Item = usize> + '_ {
         let maps = self.tables.layouts.iter().flat_map(|layout| {
             (0..layout.rows)
@@ -170,7 +177,8 @@ impl Encoder {
         Features::zeroed(self.len())
     }
 
-    /// Encodes `inputs` into `out`. Axes refer to inputs by index. All of `out` is written, including padding (with 0).
+    /// Encodes `inputs` into `out`. Axes refer to inputs by index. All of `out` is written, including padding
+    /// (with 0).
     ///
     /// Inputs should be finite. Very large inputs and NaN give all units their smallest value.
     ///

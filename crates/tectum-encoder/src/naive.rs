@@ -1,5 +1,5 @@
-//! Plain baselines for benches and tests: straightforward implementations against which the kernel's speed and error are
-//! measured. A run does not use them.
+//! Plain baselines for benches and tests: straightforward implementations against which the kernel's speed and
+//! error are measured. A run does not use them.
 //!
 //! [`reference`](fn@reference) is the definition in double precision. [`NaiveEncoder`] is the first obvious
 //! implementation: one standard `exp` per feature and a second pass for the norm. [`SeparableEncoder`] is the next

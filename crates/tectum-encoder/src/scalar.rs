@@ -1,14 +1,15 @@
 //! The scalar implementation: the kernel's computation, one lane at a time in plain `f32`.
 //!
-//! It is the kernel's test oracle. It does the same operations in the same order with the same roundings, so both must
-//! agree bit for bit; a property test checks this for random maps and inputs. If they differ, either the vector code is
-//! wrong, or the compiler fused or reordered `f32` arithmetic, which it must not do.
+//! It is the kernel's test oracle. It does the same operations in the same order with the same roundings, so
+//! both must agree bit for bit; a property test checks this for random maps and inputs. If they differ, either
+//! the vector code is wrong, or the compiler fused or reordered `f32` arithmetic, which it must not do.
 
 use super::exponential::{SUM_SCALE, exp2_negative, inverse_norm, scaled};
 use super::features::{BLOCK, Features, GROUP};
 use super::tables::EncoderTables;
 
-/// The sum of squares of some groups, in the kernel's order: the blocks of a group, then the groups, then the lanes.
+/// The sum of squares of some groups, in the kernel's order: the blocks of a group, then the groups, then the
+/// lanes.
 fn sum_of_squares(lines: &[f32]) -> f32 {
     let mut sums = [0.0f32; BLOCK];
     for group in lines.chunks_exact(GROUP) {

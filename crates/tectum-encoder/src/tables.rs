@@ -12,7 +12,8 @@ use super::{Axis, Map};
 pub(super) struct UnitGroup {
     /// Index of the input that the line encodes.
     pub input: usize,
-    /// `sqrt(log2(e) / 2) / radius`. With lengths scaled by it, an activation is 2 to the negative squared distance.
+    /// `sqrt(log2(e) / 2) / radius`. With lengths scaled by it, an activation is 2 to the negative squared
+    /// distance.
     pub scale: f32,
 }
 
@@ -142,8 +143,8 @@ impl TablesBuilder {
         // Limits for extreme radii: a unit whose centre equals the input must not become 0 * infinity.
         let scale = ((std::f64::consts::LOG2_E / 2.0).sqrt() / axis.radius) as f32;
         let group = UnitGroup { input: axis.input, scale: scale.clamp(f32::MIN_POSITIVE, f32::MAX) };
-        // The rounded scale, not the exact one: inputs are multiplied by the same value, so its error cancels in the
-        // distance.
+        // The rounded scale, not the exact one: inputs are multiplied by the same value, so its error cancels
+        // in the distance.
         let scale = f64::from(group.scale);
         let spacing = (axis.max - axis.min) / (axis.units - 1) as f64;
         self.centres.extend((0..axis.units).map(|unit| ((axis.min + spacing * unit as f64) * scale) as f32));

@@ -1,5 +1,5 @@
-//! Property tests over random maps and inputs: the kernel and the scalar implementation agree bit for bit, padding is 0,
-//! no feature is subnormal, and all errors are within the documented bound.
+//! Property tests over random maps and inputs: the kernel and the scalar implementation agree bit for bit,
+//! padding is 0, no feature is subnormal, and all errors are within the documented bound.
 
 use std::f64::consts::PI;
 

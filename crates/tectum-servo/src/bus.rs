@@ -1,8 +1,8 @@
 //! The host's end of the wire: a port of one's own, and instructions that never take longer than they may.
 //!
-//! The codec is rustypot's. Around the port stands a `DeadlinePort` one, which gives every instruction an instant by which it is
-//! over, whatever the bus does: nothing, too little, noise, or one byte now and then. What a tick may cost is therefore known:
-//! the two budgets of [`BusBudget`], and no more.
+//! The codec is rustypot's. Around the port stands a `DeadlinePort` one, which gives every instruction an
+//! instant by which it is over, whatever the bus does: nothing, too little, noise, or one byte now and then.
+//! What a tick may cost is therefore known: the two budgets of [`BusBudget`], and no more.
 //!
 //! Time is handed in: CLOCK_MONOTONIC on hardware, a stepped clock with the emulated chain in tests.
 //!
@@ -132,8 +132,8 @@ impl Bus {
         (result, self.now().saturating_sub(began))
     }
 
-    /// Lets what is still on its way arrive, and forgets it: an answer does not say to what it is one, so that a late one would pass
-    /// for that of the next question.
+    /// Lets what is still on its way arrive, and forgets it: an answer does not say to what it is one, so that
+    /// a late one would pass for that of the next question.
     fn settle(&mut self) {
         let until = self.now().saturating_add(SETTLE_NS);
         let mut late = [0; 64];
@@ -253,7 +253,8 @@ impl Bus {
         self.sync_write(ids, register.address, &data).0
     }
 
-    /// Turns torque off, whatever the servos say to it: three times, since nobody answers, and none of them can do harm.
+    /// Turns torque off, whatever the servos say to it: three times, since nobody answers, and none of them can
+    /// do harm.
     pub fn torque_off(&mut self, ids: &[u8]) {
         for _ in 0..3 {
             let _ = self.sync_set(ids, self.series.torque_enable, |_| 0);
@@ -261,8 +262,8 @@ impl Bus {
     }
 }
 
-/// Whether the port is there, may be opened, and is nobody else's: what serialport would not tell apart. The lock is let go again at once,
-/// since serialport takes one for itself.
+/// Whether the port is there, may be opened, and is nobody else's: what serialport would not tell apart. The
+/// lock is let go again at once, since serialport takes one for itself.
 fn probe(path: &str) -> Result<(), BusError> {
     use std::os::unix::fs::OpenOptionsExt as _;
     let flags = OFlags::NOCTTY | OFlags::NONBLOCK;

@@ -2,7 +2,8 @@
 //!
 //! - [`model`]: Dynamixel X (protocol 2.0) and Feetech STS (protocol 1.0) series: registers, units, signs, limits.
 //! - [`bus`]: the host's end. Every instruction has an instant by which it ends, whatever the wire does.
-//! - [`emulator`]: the servos' end, without hardware: codec, control tables, motion and faults, in stepped or real time.
+//! - [`emulator`]: the servos' end, without hardware: codec, control tables, motion and faults, in stepped or
+//!   real time.
 //!
 //! ```
 //! use tectum_servo::model::{MODELS, Protocol};

@@ -330,7 +330,8 @@ proptest! {
 
     #[test]
     fn what_rustypot_writes_is_what_it_reads(values in prop::collection::vec(any::<u32>(), 4)) {
-        // Goal position, profiles and goal speed lie beside each other; whatever bytes they hold must be stuffed and come back.
+        // Goal position, profiles and goal speed lie beside each other; whatever bytes they hold must be
+        // stuffed and come back.
         let mut bench = Bench::new(Protocol::Dynamixel, &[1], &EmulatorConfig::default());
         for value in values {
             let bytes = (value | 0x00fd_ffff).to_le_bytes();

@@ -11,8 +11,8 @@ pub(super) fn wrap(angle: f64) -> f64 {
     angle - TAU * libm::floor((angle + PI) / TAU)
 }
 
-/// A motor's angle at a raw position, rad: within half a turn of the middle of its range, since a position says nothing of
-/// whole turns that power or a wire has lost.
+/// A motor's angle at a raw position, rad: within half a turn of the middle of its range, since a position says
+/// nothing of whole turns that power or a wire has lost.
 pub fn angle(joint: &JointConfig, raw: i32) -> f64 {
     let steps = (raw - joint.zero).rem_euclid(STEPS_PER_TURN);
     let angle = f64::from(joint.direction) * f64::from(steps) * STEP;
@@ -52,9 +52,9 @@ pub fn motors(angles: Angles, rates: &[f64], motors: &mut [f64; MAX_OUTPUTS]) {
     }
 }
 
-/// Brings motors' rates within what they can and may do in `period` s. Speed first, all by the same share, so that the end keeps
-/// its direction; then each by itself, so that it does not go over its range. A motor that is outside may come back.
-/// Whether speed, and whether a range limited them.
+/// Brings motors' rates within what they can and may do in `period` s. Speed first, all by the same share, so
+/// that the end keeps its direction; then each by itself, so that it does not go over its range. A motor that
+/// is outside may come back. Whether speed, and whether a range limited them.
 pub fn limit(joints: &[JointConfig], at: &[f64], period: f64, rates: &mut [f64; MAX_OUTPUTS]) -> (bool, bool) {
     let share = joints.iter().zip(rates.iter()).fold(1.0_f64, |share, (joint, rate)| {
         if rate.abs() * share > joint.max_speed { joint.max_speed / rate.abs() } else { share }

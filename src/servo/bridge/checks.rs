@@ -1,4 +1,5 @@
-//! What is checked before anything is trusted: that the servos are those of the scenario, and that torque can do no harm.
+//! What is checked before anything is trusted: that the servos are those of the scenario, and that torque can
+//! do no harm.
 
 use std::path::Path;
 
@@ -140,8 +141,9 @@ pub(super) fn prepare(
     limit(bus, joints)
 }
 
-/// The positions between which the servos are to stay, steps. With speed goals neither series heeds them, and the bridge alone keeps
-/// the range; they are written all the same, so that whoever moves a servo to a position afterwards stays within it.
+/// The positions between which the servos are to stay, steps. With speed goals neither series heeds them, and
+/// the bridge alone keeps the range; they are written all the same, so that whoever moves a servo to a position
+/// afterwards stays within it.
 fn limit(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), BridgeError> {
     let series = bus.series();
     let ids: Vec<_> = joints.iter().map(|joint| joint.id).collect();
@@ -168,7 +170,8 @@ fn limit(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), BridgeError> {
             bytes
         })
         .collect();
-    // One instruction for all servos, as arming has no more time than a tick; and none where nothing differs, as EEPROM wears out.
+    // One instruction for all servos, as arming has no more time than a tick; and none where nothing differs,
+    // as EEPROM wears out.
     let other =
         |answers: &[ServoReply]| answers.iter().zip(&wanted).position(|(answer, wanted)| answer.bytes != *wanted);
     if other(&bus.sync_read(&ids, block).0?).is_none() {

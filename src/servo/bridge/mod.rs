@@ -1,22 +1,26 @@
-//! The plant on servos: one synchronous read at a tick's beginning, one synchronous write when its command is there.
+//! The plant on servos: one synchronous read at a tick's beginning, one synchronous write when its command is
+//! there.
 //!
-//! *What is real and what is a model.* Angles are measured. The end-effector is where a model of the arm, `[plant.arm]`, has it with
-//! the measured angles; error and reward are reckoned from that, and nobody has seen the end-effector. The model is used for the
-//! reward and the measures alone; targets are drawn as in the simulator. The reward's speed is the
-//! measured one, since a motor lags behind its goal: an ideal chain of servos earns what the simulator earns, to within its resolution.
+//! *What is real and what is a model.* Angles are measured. The end-effector is where a model of the arm,
+//! `[plant.arm]`, has it with the measured angles; error and reward are reckoned from that, and nobody has seen
+//! the end-effector. The model is used for the reward and the measures alone; targets are drawn as in the
+//! simulator. The reward's speed is the measured one, since a motor lags behind its goal: an ideal chain of
+//! servos earns what the simulator earns, to within its resolution.
 //!
-//! *What is seen.* With `sight = "vision"` target and end-effector, and so error and reward, are what trackers say; the model is left with what
-//! none of them sees, segments that cross. A tracker that says nothing new enough leaves the arm [blind](flag::BLIND): it stands still with torque on
-//! (which does not come on before something is seen), nothing is learned, and it goes on when it sees again.
+//! *What is seen.* With `sight = "vision"` target and end-effector, and so error and reward, are what trackers
+//! say; the model is left with what none of them sees, segments that cross. A tracker that says nothing new
+//! enough leaves the arm [blind](flag::BLIND): it stands still with torque on (which does not come on before
+//! something is seen), nothing is learned, and it goes on when it sees again.
 //!
-//! *Motors and outputs.* A motor turns a segment against the one before it. With `angles = "absolute"` the inputs are the segments'
-//! directions, running sums of the motors' angles, and a motor's rate is the difference of two outputs. Limits are the motors': when
-//! one of them is asked for more than its `max_speed`, all rates shrink by one factor; one that would leave its `range` goes to its end.
-//! What is left of the command after that is what was applied, and is said so in the observation.
+//! *Motors and outputs.* A motor turns a segment against the one before it. With `angles = "absolute"` the
+//! inputs are the segments' directions, running sums of the motors' angles, and a motor's rate is the
+//! difference of two outputs. Limits are the motors': when one of them is asked for more than its `max_speed`,
+//! all rates shrink by one factor; one that would leave its `range` goes to its end. What is left of the
+//! command after that is what was applied, and is said so in the observation.
 //!
-//! *What a tick costs.* Each instruction is bounded by the bus's [`BusBudget`], whatever the bus does. A tick has one read and one write; more only
-//! where a servo reports an error, where torque goes on, and every 20 ticks, when all are asked whether they have it. Both times are
-//! measures: `bus_read_us`, `bus_write_us`.
+//! *What a tick costs.* Each instruction is bounded by the bus's [`BusBudget`], whatever the bus does. A tick
+//! has one read and one write; more only where a servo reports an error, where torque goes on, and every 20
+//! ticks, when all are asked whether they have it. Both times are measures: `bus_read_us`, `bus_write_us`.
 
 mod chain;
 mod checks;
@@ -72,7 +76,8 @@ pub struct Bridge {
     period: f32,
     within: u64,
     safety: SafetyMachine,
-    /// The largest command of each output, and the ticks over which it is reached after torque came on; ticks since then.
+    /// The largest command of each output, and the ticks over which it is reached after torque came on; ticks
+    /// since then.
     most: Outputs,
     ramp: u32,
     driven: u32,
@@ -100,7 +105,8 @@ pub struct Bridge {
 }
 
 impl Bridge {
-    /// The body of `plan` on `bus`. Reads, and writes one thing: torque off, which a bridge that was killed may have left on. Sentences for people go to `say`.
+    /// The body of `plan` on `bus`. Reads, and writes one thing: torque off, which a bridge that was killed may
+    /// have left on. Sentences for people go to `say`.
     ///
     /// # Errors
     /// When the plan has no servos or not those of the bus.
@@ -112,7 +118,8 @@ impl Bridge {
     ) -> Result<Self, BridgeError> {
         let plant = &plan.scenario.plant;
         let (Some(table), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
-        // First of all: whoever has this port keeps the guard of a bridge that was killed from it, and may find no whole chain.
+        // First of all: whoever has this port keeps the guard of a bridge that was killed from it, and may find
+        // no whole chain.
         bus.torque_off(&joints.iter().map(|joint| joint.id).collect::<Vec<_>>());
         checks::identify(&mut bus, &joints)?;
         let period_s = plan.scenario.period_ms / 1000.0;
@@ -157,7 +164,8 @@ impl Bridge {
         Ok(bridge)
     }
 
-    /// Hands it the eye with which it sees, where the scenario has `sight = "vision"`. Without one it never sees anything.
+    /// Hands it the eye with which it sees, where the scenario has `sight = "vision"`. Without one it never
+    /// sees anything.
     pub fn look_with(&mut self, eye: VisionSource) {
         self.eye = Some(eye);
     }
@@ -182,7 +190,8 @@ impl Bridge {
         self.safety.state()
     }
 
-    /// Checks all that torque needs, sets modes and limits in the servos, and arms. Torque goes on with the first command.
+    /// Checks all that torque needs, sets modes and limits in the servos, and arms. Torque goes on with the
+    /// first command.
     ///
     /// # Errors
     /// When something speaks against it; then nothing is armed.
@@ -195,7 +204,8 @@ impl Bridge {
         Ok(())
     }
 
-    /// Takes what came from trackers; `tick` begins. No more than a tick can need: who floods the channel does not hold the tick up.
+    /// Takes what came from trackers; `tick` begins. No more than a tick can need: who floods the channel does
+    /// not hold the tick up.
     fn look(&mut self, tick: u64) {
         let Some(sight) = &mut self.sight else { return };
         let now = self.bus.now();
@@ -255,8 +265,9 @@ impl Bridge {
         }
     }
 
-    /// Brings the first commands after torque came on within a part of the largest one that grows to the whole. The gate's own ramp
-    /// counts from the first command, which may have come long before anybody armed the arm.
+    /// Brings the first commands after torque came on within a part of the largest one that grows to the whole.
+    /// The gate's own ramp counts from the first command, which may have come long before anybody armed the
+    /// arm.
     fn ease(&self, applied: &mut [f32]) -> u32 {
         if self.driven >= self.ramp {
             return 0;
@@ -323,7 +334,8 @@ impl Plant for Bridge {
         } else {
             self.rest = None;
         }
-        // After a loss of the bus or of power, or a while in which somebody may have moved the arm, nothing is taken for granted.
+        // After a loss of the bus or of power, or a while in which somebody may have moved the arm, nothing is
+        // taken for granted.
         if drive == DriveCommand::Rise {
             let checked = if prepared {
                 Ok(())

@@ -31,7 +31,8 @@ pub enum TripCause {
     Heat,
     /// A servo's voltage is outside its limits.
     Voltage,
-    /// A servo has no torque, and nobody turned it off: it has started anew, or says an error that this program does not know.
+    /// A servo has no torque, and nobody turned it off: it has started anew, or says an error that this program
+    /// does not know.
     TorqueLost,
     /// Commands stay away.
     CommandsAway,
@@ -146,8 +147,8 @@ impl SafetyMachine {
         }
     }
 
-    /// What to do with the command of a tick, of which the gate says `flags`. An arm that does not see (`sees`) stands still, and torque does
-    /// not come on before it does.
+    /// What to do with the command of a tick, of which the gate says `flags`. An arm that does not see (`sees`)
+    /// stands still, and torque does not come on before it does.
     pub fn command(&mut self, flags: u32, sees: bool) -> DriveCommand {
         let came = flags & flag::MISSED == 0;
         if self.state == SafetyState::Driving && flags & flag::STOPPED != 0 {

@@ -1,4 +1,5 @@
-//! What trackers say of target and end-effector: the newest picture counts, if it is new enough when the tick begins.
+//! What trackers say of target and end-effector: the newest picture counts, if it is new enough when the tick
+//! begins.
 //!
 //! Pure bookkeeping: samples and instants are handed in.
 
@@ -90,7 +91,8 @@ impl VisionInput {
         self.newest.map_or([0.0; 2], |newest| newest.end)
     }
 
-    /// Where the target is, m, and whether it is a new one; asked when something is seen, after which it counts as taken up.
+    /// Where the target is, m, and whether it is a new one; asked when something is seen, after which it counts
+    /// as taken up.
     pub fn target(&mut self) -> Option<([f32; 2], bool)> {
         let target = self.newest.filter(|_| self.sees)?.target;
         let far = |[x, y]: [f32; 2]| (target[0] - x) * (target[0] - x) + (target[1] - y) * (target[1] - y) > self.jump;

@@ -1,4 +1,5 @@
-//! Calibration by hand: torque off, and each joint is shown its zero, the way in which its angle grows, and its ends.
+//! Calibration by hand: torque off, and each joint is shown its zero, the way in which its angle grows, and its
+//! ends.
 
 use std::fs;
 use std::io::{BufRead, Write};
@@ -58,7 +59,8 @@ impl Calibration {
 /// Ends are looked for within half a turn of the zero.
 ///
 /// # Errors
-/// When a servo is missing or another's, keeps its torque, or what it is shown cannot be; nothing was changed then but torque, which is off.
+/// When a servo is missing or another's, keeps its torque, or what it is shown cannot be; nothing was changed
+/// then but torque, which is off.
 pub fn calibrate(
     bus: &mut Bus,
     ids: &[u8],

@@ -38,7 +38,8 @@ impl Drop for TorqueGuard<'_> {
 /// Moves one joint; where it stands then. `nap` sleeps so many ns, `stop` says whether to end early.
 ///
 /// # Errors
-/// Before torque: when the servo is missing or in trouble, or the goal lies outside. Afterwards: when it does not arrive. Torque is off then.
+/// Before torque: when the servo is missing or in trouble, or the goal lies outside. Afterwards: when it does
+/// not arrive. Torque is off then.
 pub fn jog(
     bus: &mut Bus,
     what: Jog,

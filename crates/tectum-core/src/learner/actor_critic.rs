@@ -1,9 +1,9 @@
 //! Actor-critic with eligibility traces (Degris, Pilarski & Sutton 2012, *Model-Free Reinforcement Learning with
 //! Continuous Action in Practice*, ACC; algorithm "AC" with constant spread), and its natural gradient.
 //!
-//! The critic is linear, `V(k) = v . phi_k`. Its features are maps over pairs of inputs ([`PairFeatures`]) or the actor's own
-//! features, and optionally the reward of the previous tick. In the paper's rule, the temporal-difference error replaces the
-//! reward:
+//! The critic is linear, `V(k) = v . phi_k`. Its features are maps over pairs of inputs ([`PairFeatures`]) or
+//! the actor's own features, and optionally the reward of the previous tick. In the paper's rule, the
+//! temporal-difference error replaces the reward:
 //!
 //! ```text
 //! delta_k = r_k - c . q_k + gamma V(k+1) - V(k)
@@ -11,22 +11,25 @@
 //! z_k     = beta z_{k-1} + n_k h(g_k)^T              W_{k+1} = W_k + (alpha / sigma^2) delta_k z_k
 //! ```
 //!
-//! `c . q`, with `q = n^2 / sigma^2 - 1` for each output, is the effect of the exploration itself on the reward. The agent
-//! knows its noise and learns by least mean squares, `c += alpha_c delta q`, how the reward depends on the noise's square.
-//! On the arm this is half of the variance of the temporal-difference error. Gaussian noise has no third moment, so
-//! `E[n q] = 0`: the gradient is the same, with less noise (a control variate; Greensmith, Bartlett & Baxter 2004).
+//! `c . q`, with `q = n^2 / sigma^2 - 1` for each output, is the effect of the exploration itself on the
+//! reward. The agent knows its noise and learns by least mean squares, `c += alpha_c delta q`, how the reward
+//! depends on the noise's square. On the arm this is half of the variance of the temporal-difference error.
+//! Gaussian noise has no third moment, so `E[n q] = 0`: the gradient is the same, with less noise (a control
+//! variate; Greensmith, Bartlett & Baxter 2004).
 //!
-//! `h` is the identity for the plain rule. For the natural gradient (Kakade 2001; Bhatnagar et al. 2009) it is the inverse
-//! of the features' second-moment matrix over the input box, computed when the learner is built ([`NaturalMetric`]). The
-//! length of a step in the space of commands then does not depend on how much features overlap.
+//! `h` is the identity for the plain rule. For the natural gradient (Kakade 2001; Bhatnagar et al. 2009) it is
+//! the inverse of the features' second-moment matrix over the input box, computed when the learner is built
+//! ([`NaturalMetric`]). The length of a step in the space of commands then does not depend on how much features
+//! overlap.
 //!
-//! Steps are bounded in the spirit of Elsayed et al. 2024 (*Streaming Deep Reinforcement Learning Finally Works*): an update
-//! must not overshoot the error that it corrects. For any configured step, `V` at the current features moves by no more
-//! than the error, and the mean command at the current features by no more than half a standard deviation of the noise
-//! ([`MAX_MEAN_STEP`]). By Cauchy and Schwarz, the product of a trace with features is at most the sum of the lengths of the
-//! trace's terms, times the length of the features. This sum is one number per output, which decays like the trace, and
-//! needs no pass over the features. Features have one sign and change slowly, so the bound is tight. In addition, an error
-//! is limited to a multiple of the running mean of its size, so that no single outlier (a joint that blocks, an extreme
+//! Steps are bounded in the spirit of Elsayed et al. 2024 (*Streaming Deep Reinforcement Learning Finally
+//! Works*): an update must not overshoot the error that it corrects. For any configured step, `V` at the
+//! current features moves by no more than the error, and the mean command at the current features by no more
+//! than half a standard deviation of the noise ([`MAX_MEAN_STEP`]). By Cauchy and Schwarz, the product of a
+//! trace with features is at most the sum of the lengths of the trace's terms, times the length of the
+//! features. This sum is one number per output, which decays like the trace, and needs no pass over the
+//! features. Features have one sign and change slowly, so the bound is tight. In addition, an error is limited
+//! to a multiple of the running mean of its size, so that no single outlier (a joint that blocks, an extreme
 //! reward) can destroy the weights.
 
 use super::CriticConfig;
@@ -107,10 +110,11 @@ pub struct ActorCritic {
     trace: Tiles,
     values: Features,
     value_trace: Features,
-    /// The step of the value weights along their trace that is not applied yet: it is applied in the next tick, in the pass
-    /// over the features that that tick needs anyway.
+    /// The step of the value weights along their trace that is not applied yet: it is applied in the next tick,
+    /// in the pass over the features that that tick needs anyway.
     pending_step: f32,
-    /// Upper bounds of the product of the traces with features of length 1: the actor's by output, and the critic's.
+    /// Upper bounds of the product of the traces with features of length 1: the actor's by output, and the
+    /// critic's.
     trace_bound: Outputs,
     value_trace_bound: f32,
     /// The last reward as a feature of the critic: its weight, its trace, and the reward.
@@ -123,8 +127,8 @@ pub struct ActorCritic {
 }
 
 impl ActorCritic {
-    /// The rule for a policy of `len` features, including padding, and `outputs` outputs, with the actor's trace decay
-    /// `beta` and `rate` = `alpha / sigma^2`.
+    /// The rule for a policy of `len` features, including padding, and `outputs` outputs, with the actor's
+    /// trace decay `beta` and `rate` = `alpha / sigma^2`.
     pub fn new(len: usize, outputs: usize, beta: f32, rate: f32, critic: CriticConstants) -> Self {
         Self {
             beta,
@@ -148,8 +152,8 @@ impl ActorCritic {
         }
     }
 
-    /// The same rule with a critic over `pairs`, and with steps along the natural gradient of `metric`. The metric is that of
-    /// the actor's features, and also applies to the critic if it has the same features.
+    /// The same rule with a critic over `pairs`, and with steps along the natural gradient of `metric`. The
+    /// metric is that of the actor's features, and also applies to the critic if it has the same features.
     #[must_use]
     pub fn with(mut self, pairs: Option<PairFeatures>, metric: Option<NaturalMetric>) -> Self {
         if let Some(pairs) = &pairs {
@@ -180,8 +184,8 @@ impl ActorCritic {
         squares
     }
 
-    /// Applies the critic's step of the previous tick, adds `direction` to its trace, and returns the values of `here` and,
-    /// after `reward`, of `next`: all in one pass, because there are many features.
+    /// Applies the critic's step of the previous tick, adds `direction` to its trace, and returns the values of
+    /// `here` and, after `reward`, of `next`: all in one pass, because there are many features.
     fn evaluate(&mut self, path: SimdPath, [here, next]: [&[f32]; 2], direction: &[f32], reward: f32) -> [f32; 2] {
         let (decay, step) = (self.critic.discount * self.critic.decay, std::mem::take(&mut self.pending_step));
         let (values, trace) = (self.values.as_mut_slice(), self.value_trace.as_mut_slice());
@@ -195,16 +199,17 @@ impl ActorCritic {
         [0, 1].map(|i| products[i] + *weight * factor * rewards[i])
     }
 
-    /// Limits `step` so that the value at either end of the tick moves by no more than the error. `added` is the length of
-    /// what is added to the trace, `length` that of the features; `last` and `this` are the rewards as features.
+    /// Limits `step` so that the value at either end of the tick moves by no more than the error. `added` is
+    /// the length of what is added to the trace, `length` that of the features; `last` and `this` are the
+    /// rewards as features.
     fn critic_step(&mut self, step: f32, [added, length]: [f32; 2], [last, this]: [f32; 2]) -> f32 {
         self.value_trace_bound =
             self.value_trace_bound * self.critic.discount * self.critic.decay + extended_length(added, last);
         step.min(1.0 / (self.value_trace_bound * extended_length(length, last.abs().max(this.abs()))))
     }
 
-    /// Limits `rate` so that the mean command at the current features moves by no more than [`MAX_MEAN_STEP`]. `added` is
-    /// the length of what is added to the trace, `length` that of the features.
+    /// Limits `rate` so that the mean command at the current features moves by no more than [`MAX_MEAN_STEP`].
+    /// `added` is the length of what is added to the trace, `length` that of the features.
     fn actor_step(&mut self, rate: f32, [added, length]: [f32; 2], noise: &Outputs) -> f32 {
         let mut largest_bound = 0.0_f32;
         for (bound, n) in self.trace_bound.iter_mut().zip(noise) {
@@ -215,8 +220,9 @@ impl ActorCritic {
         if change > limit { rate * (limit / change) } else { rate }
     }
 
-    /// One update with the critic's features `here` and `next`, and the natural direction of the actor's features, if any.
-    /// Returns the factor of the actor's trace, and writes the mean output for the next features to `mean`.
+    /// One update with the critic's features `here` and `next`, and the natural direction of the actor's
+    /// features, if any. Returns the factor of the actor's trace, and writes the mean output for the next
+    /// features to `mean`.
     fn learn_from(
         &mut self,
         policy: &mut LinearPolicy,

@@ -6,8 +6,8 @@
 //! b_{k+1} = b_k + (r_k - b_k) / min(k + 1, N)
 //! ```
 //!
-//! `b_k` does not yet contain the reward of tick k, so that the gradient stays unbiased. `b` is the plain mean of the first N
-//! rewards and then an exponential mean with the time constant N.
+//! `b_k` does not yet contain the reward of tick k, so that the gradient stays unbiased. `b` is the plain mean
+//! of the first N rewards and then an exponential mean with the time constant N.
 
 use super::{LearningRule, PaperRule, Transition};
 use crate::policy::{LinearPolicy, Outputs};

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// `[learner]`: the rule and its constants. Omitted keys have the values of the rule's [preset](LearnerConfig::preset).
+/// `[learner]`: the rule and its constants. Omitted keys have the values of the rule's
+/// [preset](LearnerConfig::preset).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LearnerConfig {
@@ -82,8 +83,8 @@ pub struct CriticConfig {
     pub warm_up: f64,
     /// Step with which the cost of squared exploration noise is learned; 0 to disable it.
     pub noise_step: f64,
-    /// Natural gradient: value added to the diagonal of the features' second-moment matrix, in multiples of its mean
-    /// eigenvalue.
+    /// Natural gradient: value added to the diagonal of the features' second-moment matrix, in multiples of its
+    /// mean eigenvalue.
     pub regularisation: f64,
 }
 
@@ -114,8 +115,8 @@ pub struct ModelConfig {
     pub imagined: f64,
     /// Fraction of the rollouts that start from a state drawn from the whole input box.
     pub anywhere: f64,
-    /// Fraction of the rollouts that continue where the policy's previous rollout ended. The remaining ones start from a
-    /// remembered state.
+    /// Fraction of the rollouts that continue where the policy's previous rollout ended. The remaining ones
+    /// start from a remembered state.
     pub onward: f64,
     /// Number of past ticks that are remembered as start states.
     pub memory: usize,
@@ -123,18 +124,18 @@ pub struct ModelConfig {
     pub steps: usize,
     /// Initial step size, in units of a weight (Adam).
     pub step: f64,
-    /// Whitening: value added to the variances of a line's kernels along their principal directions, in multiples of the
-    /// mean variance.
+    /// Whitening: value added to the variances of a line's kernels along their principal directions, in
+    /// multiples of the mean variance.
     pub ridge: f64,
     /// Ticks after which the step size is half of the initial one.
     pub half_life: f64,
     /// Lower limit of the step size, as a fraction of the initial one.
     pub floor: f64,
-    /// Ticks after which the challenger, a second policy that starts from small random weights, is restarted; 0 for no
-    /// challenger.
+    /// Ticks after which the challenger, a second policy that starts from small random weights, is restarted; 0
+    /// for no challenger.
     pub challenge: u64,
-    /// After `n` times this number of ticks without a change of the world, the rule works only in every `n`-th tick, down to
-    /// every 256th. An unexpected reward or movement ends this at once.
+    /// After `n` times this number of ticks without a change of the world, the rule works only in every `n`-th
+    /// tick, down to every 256th. An unexpected reward or movement ends this at once.
     pub rest: u64,
 }
 
@@ -157,8 +158,8 @@ impl ModelBasis {
         }
     }
 
-    /// Whether the model has functions of single inputs besides those of pairs. Kernels sum to nearly one, so pairs of them
-    /// can represent any function of a single input.
+    /// Whether the model has functions of single inputs besides those of pairs. Kernels sum to nearly one, so
+    /// pairs of them can represent any function of a single input.
     pub fn has_singles(self) -> bool {
         self == Self::Smooth
     }
@@ -170,10 +171,11 @@ impl LearnerConfig {
         let config = Self { rule, ..Self::default() };
         match rule {
             Rule::Paper | Rule::Baseline => config,
-            // Without bounds on updates this step would be too large for some seeds. A step of 2 learns faster at first, and
-            // ends with a higher loss.
+            // Without bounds on updates this step would be too large for some seeds. A step of 2 learns faster
+            // at first, and ends with a higher loss.
             Rule::ActorCritic => Self { beta: 0.6, alpha_over_variance: 1.0, ..config },
-            // With the metric the critic learns fast on the policy's own features, and the large steps have to decay.
+            // With the metric the critic learns fast on the policy's own features, and the large steps have to
+            // decay.
             Rule::NaturalActorCritic => Self {
                 beta: 0.72,
                 alpha_over_variance: 3.0,

@@ -1,10 +1,10 @@
-//! The pass of the linear critic over its features: update, trace and two values in one pass, because there are many
-//! features.
+//! The pass of the linear critic over its features: update, trace and two values in one pass, because there are
+//! many features.
 
 use tectum_encoder::simd::{F32x8, Kernel, LANES, filled};
 
-/// Applies the pending step, `v += step e`, updates the trace, `e = decay e + h`, and returns the values of two sets of
-/// features afterwards. All slices have the same length.
+/// Applies the pending step, `v += step e`, updates the trace, `e = decay e + h`, and returns the values of two
+/// sets of features afterwards. All slices have the same length.
 pub(super) struct CriticKernel<'a> {
     pub values: &'a mut [f32],
     pub trace: &'a mut [f32],

@@ -1,9 +1,9 @@
-//! Every rule against a numerical gradient: in a small task with a known expected reward, the mean of many updates from the
-//! same weights points along the gradient.
+//! Every rule against a numerical gradient: in a small task with a known expected reward, the mean of many
+//! updates from the same weights points along the gradient.
 //!
-//! The task: one of three overlapping contexts `g`, a command `u` with two outputs, the reward `-|u - t|^2` at once and
-//! `-|u - s|^2` a tick later, where `t` and `s` depend on the context. The command of the second tick has no effect. A rule
-//! with trace decay `beta` follows `J = E[r_0 + beta r_1]`.
+//! The task: one of three overlapping contexts `g`, a command `u` with two outputs, the reward `-|u - t|^2` at
+//! once and `-|u - s|^2` a tick later, where `t` and `s` depend on the context. The command of the second tick
+//! has no effect. A rule with trace decay `beta` follows `J = E[r_0 + beta r_1]`.
 
 use super::*;
 use crate::policy::Exploration;

@@ -1,8 +1,8 @@
 //! Learning rules: update the weights of a policy from commands and rewards.
 //!
-//! A rule receives what the agent observes: inputs and their features, the applied noise and command, and the reward. The
-//! runtime decides which ticks are learned from, and cuts the trace after the others. Each rule has its own file and
-//! implements the trait [`LearningRule`]; [`Learner`] is the rule that a scenario names.
+//! A rule receives what the agent observes: inputs and their features, the applied noise and command, and the
+//! reward. The runtime decides which ticks are learned from, and cuts the trace after the others. Each rule has
+//! its own file and implements the trait [`LearningRule`]; [`Learner`] is the rule that a scenario names.
 //!
 //! | rule | file | source |
 //! |---|---|---|
@@ -37,8 +37,8 @@ use crate::SignalConfig;
 use crate::policy::{LinearPolicy, Outputs};
 use crate::state::{Persist, StateVisitor};
 
-/// Everything that a learner is built from: its inputs and outputs, the policy's features, and the rule's configuration.
-/// All numbers must be valid; this is not checked.
+/// Everything that a learner is built from: its inputs and outputs, the policy's features, and the rule's
+/// configuration. All numbers must be valid; this is not checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LearnerSpec {
     /// The inputs, in order; at most [`MAX_INPUTS`](crate::MAX_INPUTS).
@@ -77,33 +77,34 @@ pub struct Transition<'a> {
     pub next_inputs: &'a [f32],
 }
 
-/// A learning rule. Its methods do not allocate, and its results depend only on the ticks that it received and on the run's
-/// seed.
+/// A learning rule. Its methods do not allocate, and its results depend only on the ticks that it received and
+/// on the run's seed.
 pub trait LearningRule {
-    /// Learns from one tick, before the next command is sent, so it has to be fast. Returns the factor with which the trace
-    /// was added to the weights, or, for a rule without a trace, the size of its last step.
+    /// Learns from one tick, before the next command is sent, so it has to be fast. Returns the factor with
+    /// which the trace was added to the weights, or, for a rule without a trace, the size of its last step.
     fn learn(&mut self, policy: &mut LinearPolicy, tick: &Transition) -> f32;
 
-    /// [`learn`](Self::learn), and then writes the policy's mean output for the features of the next tick to `mean`. A rule
-    /// may do both in one pass; the results are the same, bit for bit.
+    /// [`learn`](Self::learn), and then writes the policy's mean output for the features of the next tick to
+    /// `mean`. A rule may do both in one pass; the results are the same, bit for bit.
     fn learn_and_answer(&mut self, policy: &mut LinearPolicy, tick: &Transition, mean: &mut Outputs) -> f32 {
         let step = self.learn(policy, tick);
         *mean = policy.mean(tick.next_features);
         step
     }
 
-    /// Does expensive work after the command was sent. Called once per tick, whether or not the tick was learned from.
+    /// Does expensive work after the command was sent. Called once per tick, whether or not the tick was
+    /// learned from.
     fn improve(&mut self, _policy: &mut LinearPolicy) {}
 
-    /// Clears the trace, so that no later reward is credited to earlier commands. Called after a tick whose applied command
-    /// was not the policy's.
+    /// Clears the trace, so that no later reward is credited to earlier commands. Called after a tick whose
+    /// applied command was not the policy's.
     fn cut_trace(&mut self);
 
     /// Euclidean norm of the trace; for a rule without a trace, the number that the log has in its place.
     fn trace_norm(&self) -> f32;
 
-    /// Whether the rule has stopped learning for good, because a number was not finite or too large. The weights keep their
-    /// last values.
+    /// Whether the rule has stopped learning for good, because a number was not finite or too large. The
+    /// weights keep their last values.
     fn halted(&self) -> bool;
 }
 
@@ -208,9 +209,10 @@ impl Persist for Learner {
 /// Numbers of this magnitude show divergence: no command, reward or step in normal use comes near it.
 const DIVERGED: f32 = 1e15;
 
-/// Whether `step` times a trace of `noise` can be added to the weights. Both must be finite and far from overflow, so that
-/// no product of the two and no sum of such products is infinite. Weights that grow without limit first enlarge the mean
-/// command, and so the noise, since the applied command is limited: they are detected long before they overflow.
+/// Whether `step` times a trace of `noise` can be added to the weights. Both must be finite and far from
+/// overflow, so that no product of the two and no sum of such products is infinite. Weights that grow without
+/// limit first enlarge the mean command, and so the noise, since the applied command is limited: they are
+/// detected long before they overflow.
 fn is_safe(step: f32, noise: &Outputs) -> bool {
     step.abs() < DIVERGED && noise.iter().all(|n| n.abs() < DIVERGED)
 }

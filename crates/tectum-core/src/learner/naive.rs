@@ -1,5 +1,5 @@
-//! A plain baseline for benches and tests: the paper's rule as straightforward loops, against which the speed and the
-//! results of [`PaperRule`](super::PaperRule) are measured. A run does not use it.
+//! A plain baseline for benches and tests: the paper's rule as straightforward loops, against which the speed
+//! and the results of [`PaperRule`](super::PaperRule) are measured. A run does not use it.
 
 /// The rule and its policy as plain matrices, with one loop each for trace, weights and mean output.
 #[derive(Debug, Clone)]

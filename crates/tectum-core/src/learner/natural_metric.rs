@@ -1,10 +1,10 @@
 //! The natural gradient's metric for a linear-Gaussian policy (Kakade 2001, *A Natural Policy Gradient*).
 //!
-//! The Fisher information of `u = W g + noise` is the features' second-moment matrix, for each output alike:
-//! `F = E[g g^T] / sigma^2`. The expectation is over inputs drawn uniformly from the input box, and is computed once, when
-//! the learner is built: the states that a policy will visit are not known, and a constant metric cannot become singular.
-//! A fraction of the mean eigenvalue is added to the diagonal. The inverse is scaled so that a step along a direction
-//! without variance is as long as that of the plain rule.
+//! The Fisher information of `u = W g + noise` is the features' second-moment matrix, for each output alike: `F
+//! = E[g g^T] / sigma^2`. The expectation is over inputs drawn uniformly from the input box, and is computed
+//! once, when the learner is built: the states that a policy will visit are not known, and a constant metric
+//! cannot become singular. A fraction of the mean eigenvalue is added to the diagonal. The inverse is scaled so
+//! that a step along a direction without variance is as long as that of the plain rule.
 
 use rand::RngExt as _;
 

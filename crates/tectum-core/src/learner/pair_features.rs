@@ -1,9 +1,10 @@
 //! Features of the critic: a topographic map over each pair of inputs.
 //!
-//! A reward for a distance depends on several inputs together, such as the position of the target *and* the angle of a
-//! joint. The policy's own maps encode each joint alone. A value that is linear in them treats the rest as noise, which
-//! enters the policy through every temporal-difference error. Small maps over all pairs (as in the learned-reward rule)
-//! represent most of the dependence: on the arm, without the last reward as a feature, the error shrinks to a third.
+//! A reward for a distance depends on several inputs together, such as the position of the target *and* the
+//! angle of a joint. The policy's own maps encode each joint alone. A value that is linear in them treats the
+//! rest as noise, which enters the policy through every temporal-difference error. Small maps over all pairs
+//! (as in the learned-reward rule) represent most of the dependence: on the arm, without the last reward as a
+//! feature, the error shrinks to a third.
 
 use crate::MAX_INPUTS;
 use crate::SignalConfig;
@@ -15,8 +16,8 @@ const UNITS: usize = 8;
 /// The maps over pairs of inputs, and the features of two consecutive ticks.
 #[derive(Debug, Clone)]
 pub struct PairFeatures {
-    /// One line for each input. The maps are outer products of lines: the fifteen pairs of the arm's six inputs share six
-    /// lines.
+    /// One line for each input. The maps are outer products of lines: the fifteen pairs of the arm's six inputs
+    /// share six lines.
     encoder: Encoder,
     lines: Features,
     inputs: usize,
@@ -59,8 +60,8 @@ impl PairFeatures {
             self.next.iter_mut().zip(&lines[0]).for_each(|(out, a)| *out = a * scale);
             return;
         }
-        // The sum of squares of a pair is the product of those of its lines. In double precision, for inputs far outside
-        // the box.
+        // The sum of squares of a pair is the product of those of its lines. In double precision, for inputs
+        // far outside the box.
         let (mut sum, mut earlier) = (0.0, 0.0);
         for square in &squares[..self.inputs] {
             sum += earlier * square;
@@ -78,8 +79,8 @@ impl PairFeatures {
         }
     }
 
-    /// Features of a tick and of the next one. If the ticks of two calls are consecutive, the shared one is not encoded
-    /// again.
+    /// Features of a tick and of the next one. If the ticks of two calls are consecutive, the shared one is not
+    /// encoded again.
     pub fn encode_pair(&mut self, inputs: &[f32], next_inputs: &[f32]) -> [&[f32]; 2] {
         if self.next_inputs[..self.inputs] != *inputs {
             self.encode(inputs);

@@ -7,8 +7,8 @@
 //! W_{k+1} = W_k + (alpha / sigma^2) r_k z_k
 //! ```
 //!
-//! The trace is in units of noise: the paper's `Sigma^-1` is part of `alpha / sigma^2`, which is also how the paper states
-//! its step. `beta = 0` is the open-loop rule.
+//! The trace is in units of noise: the paper's `Sigma^-1` is part of `alpha / sigma^2`, which is also how the
+//! paper states its step. `beta = 0` is the open-loop rule.
 
 use super::{LearningRule, Transition, is_safe};
 use crate::policy::{LinearPolicy, Outputs, Tiles, TraceStep};
@@ -25,14 +25,14 @@ pub struct PaperRule {
 }
 
 impl PaperRule {
-    /// The rule for a policy of `len` features, including padding, and `outputs` outputs, with trace decay `beta` in [0, 1)
-    /// and `rate` = `alpha / sigma^2`.
+    /// The rule for a policy of `len` features, including padding, and `outputs` outputs, with trace decay
+    /// `beta` in [0, 1) and `rate` = `alpha / sigma^2`.
     pub fn new(len: usize, outputs: usize, beta: f32, rate: f32) -> Self {
         Self { beta, rate, trace: Tiles::zeroed(len, outputs), halted: false }
     }
 
-    /// Learns from one tick, with its features, noise and reward. Returns the factor with which the trace was added to the
-    /// weights, `rate * reward`; 0 once a number was not finite or too large.
+    /// Learns from one tick, with its features, noise and reward. Returns the factor with which the trace was
+    /// added to the weights, `rate * reward`; 0 once a number was not finite or too large.
     pub fn step(&mut self, policy: &mut LinearPolicy, features: &[f32], noise: &Outputs, reward: f32) -> f32 {
         let (rate, gain) = self.prepare(noise, reward);
         if !self.halted {

@@ -1,5 +1,6 @@
-//! The saccading eye of the paper's open-loop task (section 4.1). Each tick is one trial: a target appears with a position
-//! and a velocity, four commands push the eye up, down, left and right, and the reward depends on the remaining distance.
+//! The saccading eye of the paper's open-loop task (section 4.1). Each tick is one trial: a target appears with
+//! a position and a velocity, four commands push the eye up, down, left and right, and the reward depends on
+//! the remaining distance.
 
 use rand_distr::{Distribution, StandardNormal};
 

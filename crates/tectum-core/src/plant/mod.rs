@@ -26,7 +26,8 @@ pub struct Outcome {
     pub measures: [f32; MAX_MEASURES],
 }
 
-/// A plant's joints at the beginning of a tick, for the gate's position limits: one joint per output, in their order.
+/// A plant's joints at the beginning of a tick, for the gate's position limits: one joint per output, in their
+/// order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointState {
     /// Measured angle of each joint, rad.
@@ -37,25 +38,27 @@ pub struct JointState {
 
 /// A system that can be controlled.
 ///
-/// A plant lists ([`Persist`]) the state that it needs to continue after its process was killed. A simulated plant lists
-/// all of its state. A plant on hardware lists almost nothing, since the hardware keeps its own state.
+/// A plant lists ([`Persist`]) the state that it needs to continue after its process was killed. A simulated
+/// plant lists all of its state. A plant on hardware lists almost nothing, since the hardware keeps its own
+/// state.
 pub trait Plant: Persist {
-    /// Senses at the beginning of `tick`: writes the inputs in the scenario's order and units. Returns whether a new target
-    /// (or trial) begins. Ticks increase, and may skip numbers when the plant was late.
+    /// Senses at the beginning of `tick`: writes the inputs in the scenario's order and units. Returns whether
+    /// a new target (or trial) begins. Ticks increase, and may skip numbers when the plant was late.
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool;
 
     /// Advances through `tick` with the command as the gate limited it, and returns the outcome.
     fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome;
 
-    /// For a plant on hardware, where the command of a tick acts during that tick: how long the plant's loop waits for the
-    /// command, ns after the beginning of the tick. `None` for a simulated plant, which advances when the tick is over.
+    /// For a plant on hardware, where the command of a tick acts during that tick: how long the plant's loop
+    /// waits for the command, ns after the beginning of the tick. `None` for a simulated plant, which advances
+    /// when the tick is over.
     fn acts_within(&self) -> Option<u64> {
         None
     }
 
-    /// For a plant that acts during the tick: applies the command of `tick`, as the gate limited it. If the plant limits
-    /// the command further, it changes `applied` and returns the flags of an observation that say so. [`Plant::advance`]
-    /// follows when the tick is over.
+    /// For a plant that acts during the tick: applies the command of `tick`, as the gate limited it. If the
+    /// plant limits the command further, it changes `applied` and returns the flags of an observation that say
+    /// so. [`Plant::advance`] follows when the tick is over.
     fn act(&mut self, _tick: u64, _applied: &mut [f32], _flags: u32) -> u32 {
         0
     }
@@ -65,8 +68,8 @@ pub trait Plant: Persist {
         0
     }
 
-    /// The joints, if the outputs move joints; called before [`Plant::advance`]. The gate's position limits (`positions`
-    /// under `[gate]`) need them.
+    /// The joints, if the outputs move joints; called before [`Plant::advance`]. The gate's position limits
+    /// (`positions` under `[gate]`) need them.
     fn joints(&self) -> Option<JointState> {
         None
     }
@@ -82,8 +85,8 @@ pub enum SimulatedPlant {
 }
 
 impl SimulatedPlant {
-    /// The plant that a scenario configures, for ticks of `period_s` seconds and the run's `seed`. `None` if neither is
-    /// configured, because another program is the plant.
+    /// The plant that a scenario configures, for ticks of `period_s` seconds and the run's `seed`. `None` if
+    /// neither is configured, because another program is the plant.
     pub fn new(arm: Option<&ArmConfig>, eye: Option<&EyeConfig>, period_s: f64, seed: u64) -> Option<Self> {
         match (arm, eye) {
             (Some(config), _) => Some(Self::Arm(Box::new(Arm::new(config, period_s, seed)))),

@@ -1,11 +1,12 @@
 //! Exploration noise: its distributions, and their scores.
 //!
-//! A policy-gradient rule needs only the score of the noise `n`, the negative slope of its log-density. For the normal
-//! distribution the score is `n / sigma^2`, which is why the paper's rules multiply noise by features. For the Laplace
-//! distribution, with density `exp(-|n| / b) / 2b` and standard deviation `sigma = b sqrt 2`, it is `sign(n) / b`: a large
-//! deviation counts no more than a small one, which corresponds to the L1 norm instead of the L2 norm (paper section 5).
-//! Rules receive `sigma^2` times the score, `n` or `sigma sqrt 2 sign(n)`, so that `alpha / sigma^2` keeps its meaning:
-//! both have the mean square `sigma^2` and give the gradient of the expected reward times `sigma^2`.
+//! A policy-gradient rule needs only the score of the noise `n`, the negative slope of its log-density. For the
+//! normal distribution the score is `n / sigma^2`, which is why the paper's rules multiply noise by features.
+//! For the Laplace distribution, with density `exp(-|n| / b) / 2b` and standard deviation `sigma = b sqrt 2`,
+//! it is `sign(n) / b`: a large deviation counts no more than a small one, which corresponds to the L1 norm
+//! instead of the L2 norm (paper section 5). Rules receive `sigma^2` times the score, `n` or `sigma sqrt 2
+//! sign(n)`, so that `alpha / sigma^2` keeps its meaning: both have the mean square `sigma^2` and give the
+//! gradient of the expected reward times `sigma^2`.
 
 use std::f32::consts::SQRT_2;
 
@@ -55,7 +56,8 @@ impl Exploration {
         noise
     }
 
-    /// `sigma^2` times the score of `noise`, which the learning rules multiply by the features. The score of 0 is 0.
+    /// `sigma^2` times the score of `noise`, which the learning rules multiply by the features. The score of 0
+    /// is 0.
     #[inline]
     pub fn score(&self, noise: &Outputs) -> Outputs {
         match self.noise {
@@ -71,8 +73,8 @@ impl Persist for Exploration {
     }
 }
 
-/// A draw from the Laplace distribution of standard deviation 1, by inversion: an exponential deviate with a random sign.
-/// 53 bits give a number in (0, 1), whose logarithm is finite; another bit gives the sign.
+/// A draw from the Laplace distribution of standard deviation 1, by inversion: an exponential deviate with a
+/// random sign. 53 bits give a number in (0, 1), whose logarithm is finite; another bit gives the sign.
 fn laplace(rng: &mut Rng) -> f64 {
     let bits = rng.next_u64();
     let uniform = ((bits >> 11) as f64 + 0.5) / (1_u64 << 53) as f64;
@@ -131,7 +133,8 @@ mod tests {
         }
     }
 
-    /// The defining property of a score: the mean of score times reward is the slope of the mean reward, times `sigma^2`.
+    /// The defining property of a score: the mean of score times reward is the slope of the mean reward, times
+    /// `sigma^2`.
     #[test]
     fn scores_estimate_the_slope_of_the_mean_reward() {
         for (noise, _) in SHAPES {

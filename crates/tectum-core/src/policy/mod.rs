@@ -1,5 +1,5 @@
-//! The linear-Gaussian policy `u = W g + noise`, `noise ~ N(0, sigma^2 I)` (paper section 3.2, equations 3 to 6). The noise
-//! may have another distribution with the same standard deviation ([`Exploration`]).
+//! The linear-Gaussian policy `u = W g + noise`, `noise ~ N(0, sigma^2 I)` (paper section 3.2, equations 3 to
+//! 6). The noise may have another distribution with the same standard deviation ([`Exploration`]).
 //!
 //! Weights are stored in [`Tiles`] of four outputs by eight features, so that one pass over the features serves all
 //! outputs.
@@ -65,8 +65,8 @@ impl LinearPolicy {
         self.advance::<false>(trace, step, &[], &mut [0.0; MAX_OUTPUTS]);
     }
 
-    /// [`step`](Self::step), and in the same pass the mean output for the features `next` with the new weights: the bits of
-    /// [`mean`](Self::mean).
+    /// [`step`](Self::step), and in the same pass the mean output for the features `next` with the new weights:
+    /// the bits of [`mean`](Self::mean).
     #[inline]
     pub fn step_and_answer(&mut self, trace: &mut Tiles, step: TraceStep, next: &[f32], mean: &mut Outputs) {
         self.advance::<true>(trace, step, next, mean);
@@ -111,8 +111,8 @@ impl LinearPolicy {
         self.weights.norm_on(self.path)
     }
 
-    /// XXH3-64 of the weights as little-endian f32, row by row: all features of the first output, then of the second,
-    /// without padding. Two runs with equal hashes have learned the same, bit for bit.
+    /// XXH3-64 of the weights as little-endian f32, row by row: all features of the first output, then of the
+    /// second, without padding. Two runs with equal hashes have learned the same, bit for bit.
     pub fn hash(&self) -> u64 {
         let mut hash = Xxh3::new();
         for output in 0..self.outputs {

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Distributions of the exploration noise. Outputs are independent, with mean 0 and standard deviation `sigma` each.
+/// Distributions of the exploration noise. Outputs are independent, with mean 0 and standard deviation `sigma`
+/// each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Noise {

@@ -1,9 +1,9 @@
-//! Matrices of outputs by features, in the memory layout of policy and learning rules: the weights, and traces of the same
-//! shape.
+//! Matrices of outputs by features, in the memory layout of policy and learning rules: the weights, and traces
+//! of the same shape.
 //!
-//! A [`Tile`] holds four outputs of eight neighbouring features, output by output. A pass therefore reads eight features
-//! once for four outputs, as whole vectors that need no broadcast, and reads and writes memory sequentially. Up to four
-//! outputs take one group of tiles, up to eight take two; unused elements stay zero.
+//! A [`Tile`] holds four outputs of eight neighbouring features, output by output. A pass therefore reads eight
+//! features once for four outputs, as whole vectors that need no broadcast, and reads and writes memory
+//! sequentially. Up to four outputs take one group of tiles, up to eight take two; unused elements stay zero.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -107,8 +107,8 @@ pub struct TraceStep<'a> {
     pub rate: f32,
 }
 
-/// An update of one group and, in the same pass, the mean output for `next`. Most of the time of a tick is spent on loading
-/// and storing weights and trace, so they are loaded once.
+/// An update of one group and, in the same pass, the mean output for `next`. Most of the time of a tick is
+/// spent on loading and storing weights and trace, so they are loaded once.
 pub(super) struct StepKernel<'a, const WITH_MEAN: bool> {
     pub weights: &'a mut [Tile],
     pub trace: &'a mut [Tile],

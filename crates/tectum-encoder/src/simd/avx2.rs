@@ -1,7 +1,8 @@
 //! Eight lanes in one AVX2 register.
 //!
-//! Plain arrays would need no `unsafe`, but the compiler does not reliably vectorise them: it compiled the encoder's loop
-//! over groups of units to scalar code. Each intrinsic is a single operation that is rounded on its own.
+//! Plain arrays would need no `unsafe`, but the compiler does not reliably vectorise them: it compiled the
+//! encoder's loop over groups of units to scalar code. Each intrinsic is a single operation that is rounded on
+//! its own.
 
 use std::arch::x86_64::{
     __m256, _mm256_add_ps, _mm256_castps_si256, _mm256_castps256_ps128, _mm256_castsi256_ps, _mm256_extractf128_ps,
@@ -23,8 +24,8 @@ pub(super) fn run<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Avx2F32x8>()
 }
 
-// SAFETY (of every block below): operations on `Avx2F32x8` are reached only through `run`, whose callers have detected
-// AVX2 on this machine. None of them accesses memory.
+// SAFETY (of every block below): operations on `Avx2F32x8` are reached only through `run`, whose callers have
+// detected AVX2 on this machine. None of them accesses memory.
 
 impl Add for Avx2F32x8 {
     type Output = Self;

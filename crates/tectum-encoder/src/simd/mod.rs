@@ -1,16 +1,17 @@
-//! Vectors of eight `f32` for the inner loops of encoder, policy and learning rules, and the choice of instruction set.
+//! Vectors of eight `f32` for the inner loops of encoder, policy and learning rules, and the choice of
+//! instruction set.
 //!
-//! A program built for plain x86-64 may use only SSE2, with four lanes, although nearly every machine has AVX2, with
-//! eight. A loop is therefore written once, as a [`Kernel`] over any [`F32x8`], and compiled twice: with two of glam's
-//! `Vec4` for every machine (SSE2, NEON, scalar code), and with AVX2 registers. A [`SimdPath`] selects one of them when
-//! an encoder or a policy is built.
+//! A program built for plain x86-64 may use only SSE2, with four lanes, although nearly every machine has AVX2,
+//! with eight. A loop is therefore written once, as a [`Kernel`] over any [`F32x8`], and compiled twice: with
+//! two of glam's `Vec4` for every machine (SSE2, NEON, scalar code), and with AVX2 registers. A [`SimdPath`]
+//! selects one of them when an encoder or a policy is built.
 //!
-//! All paths give the same bits. Every operation is lane by lane and rounded on its own. None is fused: AVX2 does not
-//! imply FMA, and FMA is not enabled. Sums over features keep eight partial sums, one per lane, for any register width,
-//! and are added in a fixed order at the end.
+//! All paths give the same bits. Every operation is lane by lane and rounded on its own. None is fused: AVX2
+//! does not imply FMA, and FMA is not enabled. Sums over features keep eight partial sums, one per lane, for
+//! any register width, and are added in a fixed order at the end.
 //!
-//! Users need [`SimdPath`] alone. [`Kernel`], [`F32x8`] and [`filled`] are public because the policy and the learning
-//! rules, in another crate, are written with them.
+//! Users need [`SimdPath`] alone. [`Kernel`], [`F32x8`] and [`filled`] are public because the policy and the
+//! learning rules, in another crate, are written with them.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -34,12 +35,13 @@ pub trait F32x8: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = S
     fn store(self) -> [f32; LANES];
     /// The smaller of each two lanes; if the left one is NaN, the right one.
     fn min(self, other: Self) -> Self;
-    /// Subtracts, as integers, the bits of `shifted` moved left by `BITS` from the bits of each lane: divides by a power
-    /// of two whose exponent is in the lowest bits of `shifted`.
+    /// Subtracts, as integers, the bits of `shifted` moved left by `BITS` from the bits of each lane: divides
+    /// by a power of two whose exponent is in the lowest bits of `shifted`.
     fn less_exponent<const BITS: i32>(self, shifted: Self) -> Self;
     /// The lower and the upper four lanes.
     fn halves(self) -> [Vec4; 2];
-    /// The sum over the lanes of each of four vectors, neighbours first: `((a + b) + (c + d)) + ((e + f) + (g + h))`.
+    /// The sum over the lanes of each of four vectors, neighbours first: `((a + b) + (c + d)) + ((e + f) + (g +
+    /// h))`.
     fn totals(of: [Self; 4]) -> [f32; 4];
 }
 
@@ -122,10 +124,10 @@ impl F32x8 for GlamF32x8 {
 
 /// A loop over lanes, together with its arguments; [`SimdPath::run`] runs it.
 ///
-/// `run` and every function that it calls must be `#[inline(always)]`, and must not pass lanes to closures (`map`,
-/// `from_fn`). Code that is not inlined into the function with the `target_feature` attribute is compiled without these
-/// instructions and calls a function for every operation, which takes ten times longer. It is still correct; the test
-/// `tests/instructions.rs` detects it.
+/// `run` and every function that it calls must be `#[inline(always)]`, and must not pass lanes to closures
+/// (`map`, `from_fn`). Code that is not inlined into the function with the `target_feature` attribute is
+/// compiled without these instructions and calls a function for every operation, which takes ten times longer.
+/// It is still correct; the test `tests/instructions.rs` detects it.
 pub trait Kernel {
     /// The result.
     type Output;

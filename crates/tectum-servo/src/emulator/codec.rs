@@ -1,8 +1,9 @@
 //! The devices' end of both protocols: bytes to instructions, answers to bytes.
 //!
-//! Dynamixel 2.0: `FF FF FD 00 id length(2) instruction parameters crc(2)`, with an `FD` stuffed in after every `FF FF FD` of the body;
-//! <https://emanual.robotis.com/docs/en/dxl/protocol2/>. Feetech: `FF FF id length instruction parameters checksum`, where the checksum is
-//! the complement of the sum from the id on. Bytes that make no packet are passed over one by one, as a servo does that waits for a header.
+//! Dynamixel 2.0: `FF FF FD 00 id length(2) instruction parameters crc(2)`, with an `FD` stuffed in after every
+//! `FF FF FD` of the body; <https://emanual.robotis.com/docs/en/dxl/protocol2/>. Feetech: `FF FF id length
+//! instruction parameters checksum`, where the checksum is the complement of the sum from the id on. Bytes that
+//! make no packet are passed over one by one, as a servo does that waits for a header.
 
 use crate::model::Protocol;
 

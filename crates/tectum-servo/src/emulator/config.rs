@@ -1,5 +1,5 @@
-//! `[plant.emulator]`: the settings of an emulated chain of servos. Left out, it is ideal: as fast as it is told to be,
-//! without delay, noise or faults.
+//! `[plant.emulator]`: the settings of an emulated chain of servos. Left out, it is ideal: as fast as it is
+//! told to be, without delay, noise or faults.
 
 use serde::{Deserialize, Serialize};
 
@@ -42,7 +42,8 @@ pub struct ServoFault {
     /// The second from which on it no longer happens; left out, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until_s: Option<f64>,
-    /// How likely it is, above 0 and up to 1: for every answer, or with what befalls a whole servo for every second. Left out, certain.
+    /// How likely it is, above 0 and up to 1: for every answer, or with what befalls a whole servo for every
+    /// second. Left out, certain.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
     /// How much later `slow` answers come, ms; left out, 20.
@@ -62,7 +63,8 @@ pub enum ServoFaultKind {
     WrongId,
     /// An answer comes `delay_ms` later.
     Slow,
-    /// Neither power nor signals reach the servo and those behind it; when they come back it starts anew, without torque.
+    /// Neither power nor signals reach the servo and those behind it; when they come back it starts anew,
+    /// without torque.
     CableOut,
     /// The joint is held fast; with torque on, the servo's own protection trips after a while.
     Overload,

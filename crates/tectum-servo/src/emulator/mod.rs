@@ -1,19 +1,22 @@
 //! An emulated chain of serial-bus servos: bytes in at an instant, bytes out at an instant.
 //!
-//! Pure: no clock, no files, no threads. What comes out is a function of seed, settings, and the bytes with their instants. [`EmulatedPort`] puts
-//! it behind `serialport`'s trait with a stepped clock; `tectum-servo-emulator` puts it behind a terminal in real time.
+//! Pure: no clock, no files, no threads. What comes out is a function of seed, settings, and the bytes with
+//! their instants. [`EmulatedPort`] puts it behind `serialport`'s trait with a stepped clock;
+//! `tectum-servo-emulator` puts it behind a terminal in real time.
 //!
-//! *As the real ones*: packets, checksums, stuffing, error bytes; control tables with what is EEPROM and what refuses writes; the time
-//! that bytes take on the wire, the return delay; answers to a synchronous read one after the other, where those behind one that is missing
-//! stay silent; two servos with one id that talk at once; a wrong baud rate, at which nobody answers; speed and acceleration from registers;
-//! Dynamixel's bus watchdog and its errors that hold until a reboot; a start without torque after a loss of power.
+//! *As the real ones*: packets, checksums, stuffing, error bytes; control tables with what is EEPROM and what
+//! refuses writes; the time that bytes take on the wire, the return delay; answers to a synchronous read one
+//! after the other, where those behind one that is missing stay silent; two servos with one id that talk at
+//! once; a wrong baud rate, at which nobody answers; speed and acceleration from registers; Dynamixel's bus
+//! watchdog and its errors that hold until a reboot; a start without torque after a loss of power.
 //!
-//! *Where the makers are not clear the worse is taken*: goals are kept while torque is off, so that turning it on moves the shaft to an
-//! old goal; with Feetech a goal position turns torque on by itself.
+//! *Where the makers are not clear the worse is taken*: goals are kept while torque is off, so that turning it
+//! on moves the shaft to an old goal; with Feetech a goal position turns torque on by itself.
 //!
-//! *Not emulated*: mass, gravity and friction (without torque a shaft stays where it is); the controllers' gains; current and PWM modes; homing
-//! offsets, drive mode, indirect addresses; register writes that wait for an action; bulk and fast reads; Feetech's step mode, its
-//! middle position by writing 128 to torque, and the residual torque after an overload (it is turned off whole).
+//! *Not emulated*: mass, gravity and friction (without torque a shaft stays where it is); the controllers'
+//! gains; current and PWM modes; homing offsets, drive mode, indirect addresses; register writes that wait for
+//! an action; bulk and fast reads; Feetech's step mode, its middle position by writing 128 to torque, and the
+//! residual torque after an overload (it is turned off whole).
 
 pub mod codec;
 mod config;
@@ -78,8 +81,8 @@ pub struct ServoState {
 }
 
 impl EmulatedChain {
-    /// Servos with these ids, in the order in which they hang on the wire, all in their middle position; ids that stand twice make
-    /// two servos that talk at once. They listen at `baud`.
+    /// Servos with these ids, in the order in which they hang on the wire, all in their middle position; ids
+    /// that stand twice make two servos that talk at once. They listen at `baud`.
     pub fn new(protocol: Protocol, ids: &[u8], baud: u32, settings: &EmulatorConfig, seed: u64) -> Self {
         let named = settings.model.as_ref().and_then(|name| MODELS.iter().find(|model| model.name == name));
         let usual = MODELS.iter().find(|model| model.protocol == protocol);
@@ -109,7 +112,8 @@ impl EmulatedChain {
         }
     }
 
-    /// Takes what a host sends at `now` with `baud` (0: whatever the servos listen at). Instants never go back; the emulator starts at 0.
+    /// Takes what a host sends at `now` with `baud` (0: whatever the servos listen at). Instants never go back;
+    /// the emulator starts at 0.
     pub fn receive(&mut self, now: u64, baud: u32, bytes: &[u8]) {
         if now.saturating_sub(self.received) > SILENCE {
             self.parser.clear();
@@ -147,7 +151,8 @@ impl EmulatedChain {
         self.advance_servos(self.now);
     }
 
-    /// Moves the shaft of the servo with this id to `at` steps as a hand does; a servo with torque is stronger. Whether there is such a servo.
+    /// Moves the shaft of the servo with this id to `at` steps as a hand does; a servo with torque is stronger.
+    /// Whether there is such a servo.
     pub fn hand(&mut self, now: u64, id: u8, at: f64) -> bool {
         self.live(now.max(self.now));
         let mut found = false;
@@ -392,7 +397,8 @@ fn ping(servo: &mut EmulatedServo, _: &mut Rng) -> Vec<u8> {
     }
 }
 
-/// Two that talk at once: the line is low where either pulls it down, and since their clocks are not one the last bytes never fit.
+/// Two that talk at once: the line is low where either pulls it down, and since their clocks are not one the
+/// last bytes never fit.
 fn collision(mut one: Vec<u8>, other: &[u8]) -> Vec<u8> {
     for (byte, pulled) in one.iter_mut().zip(other) {
         *byte &= pulled;

@@ -1,5 +1,6 @@
-//! How a servo's shaft moves: towards a speed or a position, with finite speed and acceleration, exactly where that can be said in closed
-//! form and in steps of a millisecond where it cannot (towards a position with finite acceleration).
+//! How a servo's shaft moves: towards a speed or a position, with finite speed and acceleration, exactly where
+//! that can be said in closed form and in steps of a millisecond where it cannot (towards a position with
+//! finite acceleration).
 //!
 //! There is no mass and no gravity: without torque a shaft stays where it is.
 

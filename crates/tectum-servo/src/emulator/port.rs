@@ -1,4 +1,5 @@
-//! The emulated chain as a serial port in virtual time: reads step the clock to the next answer or by the time-out, and nobody sleeps.
+//! The emulated chain as a serial port in virtual time: reads step the clock to the next answer or by the
+//! time-out, and nobody sleeps.
 
 use std::io::{self, Read, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -37,7 +38,8 @@ pub struct EmulatedPort {
 }
 
 impl EmulatedPort {
-    /// A port to `chain` at `baud`, in the time of `clock`. The chain may be looked at and taken by the hand through its own handle.
+    /// A port to `chain` at `baud`, in the time of `clock`. The chain may be looked at and taken by the hand
+    /// through its own handle.
     pub fn new(chain: Arc<Mutex<EmulatedChain>>, clock: SteppedClock, baud: u32) -> Self {
         Self { chain, clock, baud, timeout: Duration::from_millis(10), ready: Arc::default() }
     }

@@ -85,7 +85,8 @@ impl EmulatedServo {
         self.heard = self.heard.max(now);
     }
 
-    /// Starts anew: registers outside the EEPROM are what they are after power-up, torque is off, the goal is the posture.
+    /// Starts anew: registers outside the EEPROM are what they are after power-up, torque is off, the goal is
+    /// the posture.
     pub fn power_up(&mut self) {
         self.table.lose_power();
         self.failed = false;
@@ -301,8 +302,8 @@ impl EmulatedServo {
             (self.plight.low, error_bit::VOLTAGE),
         ];
         let now = bits.iter().filter(|(holds, _)| *holds).fold(0, |all, (_, bit)| all | bit);
-        // A Dynamixel keeps its errors until it starts anew; a Feetech forgets heat and voltage when they are over, and an overload when
-        // nothing holds it any more.
+        // A Dynamixel keeps its errors until it starts anew; a Feetech forgets heat and voltage when they are
+        // over, and an overload when nothing holds it any more.
         let kept = match series.protocol {
             Protocol::Dynamixel => self.errors(),
             Protocol::Feetech if self.plight.held => self.errors() & error_bit::OVERLOAD,

@@ -1,7 +1,7 @@
 //! A servo's control table: what it holds after power-up, and who may write what when.
 //!
-//! Dynamixel refuses with an error number (result fail 1, data range 4, data limit 6, access 7); Feetech answers every write alike and
-//! takes what it can.
+//! Dynamixel refuses with an error number (result fail 1, data range 4, data limit 6, access 7); Feetech
+//! answers every write alike and takes what it can.
 
 use crate::model::{Protocol, Register, ServoModel, ServoSeries};
 
@@ -109,8 +109,8 @@ impl ControlTable {
         known.map_or(self.series.factory_baud, |&(rate, _)| rate)
     }
 
-    /// Writes `bytes` from `address` on as a host asks for it: all of them or, refused, none. `failed` is whether an error has turned the
-    /// servo off.
+    /// Writes `bytes` from `address` on as a host asks for it: all of them or, refused, none. `failed` is
+    /// whether an error has turned the servo off.
     ///
     /// # Errors
     /// Protocol 2.0's error number.

@@ -1,14 +1,14 @@
 //! What a series of servos is like: registers, units, signs, models.
 //!
-//! Two series are known: Dynamixel X (XL330, XC330, XL430, XC430, XM430, XH430, XM540, XH540; protocol 2.0) and Feetech's STS3215 with
-//! its kin (the SO-100 and SO-101 arms). Addresses and widths are those of the makers' manuals
-//! (<https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/>, `xl430-w250`, `xm430-w350`; Feetech's memory table of the STS series),
-//! and a test holds every one of them to rustypot's tables.
+//! Two series are known: Dynamixel X (XL330, XC330, XL430, XC430, XM430, XH430, XM540, XH540; protocol 2.0) and
+//! Feetech's STS3215 with its kin (the SO-100 and SO-101 arms). Addresses and widths are those of the makers'
+//! manuals (<https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/>, `xl430-w250`, `xm430-w350`; Feetech's
+//! memory table of the STS series), and a test holds every one of them to rustypot's tables.
 //!
-//! *Positions* count 4096 a turn in both series. *Signs*: Dynamixel has two's complement; Feetech has a magnitude with a
-//! sign bit of its own, bit 15 for positions and speeds, bit 10 for the load.
-//! *EEPROM*: Dynamixel refuses writes below address 64 (access error) while torque is on. Feetech takes them at any time; they outlive a
-//! loss of power only if `lock` is 0.
+//! *Positions* count 4096 a turn in both series. *Signs*: Dynamixel has two's complement; Feetech has a
+//! magnitude with a sign bit of its own, bit 15 for positions and speeds, bit 10 for the load. *EEPROM*:
+//! Dynamixel refuses writes below address 64 (access error) while torque is on. Feetech takes them at any time;
+//! they outlive a loss of power only if `lock` is 0.
 
 mod models;
 mod register;
@@ -71,7 +71,8 @@ pub struct ServoSeries {
     pub torque_enable: Register,
     /// Errors that hold: bit 0 voltage, bit 2 heat, bit 5 overload in both series.
     pub hardware_error: Register,
-    /// Stops the servo when no instruction comes for so many times 20 ms; 0 is off, 255 says that it has bitten. Dynamixel alone.
+    /// Stops the servo when no instruction comes for so many times 20 ms; 0 is off, 255 says that it has
+    /// bitten. Dynamixel alone.
     pub bus_watchdog: Option<Register>,
     /// Goal speed in velocity mode.
     pub goal_velocity: Register,
@@ -127,7 +128,8 @@ pub mod error_bit {
     pub const OVERLOAD: u8 = 1 << 5;
 }
 
-/// Dynamixel X: protocol 2.0. A unit of speed is 0.229 rpm, one of acceleration 214.577 revolutions a minute squared.
+/// Dynamixel X: protocol 2.0. A unit of speed is 0.229 rpm, one of acceleration 214.577 revolutions a minute
+/// squared.
 pub const DYNAMIXEL_X: ServoSeries = ServoSeries {
     protocol: Protocol::Dynamixel,
     name: "Dynamixel X",
@@ -169,7 +171,8 @@ pub const DYNAMIXEL_X: ServoSeries = ServoSeries {
     eeprom: (0, 64),
 };
 
-/// Feetech STS3215 and its kin. A unit of speed is a step a second, one of acceleration a hundred steps a second squared.
+/// Feetech STS3215 and its kin. A unit of speed is a step a second, one of acceleration a hundred steps a
+/// second squared.
 pub const FEETECH_STS: ServoSeries = ServoSeries {
     protocol: Protocol::Feetech,
     name: "Feetech STS",
@@ -229,7 +232,8 @@ impl Protocol {
         Self::NAMES[self as usize]
     }
 
-    /// The one of this name; a name that there is not reads as the first, since command lines take [`NAMES`](Self::NAMES) alone.
+    /// The one of this name; a name that there is not reads as the first, since command lines take
+    /// [`NAMES`](Self::NAMES) alone.
     pub fn named(name: &str) -> Self {
         if name == Self::Feetech.name() { Self::Feetech } else { Self::Dynamixel }
     }

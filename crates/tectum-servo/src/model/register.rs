@@ -31,8 +31,8 @@ impl Register {
         Self::new(address, width, SignEncoding::Unsigned)
     }
 
-    /// The register's bytes for `value`; only the first [`Register::width`] of them count. A value that does not fit is cut to the largest one
-    /// that does.
+    /// The register's bytes for `value`; only the first [`Register::width`] of them count. A value that does
+    /// not fit is cut to the largest one that does.
     pub fn encode(self, value: i32) -> [u8; 4] {
         let bits = u32::from(self.width) * 8;
         let raw = match self.sign {
@@ -52,8 +52,8 @@ impl Register {
         raw.to_le_bytes()
     }
 
-    /// What the register's bytes say; bytes that are missing count as zero, those beyond its width are left alone. An unsigned register of
-    /// four bytes stops at `i32::MAX`.
+    /// What the register's bytes say; bytes that are missing count as zero, those beyond its width are left
+    /// alone. An unsigned register of four bytes stops at `i32::MAX`.
     pub fn decode(self, bytes: &[u8]) -> i32 {
         let mut raw = [0; 4];
         let width = usize::from(self.width).min(bytes.len());

@@ -58,7 +58,8 @@ fn agree(series: &ServoSeries, find: impl Fn(&str) -> Option<RegisterInfo>, sign
             Encoding::SignMagnitude { sign_bit } => SignEncoding::Magnitude(sign_bit),
             _ => SignEncoding::Unsigned,
         };
-        // The XL330's limits are declared with a sign in rustypot and without one for the XL430; they are never negative.
+        // The XL330's limits are declared with a sign in rustypot and without one for the XL430; they are never
+        // negative.
         if signs && !name.ends_with("_limit") {
             assert_eq!(ours.sign, sign, "{}: {name}", series.name);
         }

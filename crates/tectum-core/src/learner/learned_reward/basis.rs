@@ -1,10 +1,11 @@
 //! One-dimensional bases over the inputs; the reward model consists of their products.
 //!
-//! There are two families. The Gaussian one is the paper's: a row of kernels whose radius is their spacing. The smooth one
-//! is a Fourier series over an input that wraps and Legendre polynomials over an input that does not (Konidaris, Osentoski
-//! & Thomas 2011, *Value Function Approximation in Reinforcement Learning using the Fourier Basis*). Each function has a
-//! prior standard deviation. In the smooth family it decreases with the order, so that the model prefers the smoothest
-//! reward that fits the data, and a few ticks at a few targets determine it over the whole input box.
+//! There are two families. The Gaussian one is the paper's: a row of kernels whose radius is their spacing. The
+//! smooth one is a Fourier series over an input that wraps and Legendre polynomials over an input that does not
+//! (Konidaris, Osentoski & Thomas 2011, *Value Function Approximation in Reinforcement Learning using the
+//! Fourier Basis*). Each function has a prior standard deviation. In the smooth family it decreases with the
+//! order, so that the model prefers the smoothest reward that fits the data, and a few ticks at a few targets
+//! determine it over the whole input box.
 
 use std::f32::consts::{LOG2_E, PI};
 
@@ -51,7 +52,8 @@ const MAX_EXPONENT: f32 = 43.0;
 pub(super) enum Basis {
     /// Gaussian kernels.
     Kernels(KernelRow),
-    /// `cos x, sin x, cos 2x, ..` up to the order, and `(x / pi)^2`, for which a Fourier series would need many terms.
+    /// `cos x, sin x, cos 2x, ..` up to the order, and `(x / pi)^2`, for which a Fourier series would need many
+    /// terms.
     Waves(usize),
     /// Legendre polynomials from the first order on, over a range scaled to [-1, 1].
     Polynomials { order: usize, centre: f32, half: f32 },
@@ -80,7 +82,8 @@ impl Basis {
         }
     }
 
-    /// The prior standard deviation of the weight of function `i`, with a factor `smoothness` per order above the first.
+    /// The prior standard deviation of the weight of function `i`, with a factor `smoothness` per order above
+    /// the first.
     pub fn spread(&self, i: usize, smoothness: f64) -> f64 {
         match self {
             Self::Kernels(_) => 1.0,

@@ -1,4 +1,5 @@
-//! A candidate policy: weights, the slope of the cost of rollouts along them, and Adam (Kingma & Ba 2015) to descend it.
+//! A candidate policy: weights, the slope of the cost of rollouts along them, and Adam (Kingma & Ba 2015) to
+//! descend it.
 
 use rand::RngExt as _;
 
@@ -19,7 +20,8 @@ const INITIAL_WEIGHT: f32 = 5e-3;
 pub(super) struct CandidatePolicy {
     /// By feature group, output by output, feature by feature.
     pub weights: [Vec<f32>; 2],
-    /// Slope of the rollouts' cost along the weights, summed since the last step, and the cost, summed since the last tick.
+    /// Slope of the rollouts' cost along the weights, summed since the last step, and the cost, summed since
+    /// the last tick.
     pub slope: [Vec<f32>; 2],
     pub cost: f32,
     /// The states in which its latest rollouts ended.
@@ -108,8 +110,8 @@ impl CandidatePolicy {
         self.age += 1;
     }
 
-    /// One step of size `step` down the slope that was summed over `ticks` ticks of rollouts. Returns the norm of the mean
-    /// slope. If it is not finite, the slope is dropped and the weights do not change.
+    /// One step of size `step` down the slope that was summed over `ticks` ticks of rollouts. Returns the norm
+    /// of the mean slope. If it is not finite, the slope is dropped and the weights do not change.
     pub fn descend(&mut self, groups: &mut [MapFeatures; 2], ticks: usize, step: f32) -> f32 {
         let squares: f32 = self.slope.iter().flatten().map(|s| s * s).sum();
         let norm = squares.sqrt() / ticks as f32;

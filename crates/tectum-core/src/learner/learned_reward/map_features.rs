@@ -35,8 +35,8 @@ pub(super) struct MapFeatures {
 }
 
 impl MapFeatures {
-    /// Two groups: the maps that depend only on the first `fixed` inputs in the model's order, and the maps that depend on
-    /// moved inputs. `rank` is the position of each input in that order.
+    /// Two groups: the maps that depend only on the first `fixed` inputs in the model's order, and the maps
+    /// that depend on moved inputs. `rank` is the position of each input in that order.
     pub fn of(maps: &[Map], encoder: &Encoder, rank: &[usize], fixed: usize, ridge: f64) -> [Self; 2] {
         let order: Vec<_> = encoder.positions().collect();
         let mut groups = [Self::default(), Self::default()];
@@ -96,7 +96,8 @@ impl MapFeatures {
         }
     }
 
-    /// Computes the features of `inputs`, and values and slopes of the lines. Returns the sum of squares of the features.
+    /// Computes the features of `inputs`, and values and slopes of the lines. Returns the sum of squares of the
+    /// features.
     pub fn encode(&self, inputs: &[f32], values: &mut [f32], slopes: &mut [f32], features: &mut [f32]) -> f32 {
         let mut rest = features;
         for map in &self.maps {
@@ -121,8 +122,8 @@ impl MapFeatures {
         self.maps.iter().map(|p| squares(&p.fast) * p.slow.as_ref().map_or(1.0, squares)).sum()
     }
 
-    /// Back-propagation: given the slopes `features` of some quantity along the features, adds its slopes along the moved
-    /// inputs, from number `fixed` on, to `inputs`.
+    /// Back-propagation: given the slopes `features` of some quantity along the features, adds its slopes along
+    /// the moved inputs, from number `fixed` on, to `inputs`.
     pub fn backpropagate(&self, values: &[f32], slopes: &[f32], features: &[f32], fixed: usize, inputs: &mut [f32]) {
         let mut next = 0;
         let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();

@@ -1,23 +1,24 @@
 //! The learned-reward rule: model-based learning. It learns a model of the reward and improves the policy with it.
 //!
-//! The agent observes only inputs, reward and its own commands. From these it learns, tick by tick, a model of the reward
-//! (`reward_model.rs`) and a model of the effect of commands on inputs (`movement_model.rs`). After each command was sent,
-//! it simulates movements (rollouts) from states it has been in to targets anywhere in the input box, and descends the cost
-//! of the rollouts along the weights of the policy (`rollouts.rs`). The policy is the paper's `u = W g + noise`. Sources:
-//! value gradients (Heess et al. 2015, *Learning Continuous Control Policies by Stochastic Value Gradients*), model-based
-//! policy search (Deisenroth & Rasmussen 2011, *PILCO*), Dyna's use of the time between actions (Sutton 1990), Adam (Kingma
-//! & Ba 2015).
+//! The agent observes only inputs, reward and its own commands. From these it learns, tick by tick, a model of
+//! the reward (`reward_model.rs`) and a model of the effect of commands on inputs (`movement_model.rs`). After
+//! each command was sent, it simulates movements (rollouts) from states it has been in to targets anywhere in
+//! the input box, and descends the cost of the rollouts along the weights of the policy (`rollouts.rs`). The
+//! policy is the paper's `u = W g + noise`. Sources: value gradients (Heess et al. 2015, *Learning Continuous
+//! Control Policies by Stochastic Value Gradients*), model-based policy search (Deisenroth & Rasmussen 2011,
+//! *PILCO*), Dyna's use of the time between actions (Sutton 1990), Adam (Kingma & Ba 2015).
 //!
-//! Descent may end in a local minimum, since an arm can reach a target in more than one way. The policy in use, the
-//! *champion*, therefore has a *challenger*: a second candidate that restarts regularly from small random weights, and is
-//! improved with rollouts to the same targets. When its cost is lower, it replaces the champion. After a change of the
-//! plant, usually a challenger finds the new solution. Each candidate starts most rollouts where its own last ones ended. If
-//! all rollouts started from the postures that the champion reaches, the champion's solution would be the best for every
-//! candidate, and every challenger would become its copy.
+//! Descent may end in a local minimum, since an arm can reach a target in more than one way. The policy in use,
+//! the *champion*, therefore has a *challenger*: a second candidate that restarts regularly from small random
+//! weights, and is improved with rollouts to the same targets. When its cost is lower, it replaces the
+//! champion. After a change of the plant, usually a challenger finds the new solution. Each candidate starts
+//! most rollouts where its own last ones ended. If all rollouts started from the postures that the champion
+//! reaches, the champion's solution would be the best for every candidate, and every challenger would become
+//! its copy.
 //!
-//! Inputs that no command moves (the target) are constant within a rollout. Rollouts to targets that never appeared are
-//! what makes this rule fast: at the second target the model has data from two targets, and the policy has been improved on
-//! hundreds.
+//! Inputs that no command moves (the target) are constant within a rollout. Rollouts to targets that never
+//! appeared are what makes this rule fast: at the second target the model has data from two targets, and the
+//! policy has been improved on hundreds.
 
 mod basis;
 mod candidate;
@@ -43,7 +44,8 @@ use reward_model::RewardModel;
 use rollouts::Rollouts;
 use tectum_encoder::Encoder;
 
-/// Rollouts start from states since the last change of the world, but from at least this number of the latest states.
+/// Rollouts start from states since the last change of the world, but from at least this number of the latest
+/// states.
 const MIN_START_STATES: u64 = 20;
 /// A challenger replaces the champion when its mean cost is below this fraction of the champion's,
 const REPLACEMENT_RATIO: f32 = 0.995;
@@ -163,8 +165,8 @@ impl LearnedReward {
         state
     }
 
-    /// Improves the champion, and with `with_challenger` the challenger, by one step each. The rollouts of both candidates
-    /// have the same targets.
+    /// Improves the champion, and with `with_challenger` the challenger, by one step each. The rollouts of both
+    /// candidates have the same targets.
     fn improve_candidates(&mut self, with_challenger: bool) {
         let (count, fixed) = (self.inputs.len(), self.inputs.len() - self.wraps.len());
         for rollout in 0..self.config.movements {
@@ -199,8 +201,8 @@ impl LearnedReward {
         let ticks = self.config.movements * self.config.horizon;
         let steps = [&self.champion, &self.challenger].map(|c| self.step_size(c.age));
         let groups = &mut self.rollouts.feature_groups;
-        // Just after a change of the plant the models can be wrong for some ticks, and rollouts can diverge. Such a step is
-        // dropped, because the models improve soon.
+        // Just after a change of the plant the models can be wrong for some ticks, and rollouts can diverge.
+        // Such a step is dropped, because the models improve soon.
         let norm = self.champion.descend(groups, ticks, steps[0]);
         if norm.is_finite() {
             self.slope_norm = norm;

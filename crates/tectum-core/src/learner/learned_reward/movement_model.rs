@@ -1,9 +1,9 @@
 //! The movement model: the effect of commands on the inputs that they move.
 //!
-//! `change = B u`. The matrix is learned by recursive least squares with forgetting, with one covariance for all rows. The
-//! row of a blocked joint goes to 0. Movements have almost no noise, so an error of more than three hundredths of the usual
-//! movement shows that the plant has changed. The covariance is then reset to the prior, and as many ticks as there are
-//! outputs determine the new matrix.
+//! `change = B u`. The matrix is learned by recursive least squares with forgetting, with one covariance for
+//! all rows. The row of a blocked joint goes to 0. Movements have almost no noise, so an error of more than
+//! three hundredths of the usual movement shows that the plant has changed. The covariance is then reset to the
+//! prior, and as many ticks as there are outputs determine the new matrix.
 
 use crate::policy::Outputs;
 use crate::state::{Persist, StateVisitor};
@@ -42,7 +42,8 @@ pub(super) struct MovementModel {
 }
 
 impl MovementModel {
-    /// A model with all gains 0 for `outputs` outputs, explored with standard deviation `sigma`, and `moved` moved inputs.
+    /// A model with all gains 0 for `outputs` outputs, explored with standard deviation `sigma`, and `moved`
+    /// moved inputs.
     pub fn new(outputs: usize, moved: usize, sigma: f64) -> Self {
         let prior = PRIOR / (sigma * sigma);
         let mut model = Self {
@@ -81,7 +82,8 @@ impl MovementModel {
         }
     }
 
-    /// Learns that `applied` changed the moved inputs by `changes`. Returns whether the plant seems to have changed.
+    /// Learns that `applied` changed the moved inputs by `changes`. Returns whether the plant seems to have
+    /// changed.
     pub fn learn(&mut self, applied: &Outputs, changes: &[f32]) -> bool {
         let n = self.outputs;
         let mut gain = [0.0; MAX_OUTPUTS];

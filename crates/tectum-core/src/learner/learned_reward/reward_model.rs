@@ -1,13 +1,15 @@
 //! The reward model: `r = w . psi(inputs, changes)`, learned by recursive least squares.
 //!
-//! psi consists of a constant, the bases of the single inputs (smooth family), the products of the bases of every two
-//! inputs, and the squared changes of the moved inputs. The least squares are those of a Kalman filter: weights have a prior
-//! and the reward has noise, so that the estimate is well defined from the first tick on.
+//! psi consists of a constant, the bases of the single inputs (smooth family), the products of the bases of
+//! every two inputs, and the squared changes of the moved inputs. The least squares are those of a Kalman
+//! filter: weights have a prior and the reward has noise, so that the estimate is well defined from the first
+//! tick on.
 //!
-//! As long as the model fits, almost nothing is forgotten: in each tick a tiny fraction of the covariance is replaced by the
-//! prior (stabilised forgetting, Milek & Kraus 1995), which bounds its condition number. When rewards deviate from the
-//! prediction by many standard deviations in several ticks in a row, the world has changed, and a large fraction is replaced.
-//! The weights keep their values, and change only where new rewards contradict them.
+//! As long as the model fits, almost nothing is forgotten: in each tick a tiny fraction of the covariance is
+//! replaced by the prior (stabilised forgetting, Milek & Kraus 1995), which bounds its condition number. When
+//! rewards deviate from the prediction by many standard deviations in several ticks in a row, the world has
+//! changed, and a large fraction is replaced. The weights keep their values, and change only where new rewards
+//! contradict them.
 
 use super::basis::Basis;
 use crate::SignalConfig;
@@ -27,8 +29,8 @@ const ALARM_THRESHOLD: f64 = 12.0;
 /// Normalised squared error below which a reward counts as expected.
 const EXPECTED_SURPRISE: f64 = 4.0;
 
-/// The reward model. Inputs are in the model's order: first the fixed ones, which commands do not move, then the moved
-/// ones.
+/// The reward model. Inputs are in the model's order: first the fixed ones, which commands do not move, then
+/// the moved ones.
 #[derive(Debug, Clone)]
 pub(super) struct RewardModel {
     pub bases: Vec<Basis>,
@@ -132,9 +134,9 @@ impl RewardModel {
         }
     }
 
-    /// Learns that `inputs`, reached by `changes` of the moved ones, had `reward`. Returns whether the world seems to have
-    /// changed; `None` if a number was not finite, in which case nothing is learned. Unless `update` is set, an expected
-    /// reward updates only the alarm.
+    /// Learns that `inputs`, reached by `changes` of the moved ones, had `reward`. Returns whether the world
+    /// seems to have changed; `None` if a number was not finite, in which case nothing is learned. Unless
+    /// `update` is set, an expected reward updates only the alarm.
     pub fn learn(&mut self, inputs: &[f32], changes: &[f32], reward: f32, update: bool) -> Option<bool> {
         self.compute_features(inputs, changes);
         let error = f64::from(reward) - dot(&self.weights, &self.psi);
@@ -199,8 +201,9 @@ impl RewardModel {
         }
     }
 
-    /// Writes the linear coefficients of the cost (the negative reward) for the moved inputs' functions to `linear`, given
-    /// the fixed inputs `inputs`. Returns the part of the cost that does not depend on the moved inputs.
+    /// Writes the linear coefficients of the cost (the negative reward) for the moved inputs' functions to
+    /// `linear`, given the fixed inputs `inputs`. Returns the part of the cost that does not depend on the
+    /// moved inputs.
     pub fn linear_cost(&mut self, inputs: &[f32], linear: &mut [f32]) -> f32 {
         let first = self.starts[self.fixed];
         for (input, &x) in inputs.iter().enumerate().take(self.fixed) {
@@ -239,8 +242,8 @@ impl RewardModel {
     }
 
     /// Writes the slopes of the cost along the moved inputs, at their values `inputs`, with `linear` from
-    /// [`linear_cost`](Self::linear_cost). `scratch` is as long as `linear`. Returns the part of the cost that depends on
-    /// the moved inputs.
+    /// [`linear_cost`](Self::linear_cost). `scratch` is as long as `linear`. Returns the part of the cost that
+    /// depends on the moved inputs.
     pub fn cost_slopes(&mut self, inputs: &[f32], linear: &[f32], scratch: &mut [f32], slopes: &mut [f32]) -> f32 {
         let first = self.starts[self.fixed];
         for (input, &x) in (self.fixed..self.bases.len()).zip(inputs) {
@@ -258,7 +261,8 @@ impl RewardModel {
             let pairs = scratch[start - first..][..len].iter().zip(&self.slopes[start..]);
             *slope = pairs.map(|(g, d)| g * d).sum();
         }
-        // `scratch` contains the terms of pairs twice and the linear terms once; adding `linear` makes it twice for all.
+        // `scratch` contains the terms of pairs twice and the linear terms once; adding `linear` makes it twice
+        // for all.
         let twice = scratch.iter().zip(linear).zip(&self.values[first..]);
         0.5 * twice.map(|((s, l), v)| (s + l) * v).sum::<f32>()
     }

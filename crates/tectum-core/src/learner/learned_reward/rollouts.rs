@@ -1,8 +1,9 @@
 //! Rollouts (imagined movements), and the slope of their cost along the policy's weights.
 //!
-//! From a start state the mean policy is rolled out with the movement model, and the reward model gives the cost of each
-//! tick. The chain rule is applied backwards through reward, movement and policy (a value gradient in the sense of Heess et
-//! al. 2015, with both models learned). The last tick may have a larger weight, in place of the ticks that would follow.
+//! From a start state the mean policy is rolled out with the movement model, and the reward model gives the
+//! cost of each tick. The chain rule is applied backwards through reward, movement and policy (a value gradient
+//! in the sense of Heess et al. 2015, with both models learned). The last tick may have a larger weight, in
+//! place of the ticks that would follow.
 
 use super::{
     candidate::CandidatePolicy, map_features::MapFeatures, movement_model::MovementModel, reward_model::RewardModel,
@@ -81,8 +82,8 @@ impl Rollouts {
         }
     }
 
-    /// Simulates how `candidate` moves from `inputs` (in the model's order), and adds the cost and its slope to those of the
-    /// candidate. Returns the end state.
+    /// Simulates how `candidate` moves from `inputs` (in the model's order), and adds the cost and its slope to
+    /// those of the candidate. Returns the end state.
     pub fn simulate(
         &mut self,
         candidate: &mut CandidatePolicy,

@@ -1,11 +1,11 @@
 //! Whitening: coordinates in which the features of a line of kernels are uncorrelated.
 //!
-//! Neighbouring kernels overlap so much that 16 kernels of a line carry little more information than eight numbers, and
-//! gradient descent along their weights is badly conditioned. Steps are therefore taken in the eigenvector coordinates of
-//! the kernels' second-moment matrix over the line's range, `E[k k^T] = Q L Q^T`, scaled to unit variance. This is the
-//! natural gradient (Amari 1998) of a linear policy with evenly distributed inputs. The matrix of a plane is the Kronecker
-//! product of those of its lines (as in K-FAC, Martens & Grosse 2015), so a plane of 16 x 16 units costs two products of
-//! 16 x 16 matrices.
+//! Neighbouring kernels overlap so much that 16 kernels of a line carry little more information than eight
+//! numbers, and gradient descent along their weights is badly conditioned. Steps are therefore taken in the
+//! eigenvector coordinates of the kernels' second-moment matrix over the line's range, `E[k k^T] = Q L Q^T`,
+//! scaled to unit variance. This is the natural gradient (Amari 1998) of a linear policy with evenly
+//! distributed inputs. The matrix of a plane is the Kronecker product of those of its lines (as in K-FAC,
+//! Martens & Grosse 2015), so a plane of 16 x 16 units costs two products of 16 x 16 matrices.
 
 /// Maximum number of sweeps of Jacobi's method; it needs fewer than ten.
 const MAX_SWEEPS: usize = 30;
@@ -23,8 +23,8 @@ pub(super) struct Whitening {
 }
 
 impl Whitening {
-    /// The transformation of `units` kernels whose values `eval` computes between `min` and `max`; `ridge` is in units of the
-    /// mean variance.
+    /// The transformation of `units` kernels whose values `eval` computes between `min` and `max`; `ridge` is
+    /// in units of the mean variance.
     pub fn of(units: usize, min: f32, max: f32, ridge: f64, mut eval: impl FnMut(f32, &mut [f32])) -> Self {
         let n = units;
         let points = POINTS * n;
@@ -170,8 +170,8 @@ mod tests {
 
     #[test]
     fn steps_descend_the_slope() {
-        // Whitening followed by unwhitening multiplies by a matrix and its transpose, so the slope along a step is never
-        // negative. Columns are transformed like rows.
+        // Whitening followed by unwhitening multiplies by a matrix and its transpose, so the slope along a step
+        // is never negative. Columns are transformed like rows.
         let whitening = Whitening::of(KERNELS, 0.0, 4.0, 1e-3, eval);
         let mut slope = [0.0_f32; KERNELS * KERNELS];
         slope.iter_mut().enumerate().for_each(|(i, s)| *s = ((i * i) % 17) as f32 - 8.0);

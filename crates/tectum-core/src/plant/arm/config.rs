@@ -15,11 +15,13 @@ pub struct ArmConfig {
     pub base: [f64; 2],
     /// Reference direction of joint angles.
     pub angles: Angles,
-    /// Least and greatest angle of each joint, rad, with 0 between them; if empty, joints turn freely and angles wrap.
+    /// Least and greatest angle of each joint, rad, with 0 between them; if empty, joints turn freely and
+    /// angles wrap.
     #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
     pub limits: Vec<[f64; 2]>,
-    /// Each tick is one trial (the open-loop setup of section 4.2): every tick begins with all angles 0 and moves for one
-    /// period, so that a command `u` gives the posture `gain * period * u`. The only inputs are those of the target.
+    /// Each tick is one trial (the open-loop setup of section 4.2): every tick begins with all angles 0 and
+    /// moves for one period, so that a command `u` gives the posture `gain * period * u`. The only inputs are
+    /// those of the target.
     pub open_loop: bool,
     /// Angular rate for a command of 1, rad/s.
     pub gain: f64,
@@ -28,8 +30,8 @@ pub struct ArmConfig {
     pub arena: [f64; 2],
     /// Number of ticks between new targets; 1 in an open loop.
     pub target_every: u64,
-    /// List of targets, m, used in turn and repeated. If empty, targets are drawn uniformly from the region that the arm,
-    /// with its lengths at that tick, can reach with joints that turn freely.
+    /// List of targets, m, used in turn and repeated. If empty, targets are drawn uniformly from the region
+    /// that the arm, with its lengths at that tick, can reach with joints that turn freely.
     #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
     pub targets: Vec<[f64; 2]>,
     /// The reward of a tick.
@@ -55,9 +57,9 @@ pub enum Angles {
     Relative,
 }
 
-/// `[plant.arm.reward]`: `r = -scale (|e|^2 + speed |theta_dot|^2 + angle |theta|^2 + collision c)`, with the error `e` in m,
-/// rates in rad/s, angles in rad, and the number `c` of pairs of segments that cross. With `near`, `max(0, near^2 - |e|^2)`
-/// replaces the term `-|e|^2`.
+/// `[plant.arm.reward]`: `r = -scale (|e|^2 + speed |theta_dot|^2 + angle |theta|^2 + collision c)`, with the
+/// error `e` in m, rates in rad/s, angles in rad, and the number `c` of pairs of segments that cross. With
+/// `near`, `max(0, near^2 - |e|^2)` replaces the term `-|e|^2`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ArmRewardConfig {
@@ -67,7 +69,8 @@ pub struct ArmRewardConfig {
     pub speed: f64,
     /// Weight of the squared angles.
     pub angle: f64,
-    /// Weight of the number of pairs of segments that cross or touch; neighbours, which share a joint, are not counted.
+    /// Weight of the number of pairs of segments that cross or touch; neighbours, which share a joint, are not
+    /// counted.
     pub collision: f64,
     /// If given, the error counts only within this distance from the target, m, as a positive reward (section 5).
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -99,8 +102,8 @@ pub struct ShortenConfig {
     pub length: f64,
 }
 
-/// `[[plant.arm.mirror]]`: from a tick on, a coordinate of the target is reported with the opposite sign. The target
-/// itself, and with it reward and error, does not change.
+/// `[[plant.arm.mirror]]`: from a tick on, a coordinate of the target is reported with the opposite sign. The
+/// target itself, and with it reward and error, does not change.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MirrorConfig {

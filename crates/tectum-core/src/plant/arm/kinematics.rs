@@ -5,8 +5,8 @@ use crate::plant::{Angles, ArmConfig};
 
 /// Positions of base, joints and end-effector, m, for angles `theta`, rad, and the lengths of `config`.
 ///
-/// For figures: computed in double precision with the standard library's sine and cosine, whose last bits differ between
-/// machines.
+/// For figures: computed in double precision with the standard library's sine and cosine, whose last bits
+/// differ between machines.
 pub fn posture(config: &ArmConfig, theta: &[f32]) -> Vec<[f64; 2]> {
     let mut points = vec![config.base];
     let mut direction = 0.0;
@@ -36,8 +36,8 @@ impl KinematicChain {
         Self { points, segments: lengths.len() }
     }
 
-    /// Number of pairs of segments that cross or touch. Neighbours always touch and may fold back on each other; they are
-    /// not counted.
+    /// Number of pairs of segments that cross or touch. Neighbours always touch and may fold back on each
+    /// other; they are not counted.
     pub fn crossings(&self) -> usize {
         let segment = |i: usize| [self.points[i], self.points[i + 1]];
         let pairs = (0..self.segments).flat_map(|i| (i + 2..self.segments).map(move |j| (i, j)));
@@ -90,8 +90,8 @@ fn intersect([a, b]: [[f32; 2]; 2], [c, d]: [[f32; 2]; 2]) -> bool {
 
 /// The side of the line from `a` to `b` on which the point `p` lies: 1 left, -1 right, 0 on the line.
 ///
-/// The result is exact: differences of single-precision numbers whose magnitudes differ by less than a factor of 2^29,
-/// and products of two such differences of 25 bits, have no rounding error in double precision.
+/// The result is exact: differences of single-precision numbers whose magnitudes differ by less than a factor
+/// of 2^29, and products of two such differences of 25 bits, have no rounding error in double precision.
 fn side(a: [f32; 2], b: [f32; 2], p: [f32; 2]) -> i32 {
     let [along, across] = [0, 1].map(|i| f64::from(b[i]) - f64::from(a[i]));
     let [x, y] = [0, 1].map(|i| f64::from(p[i]) - f64::from(a[i]));
@@ -116,8 +116,8 @@ mod tests {
             (&[0.5; 4][..], &[0.0; 4][..], 0),
             (&[0.5; 4], &[0.3, 0.6, 0.6, -0.6], 0),
             (&[1.0, 1.0, 0.8, 1.5], &[0.0, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2], 1),
-            // The fourth segment stays inside and the fifth crosses the second; then one that crosses the first, and one
-            // that crosses the first and the third.
+            // The fourth segment stays inside and the fifth crosses the second; then one that crosses the
+            // first, and one that crosses the first and the third.
             (&[1.0, 1.0, 0.8, 0.5, 1.5], &[0.0, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2], 1),
             (&[1.0, 1.0, 0.8, 1.5, 0.3, 2.0], &[0.0, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2, FRAC_PI_2], 3),
             // Neighbours may fold back on each other.

@@ -1,11 +1,12 @@
-//! The planar arm of the paper's closed-loop task (section 4.2): a chain of segments, joints that turn freely or between
-//! stops, a target that jumps, a reward for distance, speed and posture, and changes of the arm during the run.
+//! The planar arm of the paper's closed-loop task (section 4.2): a chain of segments, joints that turn freely
+//! or between stops, a target that jumps, a reward for distance, speed and posture, and changes of the arm
+//! during the run.
 //!
-//! In an open loop a tick is a trial: it begins with all angles 0, the command turns the joints for one period, and the
-//! remaining distance between end-effector and target decides the reward. Everything else is the same.
+//! In an open loop a tick is a trial: it begins with all angles 0, the command turns the joints for one period,
+//! and the remaining distance between end-effector and target decides the reward. Everything else is the same.
 //!
-//! All computation is in single precision, with the pure-Rust `libm` for sine and cosine, so that the bits are the same on
-//! every machine, whatever its C library.
+//! All computation is in single precision, with the pure-Rust `libm` for sine and cosine, so that the bits are
+//! the same on every machine, whatever its C library.
 
 mod config;
 mod kinematics;
@@ -59,8 +60,8 @@ fn square(x: f32) -> f32 {
 }
 
 impl Arm {
-    /// The arm of a validated configuration, with all angles 0. `period_s` is the length of a tick, s; targets come from
-    /// the run's stream `targets`.
+    /// The arm of a validated configuration, with all angles 0. `period_s` is the length of a tick, s; targets
+    /// come from the run's stream `targets`.
     pub fn new(config: &ArmConfig, period_s: f64, seed: u64) -> Self {
         let mut limits = [[0.0; 2]; MAX_OUTPUTS];
         for (to, [low, high]) in limits.iter_mut().zip(&config.limits) {
@@ -115,10 +116,11 @@ impl Arm {
         (stop, if stop == reached { rate } else { (stop - from) / self.period })
     }
 
-    /// The outcome of a tick for a real arm, of which this arm is the model: `theta` are its measured angles (rad, as
-    /// configured for this arm) and `rates` its measured rates (rad/s). The model gives the end-effector from lengths, base
-    /// and angles. If the end-effector was `seen` by a tracker, m, then error, reward and measures are computed from that
-    /// position, and the model is used only for the segments that cross.
+    /// The outcome of a tick for a real arm, of which this arm is the model: `theta` are its measured angles
+    /// (rad, as configured for this arm) and `rates` its measured rates (rad/s). The model gives the
+    /// end-effector from lengths, base and angles. If the end-effector was `seen` by a tracker, m, then error,
+    /// reward and measures are computed from that position, and the model is used only for the segments that
+    /// cross.
     pub fn measured(&mut self, tick: u64, theta: &[f32], rates: &[f32], seen: Option<[f32; 2]>) -> Outcome {
         if !self.config.shorten.is_empty() {
             self.lengths = lengths(&self.config, tick);
@@ -186,9 +188,9 @@ fn blocked_angle(blocks: &[BlockConfig], joint: usize, tick: u64) -> Option<f32>
     blocks.iter().rev().find(|b| b.joint == joint + 1 && tick >= b.tick).map(|b| b.angle as f32)
 }
 
-/// The mean cost of exploration noise of standard deviation `sigma` in `tick`, through the squared rates: the part of the
-/// loss that no policy can avoid. A blocked joint does not move and costs nothing. A joint at a stop costs less than this
-/// function assumes.
+/// The mean cost of exploration noise of standard deviation `sigma` in `tick`, through the squared rates: the
+/// part of the loss that no policy can avoid. A blocked joint does not move and costs nothing. A joint at a
+/// stop costs less than this function assumes.
 pub fn noise_share(config: &ArmConfig, sigma: f64, tick: u64) -> f64 {
     let moving = (0..config.lengths.len()).filter(|&j| blocked_angle(&config.block, j, tick).is_none()).count();
     config.reward.scale * config.reward.speed * (config.gain * sigma).powi(2) * moving as f64
@@ -209,8 +211,9 @@ impl Plant for Arm {
         new_target
     }
 
-    /// Commands are angular rates in units of `gain`; in an open loop, angles in units of `gain` times the period.
-    /// Measures: error (m), end-effector x and y (m), and, if the reward counts them, the pairs of segments that cross.
+    /// Commands are angular rates in units of `gain`; in an open loop, angles in units of `gain` times the
+    /// period. Measures: error (m), end-effector x and y (m), and, if the reward counts them, the pairs of
+    /// segments that cross.
     fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome {
         if !self.config.shorten.is_empty() {
             self.lengths = lengths(&self.config, tick);
@@ -231,8 +234,8 @@ impl Plant for Arm {
         self.outcome(rates, angles, self.end())
     }
 
-    /// The angle of a joint that turns freely is in [-pi, pi). A position limit within this range stops the joint from both
-    /// sides; a limit outside has no effect. In an open loop every tick starts from angle 0.
+    /// The angle of a joint that turns freely is in [-pi, pi). A position limit within this range stops the
+    /// joint from both sides; a limit outside has no effect. In an open loop every tick starts from angle 0.
     fn joints(&self) -> Option<JointState> {
         let position = if self.config.open_loop { [0.0; MAX_OUTPUTS] } else { self.theta };
         Some(JointState { position, travel: [self.period * self.gain; MAX_OUTPUTS] })
