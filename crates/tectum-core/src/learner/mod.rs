@@ -8,9 +8,9 @@
 //! |---|---|---|
 //! | `paper` | `paper.rs` | Daucé & Dutech 2010, section 3.2 |
 //! | `baseline` | `baseline.rs` | Williams 1992: the paper's rule with the reward less its running mean |
-//! | `actor-critic` | `actor_critic.rs`, `pair_features.rs` | Degris, Pilarski & Sutton 2012; bounded steps: Elsayed et al. 2024 |
+//! | `actor-critic` | `actor_critic.rs`, `pair_features.rs` | Degris et al. 2012; bounded steps: Elsayed et al. 2024 |
 //! | `natural-actor-critic` | `actor_critic.rs`, `natural_metric.rs` | Kakade 2001; Bhatnagar et al. 2009 |
-//! | `learned-reward` | `learned_reward/` | model-based value gradients: Heess et al. 2015, Deisenroth & Rasmussen 2011 |
+//! | `learned-reward` | `learned_reward/` | value gradients: Heess et al. 2015, Deisenroth & Rasmussen 2011 |
 
 mod actor_critic;
 mod baseline;
