@@ -57,6 +57,7 @@ pub mod learner;
 pub mod plant;
 pub mod policy;
 pub mod seed;
+#[doc(hidden)]
 pub mod serde_pairs;
 mod signal;
 pub mod state;

@@ -1,5 +1,7 @@
 //! Pairs of numbers in configuration files. Serde's reader of arrays of two ignores a third number, which would
 //! hide a mistake; these readers report it as an error.
+//!
+//! Public only for the scenario files of the `tectum` crate.
 
 use std::fmt;
 

@@ -60,7 +60,7 @@ impl Tiles {
     }
 
     /// Euclidean norm, computed on `path`: the same bits on every path.
-    pub fn norm_on(&self, path: SimdPath) -> f32 {
+    pub(super) fn norm_on(&self, path: SimdPath) -> f32 {
         path.run(NormKernel(&self.groups))
     }
 }

@@ -18,7 +18,7 @@
 //! Feetech's step mode, setting the middle position by writing 128 to torque, and the residual torque after an
 //! overload (torque is turned off completely).
 
-pub mod codec;
+mod codec;
 mod config;
 mod faults;
 mod motion;

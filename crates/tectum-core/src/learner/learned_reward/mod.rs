@@ -138,7 +138,8 @@ impl LearnedReward {
     }
 
     /// Number of features of the reward model.
-    pub fn model_size(&self) -> usize {
+    #[cfg(test)]
+    fn model_size(&self) -> usize {
         self.reward.len()
     }
 
