@@ -168,7 +168,7 @@ fn whoever_arms_late_begins_gently() {
     let plan =
         plan("", 140, |text| text.replace("\"learned-reward\"", "\"paper\"").replace("sigma = 0.001", "sigma = 0.01"));
     let setup = set_up(&plan);
-    let key = setup.bridge.key();
+    let key = setup.bridge.arm_request();
     // The gate's ramp is long over when torque comes on.
     let (all, torque, _) = run(&plan, setup, |tick| {
         key.store(tick == 100, std::sync::atomic::Ordering::Relaxed);
@@ -194,7 +194,7 @@ fn what_is_seen_counts_and_who_does_not_see_stands_still() {
     let mut setup = set_up(&plan);
     let samples = Arc::new(Mutex::new(std::collections::VecDeque::new()));
     let theirs = Arc::clone(&samples);
-    setup.bridge.look_with(Box::new(move || theirs.lock().unwrap().pop_front()));
+    setup.bridge.set_vision_source(Box::new(move || theirs.lock().unwrap().pop_front()));
     setup.bridge.arm().unwrap();
     let clock = setup.clock.clone();
     let (first, second, end) = ([0.3, 0.2], [-0.4, 0.1], [0.1_f32, 0.25]);
@@ -377,7 +377,7 @@ fn an_hour_of_mixed_faults() {
     let plan = plan(&mixed, 72_000, |text| text.replace("\"learned-reward\"", "\"paper\""));
     let mut setup = set_up(&plan);
     setup.bridge.arm().unwrap();
-    let key = setup.bridge.key();
+    let key = setup.bridge.arm_request();
     let (all, torque, bridge) = run(&plan, setup, |tick| {
         // Somebody looks at it every ten seconds.
         key.store(tick % 200 == 0, std::sync::atomic::Ordering::Relaxed);

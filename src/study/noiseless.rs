@@ -78,7 +78,6 @@ impl<P: Plant> Rollout<P> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::SimulatedPlant;
     use crate::policy::Exploration;
     use crate::runtime::PlantSide;
     use crate::scenario::{FaultsConfig, Scenario};
@@ -90,8 +89,8 @@ mod tests {
         let mut scenario = Scenario::find("office").unwrap();
         scenario.faults = FaultsConfig::default();
         let plan = scenario.plan().unwrap();
-        let mut rollout = Rollout::new(SimulatedPlant::of(&plan).unwrap(), &plan);
-        let mut side = PlantSide::new(SimulatedPlant::of(&plan).unwrap(), &plan);
+        let mut rollout = Rollout::new(plan.simulated_plant().unwrap(), &plan);
+        let mut side = PlantSide::new(plan.simulated_plant().unwrap(), &plan);
         let mut noise = Exploration::new(1, 0.05, plan.outputs.len());
         let (mut observation, mut command) = (Observation::default(), Command::default());
         for tick in 0..400 {
