@@ -5,6 +5,9 @@
 //! give the same bytes for the same numbers, on every machine.
 
 pub mod figure;
+mod progress;
+
+pub use progress::{ProgressRow, REACHES_M, Reached, progress_table, sentence};
 
 use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt::Write as _;
@@ -60,8 +63,39 @@ pub struct RunHistory {
     pub marks: Vec<(u64, String)>,
     /// A reach from the run's beginning, if the plant has postures.
     pub first_reach: Option<Reach>,
-    /// A reach from its end.
+    /// A typical reach from its end.
     pub last_reach: Option<Reach>,
+    /// Tests of the policy without exploration noise, in the order of ticks; empty where there were none.
+    #[serde(default)]
+    pub tests: Vec<TestPoint>,
+    /// What the best movements reach in the test, span by span; empty where that is unknown.
+    #[serde(default)]
+    pub optimum: Vec<OptimumSpan>,
+}
+
+/// A test of a policy.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TestPoint {
+    /// Ticks done before it.
+    pub tick: u64,
+    /// Median error at a target's end; not a number if the policy was none.
+    #[serde(deserialize_with = "number")]
+    pub error: f64,
+}
+
+/// The optimum of the test in a stretch of the run in which the plant did not change.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OptimumSpan {
+    /// First tick.
+    pub from: u64,
+    /// Tick after the last.
+    pub until: u64,
+    /// Median error at a target's end.
+    pub error: f64,
+    /// Median loss a tick.
+    pub loss: f64,
 }
 
 /// Why a report cannot be made.
@@ -124,27 +158,34 @@ impl Window {
     }
 }
 
-/// First and last window as text, one line each under a head with the units. `-` is a value that there is not.
+/// First and last window as text, one line each under a head with the units. `-` is a value that there is not. For plants
+/// that have no test: all values are means over the window as it was observed.
 pub fn table(history: &RunHistory) -> String {
-    let unit = match history.unit.as_str() {
-        "" => String::new(),
-        unit => format!(" ({unit})"),
-    };
+    let with_unit =
+        |name: &str| if history.unit.is_empty() { name.to_owned() } else { format!("{name} ({})", history.unit) };
     let mut rows = vec![[
-        "ticks".to_owned(),
+        "means over ticks".to_owned(),
         "loss a tick".to_owned(),
         "without noise".to_owned(),
-        format!("RMS error{unit}"),
-        format!("error at a target's end{unit}"),
+        with_unit("RMS error"),
+        with_unit("error at a target's end"),
+        "targets".to_owned(),
     ]];
-    let last = history.windows.len().saturating_sub(1);
-    for (_, w) in history.windows.iter().enumerate().filter(|(i, _)| *i == 0 || *i == last) {
+    let (first, last) = (history.windows.first(), history.windows.last());
+    let ends = match (first, last) {
+        (Some(first), Some(last)) if first == last => vec![("", first)],
+        (Some(first), Some(last)) => vec![("first ", first), ("last ", last)],
+        _ => Vec::new(),
+    };
+    for (which, w) in ends {
+        let last_tick = w.from.saturating_add(w.ticks).saturating_sub(1);
         rows.push([
-            format!("{} to {}", thousands(w.from), thousands(w.from.saturating_add(w.ticks).saturating_sub(1))),
+            format!("{which}{} to {}", thousands(w.from), thousands(last_tick)),
             figures(Some(w.loss)),
             figures(Some(w.loss_without_noise())),
             figures(w.rms_error()),
             figures(w.end_error),
+            thousands(w.ends),
         ]);
     }
     if history.windows.is_empty() {
@@ -230,7 +271,18 @@ pub(crate) mod tests {
             marks: vec![(9_300_000, "joint 3 blocked".into())],
             first_reach: Some(reach(80, [0.6, 0.5], 0.15)),
             last_reach: Some(reach(11_999_920, [-0.55, 0.35], 1.0)),
+            tests: tests(),
+            optimum: vec![
+                OptimumSpan { from: 0, until: 9_300_000, error: 0.035, loss: 0.0172 },
+                OptimumSpan { from: 9_300_000, until: 12_000_000, error: 0.05, loss: 0.022 },
+            ],
         }
+    }
+
+    fn tests() -> Vec<TestPoint> {
+        let before = (0..=31).map(|i| (i * 300_000, 0.05 + 1.1 * (-(i as f64) / 4.0).exp()));
+        let after = (31..=40).map(|i| (i * 300_000, 0.07 + 0.3 * (-(i as f64 - 31.0) / 2.0).exp()));
+        before.chain(after).map(|(tick, error)| TestPoint { tick, error }).collect()
     }
 
     fn reach(from: u64, target: [f64; 2], skill: f64) -> Reach {
@@ -274,9 +326,9 @@ pub(crate) mod tests {
             ends: 0,
         };
         let expected = "\
-ticks           loss a tick  without noise  RMS error (m)  error at a target's end (m)
-0 to 999              0.166          0.130           1.10                        0.877
-2,000 to 2,499       0.0728         0.0373              -                            -
+means over ticks     loss a tick  without noise  RMS error (m)  error at a target's end (m)  targets
+first 0 to 999             0.166          0.130           1.10                        0.877       12
+last 2,000 to 2,499       0.0728         0.0373              -                            -        0
 ";
         assert_eq!(table(&history), expected);
         history.windows.truncate(1);

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use super::budget::{BudgetMeter, TickInstants};
 use super::peer_monitor::PeerMonitor;
+use super::policy_snapshots::SnapshotRecorder;
 use super::stopwatch::Stopwatch;
 use super::{Controller, ControllerReport, Participant, RuntimeError, Session};
 use crate::channel::{ControllerPorts, CrashStore};
@@ -45,6 +46,11 @@ impl ControllerLoopState {
         if self.count == 0 { 0 } else { self.seen.sequence + 1 }
     }
 
+    /// Ticks that lie behind the controller, seen or not.
+    fn ticks_done(&self) -> u64 {
+        if self.count == 0 { 0 } else { self.seen.tick + 1 }
+    }
+
     /// What a command waits for.
     fn respond(&mut self, observation: &Observation) {
         self.controller.report.unseen += observation.header.sequence - self.expected();
@@ -72,7 +78,12 @@ impl ControllerLoopState {
     }
 
     /// Takes up what the vault holds, or the checkpoint that the run begins with. True if it was the vault.
-    fn reopen(&mut self, crash_store: &mut CrashStore, participant: &Participant) -> Result<bool, RuntimeError> {
+    fn reopen(
+        &mut self,
+        crash_store: &mut CrashStore,
+        participant: &Participant,
+        snapshots: &mut Option<SnapshotRecorder>,
+    ) -> Result<bool, RuntimeError> {
         if let Some((_, bytes)) = crash_store.newest() {
             if !state::load(self, bytes) {
                 return Err(RuntimeError::Memory(Role::Controller.name()));
@@ -82,9 +93,15 @@ impl ControllerLoopState {
         }
         let before = (crash_store.newest().is_some(), self.count);
         crash_store.reopen();
+        if let Some(snapshots) = snapshots {
+            snapshots.skip_to(self.ticks_done());
+        }
         while let Some(bytes) = crash_store.entry(self.count) {
             let observation = bytemuck::pod_read_unaligned(bytes);
             self.relive(&observation);
+            if let Some(snapshots) = snapshots {
+                snapshots.observe(self.ticks_done(), self.controller.policy());
+            }
         }
         Ok(before.0 || self.count > before.1)
     }
@@ -180,7 +197,8 @@ pub fn run_controller(participant: Participant) -> Result<ControllerReport, Runt
     let mut loop_state = ControllerLoopState::new(&participant.plan);
     let (mut ports, status_board) = participant.open(ControllerPorts::open)?;
     let mut crash_store = participant.crash_store(state::size(&mut loop_state), [NOTED, size_of::<Observation>()])?;
-    let returned = loop_state.reopen(&mut crash_store, &participant)?;
+    let mut snapshots = SnapshotRecorder::new(&participant.folder, &participant.plan);
+    let returned = loop_state.reopen(&mut crash_store, &participant, &mut snapshots)?;
     let writer = participant.writer()?;
     // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the logger.
     let (mut session, mut time) = participant.begin(status_board, || {
@@ -227,6 +245,10 @@ pub fn run_controller(participant: Participant) -> Result<ControllerReport, Runt
         stamp(&mut loop_state.learning.header, seen, &time);
         ports.learning.send(&loop_state.learning)?;
 
+        if let Some(snapshots) = &mut snapshots {
+            snapshots.observe(seen.tick + 1, loop_state.controller.policy());
+            snapshots.flush(&writer);
+        }
         if cut {
             writer.write(seen.tick + 1, loop_state.checkpoint(seen.tick + 1, &session.participant));
         }
@@ -242,7 +264,11 @@ pub fn run_controller(participant: Participant) -> Result<ControllerReport, Runt
         }
         loop_state.publish_status(&mut session);
     }
-    let end = loop_state.seen.tick + u64::from(loop_state.count > 0);
+    let end = loop_state.ticks_done();
+    if let Some(snapshots) = &mut snapshots {
+        snapshots.finish(end, loop_state.controller.policy());
+        snapshots.flush(&writer);
+    }
     writer.write_last(end, loop_state.checkpoint(end, &session.participant), session.stopping());
     let report = &mut loop_state.controller.report;
     match writer.finish() {

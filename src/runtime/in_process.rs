@@ -2,16 +2,19 @@
 
 use super::{Controller, ControllerReport, PlantReport, PlantSide, RunStatistics};
 use crate::plant::Plant;
+use crate::policy::LinearPolicy;
 use crate::scenario::Plan;
 use crate::wire::{Command, Observation};
 
 /// What comes of a run in one process.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct InProcess {
     /// The plant's account.
     pub plant: PlantReport,
     /// The controller's account.
     pub controller: ControllerReport,
+    /// The policy at the end.
+    pub policy: LinearPolicy,
 }
 
 /// Runs `plan` with `body`: the same ticks, in the same order, as three processes in lockstep. `watch` is called with
@@ -42,5 +45,5 @@ pub fn in_process_seen<P: Plant>(
         controller.after_command(&observation);
         side.step(tick, Some(&command));
     }
-    InProcess { plant: side.report, controller: controller.finish() }
+    InProcess { plant: side.report, policy: controller.policy().clone(), controller: controller.finish() }
 }

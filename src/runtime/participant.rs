@@ -18,10 +18,11 @@ use crate::state::Persist;
 use crate::wire::{Phase, ProcessState, Role, Status, schema_hash};
 
 /// How ticks follow each other.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mode {
     /// As fast as the processes go; nothing is missed and nothing is lost.
+    #[default]
     Lockstep,
     /// At the scenario's period, on the real clock.
     Realtime,

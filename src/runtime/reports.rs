@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use super::{RuntimeError, Snapshot, TickBudget};
+use super::{RuntimeError, Snapshot, TargetsAround, TickBudget};
 use crate::clock::RealtimeReport;
 pub use crate::log::Percentiles;
 use crate::report::Window;
@@ -102,8 +102,10 @@ pub struct ControllerReport {
     pub windows: Vec<Window>,
     /// Inputs around the first whole target switch.
     pub first_switch: Vec<Snapshot>,
-    /// Inputs around the last whole target switch.
+    /// Inputs around a late target switch: with an arm, a typical one.
     pub last_switch: Vec<Snapshot>,
+    /// What single targets cost around the ticks that the summary looks at; empty without an arm.
+    pub targets: Vec<TargetsAround>,
 }
 
 impl Persist for ControllerReport {

@@ -3,6 +3,7 @@
 //! The controller keeps it, because it sees every observation of any plant; it is for people alone and touches nothing
 //! that is learned. All memory is taken at the start.
 
+use super::target_statistics::{TargetStatistics, TargetsAround};
 use crate::plant::noise_share;
 use crate::report::Window;
 use crate::scenario::{ArmConfig, Plan};
@@ -74,9 +75,13 @@ pub struct RunStatistics {
     last_error: f64,
     /// What exploration costs, where that is known: the arm, and the noise's standard deviation.
     arm: Option<(ArmConfig, f64)>,
+    /// Target by target, for an arm.
+    targets: Option<TargetStatistics>,
     switch: Switch,
     first: Vec<Snapshot>,
+    /// A switch to one of the last targets, and how far the error at that target's end was from the median of the last.
     last: Vec<Snapshot>,
+    last_distance: f64,
 }
 
 impl RunStatistics {
@@ -96,9 +101,11 @@ impl RunStatistics {
             until: length,
             last_error: 0.0,
             arm: plan.scenario.plant.arm.clone().map(|arm| (arm, plan.scenario.policy.sigma)),
+            targets: TargetStatistics::new(plan),
             switch: Switch::default(),
             first: Vec::with_capacity(KEPT),
             last: Vec::with_capacity(KEPT),
+            last_distance: f64::INFINITY,
         }
     }
 
@@ -115,6 +122,9 @@ impl RunStatistics {
             let sums = &mut self.current;
             sums.ticks += 1;
             sums.loss -= f64::from(observation.reward);
+            if let Some(targets) = &mut self.targets {
+                targets.observe(-f64::from(observation.reward));
+            }
             if let Some(index) = self.error {
                 self.last_error = f64::from(observation.measures[index]);
                 sums.squares += self.last_error * self.last_error;
@@ -124,10 +134,38 @@ impl RunStatistics {
                 }
             }
         }
+        if flags & flag::NEW_TARGET != 0 {
+            self.end_target(observation.header.tick);
+        }
         if let Some(switch) = self.switch.see(observation) {
             let kept = if self.first.is_empty() { &mut self.first } else { &mut self.last };
-            kept.clear();
-            kept.extend_from_slice(switch);
+            // Until a target's end shows whether its switch is typical, any is better than none.
+            if kept.is_empty() || self.targets.is_none() {
+                kept.clear();
+                kept.extend_from_slice(switch);
+            }
+        }
+    }
+
+    /// The target before the one that begins with `tick` is over. Its switch is kept if the error at its end is nearer to
+    /// the median of the last targets than that of the switch that was kept, or if that one is no longer one of the last.
+    fn end_target(&mut self, tick: u64) {
+        let Some(targets) = &mut self.targets else { return };
+        let error = if self.error.is_some() { self.last_error } else { f64::NAN };
+        let Some(end_error) = targets.begin(tick, error) else { return };
+        let row = &self.switch.row;
+        let is_first = row.first().map(|s| s.tick) == self.first.first().map(|s| s.tick);
+        if row.len() < KEPT || is_first {
+            return;
+        }
+        let distance = (end_error - targets.median_end_error()).abs();
+        let recent = self.last.first().is_some_and(|s| targets.is_recent(s.tick));
+        // An error that is not a number is never nearer: then the newest switch is kept.
+        let nearer = recent && self.last_distance < distance;
+        if !nearer {
+            self.last.clear();
+            self.last.extend_from_slice(row);
+            self.last_distance = distance;
         }
     }
 
@@ -161,11 +199,30 @@ impl RunStatistics {
         }
     }
 
-    /// The windows, and the inputs around the first and the last whole target switch.
-    pub fn finish(mut self) -> (Vec<Window>, Vec<Snapshot>, Vec<Snapshot>) {
+    /// Ends the account after `done` ticks.
+    pub fn finish(mut self, done: u64) -> FinishedStatistics {
         self.close();
-        (self.windows, self.first, self.last)
+        FinishedStatistics {
+            windows: self.windows,
+            first_switch: self.first,
+            last_switch: self.last,
+            targets: self.targets.map_or_else(Vec::new, |targets| targets.finish(done)),
+        }
     }
+}
+
+/// What [`RunStatistics`] gives at the end of a run.
+#[derive(Debug, Clone)]
+pub struct FinishedStatistics {
+    /// Losses and errors, window by window.
+    pub windows: Vec<Window>,
+    /// Inputs around the first whole target switch.
+    pub first_switch: Vec<Snapshot>,
+    /// Inputs around a late target switch: with an arm, the one whose end error was nearest to the median of the last
+    /// targets when it was over; otherwise the last whole one.
+    pub last_switch: Vec<Snapshot>,
+    /// Single targets around the ticks that the summary looks at; empty without an arm.
+    pub targets: Vec<TargetsAround>,
 }
 
 /// More records than any run keeps.
@@ -219,5 +276,9 @@ impl Persist for RunStatistics {
         remember_row(visitor, ["switch", "switch_inputs"], &mut self.switch.row);
         remember_row(visitor, ["first", "first_inputs"], &mut self.first);
         remember_row(visitor, ["last", "last_inputs"], &mut self.last);
+        visitor.number("last_distance", &mut self.last_distance);
+        if let Some(targets) = &mut self.targets {
+            visitor.nested("targets", targets);
+        }
     }
 }

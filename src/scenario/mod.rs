@@ -83,6 +83,12 @@ impl Plan {
     pub fn encoder(&self) -> Encoder {
         Encoder::new(&self.maps, self.scenario.encoder.normalise).with_scalars(&self.scalars)
     }
+
+    /// The arm, if it is the simulator's: another program's arm is only known from its samples.
+    pub fn simulated_arm(&self) -> Option<&ArmConfig> {
+        let plant = &self.scenario.plant;
+        plant.arm.as_ref().filter(|_| plant_signals::is_simulator(&plant.program))
+    }
 }
 
 impl Scenario {

@@ -13,6 +13,9 @@ use crate::study::StudyError;
 pub const LEARNERS: [Rule; 5] =
     [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward];
 
+/// Standard deviation of the exploration noise in a comparison: that of the paper, in units of the command.
+const PAPER_SIGMA: f64 = 0.003;
+
 /// What happens to the arm.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Changes {
@@ -84,6 +87,8 @@ impl LearnerEntry {
         scenario.plant.arm = Some(ArmConfig::default());
         scenario.ticks = ticks.unwrap_or(usual_ticks);
         scenario.learner = LearnerConfig::preset(rule);
+        // The exploration of the paper, which the rules that need many ticks were tuned with.
+        scenario.policy.sigma = PAPER_SIGMA;
         let mut scenario = with(scenario, settings, &name)?;
         let ticks = scenario.ticks;
         let changes = match changes {

@@ -64,7 +64,7 @@ impl TestSet {
         // A test of what was learned, not of what went wrong on the way.
         plan.scenario.faults = FaultsConfig::default();
         plan.scenario.plant.arm = Some(world.with_targets(&world.draw_targets(TARGETS, TEST_SEED)));
-        let encoder = Encoder::new(&plan.maps, plan.scenario.encoder.normalise);
+        let encoder = plan.encoder();
         Self { plan, world, encoder }
     }
 
@@ -84,21 +84,29 @@ impl TestSet {
     }
 
     /// The score of whatever answers inputs with commands.
-    pub fn drive(&self, mut control: impl FnMut(&[f32]) -> Outputs) -> Score {
+    pub fn drive(&self, control: impl FnMut(&[f32]) -> Outputs) -> Score {
+        self.drive_targets(control, |_| {})
+    }
+
+    /// The same; `each` is given the score of each target in turn, when that is over.
+    fn drive_targets(&self, mut control: impl FnMut(&[f32]) -> Outputs, mut each: impl FnMut(Score)) -> Score {
         let period_s = self.plan.scenario.period_ms / 1000.0;
         let table = self.plan.scenario.plant.arm.clone().unwrap_or_default();
         let mut side = PlantSide::new(Arm::new(&table, period_s, TEST_SEED), &self.plan);
         let (mut observation, mut command) = (Observation::default(), Command::default());
         let every = self.ticks_a_target();
         let ticks = TARGETS as u64 * every;
-        let (mut loss, mut miss) = (0.0, 0.0);
+        let (mut loss, mut miss, mut target_loss) = (0.0, 0.0, 0.0);
         // One more look than there are ticks: what comes of a tick is told with the next observation.
         for tick in 0..=ticks {
             side.observe(tick, 0, 0, &mut observation);
             if tick > 0 {
                 loss -= f64::from(observation.reward);
+                target_loss -= f64::from(observation.reward);
                 if tick.is_multiple_of(every) {
-                    miss += f64::from(observation.measures[0]);
+                    let miss_m = f64::from(observation.measures[0]);
+                    miss += miss_m;
+                    each(Score { loss: std::mem::take(&mut target_loss) / every as f64, miss_m });
                 }
             }
             if tick < ticks {
@@ -111,17 +119,36 @@ impl TestSet {
 
     /// The score of a policy's mean commands.
     pub fn score(&self, policy: &LinearPolicy) -> Score {
+        self.drive(self.mean_commands(policy))
+    }
+
+    /// The score of each target with a policy's mean commands, in the order of the targets.
+    pub fn score_targets(&self, policy: &LinearPolicy) -> Vec<Score> {
+        let mut scores = Vec::with_capacity(TARGETS);
+        self.drive_targets(self.mean_commands(policy), |score| scores.push(score));
+        scores
+    }
+
+    /// A policy's mean commands for inputs.
+    fn mean_commands(&self, policy: &LinearPolicy) -> impl FnMut(&[f32]) -> Outputs {
         let mut encoder = self.encoder.clone();
         let mut features = encoder.features();
-        self.drive(|inputs| {
+        move |inputs| {
             encoder.encode(inputs, &mut features);
             policy.mean(features.as_slice())
-        })
+        }
     }
 
     /// The score of standing still, which is that of a policy whose weights are 0.
     pub fn zero(&self) -> Score {
         self.drive(|_| Outputs::default())
+    }
+
+    /// The score of each target when standing still.
+    pub fn zero_targets(&self) -> Vec<Score> {
+        let mut scores = Vec::with_capacity(TARGETS);
+        self.drive_targets(|_| Outputs::default(), |score| scores.push(score));
+        scores
     }
 
     /// The score of the exploration noise alone.
@@ -141,6 +168,13 @@ impl TestSet {
     /// now and then, and when it says false the result is `None`.
     pub fn optimum(&self, starts: usize, go_on: impl Fn() -> bool) -> Option<Score> {
         trajectory_optimum(&self.world, self.targets(), self.ticks_a_target() as usize, starts, go_on)
+    }
+
+    /// The score of each target with these movements.
+    pub fn optimum_targets(&self, starts: usize) -> Option<Vec<Score>> {
+        let ticks = self.ticks_a_target() as usize;
+        let movements = optimum::best_movements(&self.world, self.targets(), ticks, starts, || true)?;
+        Some(movements.iter().map(|m| Score { loss: m.cost / ticks as f64, miss_m: m.miss_m }).collect())
     }
 }
 

@@ -163,7 +163,12 @@ fn run(plan: &Plan, ticks: &JobProgress) -> ArmRun {
         !observation.header.tick.is_multiple_of(REPORT) || ticks.report(REPORT)
     });
     let controller = result.controller;
-    ArmRun { windows: statistics.finish().0, switches, hash: controller.weights_hash, diverged: controller.diverged_at }
+    ArmRun {
+        windows: statistics.finish(0).windows,
+        switches,
+        hash: controller.weights_hash,
+        diverged: controller.diverged_at,
+    }
 }
 
 /// The seed in the middle by the loss of its last row.
