@@ -18,6 +18,7 @@ pub mod log;
 pub mod plant;
 pub mod policy;
 pub mod process;
+pub mod reference;
 pub mod report;
 pub mod runtime;
 pub mod scenario;

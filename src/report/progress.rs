@@ -12,7 +12,7 @@ use super::{columns, figures};
 pub struct ProgressRow {
     /// When, in words: `untrained`, `after 10 s`, `before the block`.
     pub when: String,
-    /// The same as ticks done; null for the untrained policy of a run that was resumed.
+    /// The same as ticks done.
     pub tick: u64,
     /// Error at a target's end of the policy without exploration noise, m: the median over the test's targets.
     pub test_error_m: Option<f64>,
@@ -40,6 +40,10 @@ pub struct Reached {
     pub within_m: Option<f64>,
     /// Seconds of the plant's time until then; 0 if it was so from the beginning of the phase.
     pub after_s: Option<f64>,
+    /// The smallest that was reached and kept much sooner, after at most a fifth of `after_s`, m; null if none.
+    pub soon_within_m: Option<f64>,
+    /// Seconds until then.
+    pub soon_after_s: Option<f64>,
     /// Length of the phase, s.
     pub phase_s: f64,
 }
@@ -48,6 +52,8 @@ pub struct Reached {
 pub const REACHES_M: [f64; 6] = [0.05, 0.07, 0.10, 0.15, 0.20, 0.30];
 /// Tests in a row that it takes to call a distance kept.
 const TESTS_TO_KEEP: usize = 3;
+/// Part of the time to the smallest distance within which a larger one is worth telling.
+const SOON: f64 = 0.2;
 
 impl Reached {
     /// What the tests of a phase show: pairs of seconds since its beginning and error, m, in order. `None` if they are too
@@ -62,19 +68,34 @@ impl Reached {
             (kept >= TESTS_TO_KEEP).then(|| (within, tests[tests.len() - kept].0))
         };
         let found = REACHES_M.into_iter().find_map(kept);
-        let (within_m, after_s) = (found.map(|f| f.0), found.map(|f| f.1));
-        Some(Self { event, from_tick, within_m, after_s, phase_s })
+        let is_soon = |(_, after): &(f64, f64)| found.is_some_and(|(_, last)| *after <= SOON * last && *after < last);
+        let soon = REACHES_M.into_iter().filter_map(kept).find(is_soon);
+        Some(Self {
+            event,
+            from_tick,
+            within_m: found.map(|f| f.0),
+            after_s: found.map(|f| f.1),
+            soon_within_m: soon.map(|f| f.0),
+            soon_after_s: soon.map(|f| f.1),
+            phase_s,
+        })
     }
 
     /// A part of the sentence.
     fn in_words(&self) -> String {
         let within = |m: f64| format!("within {:.0} cm", m * 100.0);
         let least = within(REACHES_M[REACHES_M.len() - 1]);
-        match (&self.event, self.within_m.zip(self.after_s)) {
-            (None, Some((m, after))) => format!("reaches {} after {}", within(m), duration(after)),
+        let found = self.within_m.zip(self.after_s);
+        let soon = self.soon_within_m.zip(self.soon_after_s);
+        // What came first; what came later follows.
+        let first = soon.or(found);
+        let later = found.filter(|_| soon.is_some());
+        let later = later.map_or(String::new(), |(m, after)| format!(", {} after {}", within(m), duration(after)));
+        match (&self.event, first) {
+            (None, Some((m, after))) => format!("reaches {} after {}{later}", within(m), duration(after)),
             (None, None) => format!("does not reach and stay {least} in {}", duration(self.phase_s)),
-            (Some(event), Some((m, 0.0))) => format!("stays {} after {event}", within(m)),
-            (Some(event), Some((m, after))) => format!("back {} {} after {event}", within(m), duration(after)),
+            (Some(event), Some((m, 0.0))) => format!("stays {} after {event}{later}", within(m)),
+            (Some(event), Some((m, after))) => format!("back {} {} after {event}{later}", within(m), duration(after)),
             (Some(event), None) => format!("not back {least} in the {} after {event}", duration(self.phase_s)),
         }
     }
@@ -120,9 +141,11 @@ pub fn progress_table(rows: &[ProgressRow], test_targets: usize) -> String {
             targets,
         ]);
     }
+    let known = rows.iter().any(|row| row.optimum_loss.is_some());
+    let optimum = if known { "; optimum: the movements of least loss to the test targets" } else { "" };
     format!(
-        "{}medians; test error: at a target's end, without exploration noise, over {test_targets} test targets;\n\
-         loss: as observed, with noise; optimum: the movements of least loss to the test targets, by the true arm\n",
+        "{}Medians. Test error: at a target's end, without exploration noise, over {test_targets} test targets;\n\
+         loss: as observed, with noise{optimum}.\n",
         columns(&cells)
     )
 }
@@ -130,6 +153,9 @@ pub fn progress_table(rows: &[ProgressRow], test_targets: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Event and tests of a phase.
+    type PhaseTests<'a> = (Option<&'a str>, &'a [(f64, f64)]);
 
     fn reached(event: Option<&str>, tests: &[(f64, f64)]) -> Option<Reached> {
         Reached::of(event.map(str::to_owned), 0, 60.0, tests)
@@ -149,11 +175,24 @@ mod tests {
     }
 
     #[test]
+    fn a_larger_distance_that_was_kept_much_sooner_is_told_too() {
+        let mut tests: Vec<_> = (1..=100).map(|s| (f64::from(s), 0.12)).collect();
+        tests[..9].iter_mut().for_each(|test| test.1 = 0.8);
+        tests[49..].iter_mut().for_each(|test| test.1 = 0.06);
+        let one = reached(None, &tests).unwrap();
+        assert_eq!((one.within_m, one.after_s), (Some(0.07), Some(50.0)));
+        assert_eq!((one.soon_within_m, one.soon_after_s), (Some(0.15), Some(10.0)));
+        assert_eq!(sentence(&[one]).unwrap(), "Reaches within 15 cm after 10 s, within 7 cm after 50 s");
+        tests[..20].iter_mut().for_each(|test| test.1 = 0.8);
+        assert_eq!(reached(None, &tests).unwrap().soon_within_m, None);
+    }
+
+    #[test]
     fn the_sentence_says_what_was_measured() {
         let good = [(0.0, 0.2), (4.0, 0.06), (5.0, 0.06), (6.0, 0.06)];
         let bad = [(0.0, 0.9), (4.0, 0.9), (5.0, 0.9)];
         let block = Some("joint 3 blocked");
-        let text = |parts: &[(Option<&str>, &[(f64, f64)])]| {
+        let text = |parts: &[PhaseTests]| {
             let all: Vec<Reached> = parts.iter().filter_map(|(event, tests)| reached(*event, tests)).collect();
             sentence(&all).unwrap_or_default()
         };

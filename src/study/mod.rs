@@ -7,12 +7,12 @@
 pub mod analyse;
 pub mod compare;
 mod error;
-pub mod reference;
 pub mod replay;
 pub mod reproduce;
 mod spread;
 mod worker_pool;
 
+pub use crate::reference;
 pub use error::StudyError;
 pub use spread::Spread;
 pub use worker_pool::{ChildProcesses, JobProgress};

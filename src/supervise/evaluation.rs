@@ -8,9 +8,9 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
+use crate::reference::{FixedArm, Score, TARGETS, TestSet};
 use crate::runtime::{FIRST_LOOK_S, PolicySnapshot, change_ticks, ticks_in};
 use crate::scenario::{Angles, ArmConfig, Plan};
-use crate::study::reference::{FixedArm, Score, TARGETS, TestSet};
 
 /// First guesses for each movement of the optimum: enough to come within 1 % of the loss that many more find.
 const STARTS: usize = 3;

@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 
 use super::summary::{ProcessRealtime, RunOutcome, RunSummary};
+use crate::reference::TARGETS;
 use crate::report::{self, RunHistory, thousands};
-use crate::study::reference::TARGETS;
 use crate::wire::Role;
 
 impl RunSummary {

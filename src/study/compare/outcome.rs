@@ -6,9 +6,9 @@ use serde::Serialize;
 
 use super::run::{LearnerRun, TickCost};
 use super::{LearnerEntry, ReferenceTable};
+use crate::reference::LEVEL;
 use crate::scenario::LearnerConfig;
 use crate::study::Spread;
-use crate::study::reference::LEVEL;
 
 /// The instants at which losses are told, ticks.
 pub const DECADES: [u64; 5] = [1_000, 10_000, 100_000, 1_000_000, 10_000_000];
@@ -203,8 +203,8 @@ mod tests {
     use super::super::run::PolicyTest;
     use super::super::{ArmChange, Changes, ReferenceScores};
     use super::*;
+    use crate::reference::Score;
     use crate::scenario::Rule;
-    use crate::study::reference::Score;
 
     fn references() -> ReferenceTable {
         let score = |loss| Score { loss, miss_m: 0.0 };

@@ -4,9 +4,9 @@ use std::time::Instant;
 
 use super::LearnerEntry;
 use crate::plant::SimulatedPlant;
+use crate::reference::{Score, TestSet};
 use crate::runtime::{Controller, PlantSide};
 use crate::study::JobProgress;
-use crate::study::reference::{Score, TestSet};
 use crate::wire::{Command, Observation};
 
 /// One test of the policy as it was.

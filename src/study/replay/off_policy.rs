@@ -12,9 +12,9 @@
 
 use serde::Serialize;
 
+use crate::reference::Score;
 use crate::runtime::Controller;
 use crate::scenario::{Plan, Rule};
-use crate::study::reference::Score;
 use crate::wire::{Command, Learning, Observation, flag};
 
 /// Another learner, being taught.
@@ -46,7 +46,7 @@ pub struct OffPolicy {
     pub weights_hash: String,
     /// Root mean square, over ticks and outputs, of the distance between its mean command and that of the log.
     pub distance: f64,
-    /// How it does on the [yardstick](crate::study::reference), without exploration noise; null if the plant is not the
+    /// How it does on the [yardstick](crate::reference), without exploration noise; null if the plant is not the
     /// simulator's arm.
     pub noiseless: Option<Score>,
     /// The tick at which its weights were no longer numbers.
