@@ -1,8 +1,8 @@
-//! What a run's end shows: a figure and a table of how the controller learned.
+//! Figure and tables of how a controller learned, for the end of a run.
 //!
-//! A [`RunHistory`] is plain numbers, collected window by window by whoever watches the run, and handed on as JSON if that is
-//! another process. [`figure::draw`] makes one SVG of it, [`table`] a few lines of text. Both only see the story: they
-//! give the same bytes for the same numbers, on every machine.
+//! A [`RunHistory`] is plain numbers, and travels as JSON between processes. [`figure::draw`] makes one SVG of it,
+//! [`table`] a few lines of text. Both depend on these numbers alone: equal numbers give equal bytes on every machine.
+//! [`progress_table`] and [`sentence`] are for runs whose policies were tested without exploration noise.
 
 pub mod figure;
 mod progress;
@@ -13,7 +13,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Means over some ticks in a row. Errors are in the story's [`unit`](Story::unit).
+/// Means over some ticks in a row. Errors are in the history's [`unit`](RunHistory::unit).
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Window {
@@ -40,20 +40,20 @@ pub struct Window {
 pub struct Reach {
     /// First tick.
     pub from: u64,
-    /// The target's place.
+    /// Position of the target.
     pub target: [f64; 2],
     /// One polyline a tick, from the base over the joints to the end-effector.
     #[serde(deserialize_with = "points")]
     pub postures: Vec<Vec<[f64; 2]>>,
 }
 
-/// How a run went.
+/// The numbers behind a run's figure and tables.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunHistory {
     /// Title of the figure.
     pub title: String,
-    /// Unit of errors and places, `m` for the arm; may be empty.
+    /// Unit of errors and positions, `m` for the arm; may be empty.
     pub unit: String,
     /// Period of a tick, s.
     pub period_s: f64,
@@ -114,7 +114,7 @@ pub enum ReportError {
     },
 }
 
-/// JSON has no "not a number" and says null for it; a run that diverged must still get its report.
+/// JSON has no "not a number" and holds null for it; a run that diverged must still get its report.
 fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     Ok(Option::<f64>::deserialize(from)?.unwrap_or(f64::NAN))
 }
@@ -131,7 +131,7 @@ impl Window {
         self.loss - self.noise_share
     }
 
-    /// Square root of the mean squared error, in the story's unit.
+    /// Square root of the mean squared error, in the history's unit.
     pub fn rms_error(&self) -> Option<f64> {
         self.mean_squared_error.map(f64::sqrt)
     }
@@ -158,8 +158,8 @@ impl Window {
     }
 }
 
-/// First and last window as text, one line each under a head with the units. `-` is a value that there is not. For plants
-/// that have no test: all values are means over the window as it was observed.
+/// First and last window as text, one line each under a head with the units. `-` is a missing value. For plants without
+/// a test: all values are means over the ticks of the window, as observed.
 pub fn table(history: &RunHistory) -> String {
     let with_unit =
         |name: &str| if history.unit.is_empty() { name.to_owned() } else { format!("{name} ({})", history.unit) };
@@ -344,7 +344,7 @@ last 2,000 to 2,499       0.0728         0.0373              -                  
     }
 
     #[test]
-    fn a_story_travels_as_json() {
+    fn a_history_travels_as_json() {
         let history = arm_history();
         let back: RunHistory = serde_json::from_str(&serde_json::to_string(&history).unwrap()).unwrap();
         assert!(back == history, "to the last bit");

@@ -94,7 +94,9 @@ impl ControllerLoopState {
         let before = (crash_store.newest().is_some(), self.count);
         crash_store.reopen();
         if let Some(snapshots) = snapshots {
-            snapshots.skip_to(self.ticks_done());
+            // A copy of this very tick may not have reached the disk.
+            snapshots.skip_to(self.ticks_done().saturating_sub(1));
+            snapshots.observe(self.ticks_done(), self.controller.policy());
         }
         while let Some(bytes) = crash_store.entry(self.count) {
             let observation = bytemuck::pod_read_unaligned(bytes);

@@ -6,8 +6,8 @@
 //!
 //! The copies lie in one file of the run's folder, in records of equal size: the tick (`u64`), a checksum over tick and
 //! weights (XXH3-64, seeded with the scenario's hash), and the weights as the policy holds them. The writer of checkpoints
-//! brings them there after the command has gone out. A record that cannot be written is missing, and nothing else is:
-//! whoever reads the file knows no policy of that tick.
+//! brings them there after the command has gone out. A record that cannot be written is missing, and
+//! has no other consequence: a reader of the file knows no policy of that tick.
 
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -137,7 +137,7 @@ impl SnapshotRecorder {
         Some(Self { schedule, path: snapshot_path(folder), seed: plan.hash, passed: 0, pending: Vec::new() })
     }
 
-    /// What was due after `done` ticks or before has been seen to.
+    /// Goes on behind everything that was due after `done` ticks or before.
     pub fn skip_to(&mut self, done: u64) {
         self.passed = self.schedule.due.partition_point(|&due| due <= done);
     }
@@ -169,7 +169,7 @@ impl SnapshotRecorder {
         self.pending.push((slot as u64 * bytes.len() as u64, bytes));
     }
 
-    /// Hands over what there is.
+    /// Hands the pending records to the writer.
     pub fn flush(&mut self, writer: &CheckpointWriter) {
         for (offset, bytes) in self.pending.drain(..) {
             writer.write_record(&self.path, offset, bytes);
@@ -189,7 +189,7 @@ pub fn read_snapshots(folder: &Path, plan: &Plan) -> Vec<PolicySnapshot> {
     let mut empty = empty_policy(plan);
     let size = record_bytes(&mut empty);
     let mut bytes = Vec::new();
-    // One for each tick of the schedule, and the last policy: what is beyond is not ours.
+    // One for each tick of the schedule, and the last policy.
     let limit = (size * (schedule.due.len() + 1)) as u64;
     let read = std::fs::File::open(snapshot_path(folder)).and_then(|file| file.take(limit).read_to_end(&mut bytes));
     if read.is_err() {
@@ -234,7 +234,9 @@ mod tests {
 
     #[test]
     fn long_and_short_runs_have_few_copies() {
-        for (name, ticks) in [("paper", 12_000_000), ("paper", u64::MAX / 4), ("arm", 1), ("arm", 199), ("arm", 3600)] {
+        for (name, ticks) in
+            [("paper", 12_000_000), ("paper", 1_000_000_000_000), ("arm", 2), ("arm", 199), ("arm", 3600)]
+        {
             let plan = plan(name, ticks);
             let schedule = SnapshotSchedule::of(&plan).unwrap();
             assert!((1..=MOST).contains(&schedule.due().len()), "{name} {ticks}: {}", schedule.due().len());

@@ -1,6 +1,6 @@
-//! The run's own account of how learning goes: losses and errors by window, and the inputs around target switches.
+//! The run's own statistics of how learning goes: losses and errors by window, and the inputs around target switches.
 //!
-//! The controller keeps it, because it sees every observation of any plant; it is for people alone and touches nothing
+//! The controller keeps them, because it sees every observation of any plant; they are for people alone and touch nothing
 //! that is learned. All memory is taken at the start.
 
 use super::target_statistics::{TargetStatistics, TargetsAround};

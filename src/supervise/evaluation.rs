@@ -19,7 +19,7 @@ const MOST_WORK: u64 = 500_000_000;
 /// The same for a single test: beyond, none is made.
 const MOST_WORK_A_TEST: u64 = 100_000_000;
 
-/// What a test says of a policy: medians over the test's targets.
+/// The result of a policy's test: medians over the test's targets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct TestResult {
     /// Distance from the target at its end, m.
@@ -114,7 +114,7 @@ fn jobs<'a>(
     jobs
 }
 
-/// Whether the reference controllers know all that there is to this arm: absolute angles without stops, and the reward of
+/// Whether the reference controllers know everything about this arm: absolute angles without stops, and the reward of
 /// error, speed and posture.
 fn known_to_reference(arm: &ArmConfig) -> bool {
     arm.angles == Angles::Absolute && arm.limits.is_empty() && arm.reward.near.is_none() && arm.reward.collision == 0.0

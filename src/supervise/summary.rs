@@ -276,7 +276,7 @@ impl RunSummary {
         self.checkpoint_failure = plant.checkpoint_failure.clone();
     }
 
-    /// What the controller reported, if it did, and what the tests of its policies say. After the plant's report: where the
+    /// What the controller reported, if it did, and the tests of its policies. After the plant's report: where the
     /// two count the same, the controller's number is the run's.
     fn add_controller(&mut self, launch: &Launch, report: Option<ControllerReport>, snapshots: &[PolicySnapshot]) {
         if let Some(controller) = report {

@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn the_figure_says_what_it_shows() {
+    fn the_figure_names_what_it_shows() {
         let svg = svg(&learning()).unwrap();
         assert!(svg.starts_with("<svg width=\"940\" height=\"748\" viewBox=\"0 0 3760 2992\""), "{}", &svg[..80]);
         for words in

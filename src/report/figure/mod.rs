@@ -183,7 +183,7 @@ mod tests {
     use crate::report::tests::arm_history;
 
     #[test]
-    fn equal_stories_give_equal_bytes_and_different_ones_do_not() {
+    fn equal_histories_give_equal_bytes_and_different_ones_do_not() {
         let one = svg(&arm_history()).unwrap();
         assert_eq!(one, svg(&arm_history()).unwrap());
         let mut other = arm_history();
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn the_figure_says_what_it_shows() {
+    fn the_figure_names_what_it_shows() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("figure.svg");
         draw(&arm_history(), &path).unwrap();
