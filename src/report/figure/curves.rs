@@ -121,7 +121,7 @@ fn optimum(history: &RunHistory, clock: &TimeAxis, value: fn(&OptimumSpan) -> f6
     let line = |span: &OptimumSpan| [(clock.at(span.from), value(span)), (clock.at(span.until), value(span)), gap];
     let points: Polyline = history.optimum.iter().flat_map(line).collect();
     (!points.is_empty()).then(|| NamedCurve {
-        name: "optimum (median of the test)".into(),
+        name: "optimum (test median)".into(),
         colour: INK,
         style: CurveStyle::Dashes,
         points,

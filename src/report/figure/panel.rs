@@ -195,7 +195,7 @@ fn legend(curves: &[NamedCurve], left: i32, area: &Area) -> Result<(), ReportErr
         let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
         area.draw(&Text::new(curve.name.clone(), (x + px(30), y), text)).map_err(refused)?;
         // Letters are about half as wide as they are tall.
-        x += px(30 + 26) + px(curve.name.chars().count() as u32 * 13 / 2);
+        x += px(30 + 24) + px(curve.name.chars().count() as u32 * 13 / 2);
     }
     Ok(())
 }
