@@ -24,9 +24,11 @@ mod participant;
 mod peer_monitor;
 mod plant;
 mod plant_loop;
+mod policy_snapshots;
 mod reports;
 mod statistics;
 mod stopwatch;
+mod target_statistics;
 mod tracker;
 mod wire_manifest;
 
@@ -41,10 +43,14 @@ pub use logger::run_logger;
 pub use participant::{EndReason, Mode, Participant, ResumePoint, RunManifest, Session, identity};
 pub use plant::PlantSide;
 pub use plant_loop::run_plant;
+pub use policy_snapshots::{
+    FIRST_LOOK_S, PolicySnapshot, SnapshotSchedule, change_ticks, read_snapshots, snapshot_path, ticks_in,
+};
 pub use reports::{ControllerReport, LoggerReport, PlantReport};
 pub(crate) use reports::{read as read_report, read_realtime, realtime_path, sweep_drafts};
 pub(crate) use statistics::Switch;
-pub use statistics::{RunStatistics, Snapshot};
+pub use statistics::{FinishedStatistics, RunStatistics, Snapshot};
 pub(crate) use stopwatch::tick_times;
+pub use target_statistics::{TargetResult, TargetsAround, WINDOW_TARGETS};
 pub use tracker::Tracker;
 pub use wire_manifest::{Services, WireManifest};

@@ -1,10 +1,11 @@
 //! Scenario files: TOML in, a validated [`Plan`] out.
 //!
-//! A scenario says what to run: the plant, the encoder, the policy, the learner, and how long. It is read in two steps.
-//! [`Scenario::load`], [`Scenario::parse`] and [`Scenario::find`] turn text into tables, refusing unknown keys and wrong
-//! types; the caller may then change what the command line overrides (seed, ticks); and [`Scenario::plan`] checks every
-//! number and every reference between tables and fills in what the file leaves out. Past that point nothing is checked
-//! again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions panic.
+//! A scenario says what to run: the plant, the encoder, the policy, the learner, and how long. It is read in
+//! two steps. [`Scenario::load`], [`Scenario::parse`] and [`Scenario::find`] turn text into tables, refusing
+//! unknown keys and wrong types; the caller may then change what the command line overrides (seed, ticks);
+//! and [`Scenario::plan`] checks every number and every reference between tables and fills in what the file
+//! leaves out. Past that point nothing is checked again: a [`Plan`] keeps the bounds in [`limits`]. No input
+//! makes these functions panic.
 
 mod check;
 mod emulator;
@@ -65,7 +66,8 @@ use plant_signals::signals;
 /// Largest scenario file, bytes.
 pub const MAX_FILE_BYTES: u64 = 1 << 20;
 
-/// A validated scenario: what the processes of a run are built from. Everything in it is finite, in range and consistent.
+/// A validated scenario: what the processes of a run are built from. Everything in it is finite, in range and
+/// consistent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// The scenario with every default filled in.
@@ -112,6 +114,12 @@ impl Plan {
     /// The encoder that the scenario describes.
     pub fn encoder(&self) -> Encoder {
         Encoder::new(&self.maps, self.scenario.encoder.normalise).with_scalars(&self.scalars)
+    }
+
+    /// The arm, if it is the simulator's: another program's arm is only known from its samples.
+    pub fn simulated_arm(&self) -> Option<&ArmConfig> {
+        let plant = &self.scenario.plant;
+        plant.arm.as_ref().filter(|_| crate::programs::is_simulator(&plant.program))
     }
 }
 

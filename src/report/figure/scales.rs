@@ -21,7 +21,7 @@ const COLOURS: [RGBColor; 8] = [
 /// One pair of axes.
 #[derive(Debug, Clone)]
 pub struct AxisScales {
-    /// What stands above it.
+    /// Title above it.
     pub name: String,
     /// Name of the axis along.
     pub x: String,

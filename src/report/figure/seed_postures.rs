@@ -20,7 +20,7 @@ pub struct PosturesFigure {
 /// One row: a curve with its band, then targets.
 #[derive(Debug, Clone)]
 pub struct PosturesRow {
-    /// What stands above it.
+    /// Title above it.
     pub name: String,
     /// Seed by seed: millions of trials, and the mean error in m.
     pub curves: Vec<Polyline>,

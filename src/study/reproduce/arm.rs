@@ -133,7 +133,7 @@ fn run_arm(plan: &Plan, progress: &JobProgress) -> ArmRun {
             switches[panel] = switch.to_vec();
         }
     });
-    ArmRun { windows: statistics.finish().0, switches, end }
+    ArmRun { windows: statistics.finish(0).windows, switches, end }
 }
 
 /// The run with the median loss in its last window.
