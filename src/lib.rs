@@ -24,6 +24,7 @@ pub mod servo;
 pub mod stats;
 pub mod study;
 pub mod supervise;
+mod text;
 pub mod wire;
 
 pub use tectum_core::{learner, plant, policy, seed, state};

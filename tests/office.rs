@@ -7,9 +7,9 @@ use std::fmt::Write as _;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use tectum::report::Window;
 use tectum::runtime::{Controller, ControllerReport, PlantReport, PlantSide};
 use tectum::scenario::{Plan, Scenario};
+use tectum::stats::Window;
 use tectum::wire::{Command, Learning, Observation, flag};
 
 const TICKS: u64 = 2000;

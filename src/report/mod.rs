@@ -11,29 +11,10 @@ mod progress;
 pub use progress::{ProgressRow, REACHES_M, Reached, progress_table, sentence};
 
 use serde::{Deserialize, Deserializer, Serialize};
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Means over some ticks in a row. Errors are in the history's [`unit`](RunHistory::unit).
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Window {
-    /// First tick.
-    pub from: u64,
-    /// Number of ticks.
-    pub ticks: u64,
-    /// Mean loss (reward with its sign turned) per tick; not a number if a reward was none.
-    #[serde(deserialize_with = "number")]
-    pub loss: f64,
-    /// What exploration noise alone costs a tick, part of the loss; 0 if unknown.
-    pub noise_share: f64,
-    /// Mean squared error, in squared units; `None` for a plant that measures none.
-    pub mean_squared_error: Option<f64>,
-    /// Mean error at the end of the targets that ended here; `None` if none did.
-    pub end_error: Option<f64>,
-    /// Number of targets that ended here.
-    pub ends: u64,
-}
+use crate::stats::{Window, number_or_nan};
+use crate::text::{columns, figures, thousands};
 
 /// A movement towards one target, posture by posture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -81,7 +62,7 @@ pub struct TestPoint {
     /// Ticks done before it.
     pub tick: u64,
     /// Median error at a target's end; not a number if the policy was none.
-    #[serde(deserialize_with = "number")]
+    #[serde(deserialize_with = "number_or_nan")]
     pub error: f64,
 }
 
@@ -115,48 +96,10 @@ pub enum ReportError {
     },
 }
 
-/// JSON has no "not a number" and holds null for it; a run that diverged must still get its report.
-fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    Ok(Option::<f64>::deserialize(from)?.unwrap_or(f64::NAN))
-}
-
 fn points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<[f64; 2]>>, D::Error> {
     let lines = Vec::<Vec<[Option<f64>; 2]>>::deserialize(from)?;
     let point = |p: [Option<f64>; 2]| p.map(|x| x.unwrap_or(f64::NAN));
     Ok(lines.into_iter().map(|line| line.into_iter().map(point).collect()).collect())
-}
-
-impl Window {
-    /// Mean loss a tick without what exploration noise alone costs.
-    pub fn loss_without_noise(&self) -> f64 {
-        self.loss - self.noise_share
-    }
-
-    /// Square root of the mean squared error, in the history's unit.
-    pub fn rms_error(&self) -> Option<f64> {
-        self.mean_squared_error.map(f64::sqrt)
-    }
-
-    /// Two windows as one.
-    pub fn and(&self, other: &Self) -> Self {
-        let (a, b) = (self, other);
-        let mean = |x: f64, n: u64, y: f64, m: u64| (x * n as f64 + y * m as f64) / (n + m) as f64;
-        Self {
-            from: a.from.min(b.from),
-            ticks: a.ticks + b.ticks,
-            noise_share: mean(a.noise_share, a.ticks, b.noise_share, b.ticks),
-            loss: mean(a.loss, a.ticks, b.loss, b.ticks),
-            mean_squared_error: a
-                .mean_squared_error
-                .zip(b.mean_squared_error)
-                .map(|(x, y)| mean(x, a.ticks, y, b.ticks)),
-            end_error: match (a.end_error, b.end_error) {
-                (Some(x), Some(y)) => Some(mean(x, a.ends, y, b.ends)),
-                (x, y) => x.or(y),
-            },
-            ends: a.ends + b.ends,
-        }
-    }
 }
 
 /// First and last window as text, one line each under a head with the units. `-` is a missing value. For plants without
@@ -195,57 +138,9 @@ pub fn table(history: &RunHistory) -> String {
     columns(&rows)
 }
 
-/// Rows of cells as text: the first column to the left, the others to the right, each as wide as its widest cell.
-pub fn columns<R: AsRef<[String]>>(rows: &[R]) -> String {
-    let count = rows.iter().map(|row| row.as_ref().len()).max().unwrap_or(0);
-    let width = |column: usize| rows.iter().filter_map(|row| row.as_ref().get(column)).map(|c| c.chars().count()).max();
-    let widths: Vec<usize> = (0..count).map(|column| width(column).unwrap_or(0)).collect();
-    let mut text = String::new();
-    for row in rows {
-        let mut line = String::new();
-        for (i, (cell, &width)) in row.as_ref().iter().zip(&widths).enumerate() {
-            let _ = if i == 0 { write!(line, "{cell:<width$}") } else { write!(line, "  {cell:>width$}") };
-        }
-        text.push_str(line.trim_end());
-        text.push('\n');
-    }
-    text
-}
-
-/// A whole number with its thousands set apart: 11,999,920 instead of 11999920.
-pub fn thousands(n: u64) -> String {
-    let digits = n.to_string();
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
-
-/// Three significant figures, which is what a mean over a window is good for; `-` for none.
-pub fn figures(value: Option<f64>) -> String {
-    let Some(x) = value.filter(|x| x.is_finite()) else { return "-".into() };
-    if x == 0.0 {
-        return "0".into();
-    }
-    let magnitude = x.abs().log10().floor();
-    if !(-5.0..6.0).contains(&magnitude) {
-        return format!("{x:.2e}");
-    }
-    format!("{x:.*}", (2.0 - magnitude).max(0.0) as usize)
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-
-    #[test]
-    fn thousands_are_set_apart() {
-        assert_eq!([0, 80, 999, 1000, 11_999_920].map(thousands), ["0", "80", "999", "1,000", "11,999,920"]);
-    }
 
     /// The shape of the paper's run: 120 windows, a joint blocked at the 93rd.
     pub fn arm_history() -> RunHistory {
@@ -336,12 +231,6 @@ last 2,000 to 2,499       0.0728         0.0373              -                  
         assert_eq!(table(&history).lines().count(), 2);
         history.windows.clear();
         assert!(table(&history).lines().last().unwrap().starts_with("-  "));
-    }
-
-    #[test]
-    fn three_figures_whatever_the_size() {
-        let all = [12.3456, 0.0, 1234.0, 0.00123456, 1e9, -0.5, f64::NAN].map(|x| figures(Some(x)));
-        assert_eq!(all, ["12.3", "0", "1234", "0.00123", "1.00e9", "-0.500", "-"]);
     }
 
     #[test]

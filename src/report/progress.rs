@@ -5,7 +5,7 @@
 
 use serde::Serialize;
 
-use super::{columns, figures};
+use crate::text::{columns, figures};
 
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -9,9 +9,8 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{RuntimeError, Snapshot, TargetsAround, TickBudget};
 use crate::clock::RealtimeReport;
-use crate::report::Window;
 use crate::state::{Persist, StateVisitor};
-use crate::stats::Percentiles;
+use crate::stats::{Percentiles, Window};
 use crate::wire::Role;
 
 /// The plant's report.

@@ -4,9 +4,9 @@
 //! and do not influence learning. All memory is allocated at the start.
 
 use super::target_statistics::{TargetStatistics, TargetsAround};
-use crate::report::Window;
 use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor};
+use crate::stats::Window;
 use crate::wire::{MAX_INPUTS, Observation, flag};
 
 /// Number of windows of a run: as many as a figure can show.

@@ -8,11 +8,12 @@
 //!
 //! All memory is taken at the start.
 
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
 use super::policy_snapshots::{FIRST_LOOK_S, change_ticks, ticks_in};
 use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor};
+use crate::stats::number_or_nan;
 
 /// Targets kept before, and after, a tick.
 pub const WINDOW_TARGETS: usize = 10;
@@ -45,11 +46,6 @@ pub struct TargetsAround {
     pub before: Vec<TargetResult>,
     /// The first whole targets that began then or later, in order.
     pub after: Vec<TargetResult>,
-}
-
-/// JSON has no "not a number" and writes null for it.
-fn number_or_nan<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    Ok(Option::<f64>::deserialize(from)?.unwrap_or(f64::NAN))
 }
 
 /// A result as numbers of one type, for the state: first tick, ticks, loss, error.

@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::log::{LogError, LogRecord, RunLog};
+use crate::report::ReportError;
 use crate::report::film::{
     EARLY_REACHES, Film, FilmPanel, LATE_REACHES, ReachSelector, RecordedReach, SelectedReaches, centimetres, seconds,
 };
-use crate::report::{ReportError, columns, thousands};
 use crate::runtime::Snapshot;
 use crate::scenario::{ArmConfig, Plan, Scenario, ScenarioError};
 use crate::supervise::{RunProgress, body_changes, reach};
+use crate::text::{columns, thousands};
 use crate::wire::{Observation, flag};
 
 /// Why there is no film of a log.

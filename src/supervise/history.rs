@@ -2,9 +2,10 @@
 
 use super::evaluation::{PhaseTests, TestResult};
 use crate::plant::posture;
-use crate::report::{OptimumSpan, Reach, RunHistory, TestPoint, Window};
+use crate::report::{OptimumSpan, Reach, RunHistory, TestPoint};
 use crate::runtime::{ControllerReport, Mode, Snapshot};
 use crate::scenario::{ArmConfig, MirrorAxis, Plan};
+use crate::stats::Window;
 
 /// Part of the run that the first and the last window of the table take.
 const SHARE: u64 = 20;
@@ -135,11 +136,5 @@ mod tests {
         let [first, last] = ends(&windows).unwrap();
         assert_eq!((first.from, first.ticks, first.ends), (0, 80, 1));
         assert_eq!((last.from, last.ticks, last.ends), (380, 20, 1));
-    }
-
-    #[test]
-    fn windows_without_an_end_do_not_dilute_those_with_one() {
-        let both = window(0, 1.0, None).and(&window(10, 3.0, Some(0.5)));
-        assert_eq!((both.loss, both.end_error, both.ends), (2.0, Some(0.5), 1));
     }
 }

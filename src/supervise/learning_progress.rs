@@ -82,7 +82,7 @@ fn name_of_change(events: &[ArmEvent], tick: u64, several: bool) -> String {
     let mut here = events.iter().filter(|event| event.tick == tick);
     match (here.next(), here.next()) {
         (Some(event), None) if !several => format!("the {}", event.noun),
-        _ => format!("the change at tick {}", crate::report::thousands(tick)),
+        _ => format!("the change at tick {}", crate::text::thousands(tick)),
     }
 }
 

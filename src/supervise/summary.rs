@@ -13,12 +13,13 @@ use super::restarts::RestartIncident;
 use super::supervisor::RunEnd;
 use crate::clock::RealtimeReport;
 use crate::log;
-use crate::report::{self, ProgressRow, Reached, RunHistory, Window, thousands};
+use crate::report::{self, ProgressRow, Reached, RunHistory};
 use crate::runtime::{
     ControllerReport, InProcess, LoggerReport, Mode, PlantReport, PolicySnapshot, TickBudget, exit, read_realtime,
     read_report, read_snapshots, sweep_drafts,
 };
-use crate::stats::Percentiles;
+use crate::stats::{Percentiles, Window};
+use crate::text::thousands;
 use crate::wire::Role;
 
 /// How a run ended.

@@ -4,7 +4,8 @@ use std::fmt::Write as _;
 
 use super::summary::{ProcessRealtime, RunOutcome, RunSummary};
 use crate::reference::TARGETS;
-use crate::report::{self, RunHistory, thousands};
+use crate::report::{self, RunHistory};
+use crate::text::thousands;
 use crate::wire::Role;
 
 impl RunSummary {

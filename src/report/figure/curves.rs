@@ -5,7 +5,7 @@
 
 use super::panel::{CurveStyle, NamedCurve, Panel, Phase, Scale};
 use super::*;
-use crate::report::Window;
+use crate::stats::Window;
 
 /// Height of the strip that names the phases.
 const PHASES_HEIGHT: u32 = 20;

@@ -5,7 +5,7 @@
 //! has one colour in all panels. Dashed lines across are for scale.
 
 use super::*;
-use crate::report::thousands;
+use crate::text::thousands;
 
 const WIDTH: u32 = 940;
 const FIRST_HEIGHT: u32 = 400;

@@ -2,7 +2,7 @@
 //! how soon the arm settled; the first movements beside the last.
 
 use super::*;
-use crate::report::thousands;
+use crate::text::thousands;
 
 const WIDTH: u32 = 1010;
 const LEGEND_HEIGHT: u32 = 26;

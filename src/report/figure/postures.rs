@@ -1,7 +1,8 @@
 //! The right part: the arm on its way to a target, light at first and dark at the end.
 
 use super::*;
-use crate::report::{Reach, thousands};
+use crate::report::Reach;
+use crate::text::thousands;
 
 const LEGEND_HEIGHT: u32 = 26;
 const LEFT_LABELS: u32 = 46;

@@ -4,9 +4,9 @@ use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 
 use super::ArmChange;
-use crate::report::thousands;
 use crate::scenario::{ArmConfig, FilePosition, LearnerConfig, Plan, Rule, Scenario, ScenarioError, merge};
 use crate::study::StudyError;
+use crate::text::thousands;
 
 /// All learners, in the order in which they are shown.
 pub const LEARNERS: [Rule; 5] =

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use super::{Difference, OffPolicy, ReplayResult};
 use crate::reference::Score;
-use crate::report::thousands;
 use crate::study::compare::name_of;
+use crate::text::thousands;
 
 impl ReplayResult {
     /// The result as one JSON object.
