@@ -57,14 +57,14 @@ impl CheckpointWriter {
         let _ = self.sender.send(WriteJob::Checkpoint { path: self.path(tick), bytes, sync: true });
     }
 
-    /// The same for the last one. A run that is to end at once (`haste`) does not wait for the disk: the file is whole for
-    /// everybody, unless the machine loses its power now.
+    /// The same for the last one. A run that is to end at once (`haste`) does not wait for the disk: the file
+    /// is whole for everybody, unless the machine loses its power now.
     pub fn write_last(&self, tick: u64, bytes: Vec<u8>, haste: bool) {
         let _ = self.sender.send(WriteJob::Checkpoint { path: self.path(tick), bytes, sync: !haste });
     }
 
-    /// Takes over bytes for the file at `path`, from `offset` on. They are no checkpoint: they are not counted, nobody waits
-    /// for the disk, and a failure ends nothing.
+    /// Takes over bytes for the file at `path`, from `offset` on. They are no checkpoint: they are not
+    /// counted, nobody waits for the disk, and a failure ends nothing.
     pub fn write_record(&self, path: &Path, offset: u64, bytes: Vec<u8>) {
         let _ = self.sender.send(WriteJob::Record { path: path.to_owned(), offset, bytes });
     }

@@ -1,7 +1,7 @@
 //! How far a run's learner got: rows of a table, and one sentence computed from the tests.
 //!
-//! A policy is tested without exploration noise on a fixed set of targets; what the run itself observed is beside it.
-//! Rows hold only what was measured: a missing value is `-` in the table and null in JSON.
+//! A policy is tested without exploration noise on a fixed set of targets; what the run itself observed is
+//! beside it. Rows hold only what was measured: a missing value is `-` in the table and null in JSON.
 
 use serde::Serialize;
 
@@ -36,7 +36,8 @@ pub struct Reached {
     pub event: Option<String>,
     /// First tick of the phase.
     pub from_tick: u64,
-    /// The smallest of [`REACHES_M`] that the test error reached and stayed within until the phase's end, m; null if none.
+    /// The smallest of [`REACHES_M`] that the test error reached and stayed within until the phase's end, m;
+    /// null if none.
     pub within_m: Option<f64>,
     /// Seconds of the plant's time until then; 0 if it was so from the beginning of the phase.
     pub after_s: Option<f64>,
@@ -56,8 +57,8 @@ const TESTS_TO_KEEP: usize = 3;
 const SOON: f64 = 0.2;
 
 impl Reached {
-    /// What the tests of a phase show: pairs of seconds since its beginning and error, m, in order. `None` if they are too
-    /// few to say anything.
+    /// What the tests of a phase show: pairs of seconds since its beginning and error, m, in order. `None` if
+    /// they are too few to say anything.
     pub fn of(event: Option<String>, from_tick: u64, phase_s: f64, tests: &[(f64, f64)]) -> Option<Self> {
         if tests.len() < TESTS_TO_KEEP {
             return None;
@@ -122,7 +123,8 @@ fn duration(seconds: f64) -> String {
     }
 }
 
-/// The rows as text, under a head with the units and above a line that says what they are, for a test of so many targets.
+/// The rows as text, under a head with the units and above a line that says what they are, for a test of so
+/// many targets.
 pub fn progress_table(rows: &[ProgressRow], test_targets: usize) -> String {
     let head = ["", "test error (m)", "optimum (m)", "loss a tick", "optimum", "observed over"];
     let mut cells = vec![head.map(str::to_owned)];

@@ -1,13 +1,14 @@
 //! Copies of the policy as it was during a run, so that it can be tested afterwards without exploration noise.
 //!
-//! The ticks of the copies follow from the scenario alone ([`SnapshotSchedule`]): one a second of the plant's time at first
-//! and after each change of the arm, later ever fewer, at most [`MOST`] in all, and always one just before each change. So a
-//! process that was restarted knows which copies are due, and in lockstep it writes the same bytes again.
+//! The ticks of the copies follow from the scenario alone ([`SnapshotSchedule`]): one a second of the plant's
+//! time at first and after each change of the arm, later ever fewer, at most [`MOST`] in all, and always one
+//! just before each change. So a process that was restarted knows which copies are due, and in lockstep it
+//! writes the same bytes again.
 //!
-//! The copies lie in one file of the run's folder, in records of equal size: the tick (`u64`), a checksum over tick and
-//! weights (XXH3-64, seeded with the scenario's hash), and the weights as the policy holds them. The writer of checkpoints
-//! brings them there after the command has gone out. A record that cannot be written is missing, and
-//! has no other consequence: a reader of the file knows no policy of that tick.
+//! The copies lie in one file of the run's folder, in records of equal size: the tick (`u64`), a checksum
+//! over tick and weights (XXH3-64, seeded with the scenario's hash), and the weights as the policy holds
+//! them. The writer of checkpoints brings them there after the command has gone out. A record that cannot be
+//! written is missing, and has no other consequence: a reader of the file knows no policy of that tick.
 
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -45,8 +46,8 @@ pub struct SnapshotSchedule {
 }
 
 impl SnapshotSchedule {
-    /// The schedule of `plan`. `None` where no policy is copied: the plant is not the simulator's arm, the arm has an open
-    /// loop, or even the fewest copies would be too many.
+    /// The schedule of `plan`. `None` where no policy is copied: the plant is not the simulator's arm, the
+    /// arm has an open loop, or even the fewest copies would be too many.
     pub fn of(plan: &Plan) -> Option<Self> {
         let arm = plan.simulated_arm().filter(|arm| !arm.open_loop)?;
         let ticks_a_second = ticks_in(plan, 1);
@@ -72,8 +73,8 @@ impl SnapshotSchedule {
     }
 }
 
-/// Copies in the phase from tick `from` to tick `until`: one a second for `2 * dense` seconds, then `dense` in each doubling
-/// of the time since `from`, and one at `until`.
+/// Copies in the phase from tick `from` to tick `until`: one a second for `2 * dense` seconds, then `dense`
+/// in each doubling of the time since `from`, and one at `until`.
 fn ticks_of(from: u64, until: u64, dense: u64, ticks_a_second: u64) -> Vec<u64> {
     let mut ticks = Vec::new();
     let (mut at, mut step) = (from, ticks_a_second);
@@ -142,8 +143,8 @@ impl SnapshotRecorder {
         self.passed = self.schedule.due.partition_point(|&due| due <= done);
     }
 
-    /// Copies the policy after `done` ticks, if that is due: one comparison where it is not. A copy that is late by more
-    /// than a second, because ticks were passed over, is left out.
+    /// Copies the policy after `done` ticks, if that is due: one comparison where it is not. A copy that is
+    /// late by more than a second, because ticks were passed over, is left out.
     pub fn observe(&mut self, done: u64, policy: &LinearPolicy) {
         if self.schedule.due.get(self.passed).is_some_and(|&due| done >= due) {
             self.skip_to(done);

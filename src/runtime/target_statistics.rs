@@ -1,9 +1,11 @@
-//! What single targets cost: mean loss and last error of each whole one, kept around the ticks that a summary looks at.
+//! What single targets cost: mean loss and last error of each whole one, kept around the ticks that a summary
+//! looks at.
 //!
-//! Means over a window say little where it holds two targets, one of them near and one far. So the results of the last
-//! [`WINDOW_TARGETS`] targets before, and of as many after, each of these ticks are kept one by one, for medians: the tick
-//! [`FIRST_LOOK_S`] seconds after the beginning, each change of the arm, and the end of the run. A target is whole if the
-//! controller saw all of its ticks. A target during which the arm changes is neither before nor after the change.
+//! Means over a window say little where it holds two targets, one of them near and one far. So the results of
+//! the last [`WINDOW_TARGETS`] targets before, and of as many after, each of these ticks are kept one by one,
+//! for medians: the tick [`FIRST_LOOK_S`] seconds after the beginning, each change of the arm, and the end of
+//! the run. A target is whole if the controller saw all of its ticks. A target during which the arm changes
+//! is neither before nor after the change.
 //!
 //! All memory is taken at the start.
 
@@ -129,8 +131,8 @@ impl TargetStatistics {
         self.loss += loss;
     }
 
-    /// A new target begins with `tick`; `error` is the error of the tick before. Gives the end error of the target that is
-    /// over, if that was whole.
+    /// A new target begins with `tick`; `error` is the error of the tick before. Gives the end error of the
+    /// target that is over, if that was whole.
     pub fn begin(&mut self, tick: u64, error: f64) -> Option<f64> {
         let whole = self.ticks > 0 && tick.checked_sub(self.from) == Some(self.ticks);
         if whole {

@@ -1,8 +1,8 @@
-//! The test of what a run learned: the policies that it left, without exploration noise, on a fixed set of targets, in the
-//! arm as it was at each time, beside the optimum.
+//! The test of what a run learned: the policies that it left, without exploration noise, on a fixed set of
+//! targets, in the arm as it was at each time, beside the optimum.
 //!
-//! The launcher does this when the run is over. It takes some tenths of a second on two cores: a policy takes about a
-//! millisecond, an optimum some fifty.
+//! The launcher does this when the run is over. It takes some tenths of a second on two cores: a policy takes
+//! about a millisecond, an optimum some fifty.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -14,7 +14,8 @@ use crate::scenario::{Angles, ArmConfig, Plan};
 
 /// First guesses for each movement of the optimum: enough to come within 1 % of the loss that many more find.
 const STARTS: usize = 3;
-/// Features times ticks that all tests together may take: about half a second of a core. Beyond, fewer policies are tested.
+/// Features times ticks that all tests together may take: about half a second of a core. Beyond, fewer
+/// policies are tested.
 const MOST_WORK: u64 = 500_000_000;
 /// The same for a single test: beyond, none is made.
 const MOST_WORK_A_TEST: u64 = 100_000_000;
@@ -37,7 +38,8 @@ pub(super) struct PhaseTests {
     pub until: u64,
     /// The movements of least loss; `None` for an arm that the reference does not know.
     pub optimum: Option<TestResult>,
-    /// Ticks done and result, in order. At a change the same policy is the last of one phase and the first of the next.
+    /// Ticks done and result, in order. At a change the same policy is the last of one phase and the first of
+    /// the next.
     pub tests: Vec<(u64, TestResult)>,
 }
 
@@ -48,8 +50,8 @@ enum TestJob<'a> {
     Policy(usize, &'a PolicySnapshot),
 }
 
-/// Tests the policies of a run of `done` ticks, phase by phase. `None` where the plant is not the simulator's arm, or where
-/// the test would take too long. `snapshots` are in the order of ticks.
+/// Tests the policies of a run of `done` ticks, phase by phase. `None` where the plant is not the simulator's
+/// arm, or where the test would take too long. `snapshots` are in the order of ticks.
 pub(super) fn evaluate(plan: &Plan, done: u64, snapshots: &[PolicySnapshot]) -> Option<Vec<PhaseTests>> {
     let arm = plan.simulated_arm().filter(|arm| !arm.open_loop)?;
     let features = plan.encoder().len() as u64;
@@ -91,8 +93,8 @@ fn phases(arm: &ArmConfig, done: u64) -> Vec<PhaseTests> {
     edges.windows(2).map(phase).collect()
 }
 
-/// Optima first, because they take longest. Where `most` policies are fewer than there are, some between the first and the
-/// last of each phase are left out, but not that of the tick `first_look`.
+/// Optima first, because they take longest. Where `most` policies are fewer than there are, some between the
+/// first and the last of each phase are left out, but not that of the tick `first_look`.
 fn jobs<'a>(
     phases: &[PhaseTests],
     snapshots: &'a [PolicySnapshot],
@@ -114,8 +116,8 @@ fn jobs<'a>(
     jobs
 }
 
-/// Whether the reference controllers know everything about this arm: absolute angles without stops, and the reward of
-/// error, speed and posture.
+/// Whether the reference controllers know everything about this arm: absolute angles without stops, and the
+/// reward of error, speed and posture.
 fn known_to_reference(arm: &ArmConfig) -> bool {
     arm.angles == Angles::Absolute && arm.limits.is_empty() && arm.reward.near.is_none() && arm.reward.collision == 0.0
 }
@@ -127,8 +129,8 @@ fn medians(scores: &[Score]) -> TestResult {
     }
 }
 
-/// The median: of an even number of values the mean of the two in the middle. Not a number if a value is none; `None`
-/// without values.
+/// The median: of an even number of values the mean of the two in the middle. Not a number if a value is
+/// none; `None` without values.
 pub(super) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_unstable_by(f64::total_cmp);

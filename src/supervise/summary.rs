@@ -117,14 +117,16 @@ pub struct RunSummary {
     pub first: Option<WindowSummary>,
     /// The last twentieth.
     pub last: Option<WindowSummary>,
-    /// How far the learner got, tested without noise and as observed; empty where the plant is not the simulator's arm.
+    /// How far the learner got, tested without noise and as observed; empty where the plant is not the
+    /// simulator's arm.
     pub progress: Vec<ProgressRow>,
-    /// How soon it reached its targets, at the beginning and after each change of the arm; empty where that is unknown.
+    /// How soon it reached its targets, at the beginning and after each change of the arm; empty where that
+    /// is unknown.
     pub reached: Vec<Reached>,
     /// The same as a sentence.
     pub reached_text: Option<String>,
-    /// Real time: from a tick's scheduled instant to its sensing, us; of a run without a logger's report, to the plant's
-    /// waking up.
+    /// Real time: from a tick's scheduled instant to its sensing, us; of a run without a logger's report, to
+    /// the plant's waking up.
     pub wake_up_lateness_us: Option<Percentiles>,
     /// Real time: from sensing to the sending of the command, us.
     pub observation_to_command_us: Option<Percentiles>,
@@ -132,7 +134,8 @@ pub struct RunSummary {
     pub command_to_applied_us: Option<Percentiles>,
     /// Real time: how the ticks were spent; null in lockstep, where there is no time to spend.
     pub tick_budget: Option<TickBudget>,
-    /// Real time: what each process asked of the operating system, what it had and what it was refused; empty otherwise.
+    /// Real time: what each process asked of the operating system, what it had and what it was refused; empty
+    /// otherwise.
     pub realtime: Vec<ProcessRealtime>,
     /// Processes that died or hung and were started again, in order.
     pub restarts: Vec<RestartIncident>,
@@ -184,8 +187,8 @@ impl WindowSummary {
 }
 
 impl RunSummary {
-    /// The summary of a run of processes, from what they left in its folder; for one that left nothing, from what its
-    /// status board showed last.
+    /// The summary of a run of processes, from what they left in its folder; for one that left nothing, from
+    /// what its status board showed last.
     pub(super) fn of_run(launch: &Launch, folder: &Path, end: RunEnd, seconds: f64) -> Self {
         let RunEnd { ended, failure, incidents, boards, .. } = end;
         let board = &boards[Role::Plant as usize];
@@ -276,8 +279,8 @@ impl RunSummary {
         self.checkpoint_failure = plant.checkpoint_failure.clone();
     }
 
-    /// What the controller reported, if it did, and the tests of its policies. After the plant's report: where the
-    /// two count the same, the controller's number is the run's.
+    /// What the controller reported, if it did, and the tests of its policies. After the plant's report:
+    /// where the two count the same, the controller's number is the run's.
     fn add_controller(&mut self, launch: &Launch, report: Option<ControllerReport>, snapshots: &[PolicySnapshot]) {
         if let Some(controller) = report {
             self.ticks = controller.ticks + controller.unseen;
@@ -325,7 +328,8 @@ impl RunSummary {
         self.lost = logger.lost.iter().sum();
     }
 
-    /// Adds what is wrong with a run that came to its end, draws the figure and leaves the summary in the run's folder.
+    /// Adds what is wrong with a run that came to its end, draws the figure and leaves the summary in the
+    /// run's folder.
     fn conclude(&mut self) {
         if let Some(tick) = self.diverged_at {
             self.complain(

@@ -42,8 +42,8 @@ impl RunSummary {
         )
     }
 
-    /// How far the learner got: the tests' table and sentence, or the means of the first and the last window where there are
-    /// no tests.
+    /// How far the learner got: the tests' table and sentence, or the means of the first and the last window
+    /// where there are no tests.
     fn learning(&self) -> Option<String> {
         if !self.progress.is_empty() {
             let table = report::progress_table(&self.progress, TARGETS);
@@ -54,7 +54,8 @@ impl RunSummary {
         Some(report::table(&RunHistory { windows: windows.to_vec(), ..history.clone() }))
     }
 
-    /// What was missed, lost and limited, and the faults that were asked for. Counts of 0 that are usually 0 are left out.
+    /// What was missed, lost and limited, and the faults that were asked for. Counts of 0 that are usually 0
+    /// are left out.
     fn write_counts(&self, text: &mut String) {
         let _ =
             writeln!(text, "missed {}  late {}  lost {}  limited {}", self.missed, self.late, self.lost, self.clamped);

@@ -1,7 +1,8 @@
 //! The left part: errors and loss over time, with the phases between changes of the plant as bands.
 //!
-//! A run whose policies were tested shows the test's error first, because that is what the run was for: it has neither
-//! exploration noise nor the luck of single targets in it. What the run itself observed is beside it as dots.
+//! A run whose policies were tested shows the test's error first, because that is what the run was for: it
+//! has neither exploration noise nor the luck of single targets in it. What the run itself observed is beside
+//! it as dots.
 
 use super::panel::{CurveStyle, NamedCurve, Panel, Phase, Scale};
 use super::*;
@@ -128,8 +129,9 @@ fn optimum(history: &RunHistory, clock: &TimeAxis, value: fn(&OptimumSpan) -> f6
     })
 }
 
-/// Windows put together until each holds the end of a target, if there are such ends at all. A window that is shorter than a
-/// target shows either its beginning, far away, or its end, and a curve of such windows shows nothing else.
+/// Windows put together until each holds the end of a target, if there are such ends at all. A window that is
+/// shorter than a target shows either its beginning, far away, or its end, and a curve of such windows shows
+/// nothing else.
 fn by_target(windows: &[Window]) -> Vec<Window> {
     let mut joined: Vec<Window> = Vec::with_capacity(windows.len());
     if windows.iter().all(|w| w.ends == 0) {

@@ -1,8 +1,9 @@
-//! Learning curves: how the loss falls with experience, for several learners over several seeds, both axes logarithmic.
+//! Learning curves: how the loss falls with experience, for several learners over several seeds, both axes
+//! logarithmic.
 //!
-//! The first panel shows the learning from the beginning; below it stands one panel for what came after each change. A
-//! line is the median over seeds, the band around it reaches from the best to the worst; a learner has one colour in all
-//! panels. Dashed lines across are for scale.
+//! The first panel shows the learning from the beginning; below it stands one panel for what came after each
+//! change. A line is the median over seeds, the band around it reaches from the best to the worst; a learner
+//! has one colour in all panels. Dashed lines across are for scale.
 
 use super::*;
 use crate::report::thousands;
@@ -146,8 +147,8 @@ fn colour(curve: &LearnerCurve) -> RGBColor {
     COLOURS.get(curve.colour).copied().unwrap_or(GREY)
 }
 
-/// The axes of a panel in an area: logarithms along and up, labelled by hand, because the library's own logarithmic labels
-/// leave out too much.
+/// The axes of a panel in an area: logarithms along and up, labelled by hand, because the library's own
+/// logarithmic labels leave out too much.
 struct PanelAxes<'a> {
     chart: Chart<'a>,
     area: Area<'a>,
@@ -244,8 +245,8 @@ impl<'a> PanelAxes<'a> {
         self.area.draw(&Text::new("loss a tick", (px(10), (top + bottom) / 2), text)).map_err(refused)
     }
 
-    /// Reference lines with their names beside them, as near as those can stand without standing on each other; the
-    /// uppermost first.
+    /// Reference lines with their names beside them, as near as those can stand without standing on each
+    /// other; the uppermost first.
     fn draw_lines(&self, lines: &[ReferenceLine]) -> Result<(), ReportError> {
         let (low, high) = self.losses;
         let x = self.ticks.1.log10();

@@ -1,8 +1,9 @@
 //! One SVG of a run: how error and loss fell, and how the arm moved at the beginning and late in the run.
 //!
-//! The drawing library only knows whole pixels, too coarse for postures a hundred pixels tall; so everything is drawn on a
-//! canvas four times as fine, and the file says how large it is meant. Text stays text, in whatever sans-serif font the
-//! viewer has. Colours are those of Okabe and Ito, which colour-blind readers can tell apart; lines differ in weight too.
+//! The drawing library only knows whole pixels, too coarse for postures a hundred pixels tall; so everything
+//! is drawn on a canvas four times as fine, and the file says how large it is meant. Text stays text, in
+//! whatever sans-serif font the viewer has. Colours are those of Okabe and Ito, which colour-blind readers
+//! can tell apart; lines differ in weight too.
 
 mod bands;
 mod curves;
@@ -151,8 +152,8 @@ fn refused<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -
     ReportError::Draw(error.to_string())
 }
 
-/// A number that an axis can reach: what a diverged run leaves may be finite, and the end of the axis beyond it no longer.
-/// The drawing library would look for its labels for ever.
+/// A number that an axis can reach: what a diverged run leaves may be finite, and the end of the axis beyond
+/// it no longer. The drawing library would look for its labels for ever.
 fn drawable(x: f64) -> bool {
     x.abs() < 1e30
 }
