@@ -2,8 +2,8 @@
 //!
 //! A plant, a controller and a logger run as separate processes and exchange fixed-size samples over zero-copy
 //! iceoryx2 channels, inside a strict tick. The rooms, and who may know whom, are drawn in `ARCHITECTURE.md`; in short,
-//! [`simd`], [`encoder`], [`policy`], [`learner`] and [`plant`] are pure computation, [`wire`] is plain data, [`channel`]
-//! and [`clock`] are the only doors to the outside, and [`runtime`] joins them into loops.
+//! [`simd`], [`encoder`], [`policy`], [`learner`] and [`plant`] are pure computation, [`wire`] is plain data,
+//! [`channel`] and [`clock`] are the only doors to the outside, and [`runtime`] joins them into loops.
 
 #![warn(missing_docs)]
 

@@ -1,8 +1,9 @@
 //! Figure and tables of how a controller learned, for the end of a run.
 //!
-//! A [`RunHistory`] is plain numbers, and travels as JSON between processes. [`figure::draw`] makes one SVG of it,
-//! [`table`] a few lines of text. Both depend on these numbers alone: equal numbers give equal bytes on every machine.
-//! [`progress_table`] and [`sentence`] are for runs whose policies were tested without exploration noise.
+//! A [`RunHistory`] is plain numbers, and travels as JSON between processes. [`figure::draw`] makes one SVG
+//! of it, [`table`] a few lines of text. Both depend on these numbers alone: equal numbers give equal bytes
+//! on every machine. [`progress_table`] and [`sentence`] are for runs whose policies were tested without
+//! exploration noise.
 
 pub mod figure;
 pub mod film;
@@ -102,8 +103,8 @@ fn points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<[f64; 2]>>, D::E
     Ok(lines.into_iter().map(|line| line.into_iter().map(point).collect()).collect())
 }
 
-/// First and last window as text, one line each under a head with the units. `-` is a missing value. For plants without
-/// a test: all values are means over the ticks of the window, as observed.
+/// First and last window as text, one line each under a head with the units. `-` is a missing value. For
+/// plants without a test: all values are means over the ticks of the window, as observed.
 pub fn table(history: &RunHistory) -> String {
     let with_unit =
         |name: &str| if history.unit.is_empty() { name.to_owned() } else { format!("{name} ({})", history.unit) };

@@ -1,7 +1,7 @@
 //! How far a run's learner got: rows of a table, and one sentence computed from the tests.
 //!
-//! A policy is tested without exploration noise on a fixed set of targets; what the run itself observed is beside it.
-//! Rows hold only what was measured: a missing value is `-` in the table and null in JSON.
+//! A policy is tested without exploration noise on a fixed set of targets; what the run itself observed is
+//! beside it. Rows hold only what was measured: a missing value is `-` in the table and null in JSON.
 
 use serde::Serialize;
 

@@ -1,4 +1,5 @@
-//! What single targets cost: mean loss and last error of each whole one, kept around the ticks that a summary looks at.
+//! What single targets cost: mean loss and last error of each whole one, kept around the ticks that a summary
+//! looks at.
 //!
 //! Means over a window say little where it holds two targets, one of them near and one far. So the results of
 //! the last [`WINDOW_TARGETS`] targets before, and of as many after, each of these ticks are kept one by one,
@@ -51,32 +52,31 @@ pub struct TargetsAround {
 /// A result as numbers of one type, for the state: first tick, ticks, loss, error.
 type Row = [f64; 4];
 
-/// Up to [`WINDOW_TARGETS`] results, in order.
+/// The last [`WINDOW_TARGETS`] results: a ring.
 #[derive(Debug, Clone, Copy, Default)]
 struct Results {
     rows: [Row; WINDOW_TARGETS],
+    /// Results that were ever put in.
     count: u64,
 }
 
 impl Results {
     fn is_full(&self) -> bool {
-        self.count as usize == WINDOW_TARGETS
+        self.count as usize >= WINDOW_TARGETS
     }
 
-    /// Puts a result at the end; the oldest makes room for it.
+    /// Puts a result in; the oldest makes room for it.
     fn push(&mut self, row: Row) {
-        if self.is_full() {
-            self.rows.rotate_left(1);
-            self.count -= 1;
-        }
-        self.rows[self.count as usize] = row;
+        self.rows[self.count as usize % WINDOW_TARGETS] = row;
         self.count += 1;
     }
 
+    /// The results, not in order.
     fn rows(&self) -> &[Row] {
         &self.rows[..(self.count as usize).min(WINDOW_TARGETS)]
     }
 
+    /// The results in order.
     fn to_list(self) -> Vec<TargetResult> {
         let result = |&[from, ticks, loss, end_error]: &Row| TargetResult {
             from: from as u64,
@@ -84,7 +84,9 @@ impl Results {
             loss,
             end_error,
         };
-        self.rows().iter().map(result).collect()
+        let mut list: Vec<TargetResult> = self.rows().iter().map(result).collect();
+        list.sort_by_key(|result| result.from);
+        list
     }
 }
 
@@ -99,7 +101,10 @@ struct LookedAt {
 /// Collects the targets' results while a run goes on.
 #[derive(Debug, Clone)]
 pub(super) struct TargetStatistics {
+    /// In the order of ticks.
     looked_at: Vec<LookedAt>,
+    /// How many of these ticks are behind.
+    passed: u64,
     recent: Results,
     /// The target in progress: first tick, ticks seen, sum of their losses.
     from: u64,
@@ -113,10 +118,12 @@ impl TargetStatistics {
         let arm = plan.scenario.plant.arm.as_ref().filter(|arm| !arm.open_loop)?;
         let mut ticks = vec![ticks_in(plan, FIRST_LOOK_S)];
         ticks.extend(change_ticks(arm, plan.scenario.ticks).into_iter().take(MOST_CHANGES));
+        ticks.sort_unstable();
+        ticks.dedup();
         let none = Results::default();
         let looked_at = ticks.into_iter().map(|tick| LookedAt { tick, before: none, after: none }).collect();
         // No target has begun: the first tick seen must be a target's first.
-        Some(Self { looked_at, recent: none, from: u64::MAX, ticks: 0, loss: 0.0 })
+        Some(Self { looked_at, passed: 0, recent: none, from: u64::MAX, ticks: 0, loss: 0.0 })
     }
 
     /// Takes in the loss of one tick.
@@ -132,10 +139,9 @@ impl TargetStatistics {
         let whole = self.ticks > 0 && tick.checked_sub(self.from) == Some(self.ticks);
         if whole {
             let row = [self.from as f64, self.ticks as f64, self.loss / self.ticks as f64, error];
-            for look in &mut self.looked_at {
-                if tick <= look.tick {
-                    look.before.push(row);
-                } else if self.from >= look.tick && !look.after.is_full() {
+            self.pass(tick);
+            for look in self.looked_at.iter_mut().take(self.passed as usize) {
+                if self.from >= look.tick && !look.after.is_full() {
                     look.after.push(row);
                 }
             }
@@ -145,16 +151,28 @@ impl TargetStatistics {
         whole.then_some(error)
     }
 
+    /// Keeps the last targets for the ticks that lie before `tick`: those targets were over by then.
+    fn pass(&mut self, tick: u64) {
+        while let Some(look) = self.looked_at.get_mut(self.passed as usize).filter(|look| look.tick < tick) {
+            look.before = self.recent;
+            self.passed += 1;
+        }
+    }
+
     /// The median end error of the last targets; not a number where there is none.
     pub fn median_end_error(&self) -> f64 {
-        let mut errors = [0.0; WINDOW_TARGETS];
+        let mut sorted = [0.0; WINDOW_TARGETS];
         let rows = self.recent.rows();
-        for (error, row) in errors.iter_mut().zip(rows) {
-            *error = row[3];
+        // By insertion: shorter than the general way for so few.
+        for (count, row) in rows.iter().enumerate() {
+            let mut at = count;
+            while at > 0 && sorted[at - 1] > row[3] {
+                sorted[at] = sorted[at - 1];
+                at -= 1;
+            }
+            sorted[at] = row[3];
         }
-        let errors = &mut errors[..rows.len()];
-        errors.sort_unstable_by(f64::total_cmp);
-        errors.get(errors.len().saturating_sub(1) / 2).copied().unwrap_or(f64::NAN)
+        if rows.is_empty() { f64::NAN } else { sorted[(rows.len() - 1) / 2] }
     }
 
     /// Whether the target that began with `from` is one of the last.
@@ -163,7 +181,8 @@ impl TargetStatistics {
     }
 
     /// What was kept, in the order of ticks; the end of the run, after `done` ticks, comes last.
-    pub fn finish(self, done: u64) -> Vec<TargetsAround> {
+    pub fn finish(mut self, done: u64) -> Vec<TargetsAround> {
+        self.pass(done);
         let around = |look: LookedAt| TargetsAround {
             tick: look.tick,
             before: look.before.to_list(),
@@ -182,9 +201,9 @@ impl Persist for TargetStatistics {
             visitor.numbers("results", &mut results.rows);
             visitor.number("result_counts", &mut results.count);
         }
-        let mut counts = [self.from, self.ticks];
+        let mut counts = [self.from, self.ticks, self.passed];
         visitor.numbers("target_counts", &mut counts);
-        [self.from, self.ticks] = counts;
+        [self.from, self.ticks, self.passed] = counts;
         visitor.number("target_loss", &mut self.loss);
     }
 }

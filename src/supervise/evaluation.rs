@@ -1,8 +1,8 @@
 //! The test of what a run learned: the policies that it left, without exploration noise, on a fixed set of
 //! targets, in the arm as it was at each time, beside the optimum.
 //!
-//! The launcher does this when the run is over. It takes some tenths of a second on two cores: a policy takes about a
-//! millisecond, an optimum some fifty.
+//! The launcher does this when the run is over. It takes some tenths of a second on two cores: a policy takes
+//! about a millisecond, an optimum some fifty.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -38,7 +38,8 @@ pub(super) struct PhaseTests {
     pub until: u64,
     /// The movements of least loss; `None` for an arm that the reference does not know.
     pub optimum: Option<TestResult>,
-    /// Ticks done and result, in order. At a change the same policy is the last of one phase and the first of the next.
+    /// Ticks done and result, in order. At a change the same policy is the last of one phase and the first of
+    /// the next.
     pub tests: Vec<(u64, TestResult)>,
 }
 
@@ -115,8 +116,8 @@ fn jobs<'a>(
     jobs
 }
 
-/// Whether the reference controllers know everything about this arm: absolute angles without stops, and the reward of
-/// error, speed and posture.
+/// Whether the reference controllers know everything about this arm: absolute angles without stops, and the
+/// reward of error, speed and posture.
 fn known_to_reference(arm: &ArmConfig) -> bool {
     arm.angles == Angles::Absolute && arm.limits.is_empty() && arm.reward.near.is_none() && arm.reward.collision == 0.0
 }
@@ -128,8 +129,8 @@ fn medians(scores: &[Score]) -> TestResult {
     }
 }
 
-/// The median: of an even number of values the mean of the two in the middle. Not a number if a value is none; `None`
-/// without values.
+/// The median: of an even number of values the mean of the two in the middle. Not a number if a value is
+/// none; `None` without values.
 pub(super) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_unstable_by(f64::total_cmp);

@@ -16,8 +16,8 @@ pub(super) fn ends(windows: &[Window]) -> Option<[Window; 2]> {
     Some([merge(windows.iter(), total)?, merge(windows.iter().rev(), total)?])
 }
 
-/// Merges windows of a run of `total` ticks from the front of `windows` until they hold its twentieth and the end of a
-/// target, but no more than half of the run.
+/// Merges windows of a run of `total` ticks from the front of `windows` until they hold its twentieth and the
+/// end of a target, but no more than half of the run.
 fn merge<'a>(windows: impl Iterator<Item = &'a Window>, total: u64) -> Option<Window> {
     let mut sum: Option<Window> = None;
     for w in windows {

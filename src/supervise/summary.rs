@@ -119,9 +119,11 @@ pub struct RunSummary {
     pub first: Option<WindowSummary>,
     /// The last twentieth.
     pub last: Option<WindowSummary>,
-    /// How far the learner got, tested without noise and as observed; empty where the plant is not the simulator's arm.
+    /// How far the learner got, tested without noise and as observed; empty where the plant is not the
+    /// simulator's arm.
     pub progress: Vec<ProgressRow>,
-    /// How soon it reached its targets, at the beginning and after each change of the arm; empty where that is unknown.
+    /// How soon it reached its targets, at the beginning and after each change of the arm; empty where that
+    /// is unknown.
     pub reached: Vec<Reached>,
     /// The same as a sentence.
     pub reached_text: Option<String>,
@@ -187,8 +189,8 @@ impl WindowSummary {
 }
 
 impl RunSummary {
-    /// The summary of a run of processes, from what they left in its folder; for one that left nothing, from what its
-    /// status board showed last.
+    /// The summary of a run of processes, from what they left in its folder; for one that left nothing, from
+    /// what its status board showed last.
     pub(super) fn of_run(launch: &Launch, folder: &Path, end: RunEnd, seconds: f64) -> Self {
         let RunEnd { ended, failure, incidents, boards, .. } = end;
         let board = &boards[Role::Plant as usize];
@@ -279,8 +281,8 @@ impl RunSummary {
         self.checkpoint_failure = plant.checkpoint_failure.clone();
     }
 
-    /// What the controller reported, if it did, and the tests of its policies. After the plant's report: where the
-    /// two count the same, the controller's number is the run's.
+    /// What the controller reported, if it did, and the tests of its policies. After the plant's report:
+    /// where the two count the same, the controller's number is the run's.
     fn add_controller(&mut self, launch: &Launch, report: Option<ControllerReport>, snapshots: &[PolicySnapshot]) {
         if let Some(controller) = report {
             self.ticks = controller.ticks + controller.unseen;
@@ -328,7 +330,8 @@ impl RunSummary {
         self.lost = logger.lost.iter().sum();
     }
 
-    /// Adds what is wrong with a run that came to its end, draws the figure and leaves the summary in the run's folder.
+    /// Adds what is wrong with a run that came to its end, draws the figure and leaves the summary in the
+    /// run's folder.
     fn conclude(&mut self) {
         if let Some(tick) = self.diverged_at {
             self.complain(

@@ -1,7 +1,8 @@
 //! The left part: errors and loss over time, with the phases between changes of the plant as bands.
 //!
-//! A run whose policies were tested shows the test's error first, because that is what the run was for: it has neither
-//! exploration noise nor the luck of single targets in it. What the run itself observed is beside it as dots.
+//! A run whose policies were tested shows the test's error first, because that is what the run was for: it
+//! has neither exploration noise nor the luck of single targets in it. What the run itself observed is beside
+//! it as dots.
 
 use super::panel::{CurveStyle, NamedCurve, Panel, Phase, Scale};
 use super::*;

@@ -24,8 +24,8 @@ pub struct ErrorFigure {
 pub struct ErrorPanel {
     /// Title above it.
     pub name: String,
-    /// Curves with their names: run by run, points of millions of trials and mean error. The first is drawn in red, the
-    /// second in blue, as in the paper.
+    /// Curves with their names: run by run, points of millions of trials and mean error. The first is drawn
+    /// in red, the second in blue, as in the paper.
     pub curves: Vec<(String, Vec<Polyline>)>,
 }
 

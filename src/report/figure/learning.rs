@@ -1,4 +1,5 @@
-//! Learning curves: how the loss falls with experience, for several learners over several seeds, both axes logarithmic.
+//! Learning curves: how the loss falls with experience, for several learners over several seeds, both axes
+//! logarithmic.
 //!
 //! The first panel shows the learning from the beginning; below it stands one panel for what came after each
 //! change. A line is the median over seeds, the band around it reaches from the best to the worst; a learner
@@ -244,8 +245,8 @@ impl<'a> PanelAxes<'a> {
         self.area.draw(&Text::new("loss a tick", (px(10), (top + bottom) / 2), text)).map_err(refused)
     }
 
-    /// Reference lines with their names beside them, as near as those can stand without standing on each other; the
-    /// uppermost first.
+    /// Reference lines with their names beside them, as near as those can stand without standing on each
+    /// other; the uppermost first.
     fn draw_lines(&self, lines: &[ReferenceLine]) -> Result<(), ReportError> {
         let (low, high) = self.losses;
         let x = self.ticks.1.log10();

@@ -1,5 +1,5 @@
-//! One SVG of a run's movements: duration and peak speed against distance, speed profiles beside the minimum-jerk bell, and
-//! how soon the arm settled; the first movements beside the last.
+//! One SVG of a run's movements: duration and peak speed against distance, speed profiles beside the
+//! minimum-jerk bell, and how soon the arm settled; the first movements beside the last.
 
 use super::*;
 use crate::text::thousands;

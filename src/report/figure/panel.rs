@@ -209,7 +209,8 @@ pub(super) fn phase_names(phases: &[Phase], end: f64, area: &Area) -> Result<(),
         let (from, until) = (at(phase.from), at(phase.until));
         let corners = [(from, 0), (until, bottom)];
         area.draw(&Rectangle::new(corners, band_colour(&STRIPS, i).filled())).map_err(refused)?;
-        // Letters are about half as wide as they are tall; a name that has no room in its band is written to the left.
+        // Letters are about half as wide as they are tall; a name that has no room in its band is written to
+        // the left.
         let wide = px(phase.name.chars().count() as u32 * 13 / 2 + 10);
         let (x, anchor) = if wide <= until - from {
             ((from + until) / 2, HPos::Center)

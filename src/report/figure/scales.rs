@@ -29,7 +29,8 @@ pub struct AxisScales {
     pub y: String,
     /// How a whole power of ten along is written.
     pub label_x: fn(f64) -> String,
-    /// Curves with their names; of more than eight the colours begin again. Points that are not above 0 are left out.
+    /// Curves with their names; of more than eight the colours begin again. Points that are not above 0 are
+    /// left out.
     pub curves: Vec<(String, Polyline)>,
 }
 

@@ -1,4 +1,5 @@
-//! How runs differ: the learning curves of several seeds, and the posture that each has found for the same targets.
+//! How runs differ: the learning curves of several seeds, and the posture that each has found for the same
+//! targets.
 
 use super::bands::{Axes, Band};
 use super::*;
