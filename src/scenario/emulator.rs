@@ -1,10 +1,11 @@
 //! `[plant.emulator]`: what the emulated chain of servos is like, and the checks of it. Left out, it is ideal: as fast as it is told to
 //! be, without delay, noise or faults.
 
+use tectum_servo::model::MODELS;
+
 use super::check::{number, show};
 use super::error::{Violation, quoted};
 use super::{EmulatorConfig, ServoFault, ServoFaultKind, limits};
-use crate::servo::model::MODELS;
 
 /// Checks what the types cannot say.
 pub(super) fn check(emulator: &EmulatorConfig) -> Result<(), Violation> {
