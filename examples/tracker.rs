@@ -73,7 +73,7 @@ fn track(arguments: &Arguments) -> Result<(), RuntimeError> {
     let mut rng = stream(tracker.plan.scenario.seed, "tracker");
     let noise = Normal::new(0.0, arguments.noise.clamp(0.0, 1.0)).expect("a number that is not negative");
     let (mut target, mut shown) = ([0.0; 2], None);
-    while !tracker.over() {
+    while !tracker.run_ended() {
         // The picture is as old as the angles in it.
         if let Some(observation) = tracker.observation()? {
             // Targets last as long as the simulator's. The observation has the current tick.
@@ -87,7 +87,7 @@ fn track(arguments: &Arguments) -> Result<(), RuntimeError> {
             let end = posture(&arm, angles).last().copied().unwrap_or(arm.base);
             let mut noisy = |at: [f64; 2]| at.map(|x| (x + noise.sample(&mut rng)) as f32);
             let (target, end) = (noisy(target), noisy(end));
-            tracker.see(observation.header.sensed_ns, target, end)?;
+            tracker.publish(observation.header.sensed_ns, target, end)?;
         }
         pause((1e9 / arguments.rate.clamp(1.0, 1000.0)) as u64);
     }

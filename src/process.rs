@@ -64,7 +64,7 @@ pub fn main<R: Serialize>(
             ExitCode::SUCCESS
         }
         Err(error) => {
-            say(&format!("{}: {error}", program()));
+            print_error_line(&format!("{}: {error}", program()));
             ExitCode::from(error.exit_code())
         }
     }
@@ -72,7 +72,7 @@ pub fn main<R: Serialize>(
 
 /// Writes a line to standard error. Unlike `eprintln!`, it does not panic when standard error cannot be written
 /// (a full disk, a reader that has left), so that the process still ends as intended.
-pub fn say(line: &str) {
+pub fn print_error_line(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 

@@ -11,7 +11,7 @@ use std::sync::atomic::Ordering;
 use clap::{Parser, Subcommand};
 use tectum::channel::VisionReceiver;
 use tectum::clock::{monotonic_ns, pause};
-use tectum::process::say;
+use tectum::process::print_error_line;
 use tectum::runtime::{Participant, RuntimeError, exit, run_plant};
 use tectum::servo::bridge::{Bridge, joints_of};
 use tectum::servo::bus::{Bus, BusBudget, BusError};
@@ -40,7 +40,7 @@ struct Arguments {
     /// Let torque go on, with the first command and after all checks
     #[arg(long)]
     arm: bool,
-    /// Print the process's account as one JSON object when its loop is over
+    /// Print the process's report as one JSON object when its loop is over
     #[arg(long)]
     json: bool,
 }
@@ -67,7 +67,7 @@ fn main() -> ExitCode {
             Err(problem) => problem,
         },
     };
-    say(&format!("tectum-bridge: {text}"));
+    print_error_line(&format!("tectum-bridge: {text}"));
     ExitCode::from(code)
 }
 
@@ -97,13 +97,13 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
     let bus =
         open(&port, table.protocol, table.baud, Bridge::budget(&participant.plan)).map_err(|e| bad(e.to_string()))?;
     let _guard = Helper::start(&mut guard::command(&port, table.protocol, table.baud, &ids)).map_err(bad)?;
-    let tell = Box::new(|text: &str| say(&format!("tectum-bridge: {text}")));
+    let tell = Box::new(|text: &str| print_error_line(&format!("tectum-bridge: {text}")));
     let mut bridge = Bridge::new(&participant.plan, bus, joints, tell).map_err(|error| bad(error.to_string()))?;
-    bridge.leave_account(participant.folder.join("bridge.json"));
+    bridge.write_report_to(participant.folder.join("bridge.json"));
     if arguments.arm || table.armed {
         bridge.arm().map_err(|error| bad(format!("not armed: {error}")))?;
     } else {
-        say(
+        print_error_line(
             "tectum-bridge: read-only; --arm, armed = true under [plant.servos], or a and Enter at its own terminal arm it",
         );
     }
@@ -115,7 +115,9 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
         )
         .map_err(|error| own(error.into()))?;
         bridge.look_with(Box::new(move || eye.receive()));
-        say("tectum-bridge: target and end-effector come from a tracker; until it is there the arm stands still");
+        print_error_line(
+            "tectum-bridge: target and end-effector come from a tracker; until it is there the arm stands still",
+        );
     }
     listen(&bridge);
     let report = run_plant(participant, bridge).map_err(own)?;

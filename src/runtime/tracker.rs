@@ -39,12 +39,12 @@ impl Tracker {
         Ok(Self { plan, ports, launcher, header })
     }
 
-    /// Publishes the positions of target and end-effector, m, in a picture that was taken at `sensed_ns` on
-    /// CLOCK_MONOTONIC. Never waits.
+    /// Publishes the positions of target and end-effector, m, as they were at
+    /// `sensed_ns` on CLOCK_MONOTONIC, when the picture was taken. Never waits.
     ///
     /// # Errors
     /// When shared memory fails.
-    pub fn see(&mut self, sensed_ns: u64, target: [f32; 2], end: [f32; 2]) -> Result<(), RuntimeError> {
+    pub fn publish(&mut self, sensed_ns: u64, target: [f32; 2], end: [f32; 2]) -> Result<(), RuntimeError> {
         (self.header.sensed_ns, self.header.published_ns) = (sensed_ns, monotonic_ns());
         self.ports.vision.send(&Vision { header: self.header, target, end })?;
         self.header.sequence += 1;
@@ -64,7 +64,7 @@ impl Tracker {
     }
 
     /// Whether the run is over, or its launcher has ended.
-    pub fn over(&self) -> bool {
+    pub fn run_ended(&self) -> bool {
         self.ports.control.get().phase() >= Phase::Stop || self.launcher.ended()
     }
 }

@@ -172,8 +172,8 @@ impl Bridge {
         Arc::clone(&self.key)
     }
 
-    /// Leaves its account at `path` when it ends.
-    pub fn leave_account(&mut self, path: PathBuf) {
+    /// Makes the bridge write its report to `path` when it ends.
+    pub fn write_report_to(&mut self, path: PathBuf) {
         self.account = Some(path);
     }
 
@@ -303,7 +303,7 @@ impl Plant for Bridge {
         fresh
     }
 
-    fn acts_within(&self) -> Option<u64> {
+    fn command_deadline_ns(&self) -> Option<u64> {
         Some(self.within)
     }
 
@@ -414,7 +414,7 @@ impl Plant for Bridge {
         outcome
     }
 
-    fn remarks(&self) -> u32 {
+    fn sensing_flags(&self) -> u32 {
         if self.blind || !self.sees() { flag::BLIND } else { 0 }
     }
 
@@ -432,7 +432,7 @@ impl Drop for Bridge {
         if let Some(path) = &self.account {
             [self.report.bus_read, self.report.bus_write] =
                 [Percentiles::of(&self.times[0]), Percentiles::of(&self.times[1])];
-            self.report.vision = self.sight.as_ref().map(VisionInput::account);
+            self.report.vision = self.sight.as_ref().map(VisionInput::report);
             let text = serde_json::to_string_pretty(&self.report).unwrap_or_default();
             // The run's own account is not in danger without it.
             let _ = std::fs::write(path, text);

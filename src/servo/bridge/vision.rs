@@ -9,7 +9,7 @@ use crate::scenario::ServosConfig;
 use crate::stats::{Percentiles, histogram};
 use crate::wire::Vision;
 
-/// What the bridge's account says of the trackers.
+/// What the bridge reports of the trackers.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct VisionReport {
     /// Samples that came.
@@ -40,7 +40,7 @@ pub(super) struct VisionInput {
     /// How old the newest sample was at the last look, ns.
     pub aged: Option<u64>,
     ages: Histogram<u64>,
-    /// The account so far.
+    /// The report so far.
     pub report: VisionReport,
 }
 
@@ -101,8 +101,8 @@ impl VisionInput {
         Some((target, fresh))
     }
 
-    /// The account, with the ages.
-    pub fn account(&self) -> VisionReport {
+    /// The report, with the percentiles of the ages.
+    pub fn report(&self) -> VisionReport {
         VisionReport { age: Percentiles::of(&self.ages), ..self.report.clone() }
     }
 }
@@ -137,9 +137,9 @@ mod tests {
         sight.take(&seen(1090 * MS, 0.3), 1110 * MS);
         assert!(sight.look(1110 * MS) && sight.sees);
         assert_eq!(sight.end(), [0.1, -0.3]);
-        let account = sight.account();
-        assert_eq!((account.samples, account.dropped, account.unseen, account.spells), (3, 0, 2, 2));
-        assert_eq!(account.age.unwrap().count, 2);
+        let report = sight.report();
+        assert_eq!((report.samples, report.dropped, report.unseen, report.spells), (3, 0, 2, 2));
+        assert_eq!(report.age.unwrap().count, 2);
     }
 
     #[test]

@@ -49,7 +49,7 @@ pub trait Plant: Persist {
 
     /// For a body of hardware, where the command of a tick acts during that tick: until when, ns after the tick's beginning, a
     /// command is waited for. `None`, as for all that is simulated: the tick is lived through when it is over.
-    fn acts_within(&self) -> Option<u64> {
+    fn command_deadline_ns(&self) -> Option<u64> {
         None
     }
 
@@ -60,7 +60,7 @@ pub trait Plant: Persist {
     }
 
     /// Flags of what was sensed last, beside those of the gate.
-    fn remarks(&self) -> u32 {
+    fn sensing_flags(&self) -> u32 {
         0
     }
 
