@@ -12,15 +12,14 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use clap::Parser;
 use rand::RngExt as _;
 use rand_distr::{Distribution as _, Normal};
-use tectum::channel::ChannelError;
-use tectum::clock::pause;
 use tectum::plant::posture;
-use tectum::runtime::{RuntimeError, Tracker};
+use tectum::runtime::{ChannelError, RuntimeError, Tracker};
 use tectum::seed::stream;
 
 /// A stand-in for a camera: publishes target and end-effector
@@ -58,7 +57,7 @@ fn join(arguments: &Arguments) -> Result<Tracker, RuntimeError> {
             Err(RuntimeError::NoRun { .. } | RuntimeError::Channel(ChannelError::SetUp { .. }))
                 if Instant::now() < until =>
             {
-                pause(50_000_000);
+                sleep(Duration::from_millis(50));
             }
             joined => return joined,
         }
@@ -89,7 +88,7 @@ fn track(arguments: &Arguments) -> Result<(), RuntimeError> {
             let (target, end) = (noisy(target), noisy(end));
             tracker.publish(observation.header.sensed_ns, target, end)?;
         }
-        pause((1e9 / arguments.rate.clamp(1.0, 1000.0)) as u64);
+        sleep(Duration::from_secs_f64(1.0 / arguments.rate.clamp(1.0, 1000.0)));
     }
     Ok(())
 }

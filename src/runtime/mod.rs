@@ -30,6 +30,8 @@ mod stopwatch;
 mod tracker;
 mod wire_manifest;
 
+pub use crate::channel::{ChannelError, DomainName};
+pub use crate::report::Window;
 pub use budget::{SlackPercentiles, TickBudget};
 pub use controller::Controller;
 pub use controller_loop::run_controller;
