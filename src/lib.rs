@@ -1,17 +1,17 @@
 //! Tectum is a control runtime in which a controller learns on line, while it controls.
 //!
 //! Plant, controller and logger run as separate processes and exchange fixed-size samples through shared memory
-//! (iceoryx2) at a fixed period, on the real clock or in lockstep. Both give the same numbers as long as no deadline
-//! is missed. The library is for people who study learning controllers and need numbers that they can repeat. With it
-//! you connect a plant or a tracker of your own to a run, read logs, and run experiments inside one process. The
-//! programs (`tectum` and the processes that it starts) are thin shells around it.
+//! (iceoryx2) at a fixed period, on the real clock or in lockstep. Both give the same numbers as long as no
+//! deadline is missed. The library is for people who study learning controllers and need numbers that they can
+//! repeat. With it you connect a plant or a tracker of your own to a run, read logs, and run experiments inside
+//! one process. The programs (`tectum` and the processes that it starts) are thin shells around it.
 //!
 //! | module | what it is for |
 //! |---|---|
-//! | [`scenario`] | what to run: TOML files, and the validated [`Plan`](scenario::Plan) that all processes are built from |
+//! | [`scenario`] | TOML files that describe a run, and the validated [`Plan`](scenario::Plan) |
 //! | [`plant`] | the trait [`Plant`](plant::Plant), which your plant implements; the simulated arm and eye |
 //! | [`process`] | the `main` function of a process that joins a run: arguments, errors, exit codes |
-//! | [`runtime`] | the loops of plant and controller, [`Tracker`](runtime::Tracker), and runs [in one process](runtime::in_process()) |
+//! | [`runtime`] | the processes' loops, [`Tracker`](runtime::Tracker), [`in_process`](runtime::in_process()) |
 //! | [`wire`] | the samples that processes exchange, and their flags |
 //! | [`log`] | the reader of a run's log |
 //! | [`study`] | experiments of many runs, replay and analysis |
@@ -87,9 +87,9 @@ pub use tectum_core::{learner, plant, policy, seed, state};
 pub use tectum_encoder as encoder;
 pub use tectum_encoder::simd;
 
-// The programs, tests and benches of this package are crates of their own and need the following modules, so they are
-// public. They are hidden because a plant, a tracker or a study of your own does not need them. They may change at any
-// time.
+// The programs, tests and benches of this package are crates of their own and need the following modules, so
+// they are public. They are hidden because a plant, a tracker or a study of your own does not need them. They
+// may change at any time.
 #[doc(hidden)]
 pub mod bench;
 #[doc(hidden)]

@@ -1,4 +1,5 @@
-//! Finds a run's folder. Runs are stored in `runs/` in the working directory, unless the user gives another folder.
+//! Finds a run's folder. Runs are stored in `runs/` in the working directory, unless the user gives another
+//! folder.
 
 use std::path::{Path, PathBuf};
 

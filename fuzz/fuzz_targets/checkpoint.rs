@@ -1,6 +1,6 @@
-//! Any bytes either parse as a checkpoint or give an error that names the file. A parsed checkpoint either restores into
-//! a plant or is refused with such an error. (The parser itself checks that writing the checkpoint again gives the same
-//! bytes.)
+//! Any bytes either parse as a checkpoint or give an error that names the file. A parsed checkpoint either
+//! restores into a plant or is refused with such an error. (The parser itself checks that writing the
+//! checkpoint again gives the same bytes.)
 
 #![no_main]
 

@@ -1,5 +1,5 @@
-//! Any bytes either open as a log or give an error with a message, in every function that reads logs. Repairing a log that
-//! was cut off gives a complete log with the same messages.
+//! Any bytes either open as a log or give an error with a message, in every function that reads logs. Repairing
+//! a log that was cut off gives a complete log with the same messages.
 
 #![no_main]
 
@@ -18,8 +18,8 @@ fn source(bytes: &[u8]) -> Box<dyn Read + Send> {
     Box::new(Cursor::new(bytes.to_vec()))
 }
 
-/// The messages up to the end or the first error, and the error. Messages are compared as text, because NaN is not equal
-/// to itself.
+/// The messages up to the end or the first error, and the error. Messages are compared as text, because NaN is
+/// not equal to itself.
 fn messages(log: &mut LogReader) -> (Vec<String>, Option<LogError>) {
     let mut all = Vec::new();
     for record in log {

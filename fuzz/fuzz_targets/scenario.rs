@@ -1,5 +1,5 @@
-//! Any text either parses and plans as a scenario or gives an error with a message. A valid scenario that is written and
-//! parsed again has the same hash.
+//! Any text either parses and plans as a scenario or gives an error with a message. A valid scenario that is
+//! written and parsed again has the same hash.
 
 #![no_main]
 

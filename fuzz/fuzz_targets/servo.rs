@@ -1,4 +1,5 @@
-//! An emulated chain of servos accepts any bytes at any instants without a panic, and its answers are ordered by time.
+//! An emulated chain of servos accepts any bytes at any instants without a panic, and its answers are ordered
+//! by time.
 
 #![no_main]
 

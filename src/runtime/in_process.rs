@@ -15,9 +15,9 @@ pub struct InProcess {
     pub controller: ControllerReport,
 }
 
-/// Runs `plan` with the plant `body`: the same ticks in the same order as three processes in lockstep. `progress`
-/// is called every 4096 ticks with the ticks done and the statistics so far. When it returns false, the run
-/// ends there.
+/// Runs `plan` with the plant `body`: the same ticks in the same order as three processes in lockstep.
+/// `progress` is called every 4096 ticks with the ticks done and the statistics so far. When it returns false,
+/// the run ends there.
 pub fn in_process<P: Plant>(plan: &Plan, body: P, mut progress: impl FnMut(u64, &RunStatistics) -> bool) -> InProcess {
     in_process_with_observer(plan, body, |observation, controller| {
         let tick = observation.header.tick;

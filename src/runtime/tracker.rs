@@ -1,8 +1,8 @@
-//! The tracker's side of a run. A tracker is a program that measures the positions of target and end-effector, for
-//! example with a camera, and publishes them on the channel `vision`.
+//! The tracker's side of a run. A tracker is a program that measures the positions of target and end-effector,
+//! for example with a camera, and publishes them on the channel `vision`.
 //!
-//! The launcher neither starts nor supervises a tracker. It may join late, leave, or be killed, and another tracker
-//! may replace it. It can also receive the plant's observations, like a viewer.
+//! The launcher neither starts nor supervises a tracker. It may join late, leave, or be killed, and another
+//! tracker may replace it. It can also receive the plant's observations, like a viewer.
 
 use std::path::Path;
 
@@ -25,9 +25,9 @@ impl Tracker {
     /// Joins the run called `run` (a folder, or a name under `runs/`).
     ///
     /// # Errors
-    /// [`RuntimeError::NoRun`] when there is no such run, it has ended, or its scenario has no
-    /// `sight = "vision"`. [`RuntimeError::Channel`] when a service is missing, belongs to another run, or has no
-    /// place for another tracker. [`RuntimeError::Scenario`] when the run's copy of its scenario cannot be read.
+    /// [`RuntimeError::NoRun`] when there is no such run, it has ended, or its scenario has no `sight =
+    /// "vision"`. [`RuntimeError::Channel`] when a service is missing, belongs to another run, or has no place
+    /// for another tracker. [`RuntimeError::Scenario`] when the run's copy of its scenario cannot be read.
     pub fn join(run: &Path) -> Result<Self, RuntimeError> {
         let (folder, manifest, launcher) = RunManifest::find(run)?;
         let plan = Scenario::load(&RunManifest::scenario_path(&folder))?.plan()?;
@@ -40,8 +40,8 @@ impl Tracker {
         Ok(Self { plan, ports, launcher, header })
     }
 
-    /// Publishes the positions of target and end-effector, m, as they were at `sensed_ns` on CLOCK_MONOTONIC, the
-    /// instant of the picture. Never waits.
+    /// Publishes the positions of target and end-effector, m, as they were at `sensed_ns` on CLOCK_MONOTONIC,
+    /// the instant of the picture. Never waits.
     ///
     /// # Errors
     /// When shared memory fails.
@@ -64,7 +64,8 @@ impl Tracker {
         Ok(newest)
     }
 
-    /// Whether the run or its launcher has ended. A launcher that was killed cannot announce the end of the run.
+    /// Whether the run or its launcher has ended. A launcher that was killed cannot announce the end of the
+    /// run.
     pub fn run_ended(&self) -> bool {
         self.ports.control.get().phase() >= Phase::Stop || self.launcher.ended()
     }

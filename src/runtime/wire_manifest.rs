@@ -1,5 +1,5 @@
-//! The part of a run's manifest that a program in another language needs to join the run. It is plain JSON, so such
-//! a program need neither read TOML nor compute a hash. `docs/wire.md` describes its use.
+//! The part of a run's manifest that a program in another language needs to join the run. It is plain JSON, so
+//! such a program need neither read TOML nor compute a hash. `docs/wire.md` describes its use.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
