@@ -123,7 +123,7 @@ fn an_ideal_chain_learns_as_the_simulator_does() {
         (scenario.seed, scenario.ticks) = (seed, ticks);
         let plan = scenario.plan().unwrap();
         let mut all = Vec::new();
-        tectum::runtime::in_process_seen(&plan, plan.simulated_plant().unwrap(), |observation, _| {
+        tectum::runtime::in_process_with_observer(&plan, plan.simulated_plant().unwrap(), |observation, _| {
             all.push(*observation);
             true
         });

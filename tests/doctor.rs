@@ -104,7 +104,7 @@ fn what_a_killed_launcher_left_is_named_and_removed_and_the_living_are_left_alon
         let scenario = place.endless("realtime");
         let mut run = place.run(&[&scenario, "--mode", "realtime", "--by-hand", "controller"]);
         let manifest = place.run_folder().join("run.json");
-        run.until("the run's card", || fs::read_to_string(&manifest).is_ok_and(|text| text.trim().ends_with('}')));
+        run.until("the run's manifest", || fs::read_to_string(&manifest).is_ok_and(|text| text.trim().ends_with('}')));
         // By hand, because a stopped child of a launcher that dies is hung up by the kernel, and ends.
         let controller = place.start(env!("CARGO_BIN_EXE_tectum-controller"), &["--run", "run"]);
         run.until_ticking();
@@ -167,7 +167,7 @@ fn scheduling(pid: u32) -> (u32, u32) {
     (fields[38].parse().unwrap(), fields[37].parse().unwrap())
 }
 
-fn account(place: &Place, role: &str) -> Value {
+fn realtime_report(place: &Place, role: &str) -> Value {
     serde_json::from_str(&fs::read_to_string(place.run_folder().join(format!("{role}.realtime.json"))).unwrap())
         .unwrap()
 }
@@ -191,7 +191,7 @@ fn the_real_time_set_up_is_what_the_summary_says() {
     let (plant, logger) = (run.member("tectum-simulator"), run.member("tectum-logger"));
     run.until_ticking();
 
-    let report = account(&place, "plant");
+    let report = realtime_report(&place, "plant");
     let held = &report["held"];
     let refused: Vec<_> = report["refused"].as_array().unwrap().iter().map(|r| r["what"].as_str().unwrap()).collect();
     // The processes themselves, by the kernel's own account.
@@ -221,7 +221,7 @@ fn the_real_time_set_up_is_what_the_summary_says() {
     let processes: Vec<_> = realtime.iter().map(|r| r["process"].as_str().unwrap()).collect();
     assert_eq!(processes, ["plant", "controller", "logger"]);
     for process in realtime {
-        let report = account(&place, process["process"].as_str().unwrap());
+        let report = realtime_report(&place, process["process"].as_str().unwrap());
         for key in ["asked", "held", "refused"] {
             assert_eq!(process[key], report[key]);
         }
@@ -258,7 +258,7 @@ fn a_priority_that_is_not_allowed_degrades_loudly() {
     let outcome = outcome.expect(0);
     assert!(outcome.stderr.contains("the controller asked for priority = 7 and does not have it"), "{outcome:#?}");
     assert!(outcome.stderr.contains("rtprio 7") && outcome.stderr.contains("setcap"), "{outcome:#?}");
-    let report = account(&place, "controller");
+    let report = realtime_report(&place, "controller");
     assert_eq!((&report["held"]["scheduler"], &report["held"]["priority"]), (&"other".into(), &0.into()));
     let line = outcome.stdout.lines().find(|line| line.starts_with("real time, controller")).unwrap();
     assert!(line.contains("scheduler other") && line.contains("refused: ") && line.contains("priority = 7"), "{line}");

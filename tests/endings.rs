@@ -5,10 +5,10 @@ mod support;
 use support::{Outcome, Place, Process, assert_no_debris, children, signal_process};
 use tectum::log::LogReader;
 
-/// When to strike.
+/// The moment at which a signal is sent.
 #[derive(Debug, Clone, Copy)]
-enum RolloutTick {
-    /// As soon as the run has a card: its processes are being started.
+enum Moment {
+    /// As soon as the run has a manifest: its processes are being started.
     SetUp,
     /// As soon as there are ticks.
     First,
@@ -16,9 +16,9 @@ enum RolloutTick {
     Middle,
 }
 
-const MOMENTS: [RolloutTick; 3] = [RolloutTick::SetUp, RolloutTick::First, RolloutTick::Middle];
+const MOMENTS: [Moment; 3] = [Moment::SetUp, Moment::First, Moment::Middle];
 
-fn start(place: &Place, mode: &str, moment: RolloutTick) -> Process {
+fn start(place: &Place, mode: &str, moment: Moment) -> Process {
     let scenario = place.endless(mode);
     // Here a death is the end: `tests/restarts.rs` has the others.
     let never = "\n[restart]\nplant = \"never\"\ncontroller = \"never\"\nlogger = \"never\"\n";
@@ -26,9 +26,9 @@ fn start(place: &Place, mode: &str, moment: RolloutTick) -> Process {
     let mut run = place.run(&[&scenario, "--mode", mode, "--json"]);
     let (manifest, log) = (place.run_folder().join("run.json"), place.run_folder().join("log.mcap"));
     match moment {
-        RolloutTick::SetUp => run.until("the run's card", || manifest.exists()),
-        RolloutTick::First => run.until("the log", || log.exists()),
-        RolloutTick::Middle => run.until("a grown log", || {
+        Moment::SetUp => run.until("the run's manifest", || manifest.exists()),
+        Moment::First => run.until("the log", || log.exists()),
+        Moment::Middle => run.until("a grown log", || {
             let enough = if mode == "lockstep" { 200_000 } else { 60_000 };
             std::fs::metadata(&log).is_ok_and(|m| m.len() > enough)
         }),
@@ -60,10 +60,10 @@ fn a_signal_ends_a_run_in_good_order() {
                 let outcome = run.wait().expect(code);
                 assert!(children(launcher).is_empty());
                 check(&place, &outcome);
-                if matches!(moment, RolloutTick::Middle) {
+                if matches!(moment, Moment::Middle) {
                     let summary = outcome.json();
                     assert!(summary["ticks"].as_u64() > Some(0), "{summary}");
-                    assert!(summary["weights_hash"].is_string(), "the controller closed its account: {summary}");
+                    assert!(summary["weights_hash"].is_string(), "the controller finished its report: {summary}");
                     assert!(LogReader::open(&place.run_folder().join("log.mcap")).unwrap().last().is_some());
                     let mut reader = LogReader::open(&place.run_folder().join("log.mcap")).unwrap();
                     assert!(reader.by_ref().count() > 0 && reader.finished(), "the log is closed");
@@ -81,7 +81,7 @@ fn a_killed_process_ends_the_run_with_a_sentence() {
             [("tectum-simulator", "plant"), ("tectum-controller", "controller"), ("tectum-logger", "logger")]
         {
             let place = Place::new();
-            let mut run = start(&place, mode, RolloutTick::First);
+            let mut run = start(&place, mode, Moment::First);
             let member = run.member(program);
             signal_process(member, "KILL");
             let outcome = run.wait().expect(4);
@@ -95,7 +95,7 @@ fn a_killed_process_ends_the_run_with_a_sentence() {
 #[test]
 fn a_terminated_process_ends_the_run() {
     let place = Place::new();
-    let mut run = start(&place, "realtime", RolloutTick::First);
+    let mut run = start(&place, "realtime", Moment::First);
     let controller = run.member("tectum-controller");
     signal_process(controller, "TERM");
     let outcome = run.wait().expect(4);
@@ -137,7 +137,7 @@ fn stem(name: &str) -> &str {
 fn processes_end_when_their_launcher_is_killed() {
     for mode in ["lockstep", "realtime"] {
         let place = Place::new();
-        let mut run = start(&place, mode, RolloutTick::First);
+        let mut run = start(&place, mode, Moment::First);
         let members: Vec<u32> =
             ["tectum-simulator", "tectum-controller", "tectum-logger"].map(|p| run.member(p)).to_vec();
         run.signal("KILL");

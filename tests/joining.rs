@@ -34,7 +34,7 @@ fn every_process_can_be_started_by_hand() {
         let place = Place::new();
         let mut run = place.start(TECTUM, &["run", "--name", "demo", "--by-hand", role, "--ticks", "500", "--json"]);
         let manifest = place.path().join("runs/demo/run.json");
-        run.until("the run's card", || manifest.exists());
+        run.until("the run's manifest", || manifest.exists());
         let member = place.start(program(name), &["--run", "demo", "--json"]);
         let account = member.wait().expect(0).json();
         let outcome = run.wait().expect(0);
@@ -54,7 +54,7 @@ fn a_process_with_another_scenario_is_refused_in_one_sentence() {
     let other = place.arm(&[("beta", "0.8")]);
     let mut run = place.start(TECTUM, &["run", "--name", "demo", "--by-hand", "controller", "--ticks", "500"]);
     let manifest = place.path().join("runs/demo/run.json");
-    run.until("the run's card", || manifest.exists());
+    run.until("the run's manifest", || manifest.exists());
     let stranger = ["--run", "demo", "--scenario", &other];
     let outcome = place.start(program("tectum-controller"), &stranger).wait().expect(3);
     assert_eq!(outcome.stderr.lines().count(), 1, "{outcome:#?}");
@@ -85,7 +85,7 @@ fn a_run_that_is_not_there_is_said_so() {
     let place = Place::new();
     let outcome = place.start(program("tectum-logger"), &["--run", "nowhere"]).wait().expect(2);
     assert!(outcome.stderr.starts_with("tectum-logger: there is no run at nowhere: "), "{outcome:#?}");
-    // A run that is over keeps its card.
+    // A run that is over keeps its manifest.
     place.run(&["--ticks", "10"]).wait().expect(0);
     let outcome = place.start(program("tectum-logger"), &["--run", "run"]).wait().expect(2);
     assert!(outcome.stderr.contains("the run is over"), "{outcome:#?}");

@@ -23,22 +23,22 @@ const FEW: u64 = 24;
 const PROGRAMS: [(&str, &str); 3] =
     [("tectum-simulator", "plant"), ("tectum-controller", "controller"), ("tectum-logger", "logger")];
 
+/// The moment at which a signal is sent.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum RolloutTick {
+enum Moment {
     BeforeReady,
     FirstTick,
     MidRun,
     LastTicks,
 }
 
-const MOMENTS: [RolloutTick; 4] =
-    [RolloutTick::BeforeReady, RolloutTick::FirstTick, RolloutTick::MidRun, RolloutTick::LastTicks];
+const MOMENTS: [Moment; 4] = [Moment::BeforeReady, Moment::FirstTick, Moment::MidRun, Moment::LastTicks];
 
 /// One cell of the matrix.
 #[derive(Debug, Clone, Copy)]
 struct Cell {
     program: usize,
-    moment: RolloutTick,
+    moment: Moment,
     mode: &'static str,
     signal: &'static str,
 }
@@ -90,10 +90,10 @@ fn await_moment(run: &mut Process, cell: Cell, log: &Path, dice: &mut Dice) -> O
     let size = || segments(log.parent().unwrap()).iter().filter_map(|p| Some(p.metadata().ok()?.len())).sum::<u64>();
     let whole = ticks(cell.mode) * TICK_BYTES;
     let bytes = match cell.moment {
-        RolloutTick::BeforeReady => 0,
-        RolloutTick::FirstTick => 1,
-        RolloutTick::MidRun => whole / 10 + dice.below(whole * 7 / 10),
-        RolloutTick::LastTicks => whole - whole / 50,
+        Moment::BeforeReady => 0,
+        Moment::FirstTick => 1,
+        Moment::MidRun => whole / 10 + dice.below(whole * 7 / 10),
+        Moment::LastTicks => whole - whole / 50,
     };
     let mut found = None;
     run.until_over("the moment", || {
@@ -141,7 +141,7 @@ fn strike(cell: Cell, dice: &mut Dice, undisturbed: &str) -> i32 {
     } else {
         let role = PROGRAMS[cell.program].1;
         assert!(outcome.stderr.contains(&format!("the {role} ")), "{cell:?}\n{outcome:#?}");
-        let comes_back = cell.signal == "KILL" && cell.moment != RolloutTick::BeforeReady;
+        let comes_back = cell.signal == "KILL" && cell.moment != Moment::BeforeReady;
         assert!(cell.signal != "STOP" && !comes_back, "{cell:?}\n{outcome:#?}");
     }
     code

@@ -1,6 +1,6 @@
-//! Scenario files as a user meets them: the shipped ones load, and a bad one is refused in words that help.
+//! Scenario files: the shipped ones load, and each mistake in a file gives a message with the remedy.
 //!
-//! The table of messages is exact on purpose: a change of wording is a change of what users read, and is reviewed here.
+//! The table compares whole messages, so that every change of a text that users read shows in a diff.
 
 use std::path::Path;
 
@@ -9,7 +9,8 @@ use tectum::{
     scenario::{Scenario, ScenarioError, presets},
 };
 
-/// An arm, as the base of most edits. Not the shipped one, which may be tuned without a word here.
+/// An arm, the base text of most cases. It is not the shipped one, so that the shipped one can be tuned without
+/// a change here.
 const ARM: &str = r#"# The arm with every table written out.
 name = "arm"
 seed = 1 # of all randomness
@@ -87,7 +88,7 @@ bonus = 0.5
 inputs = ["position_rho", "position_phi"]
 radius = 0.5
 "#;
-/// A plant of somebody else's.
+/// A plant of another program.
 const OTHER: &str = r#"name = "lab"
 ticks = 100
 
@@ -159,7 +160,7 @@ fn the_eye_has_two_log_polar_maps() {
 }
 
 #[test]
-fn the_arms_settings_shape_what_it_says_and_takes() {
+fn the_arms_settings_determine_its_signals_and_maps() {
     let plan = |text: &str| Scenario::parse(text, "x.toml").and_then(Scenario::plan).unwrap();
     let limits = "limits = [[-1, 0.5], [-2, 2], [-2.6, 2.6], [0, 3]]";
     let limited = plan(&edited(ARM, "base = [0.0, -1.0]", limits));
@@ -198,7 +199,7 @@ fn features(maps: &[Map]) -> usize {
 }
 
 #[test]
-fn another_program_brings_its_signals_or_borrows_the_arms() {
+fn another_program_lists_its_signals_or_uses_the_arms() {
     let plan = Scenario::parse(OTHER, "lab.toml").unwrap().plan().unwrap();
     assert_eq!((plan.inputs.len(), plan.outputs.len(), plan.measures.len()), (2, 1, 1));
     let Map::Plane(angle, speed) = plan.maps[0] else { panic!("one plane") };
@@ -215,7 +216,7 @@ fn another_program_brings_its_signals_or_borrows_the_arms() {
 }
 
 #[test]
-fn a_resolved_file_says_everything_and_means_the_same() {
+fn a_resolved_file_has_every_key_and_gives_the_same_plan() {
     for text in presets().iter().map(|preset| preset.text).chain([ARM, EYE, OTHER]) {
         let plan = Scenario::parse(text, "x.toml").unwrap().plan().unwrap();
         let resolved = plan.scenario.to_toml();
@@ -262,7 +263,7 @@ fn a_preset_is_found_by_any_of_its_names_and_a_file_comes_first() {
 }
 
 #[test]
-fn a_misspelt_name_is_answered_with_the_nearest_ones() {
+fn the_message_for_a_misspelt_name_lists_the_nearest_ones() {
     let remedy = |name: &str| {
         let message = Scenario::find(name).unwrap_err().to_string();
         let here = std::env::current_dir().unwrap().join(name);
@@ -294,7 +295,7 @@ fn a_misspelt_name_is_answered_with_the_nearest_ones() {
 }
 
 #[test]
-fn what_is_not_a_readable_text_is_refused() {
+fn a_file_that_is_not_a_readable_text_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let load = |path: &Path| {
         let message = Scenario::load(path).unwrap_err().to_string();
@@ -334,7 +335,7 @@ fn a_value_changed_after_reading_is_not_blamed_on_a_line() {
     );
 }
 
-/// Base text, what is replaced in it, by what, and the message that comes of it.
+/// Base text, the text replaced in it, the replacement, and the message.
 type Case = (&'static str, &'static str, &'static str, &'static str);
 
 #[test]
@@ -656,7 +657,7 @@ fn every_mistake_has_its_message() {
         (ARM, "[log]", "[[faults.channel]]\nchannel = \"wire\"\n[log]",
             "x.toml:53: faults.channel[0].channel is \"wire\"; give \"observation\", \"command\" or \"learning\""),
         (ARM, "[log]", "[[faults.channel]]\nchannel = \"learning\"\nkind = \"corrupt\"\nvalue = \"nan\"\nprobability = 0.1\n[log]",
-            "x.toml:54: faults.channel[0].kind is corrupt, on the channel learning; only the log hears that, and must hold what was learned or nothing"),
+            "x.toml:54: faults.channel[0].kind is corrupt, on the channel learning; the log would contain false records, so give another kind or another channel"),
         (ARM, "[log]", "[[faults.channel]]\nchannel = \"command\"\nkind = \"lose\"\n[log]",
             "x.toml:54: faults.channel[0].kind is \"lose\"; give \"delay\", \"drop\", \"duplicate\", \"reorder\", \"freeze\" or \"corrupt\""),
         (ARM, "[log]", "[[faults.channel]]\nchannel = \"command\"\nkind = \"drop\"\nprobability = 1.5\n[log]",

@@ -15,7 +15,7 @@ use crate::log;
 use crate::report::{self, RunHistory, Window, thousands};
 use crate::runtime::{
     ControllerReport, InProcess, LoggerReport, Mode, PlantReport, TickBudget, exit, read_realtime, read_report,
-    sweep_drafts,
+    remove_unwritten_reports,
 };
 use crate::stats::Percentiles;
 use crate::wire::Role;
@@ -54,7 +54,7 @@ pub struct WindowSummary {
 pub struct ProcessRealtime {
     /// Which process.
     pub process: &'static str,
-    /// Its account.
+    /// Its report.
     #[serde(flatten)]
     pub report: RealtimeReport,
 }
@@ -116,7 +116,7 @@ pub struct RunSummary {
     pub first: Option<WindowSummary>,
     /// The last twentieth.
     pub last: Option<WindowSummary>,
-    /// Real time: from a tick's scheduled instant to its sensing, us; of a run without a logger's account, to the plant's
+    /// Real time: from a tick's scheduled instant to its sensing, us; of a run without a logger's report, to the plant's
     /// waking up.
     pub wake_up_lateness_us: Option<Percentiles>,
     /// Real time: from sensing to the sending of the command, us.
@@ -174,17 +174,18 @@ impl RunSummary {
         });
         let controller: Option<ControllerReport> = read_report(folder, Role::Controller);
         let logger: LoggerReport = read_report(folder, Role::Logger).unwrap_or_default();
-        sweep_drafts(folder);
+        remove_unwritten_reports(folder);
         let mut summary = Self::new(launch, folder, ended, seconds, &plant, controller);
         summary.restarts = incidents;
-        let account = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
-        summary.realtime = Role::ALL.into_iter().filter_map(account).collect();
+        let realtime_of =
+            |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
+        summary.realtime = Role::ALL.into_iter().filter_map(realtime_of).collect();
         let mut segments = log::segments(folder);
         summary.log_bytes = segments.iter().filter_map(|log| Some(std::fs::metadata(log).ok()?.len())).sum();
         summary.log_segments = segments.len();
         summary.log = if segments.len() > 1 { Some(folder.to_owned()) } else { segments.pop() };
         summary.log_missing_from = logger.missing_from;
-        // The logger's account outlives plants and controllers.
+        // The logger's counts include those of restarted plants and controllers.
         for (told, counted) in [
             (&mut summary.wake_up_lateness_us, logger.wake_up_lateness),
             (&mut summary.observation_to_command_us, logger.observation_to_command),
