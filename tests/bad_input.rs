@@ -2,7 +2,7 @@
 
 mod support;
 
-use support::{Outcome, TECTUM, TestFolder};
+use support::{ProcessOutcome, TECTUM, TestFolder};
 
 /// Starts a run with bad input, checks that it is refused and leaves no folder, and returns the message.
 #[track_caller]
@@ -15,7 +15,7 @@ fn refused(test_folder: &TestFolder, arguments: &[&str]) -> String {
 
 /// The message of a refused run, which must have one line.
 #[track_caller]
-fn single_message(outcome: &Outcome) -> String {
+fn single_message(outcome: &ProcessOutcome) -> String {
     assert_eq!(outcome.code, Some(2), "{outcome:#?}");
     assert_eq!(outcome.stderr.lines().count(), 1, "one message: {outcome:#?}");
     outcome.stderr.trim().to_owned()

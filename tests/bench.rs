@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::Value;
-use support::{Outcome, TECTUM, TestFolder, children, has_ended, read_json, signal_process};
+use support::{ProcessOutcome, TECTUM, TestFolder, children, has_ended, read_json, signal_process};
 use tectum::log::{RunLog, segments};
 
 const TRANSPORTS: [&str; 5] = ["iceoryx2-event", "iceoryx2-poll", "unix-socket", "pipe", "futex"];
@@ -15,7 +15,7 @@ const SERIES: [&str; 5] =
     ["scheduled_to_sensed", "sensed_to_command", "command_to_applied", "sensed_to_applied", "scheduled_to_applied"];
 
 /// Runs a bench and checks that it leaves nothing in shared memory and no process.
-fn bench(test_folder: &TestFolder, arguments: &[&str]) -> Outcome {
+fn bench(test_folder: &TestFolder, arguments: &[&str]) -> ProcessOutcome {
     let mut all = vec!["bench"];
     all.extend(arguments);
     let process = test_folder.start(TECTUM, &all);

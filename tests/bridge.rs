@@ -4,9 +4,13 @@
 //! The effects of faults must equal `tests/snapshots/servo_faults.txt`. A change of that table is a change of the
 //! bridge's reaction to faults and must be reviewed there. To write it anew: `TECTUM_BLESS=1 cargo test --test bridge`.
 
+#[path = "support/snapshot.rs"]
+mod snapshot;
+
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex};
 
+use snapshot::assert_snapshot;
 use tectum::runtime::{Controller, PlantSide};
 use tectum::scenario::{EmulatorConfig, Plan, Scenario};
 use tectum::servo::bridge::{Bridge, BridgeError, SafetyState, joints_of};
@@ -458,10 +462,5 @@ fn each_fault_has_its_recorded_effect() {
         }
         writeln!(table, "{}", row("commands away", "", protocol, true)).unwrap();
     }
-    let path = "tests/snapshots/servo_faults.txt";
-    if std::env::var_os("TECTUM_BLESS").is_some() {
-        std::fs::write(path, &table).unwrap();
-    }
-    let kept = std::fs::read_to_string(path).unwrap_or_default();
-    assert_eq!(kept, table, "TECTUM_BLESS=1 writes it anew");
+    assert_snapshot("tests/snapshots/servo_faults.txt", &table);
 }

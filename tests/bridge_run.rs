@@ -11,7 +11,7 @@ use serde_json::Value;
 use support::{TECTUM, TestFolder, WATCHDOG, assert_no_debris, read_json, signal_process};
 
 /// An emulated chain of four servos that reports each change of torque. It is killed when this is dropped.
-struct EmulatedChain {
+struct EmulatorProcess {
     child: Child,
     /// A servo's id, and whether its torque is on.
     torque_reports: Receiver<(u64, bool)>,
@@ -19,7 +19,7 @@ struct EmulatedChain {
     torque: [bool; 5],
 }
 
-impl EmulatedChain {
+impl EmulatorProcess {
     fn start(test_folder: &TestFolder) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_tectum-servo-emulator"))
             .args(["--protocol", "dynamixel", "--ids", "1,2,3,4", "--link", "arm", "--trace", "--json"])
@@ -60,7 +60,7 @@ impl EmulatedChain {
     }
 }
 
-impl Drop for EmulatedChain {
+impl Drop for EmulatorProcess {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
@@ -80,7 +80,7 @@ fn scenario(test_folder: &TestFolder, armed: bool, more: &str) -> String {
 #[test]
 fn an_unarmed_bridge_only_reads() {
     let test_folder = TestFolder::new();
-    let chain = EmulatedChain::start(&test_folder);
+    let chain = EmulatorProcess::start(&test_folder);
     let scenario = scenario(&test_folder, false, "");
     let outcome = test_folder.run(&[&scenario, "--ticks", "30", "--json"]).wait().expect(0);
     assert_eq!(outcome.json()["mode"], "realtime");
@@ -105,7 +105,7 @@ fn torque_is_off_however_a_run_ends() {
         [("TERM", false, "", 143), ("INT", false, "", 130), ("TERM", true, never, 4), ("KILL", true, never, 4)]
     {
         let test_folder = TestFolder::new();
-        let mut chain = EmulatedChain::start(&test_folder);
+        let mut chain = EmulatorProcess::start(&test_folder);
         let scenario = scenario(&test_folder, true, more);
         let mut run = test_folder.run(&[&scenario, "--ticks", "100000", "--json"]);
         chain.wait_for_torque(true);
@@ -123,7 +123,7 @@ fn torque_is_off_however_a_run_ends() {
 #[test]
 fn a_killed_bridge_restarts() {
     let test_folder = TestFolder::new();
-    let mut chain = EmulatedChain::start(&test_folder);
+    let mut chain = EmulatorProcess::start(&test_folder);
     let scenario = scenario(&test_folder, true, "");
     let mut run = test_folder.run(&[&scenario, "--ticks", "100000", "--json"]);
     chain.wait_for_torque(true);

@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use support::{
-    Outcome, Process, TECTUM, TestFolder, append, assert_no_debris, domain, has_ended, read_json, shared_memory,
+    Process, ProcessOutcome, TECTUM, TestFolder, append, assert_no_debris, domain, has_ended, read_json, shared_memory,
 };
 
-fn doctor(test_folder: &TestFolder, arguments: &[&str]) -> Outcome {
+fn doctor(test_folder: &TestFolder, arguments: &[&str]) -> ProcessOutcome {
     let mut all = vec!["doctor", "--seconds", "0", "--json"];
     all.extend(arguments);
     test_folder.start(TECTUM, &all).wait()
@@ -79,6 +79,37 @@ fn the_report_has_every_check_with_verdict_and_remedy() {
     test_folder.start(TECTUM, &["doctor", "--seconds", "3601"]).wait().expect(2);
 }
 
+/// Requires that the doctor does not remove a domain without launcher that process `pid` uses.
+fn check_domain_in_use(test_folder: &TestFolder, domain: &str, pid: u32) {
+    let found = doctor(test_folder, &["--clean"]).json();
+    let entry = entry_of(&found, "domains", domain).unwrap_or_else(|| panic!("removed while in use: {found}"));
+    assert_eq!(entry["owner"], "processes", "{found}");
+    assert!(entry["pids"].as_array().unwrap().contains(&pid.into()), "{found}");
+    let check = found["checks"].as_array().unwrap().iter().find(|c| c["name"] == "debris of runs").unwrap();
+    assert_eq!(check["verdict"], "could-be-better");
+    assert!(check["remedy"].as_str().unwrap().contains("kill "), "{check}");
+}
+
+/// Requires that the next run, or the doctor, removes an unused domain. Any run or doctor on this machine may remove it
+/// first; it must be gone after ours.
+fn check_removal(test_folder: &TestFolder, domain: &str, by_run: bool) {
+    let named = doctor(test_folder, &[]).json();
+    assert!(entry_of(&named, "domains", domain).is_none_or(|entry| entry["owner"] == "nobody"), "{named}");
+    if by_run {
+        let next = TestFolder::new();
+        let scenario = next.arm_scenario(&[]);
+        let outcome = next.run(&[&scenario, "--ticks", "50"]).wait().expect(0);
+        assert!(outcome.stderr.is_empty() || outcome.stderr.contains("which a run that was killed had left"));
+    } else {
+        let cleaned = doctor(test_folder, &["--clean"]);
+        assert!(matches!(cleaned.code, Some(0 | 1)), "{cleaned:?}");
+        let cleaned = cleaned.json();
+        assert!(entry_of(&cleaned, "domains", domain).is_none(), "{cleaned}");
+        // The removal is reported, unless another process was quicker.
+        assert!(entry_of(&cleaned, "removed", domain).is_none_or(|entry| entry["files"].as_u64() > Some(10)));
+    }
+}
+
 /// A killed launcher leaves its domain. It is not removed while processes use it. After that, the next run or the
 /// doctor removes it. The domain of another run that is active meanwhile is never touched.
 #[test]
@@ -105,13 +136,7 @@ fn only_the_unused_domain_of_a_killed_launcher_is_removed() {
         controller.signal("STOP");
         run.signal("KILL");
         assert_eq!(run.wait().code, None);
-        let found = doctor(&test_folder, &["--clean"]).json();
-        let entry = entry_of(&found, "domains", &domain).unwrap_or_else(|| panic!("removed while in use: {found}"));
-        assert_eq!(entry["owner"], "processes", "{found}");
-        assert!(entry["pids"].as_array().unwrap().contains(&controller.id().into()), "{found}");
-        let check = found["checks"].as_array().unwrap().iter().find(|c| c["name"] == "debris of runs").unwrap();
-        assert_eq!(check["verdict"], "could-be-better");
-        assert!(check["remedy"].as_str().unwrap().contains("kill "), "{check}");
+        check_domain_in_use(&test_folder, &domain, controller.id());
 
         controller.signal("CONT");
         controller.wait().expect(4);
@@ -120,22 +145,7 @@ fn only_the_unused_domain_of_a_killed_launcher_is_removed() {
             assert!(began.elapsed() < Duration::from_secs(60), "processes outlived their launcher");
             std::thread::yield_now();
         }
-        // From here on any run or doctor on this machine may remove the domain. It must be gone after ours.
-        let named = doctor(&test_folder, &[]).json();
-        assert!(entry_of(&named, "domains", &domain).is_none_or(|entry| entry["owner"] == "nobody"), "{named}");
-        if by_run {
-            let next = TestFolder::new();
-            let scenario = next.arm_scenario(&[]);
-            let outcome = next.run(&[&scenario, "--ticks", "50"]).wait().expect(0);
-            assert!(outcome.stderr.is_empty() || outcome.stderr.contains("which a run that was killed had left"));
-        } else {
-            let cleaned = doctor(&test_folder, &["--clean"]);
-            assert!(matches!(cleaned.code, Some(0 | 1)), "{cleaned:?}");
-            let cleaned = cleaned.json();
-            assert!(entry_of(&cleaned, "domains", &domain).is_none(), "{cleaned}");
-            // The removal is reported, unless another process was quicker.
-            assert!(entry_of(&cleaned, "removed", &domain).is_none_or(|entry| entry["files"].as_u64() > Some(10)));
-        }
+        check_removal(&test_folder, &domain, by_run);
         assert!(shared_memory(&domain).is_empty(), "by a run: {by_run}");
         let found = doctor(&other_folder, &["--clean"]).json();
         let entry = entry_of(&found, "domains", &support::domain(&other_folder.run_folder()))

@@ -4,7 +4,7 @@
 mod support;
 
 use support::{
-    Outcome, Process, TestFolder, append, assert_no_debris, children, has_ended, read_json, shared_memory,
+    Process, ProcessOutcome, TestFolder, append, assert_no_debris, children, has_ended, read_json, shared_memory,
     signal_process,
 };
 use tectum::log::LogReader;
@@ -41,7 +41,7 @@ fn start(test_folder: &TestFolder, mode: &str, progress: Progress) -> Process {
 }
 
 /// Checks that nothing is left in shared memory and that the log can be read.
-fn check(test_folder: &TestFolder, outcome: &Outcome) {
+fn check(test_folder: &TestFolder, outcome: &ProcessOutcome) {
     let folder = test_folder.run_folder();
     if folder.join("run.json").exists() {
         assert_no_debris(&folder);

@@ -7,7 +7,7 @@ use std::fs;
 use std::time::Duration;
 
 use serde_json::Value;
-use support::{Outcome, TECTUM, TestFolder, assert_no_debris, example, stop_process_for};
+use support::{ProcessOutcome, TECTUM, TestFolder, assert_no_debris, example, stop_process_for};
 use tectum::log::{LogInfo, LogReader, LogRecord};
 
 /// All limits of the gate.
@@ -153,7 +153,7 @@ fn real_time_has_the_same_faults_as_lockstep() {
 }
 
 /// A run in real time in which one program is stopped for a tenth of a second.
-fn stalled(test_folder: &TestFolder, scenario: &str, program: &str, ticks: &str) -> Outcome {
+fn stalled(test_folder: &TestFolder, scenario: &str, program: &str, ticks: &str) -> ProcessOutcome {
     let mut run = test_folder.run(&[scenario, "--mode", "realtime", "--ticks", ticks, "--json"]);
     let pid = run.child_pid(program);
     run.wait_until_ticking();

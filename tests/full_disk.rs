@@ -9,10 +9,10 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 use support::content::read_log;
-use support::{Outcome, TECTUM, TestFolder, assert_no_debris};
+use support::{ProcessOutcome, TECTUM, TestFolder, assert_no_debris};
 
 /// Checks what must hold for every kind of limit; the messages must contain `why`.
-fn check(test_folder: &TestFolder, outcome: &Outcome, ticks: u64, why: &str) {
+fn check(test_folder: &TestFolder, outcome: &ProcessOutcome, ticks: u64, why: &str) {
     let summary = outcome.json();
     assert_eq!((&summary["ticks"], &summary["ended"]), (&ticks.into(), &"complete".into()), "{outcome:#?}");
     assert!(summary["weights_hash"].is_string(), "the controller came to its end: {summary}");
@@ -46,7 +46,7 @@ fn check(test_folder: &TestFolder, outcome: &Outcome, ticks: u64, why: &str) {
 }
 
 /// The error message without the program's name.
-fn message(outcome: &Outcome) -> Value {
+fn message(outcome: &ProcessOutcome) -> Value {
     outcome.stderr.trim().trim_start_matches("tectum: ").into()
 }
 

@@ -3,10 +3,14 @@
 //! The results must equal `tests/snapshots/office.txt`. A change of that table is a change of the effect of faults and
 //! must be reviewed there. To write it anew: `TECTUM_BLESS=1 cargo test --test office`.
 
+#[path = "support/snapshot.rs"]
+mod snapshot;
+
 use std::fmt::Write as _;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use snapshot::assert_snapshot;
 use tectum::report::Window;
 use tectum::runtime::{Controller, ControllerReport, PlantReport, PlantSide};
 use tectum::scenario::{Plan, Scenario};
@@ -121,9 +125,8 @@ quarter of the run. cost: percentage of ticks that the fault kept from the learn
 
 ";
 
-#[test]
-fn every_learner_under_every_fault_gives_the_recorded_table() {
-    let cells = cells();
+/// Runs all cells on the machine's cores; the results are in the order of the cells.
+fn run_all(cells: &[Cell]) -> Vec<(PlantReport, ControllerReport)> {
     let results: Vec<_> = cells.iter().map(|_| Mutex::new(None)).collect();
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {
@@ -137,9 +140,38 @@ fn every_learner_under_every_fault_gives_the_recorded_table() {
             });
         }
     });
-    let mut text = HEAD.to_owned();
-    let _ = writeln!(
-        text,
+    results.into_iter().map(|result| result.into_inner().unwrap().unwrap()).collect()
+}
+
+/// The result of a rule without faults.
+struct CleanRun {
+    learned: u64,
+    loss: f64,
+    weights_hash: String,
+}
+
+/// Checks what must hold for every fault, compared with the same rule without faults.
+fn check(cell: &Cell, p: &PlantReport, c: &ControllerReport, clean: &CleanRun) {
+    if cell.fault == "none" {
+        assert_eq!((p.missed, p.late, c.unheard, c.stale, c.invalid, c.cuts), (0, 0, 0, 0, 0, 0), "{}", cell.rule);
+    } else {
+        assert!(
+            p.missed + p.late + p.clamped + c.stale + c.invalid > 50,
+            "{} {}: the fault had no effect",
+            cell.rule,
+            cell.fault
+        );
+    }
+    // A duplicate is recognised by its tick and has no cost.
+    if cell.fault.ends_with("duplicate") {
+        assert_eq!((c.learned, &c.weights_hash), (clean.learned, &clean.weights_hash), "{} {}", cell.rule, cell.fault);
+    }
+    assert_eq!(c.diverged_at, None, "{} {}", cell.rule, cell.fault);
+}
+
+/// The headings of the table's columns.
+fn headings() -> String {
+    format!(
         "{:<21}{:<25}{:>7}{:>6}{:>8}{:>5}{:>8}{:>6}{:>6}{:>8}{:>6}{:>9}{:>6}{:>9}  weights",
         "rule",
         "fault",
@@ -155,51 +187,44 @@ fn every_learner_under_every_fault_gives_the_recorded_table() {
         "loss",
         "cost",
         ""
-    );
-    let mut clean = (0, 0.0, String::new());
-    for (cell, result) in cells.iter().zip(results) {
-        let (p, c) = result.into_inner().unwrap().unwrap();
-        let loss = loss(&c.windows);
+    )
+}
+
+/// A cell's row of the table.
+fn row(cell: &Cell, p: &PlantReport, c: &ControllerReport, clean: &CleanRun) -> String {
+    let loss = loss(&c.windows);
+    let cost = 100.0 * (clean.learned - c.learned.min(clean.learned)) as f64 / clean.learned as f64;
+    format!(
+        "{:<21}{:<25}{:>7}{:>6}{:>8}{:>5}{:>8}{:>6}{:>6}{:>8}{:>6}{loss:>9.4}{cost:>6.1}{:>+9.4}  {}",
+        cell.rule,
+        cell.fault,
+        p.missed,
+        p.late,
+        p.clamped,
+        p.non_finite,
+        c.unheard,
+        c.stale,
+        c.invalid,
+        c.learned,
+        c.cuts,
+        loss - clean.loss,
+        c.weights_hash
+    )
+}
+
+#[test]
+fn every_learner_under_every_fault_gives_the_recorded_table() {
+    let cells = cells();
+    let results = run_all(&cells);
+    let mut text = format!("{HEAD}{}\n", headings());
+    let mut clean = CleanRun { learned: 0, loss: 0.0, weights_hash: String::new() };
+    for (cell, (plant, controller)) in cells.iter().zip(&results) {
         if cell.fault == "none" {
-            clean = (c.learned, loss, c.weights_hash.clone());
-            assert_eq!((p.missed, p.late, c.unheard, c.stale, c.invalid, c.cuts), (0, 0, 0, 0, 0, 0), "{}", cell.rule);
-        } else {
-            assert!(
-                p.missed + p.late + p.clamped + c.stale + c.invalid > 50,
-                "{} {}: the fault had no effect",
-                cell.rule,
-                cell.fault
-            );
+            let (loss, weights_hash) = (loss(&controller.windows), controller.weights_hash.clone());
+            clean = CleanRun { learned: controller.learned, loss, weights_hash };
         }
-        // A duplicate is recognised by its tick and has no cost.
-        if cell.fault.ends_with("duplicate") {
-            assert_eq!((c.learned, &c.weights_hash), (clean.0, &clean.2), "{} {}", cell.rule, cell.fault);
-        }
-        assert_eq!(c.diverged_at, None, "{} {}", cell.rule, cell.fault);
-        let cost = 100.0 * (clean.0 - c.learned.min(clean.0)) as f64 / clean.0 as f64;
-        let _ = writeln!(
-            text,
-            "{:<21}{:<25}{:>7}{:>6}{:>8}{:>5}{:>8}{:>6}{:>6}{:>8}{:>6}{loss:>9.4}{cost:>6.1}{:>+9.4}  {}",
-            cell.rule,
-            cell.fault,
-            p.missed,
-            p.late,
-            p.clamped,
-            p.non_finite,
-            c.unheard,
-            c.stale,
-            c.invalid,
-            c.learned,
-            c.cuts,
-            loss - clean.1,
-            c.weights_hash
-        );
+        check(cell, plant, controller, &clean);
+        let _ = writeln!(text, "{}", row(cell, plant, controller, &clean));
     }
-    let path = "tests/snapshots/office.txt";
-    if std::env::var_os("TECTUM_BLESS").is_some() {
-        std::fs::write(path, &text).unwrap();
-    }
-    let kept = std::fs::read_to_string(path).unwrap_or_default();
-    let changed: Vec<_> = text.lines().zip(kept.lines().chain(std::iter::repeat(""))).filter(|(a, b)| a != b).collect();
-    assert!(changed.is_empty() && kept == text, "{path} differs; TECTUM_BLESS=1 writes it anew: {changed:#?}");
+    assert_snapshot("tests/snapshots/office.txt", &text);
 }

@@ -5,7 +5,7 @@ mod support;
 
 use std::path::Path;
 
-use support::{Outcome, Process, TestFolder, assert_no_debris, read_json, signal_process};
+use support::{Process, ProcessOutcome, TestFolder, assert_no_debris, read_json, signal_process};
 
 /// The quickest possible restarts.
 const QUICK: &str = "\n[restart]\nbackoff_ms = 1\nbackoff_cap_ms = 10\ngive_up_after = 100\nhang_s = 1\n";
@@ -32,7 +32,7 @@ fn run_with_signals(
     ticks: &str,
     (program, signal): (&str, &str),
     sizes: impl Iterator<Item = u64>,
-) -> Outcome {
+) -> ProcessOutcome {
     let mut run = test_folder.run(&[scenario, "--ticks", ticks, "--json"]);
     signal_at_sizes(&mut run, &test_folder.log_path(), program, signal, sizes);
     run.wait()
@@ -54,7 +54,7 @@ fn undisturbed_hash(scenario: &str, ticks: &str) -> String {
 }
 
 /// Checks a run whose `program` was killed and returns the number of its restarts.
-fn check(test_folder: &TestFolder, outcome: &Outcome, program: &str, hash: &str) -> usize {
+fn check(test_folder: &TestFolder, outcome: &ProcessOutcome, program: &str, hash: &str) -> usize {
     let summary = outcome.json();
     assert_eq!(summary["weights_hash"], hash, "{outcome:#?}");
     assert_eq!(summary["lost"], 0, "{outcome:#?}");

@@ -2,10 +2,14 @@
 //! `docs/wire.md` are made from the field tables of the samples and compared with the files. To write the files anew:
 //! `TECTUM_BLESS=1 cargo test --test wire`.
 
+#[path = "support/snapshot.rs"]
+mod snapshot;
+
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command as Process;
 
+use snapshot::assert_snapshot;
 use tectum::wire::{
     Command, Control, Gap, Header, Learning, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Phase, ProcessState,
     Role, Sample, Status, Vision, flag,
@@ -157,7 +161,8 @@ const HEAD: &str = "\
 fn comment(text: &mut String, indent: &str, doc: &str) {
     let mut line = format!("{indent}/*");
     for word in doc.split_whitespace() {
-        if line.len() + 1 + word.len() > 120 {
+        // The last line also needs room for the closing mark.
+        if line.len() + 1 + word.len() + " */".len() > 120 {
             let _ = writeln!(text, "{line}");
             line = format!("{indent} *");
         }
@@ -240,19 +245,9 @@ fn tables() -> Vec<(&'static str, String)> {
     vec![("samples", samples), ("flags", bits), ("phases", list(&phases())), ("states", list(&states()))]
 }
 
-#[track_caller]
-fn compare(path: &str, text: &str) {
-    if std::env::var_os("TECTUM_BLESS").is_some() {
-        std::fs::write(path, text).unwrap();
-    }
-    let kept = std::fs::read_to_string(path).unwrap_or_default();
-    let changed: Vec<_> = text.lines().zip(kept.lines().chain(std::iter::repeat(""))).filter(|(a, b)| a != b).collect();
-    assert!(kept == text, "{path} differs from the Rust layout; TECTUM_BLESS=1 writes it anew: {changed:#?}");
-}
-
 #[test]
 fn the_c_header_matches_the_rust_layout() {
-    compare("docs/tectum.h", &header());
+    assert_snapshot("docs/tectum.h", &header());
 }
 
 #[test]
@@ -265,7 +260,7 @@ fn the_wire_tables_match_the_rust_layout() {
         let (_, tail) = rest.split_once(&close).unwrap_or_else(|| panic!("{path} has no mark {close}"));
         text = format!("{head}{open}{table}{close}{tail}");
     }
-    compare(path, &text);
+    assert_snapshot(path, &text);
 }
 
 /// The header's assertions of sizes and offsets hold in C and in C++. A missing compiler is skipped.

@@ -87,7 +87,7 @@ impl TestFolder {
     }
 
     /// Starts a subcommand of `tectum` in this folder and waits for its end.
-    pub fn tectum(&self, command: &str, arguments: &[&str]) -> Outcome {
+    pub fn tectum(&self, command: &str, arguments: &[&str]) -> ProcessOutcome {
         let mut all = vec![command];
         all.extend(arguments);
         self.start(TECTUM, &all).wait()
@@ -132,7 +132,7 @@ pub struct Process {
 
 /// The exit code and the output of a program.
 #[derive(Debug)]
-pub struct Outcome {
+pub struct ProcessOutcome {
     pub code: Option<i32>,
     pub stdout: String,
     pub stderr: String,
@@ -207,7 +207,7 @@ impl Process {
     }
 
     /// Waits for the end of the program.
-    pub fn wait(mut self) -> Outcome {
+    pub fn wait(mut self) -> ProcessOutcome {
         let began = Instant::now();
         // The pipes are read during the wait, so that they do not fill up.
         let (stdout, stderr) = (self.child.stdout.take(), self.child.stderr.take());
@@ -223,7 +223,7 @@ impl Process {
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
                 let (stdout, stderr) = (stdout.join().unwrap(), stderr.join().unwrap());
-                return Outcome { code: status.code(), stdout, stderr, process_output: self.process_output() };
+                return ProcessOutcome { code: status.code(), stdout, stderr, process_output: self.process_output() };
             }
             if began.elapsed() > WATCHDOG {
                 let process_output = self.process_output();
@@ -257,10 +257,10 @@ impl Process {
     }
 
     /// Kills the program and returns its output so far.
-    fn collect(&mut self) -> Outcome {
+    fn collect(&mut self) -> ProcessOutcome {
         let process_output = self.process_output();
         self.kill();
-        let mut outcome = Outcome { code: None, stdout: String::new(), stderr: String::new(), process_output };
+        let mut outcome = ProcessOutcome { code: None, stdout: String::new(), stderr: String::new(), process_output };
         let _ = self.child.stdout.take().map(|mut p| p.read_to_string(&mut outcome.stdout));
         let _ = self.child.stderr.take().map(|mut p| p.read_to_string(&mut outcome.stderr));
         outcome
@@ -275,7 +275,7 @@ impl Drop for Process {
     }
 }
 
-impl Outcome {
+impl ProcessOutcome {
     /// Requires this exit code; otherwise panics with the complete output.
     #[track_caller]
     pub fn expect(self, code: i32) -> Self {
