@@ -278,6 +278,7 @@ impl RewardModel {
     }
 
     /// Number of features.
+    #[cfg(test)]
     pub fn len(&self) -> usize {
         self.psi.len()
     }
