@@ -12,15 +12,14 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use clap::Parser;
 use rand::RngExt as _;
 use rand_distr::{Distribution as _, Normal};
-use tectum::channel::ChannelError;
-use tectum::clock::pause;
 use tectum::plant::posture;
-use tectum::runtime::{RuntimeError, Tracker};
+use tectum::runtime::{ChannelError, RuntimeError, Tracker};
 use tectum::seed::stream;
 
 /// A stand-in for a camera: publishes target and end-effector
@@ -58,7 +57,7 @@ fn join(arguments: &Arguments) -> Result<Tracker, RuntimeError> {
             Err(RuntimeError::NoRun { .. } | RuntimeError::Channel(ChannelError::SetUp { .. }))
                 if Instant::now() < until =>
             {
-                pause(50_000_000);
+                sleep(Duration::from_millis(50));
             }
             joined => return joined,
         }
@@ -73,7 +72,7 @@ fn track(arguments: &Arguments) -> Result<(), RuntimeError> {
     let mut rng = stream(tracker.plan.scenario.seed, "tracker");
     let noise = Normal::new(0.0, arguments.noise.clamp(0.0, 1.0)).expect("a number that is not negative");
     let (mut target, mut shown) = ([0.0; 2], None);
-    while !tracker.over() {
+    while !tracker.run_ended() {
         // The picture is as old as the angles in it.
         if let Some(observation) = tracker.observation()? {
             // Targets last as long as the simulator's. The observation has the current tick.
@@ -87,9 +86,9 @@ fn track(arguments: &Arguments) -> Result<(), RuntimeError> {
             let end = posture(&arm, angles).last().copied().unwrap_or(arm.base);
             let mut noisy = |at: [f64; 2]| at.map(|x| (x + noise.sample(&mut rng)) as f32);
             let (target, end) = (noisy(target), noisy(end));
-            tracker.see(observation.header.sensed_ns, target, end)?;
+            tracker.publish(observation.header.sensed_ns, target, end)?;
         }
-        pause((1e9 / arguments.rate.clamp(1.0, 1000.0)) as u64);
+        sleep(Duration::from_secs_f64(1.0 / arguments.rate.clamp(1.0, 1000.0)));
     }
     Ok(())
 }

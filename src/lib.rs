@@ -1,35 +1,119 @@
-//! Tectum: a shared-memory runtime for closed-loop control in which the controller learns on line.
+//! Tectum is a control runtime in which a controller learns on line, while it controls.
 //!
-//! A plant, a controller and a logger run as separate processes and exchange fixed-size samples over zero-copy
-//! iceoryx2 channels, inside a strict tick. The rooms, and who may know whom, are drawn in `ARCHITECTURE.md`; in short,
-//! [`simd`], [`encoder`], [`policy`], [`learner`] and [`plant`] are pure computation, [`wire`] is plain data,
-//! [`channel`] and [`clock`] are the only doors to the outside, and [`runtime`] joins them into loops.
+//! Plant, controller and logger run as separate processes and exchange fixed-size samples through shared memory
+//! (iceoryx2) at a fixed period, on the real clock or in lockstep. Both give the same numbers as long as no
+//! deadline is missed. The library is for people who study learning controllers and need numbers that they can
+//! repeat. With it you connect a plant or a tracker of your own to a run, read logs, and run experiments inside
+//! one process. The programs (`tectum` and the processes that it starts) are thin shells around it.
+//!
+//! | module | what it is for |
+//! |---|---|
+//! | [`scenario`] | TOML files that describe a run, and the validated [`Plan`](scenario::Plan) |
+//! | [`plant`] | the trait [`Plant`](plant::Plant), which your plant implements; the simulated arm and eye |
+//! | [`process`] | the `main` function of a process that joins a run: arguments, errors, exit codes |
+//! | [`runtime`] | the processes' loops, [`Tracker`](runtime::Tracker), [`in_process`](runtime::in_process()) |
+//! | [`wire`] | the samples that processes exchange, and their flags |
+//! | [`log`] | the reader of a run's log |
+//! | [`reference`] | the fixed test set for the arm, and reference controllers on it |
+//! | [`study`] | experiments of many runs, replay and analysis |
+//! | [`state`], [`seed`] | what a plant saves for a restart; named random streams |
+//! | [`encoder`], [`policy`], [`learner`] | the controller's pure computation: features, commands, learning rules |
+//!
+//! A plant of your own needs two traits. Here it runs in one process, with the same ticks as three processes in
+//! lockstep. To run it as a process, hand it to [`runtime::run_plant`] in a program whose `main` is
+//! [`process::main`], and name that program under `[plant]` in the scenario.
+//!
+//! ```
+//! use tectum::plant::{Outcome, Plant};
+//! use tectum::runtime::in_process;
+//! use tectum::scenario::{Scenario, ScenarioError};
+//! use tectum::state::{Persist, StateVisitor};
+//!
+//! /// A point on a line, displaced every 40 ticks. It has to return to 0.
+//! struct Point {
+//!     position: f32,
+//! }
+//!
+//! impl Persist for Point {
+//!     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+//!         visitor.number("position", &mut self.position);
+//!     }
+//! }
+//!
+//! impl Plant for Point {
+//!     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
+//!         let displaced = tick % 40 == 0;
+//!         if displaced {
+//!             self.position = if tick % 80 == 0 { 0.8 } else { -0.8 };
+//!         }
+//!         inputs[0] = self.position;
+//!         displaced
+//!     }
+//!
+//!     fn advance(&mut self, _tick: u64, applied: &[f32]) -> Outcome {
+//!         self.position = (self.position + 0.2 * applied[0]).clamp(-1.0, 1.0);
+//!         Outcome { reward: -self.position * self.position, ..Outcome::default() }
+//!     }
+//! }
+//!
+//! fn main() -> Result<(), ScenarioError> {
+//!     let text = r#"
+//!         name = "point"
+//!         ticks = 8000
+//!         plant.program = "point"
+//!         plant.inputs = [{ name = "position", unit = "m", min = -1.0, max = 1.0 }]
+//!         plant.outputs = [{ name = "speed", unit = "0.2 m a tick", min = -1.0, max = 1.0 }]
+//!         encoder.maps = [{ inputs = ["position"], radius = 0.2 }]
+//!         policy.sigma = 0.2
+//!         gate.max_command = 1.0
+//!     "#;
+//!     let plan = Scenario::parse(text, "point.toml")?.plan()?;
+//!     let result = in_process(&plan, Point { position: 0.0 }, |_, _| true);
+//!     let loss: Vec<f64> = result.controller.windows.iter().map(|window| window.loss).collect();
+//!     assert!(loss[loss.len() - 1] < 0.5 * loss[0], "the point learns to return: {loss:?}");
+//!     Ok(())
+//! }
+//! ```
 
 #![warn(missing_docs)]
 
-pub mod bench;
-pub mod channel;
-pub mod checkpoint;
-pub mod clock;
-pub mod doctor;
 pub mod log;
 pub mod process;
-mod programs;
 pub mod reference;
-pub mod report;
-mod run_folder;
 pub mod runtime;
 pub mod scenario;
-pub mod servo;
-pub mod stats;
 pub mod study;
-pub mod supervise;
-mod text;
 pub mod wire;
 
 pub use tectum_core::{learner, plant, policy, seed, state};
 pub use tectum_encoder as encoder;
 pub use tectum_encoder::simd;
 
-/// The build's identity: package version and git commit, as compared in the handshake and written into every log.
+// The programs, tests and benches of this package are crates of their own and need the following modules, so
+// they are public. They are hidden because a plant, a tracker or a study of your own does not need them. They
+// may change at any time.
+#[doc(hidden)]
+pub mod bench;
+#[doc(hidden)]
+pub mod channel;
+#[doc(hidden)]
+pub mod checkpoint;
+#[doc(hidden)]
+pub mod clock;
+#[doc(hidden)]
+pub mod doctor;
+#[doc(hidden)]
+pub mod report;
+#[doc(hidden)]
+pub mod servo;
+#[doc(hidden)]
+pub mod stats;
+#[doc(hidden)]
+pub mod supervise;
+
+mod programs;
+mod run_folder;
+mod text;
+
+/// The build's identity: package version and git commit. The handshake compares it, and every log has it.
 pub const BUILD: &str = env!("TECTUM_BUILD");

@@ -1,5 +1,7 @@
 //! The `main` function of every program that joins a run: arguments, error messages and exit codes. The
-//! programs in `bins/`, and a plant of your own, consist of this function and their own loop.
+//! programs in `bins/`, and the program of your own plant, consist of this function and a loop of [`runtime`].
+//!
+//! [`runtime`]: crate::runtime
 //!
 //! ```no_run
 //! use std::process::ExitCode;
@@ -30,13 +32,13 @@ struct Arguments {
     /// Read this scenario instead of the run's own copy; it must be the same
     #[arg(long, value_name = "FILE")]
     scenario: Option<PathBuf>,
-    /// Print the process's report as one JSON object when its loop is over
+    /// Print the process's report as one JSON object when its loop has ended
     #[arg(long)]
     json: bool,
 }
 
 /// Runs one process of a run: parses the command line, joins the run as `role`, and calls `work`. `about` is
-/// one sentence for `--help`. The exit code is that of the error ([`RuntimeError::exit_code`]), or success.
+/// one sentence for `--help`. On an error, prints it and returns its exit code ([`RuntimeError::exit_code`]).
 pub fn main<R: Serialize>(
     role: Role,
     about: &'static str,
@@ -64,15 +66,15 @@ pub fn main<R: Serialize>(
             ExitCode::SUCCESS
         }
         Err(error) => {
-            say(&format!("{}: {error}", program()));
+            print_error_line(&format!("{}: {error}", program()));
             ExitCode::from(error.exit_code())
         }
     }
 }
 
 /// Writes a line to standard error. Unlike `eprintln!`, it does not panic when standard error cannot be written
-/// (a full disk, a reader that has left), so that the process still ends as intended.
-pub fn say(line: &str) {
+/// (the disk is full, the reader of a pipe has closed it), so that the process still ends with its exit code.
+pub fn print_error_line(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 

@@ -1,4 +1,5 @@
-//! The names of the programs that the package installs and that other parts of it start or recognise.
+//! Names of the installed programs that the launcher starts, and of the simulator, which the scenario's checks
+//! must recognise.
 
 use std::path::Path;
 
@@ -9,7 +10,7 @@ pub(crate) const CONTROLLER: &str = "tectum-controller";
 /// The logger.
 pub(crate) const LOGGER: &str = "tectum-logger";
 
-/// Whether the plant's program is the package's simulator, in whatever folder it is installed.
+/// Whether the plant's program is the package's simulator. Only the file name counts, not the folder.
 pub(crate) fn is_simulator(program: &str) -> bool {
     Path::new(program).file_name().is_some_and(|name| name == SIMULATOR)
 }

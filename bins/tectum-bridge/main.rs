@@ -12,7 +12,7 @@ use std::sync::atomic::Ordering;
 use clap::{Parser, Subcommand};
 use tectum::channel::VisionReceiver;
 use tectum::clock::{monotonic_ns, pause};
-use tectum::process::say;
+use tectum::process::print_error_line;
 use tectum::runtime::{Participant, RuntimeError, exit, run_plant};
 use tectum::servo::bridge::{Bridge, joints_of};
 use tectum::servo::bus::{Bus, BusBudget, BusError};
@@ -70,7 +70,7 @@ fn main() -> ExitCode {
             Err(problem) => problem,
         },
     };
-    say(&format!("tectum-bridge: {text}"));
+    print_error_line(&format!("tectum-bridge: {text}"));
     ExitCode::from(code)
 }
 
@@ -101,14 +101,16 @@ fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
     let bus = open_bus(&port, config.protocol, config.baud, Bridge::budget(&participant.plan))
         .map_err(|e| bad(e.to_string()))?;
     let _guard = Helper::start(&mut guard::command(&port, config.protocol, config.baud, &ids)).map_err(bad)?;
-    let tell = Box::new(|text: &str| say(&format!("tectum-bridge: {text}")));
+    let tell = Box::new(|text: &str| print_error_line(&format!("tectum-bridge: {text}")));
     let mut bridge = Bridge::new(&participant.plan, bus, joints, tell).map_err(|error| bad(error.to_string()))?;
     bridge.write_report_to(participant.folder.join("bridge.json"));
     if arguments.arm || config.armed {
         bridge.arm().map_err(|error| bad(format!("not armed: {error}")))?;
     } else {
-        say("tectum-bridge: read-only; --arm, armed = true under [plant.servos], \
-             or a and Enter at its own terminal arm it");
+        print_error_line(
+            "tectum-bridge: read-only; --arm, armed = true under [plant.servos], \
+             or a and Enter at its own terminal arm it",
+        );
     }
     if participant.plan.scenario.vision().is_some() {
         let mut receiver = VisionReceiver::open(
@@ -118,7 +120,9 @@ fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
         )
         .map_err(|error| own(error.into()))?;
         bridge.set_vision_source(Box::new(move || receiver.receive()));
-        say("tectum-bridge: target and end-effector come from a tracker; until it is there the arm stands still");
+        print_error_line(
+            "tectum-bridge: target and end-effector come from a tracker; until it is there the arm stands still",
+        );
     }
     arm_from_terminal(&bridge);
     let report = run_plant(participant, bridge).map_err(own)?;

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use tectum::log;
-use tectum::process::say;
+use tectum::process::print_error_line;
 use tectum::report::figure;
 use tectum::runtime::exit;
 use tectum::study::analyse::{AnalyseError, Analysis, analyse};
@@ -41,7 +41,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
             ExitCode::from(exit::OK)
         }
         Err(error) => {
-            say(&format!("tectum: {error}"));
+            print_error_line(&format!("tectum: {error}"));
             ExitCode::from(exit::INPUT)
         }
     }

@@ -7,7 +7,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use tectum::bench::{
     self, AllBenches, BenchError, CallsSettings, CostsOutcome, LatencySettings, LockstepSettings, Pace, Transport,
 };
-use tectum::process::say;
+use tectum::process::print_error_line;
 
 use super::print;
 use super::tick_count::tick_count;
@@ -173,7 +173,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
             ExitCode::SUCCESS
         }
         Err(error) => {
-            say(&format!("tectum: {error}"));
+            print_error_line(&format!("tectum: {error}"));
             ExitCode::from(error.exit_code())
         }
     }

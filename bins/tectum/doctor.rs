@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use tectum::doctor::{Verdict, examine};
-use tectum::process::say;
+use tectum::process::print_error_line;
 use tectum::runtime::exit;
 
 use super::print;
@@ -33,7 +33,7 @@ pub struct Arguments {
 
 pub fn main(arguments: &Arguments) -> ExitCode {
     if arguments.seconds > 0 && std::io::stderr().is_terminal() {
-        say(&format!("measuring wake-up lateness for {} s", arguments.seconds));
+        print_error_line(&format!("measuring wake-up lateness for {} s", arguments.seconds));
     }
     // The default folder of runs, whose disk must have room.
     let runs = Path::new("runs");

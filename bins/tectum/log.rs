@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
 use tectum::log::{CsvChannel, LogError, LogInfo, Repair, RunLog, csv, find, repair};
-use tectum::process::say;
+use tectum::process::print_error_line;
 use tectum::runtime::exit;
 
 use super::print;
@@ -102,7 +102,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     match result {
         Ok(()) => ExitCode::from(exit::OK),
         Err(error) => {
-            say(&format!("tectum: {error}"));
+            print_error_line(&format!("tectum: {error}"));
             ExitCode::from(exit::INPUT)
         }
     }
@@ -147,7 +147,10 @@ fn export(segments: &[PathBuf], channel: CsvChannel, out: Option<&Path>) -> Resu
         done => drop(done.map_err(failed)??),
     }
     if !log.finished() {
-        say(&format!("tectum: the log {} was cut off; it was exported as far as it goes", log.path().display()));
+        print_error_line(&format!(
+            "tectum: the log {} was cut off; it was exported as far as it goes",
+            log.path().display()
+        ));
     }
     Ok(())
 }

@@ -16,7 +16,7 @@ use std::io::Write as _;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use tectum::process::say;
+use tectum::process::print_error_line;
 use tectum::study::StudyError;
 
 /// A shared-memory control runtime in which the controller learns on line
@@ -92,7 +92,7 @@ fn study_ended(result: Result<String, StudyError>) -> ExitCode {
             ExitCode::SUCCESS
         }
         Err(error) => {
-            say(&format!("tectum: {error}"));
+            print_error_line(&format!("tectum: {error}"));
             ExitCode::from(error.exit_code())
         }
     }

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 use tectum::log;
-use tectum::process::say;
+use tectum::process::print_error_line;
 use tectum::runtime::exit;
 use tectum::scenario::Rule;
 use tectum::study::replay::{ReplayError, ReplayResult, replay};
@@ -64,14 +64,14 @@ pub fn main(arguments: &Arguments) -> ExitCode {
             print(&if arguments.json { result.to_json() + "\n" } else { result.to_text() });
             match result.failure() {
                 Some(failure) => {
-                    say(&format!("tectum: {failure}"));
+                    print_error_line(&format!("tectum: {failure}"));
                     ExitCode::from(exit::ERROR)
                 }
                 None => ExitCode::from(exit::OK),
             }
         }
         Err(error) => {
-            say(&format!("tectum: {error}"));
+            print_error_line(&format!("tectum: {error}"));
             ExitCode::from(exit::INPUT)
         }
     }

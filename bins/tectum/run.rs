@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
-use tectum::process::say;
+use tectum::process::print_error_line;
 use tectum::runtime::Mode;
 use tectum::scenario::Scenario;
 use tectum::supervise::{Launch, LaunchError, RunSummary, resume, run, run_in_process};
@@ -88,7 +88,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
             ExitCode::from(summary.exit_code())
         }
         Err(error) => {
-            say(&format!("tectum: {error}"));
+            print_error_line(&format!("tectum: {error}"));
             ExitCode::from(error.exit_code())
         }
     }
@@ -97,7 +97,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
 fn launch(arguments: &Arguments) -> Result<RunSummary, LaunchError> {
     let launch = plan(arguments)?;
     for warning in &launch.plan.warnings {
-        say(&format!("tectum: warning: {warning}"));
+        print_error_line(&format!("tectum: warning: {warning}"));
     }
     match launch.mode {
         Mode::InProcess => run_in_process(&launch),
@@ -152,7 +152,7 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
 
 fn show(summary: &RunSummary, json: bool) {
     if let Some(failure) = &summary.failure {
-        say(&format!("tectum: {failure}"));
+        print_error_line(&format!("tectum: {failure}"));
     }
     print(&if json { summary.to_json() + "\n" } else { summary.to_text() });
 }

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 use serde_json::json;
-use tectum::process::say;
+use tectum::process::print_error_line;
 use tectum::runtime::exit;
 use tectum::scenario::{Preset, presets};
 
@@ -49,7 +49,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
             }
             Ok(preset) => print(preset.text),
             Err(error) => {
-                say(&format!("tectum: {error}"));
+                print_error_line(&format!("tectum: {error}"));
                 return ExitCode::from(exit::INPUT);
             }
         },

@@ -187,7 +187,7 @@ class Run:
         """Whether the launcher has ended. A killed launcher cannot announce its end."""
         return bool(select.select([self.launcher], [], [], 0)[0])
 
-    def over(self):
+    def run_ended(self):
         return self.control.get().phase >= STOP or self.orphaned()
 
 
@@ -205,7 +205,7 @@ class Tracker:
         except Exception as cause:
             raise Refused(f"the run has no place for another tracker: {error_text(cause)}", 1) from None
 
-    def see(self, sensed_ns, target, end):
+    def publish(self, sensed_ns, target, end):
         """Publishes their positions, m, in a picture taken at `sensed_ns` (`time.monotonic_ns()`: CLOCK_MONOTONIC)."""
         self.sample.target, self.sample.end = tuple(target), tuple(end)
         header = self.sample.header

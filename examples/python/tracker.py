@@ -29,7 +29,7 @@ except tectum.Refused as cause:
 
 arm = run.settings["plant"]["arm"]
 draw, target, shown = random.Random(f"{run.seed}/tracker"), None, -1
-while not run.over():
+while not run.run_ended():
     newest = None
     while (observation := observations.receive()) is not None:
         newest = observation
@@ -42,5 +42,5 @@ while not run.over():
             direction = angle if arm["angles"] == "absolute" else direction + angle
             end = [end[0] + length * math.cos(direction), end[1] + length * math.sin(direction)]
         about = [[x + draw.gauss(0.0, arguments.noise) for x in at] for at in (target, end)]
-        tracker.see(newest.header.sensed_ns, *about)  # the picture is as old as the angles in it
+        tracker.publish(newest.header.sensed_ns, *about)  # the picture is as old as the angles in it
     time.sleep(1.0 / arguments.rate)

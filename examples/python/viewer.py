@@ -24,7 +24,7 @@ except tectum.Refused as cause:
 seen, lost, expected, rewards, shown = 0, 0, None, 0.0, time.monotonic()
 over = False
 while not over:
-    over = run.over()  # checked before the channel, so that everything sent until then is still received
+    over = run.run_ended()  # checked before the channel, so that everything sent until then is still received
     while (observation := observations.receive()) is not None:
         sequence = observation.header.sequence
         lost += 0 if expected is None else max(sequence - expected, 0)

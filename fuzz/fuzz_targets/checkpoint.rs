@@ -1,5 +1,6 @@
-//! Any bytes are a checkpoint or an error that names the file; and what is a checkpoint is what would be written again, and
-//! either fits a plant or is refused.
+//! Any bytes either parse as a checkpoint or give an error that names the file. A parsed checkpoint either
+//! restores into a plant or is refused with such an error. (The parser itself checks that writing the
+//! checkpoint again gives the same bytes.)
 
 #![no_main]
 

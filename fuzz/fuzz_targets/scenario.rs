@@ -1,4 +1,5 @@
-//! Any text is a scenario or an error that says something; a scenario that passed is the same one after a round trip.
+//! Any text either parses and plans as a scenario or gives an error with a message. A valid scenario that is
+//! written and parsed again has the same hash.
 
 #![no_main]
 

@@ -1,4 +1,5 @@
-//! Any bytes at any instants are borne by an emulated chain of servos, and what it answers comes in the order of time.
+//! An emulated chain of servos accepts any bytes at any instants without a panic, and its answers are ordered
+//! by time.
 
 #![no_main]
 

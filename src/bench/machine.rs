@@ -8,7 +8,7 @@ use std::path::Path;
 use rustix::thread::{CpuSet, sched_getaffinity};
 use serde::Serialize;
 
-use crate::clock::{facts, wall_ns};
+use crate::clock::{machine_facts, wall_ns};
 use crate::doctor::{Check, Verdict, examine};
 use crate::text::utc_minute;
 
@@ -45,7 +45,7 @@ impl Machine {
             })
             .collect();
         Self {
-            facts: facts(),
+            facts: machine_facts(),
             checks: examine(false, 0, folder).checks,
             cores: cores(),
             last_level_cache_kib: last_level_cache() >> 10,

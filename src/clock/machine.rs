@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 /// Kernel, architecture, host, cores, processor and memory, as far as the system reports them.
-pub(crate) fn facts() -> BTreeMap<String, String> {
+pub(crate) fn machine_facts() -> BTreeMap<String, String> {
     let mut facts = BTreeMap::new();
     let mut put = |key: &str, value: String| facts.insert(key.to_owned(), value);
     let uname = rustix::system::uname();

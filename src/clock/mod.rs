@@ -15,7 +15,7 @@ mod source;
 
 pub(crate) use holders::processes_mapping;
 pub(crate) use limits::{lock_limit, lock_remedy, priority_limit, priority_remedy};
-pub(crate) use machine::facts;
+pub(crate) use machine::machine_facts;
 pub use process_handle::ProcessHandle;
 pub(crate) use realtime::set_fifo_priority;
 pub use realtime::{RealtimeGranted, RealtimeRefusal, RealtimeReport, RealtimeRequest};

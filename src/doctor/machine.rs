@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 
 use super::{Check, bytes};
-use crate::clock::{facts, lock_limit, lock_remedy, priority_limit, priority_remedy};
+use crate::clock::{lock_limit, lock_remedy, machine_facts, priority_limit, priority_remedy};
 
 /// The programs that a remedy applies to; capabilities are set for each program file.
 const PROGRAMS: &str =
@@ -18,7 +18,7 @@ pub(super) fn checks() -> Vec<Check> {
     let (swap, free) = (system.totalswap as u64 * unit, system.freeswap as u64 * unit);
     vec![
         kernel(
-            facts().get("kernel").map_or("unknown", String::as_str),
+            machine_facts().get("kernel").map_or("unknown", String::as_str),
             &read("/proc/version"),
             read("/sys/kernel/realtime") == "1",
         ),

@@ -18,29 +18,29 @@ pub struct InProcess {
     pub policy: LinearPolicy,
 }
 
-/// Runs `plan` with the plant `body`: the same ticks in the same order as three processes in lockstep. `watch`
-/// is called every 4096 ticks with the ticks done and the statistics so far. When it returns false, the run
-/// ends there.
-pub fn in_process<P: Plant>(plan: &Plan, body: P, mut watch: impl FnMut(u64, &RunStatistics) -> bool) -> InProcess {
-    in_process_seen(plan, body, |observation, controller| {
+/// Runs `plan` with the plant `body`: the same ticks in the same order as three processes in lockstep.
+/// `progress` is called every 4096 ticks with the ticks done and the statistics so far. When it returns false,
+/// the run ends there.
+pub fn in_process<P: Plant>(plan: &Plan, body: P, mut progress: impl FnMut(u64, &RunStatistics) -> bool) -> InProcess {
+    in_process_with_observer(plan, body, |observation, controller| {
         let tick = observation.header.tick;
-        !tick.is_multiple_of(4096) || watch(tick, controller.statistics())
+        !tick.is_multiple_of(4096) || progress(tick, controller.statistics())
     })
 }
 
-/// Like [`in_process`], with a call of `see` in every tick: it gets the observation before the controller
-/// answers it. When it returns false, the run ends there.
-pub fn in_process_seen<P: Plant>(
+/// Like [`in_process`], with a call of `observer` in every tick. It gets the observation before the controller
+/// responds to it. When it returns false, the run ends there.
+pub fn in_process_with_observer<P: Plant>(
     plan: &Plan,
     body: P,
-    mut see: impl FnMut(&Observation, &Controller) -> bool,
+    mut observer: impl FnMut(&Observation, &Controller) -> bool,
 ) -> InProcess {
     let mut side = PlantSide::new(body, plan);
     let mut controller = Controller::new(plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     for tick in 0..plan.scenario.ticks {
         side.observe(tick, 0, 0, &mut observation);
-        if !see(&observation, &controller) {
+        if !observer(&observation, &controller) {
             break;
         }
         controller.respond(&observation, &mut command);

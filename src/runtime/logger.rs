@@ -9,7 +9,7 @@ use super::faults::FaultyChannel;
 use super::merge::{LogMerger, MergeOutcome};
 use super::{LoggerReport, Mode, Participant, ResumePoint, RuntimeError, Session, read_realtime};
 use crate::channel::{ChannelError, LoggerPorts, Receiver};
-use crate::clock::{TimeSource, facts, monotonic_ns, pause, wall_ns};
+use crate::clock::{TimeSource, machine_facts, monotonic_ns, pause, wall_ns};
 use crate::log::{LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWriter, segment_path};
 use crate::scenario::FaultChannel;
 use crate::wire::{Learning, ProcessState, Role, Status};
@@ -211,7 +211,7 @@ fn receive_learning(
 fn header(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> LogHeader {
     let participant = &session.participant;
     let (plan, manifest) = (&participant.plan, &participant.manifest);
-    let mut header = LogHeader::new(plan, manifest.run_id(), manifest.mode.name(), facts());
+    let mut header = LogHeader::new(plan, manifest.run_id(), manifest.mode.name(), machine_facts());
     header.segment = LogSegment { number: session.incarnation(), ..recovered.segment };
     if manifest.mode == Mode::Realtime {
         header.clock = LogClock::Monotonic;

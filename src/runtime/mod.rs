@@ -32,25 +32,27 @@ mod target_statistics;
 mod tracker;
 mod wire_manifest;
 
+pub use crate::channel::{ChannelError, DomainName};
+pub use crate::stats::Window;
 pub use budget::{SlackPercentiles, TickBudget};
 pub use controller::Controller;
 pub use controller_loop::run_controller;
 pub use error::{RuntimeError, exit};
 pub(crate) use faults::FaultyChannel;
 pub use gate::{Applied, CommandRange, CommandRanges, Gate};
-pub use in_process::{InProcess, in_process, in_process_seen};
+pub use in_process::{InProcess, in_process, in_process_with_observer};
 pub use logger::run_logger;
 pub use participant::{EndReason, Mode, Participant, ResumePoint, RunManifest, Session, identity};
 pub use plant::PlantSide;
 pub use plant_loop::run_plant;
-pub use policy_snapshots::{
+pub(crate) use policy_snapshots::{
     FIRST_LOOK_S, PolicySnapshot, SnapshotSchedule, change_ticks, read_snapshots, snapshot_path, ticks_in,
 };
 pub use reports::{ControllerReport, LoggerReport, PlantReport};
-pub(crate) use reports::{read as read_report, read_realtime, realtime_path, sweep_drafts};
+pub(crate) use reports::{read as read_report, read_realtime, realtime_path, remove_unwritten_reports};
 pub(crate) use statistics::Switch;
 pub use statistics::{FinishedStatistics, RunStatistics, Snapshot};
 pub(crate) use stopwatch::tick_times;
-pub use target_statistics::{TargetResult, TargetsAround, WINDOW_TARGETS};
+pub use target_statistics::{TargetResult, TargetsAround};
 pub use tracker::Tracker;
 pub use wire_manifest::{Services, WireManifest};

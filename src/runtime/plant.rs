@@ -110,7 +110,7 @@ impl<P: Plant> PlantSide<P> {
         }
         let ranges = self.gate.command_ranges(|| self.body.joints());
         let mut applied = self.gate.pass(received.as_ref(), self.known_ranges.as_ref().or(ranges.as_ref()));
-        if act && self.body.acts_within().is_some() {
+        if act && self.body.command_deadline_ns().is_some() {
             let before = applied.command;
             applied.flags |= self.body.act(tick, &mut applied.command[..self.outputs], applied.flags);
             if applied.command != before {
@@ -138,15 +138,15 @@ impl<P: Plant> PlantSide<P> {
         self.outcome = self.body.advance(tick, &self.applied[..self.outputs]);
     }
 
-    /// How long the plant waits for a tick's command within that tick, ns ([`Plant::acts_within`]).
-    pub fn acts_within(&self) -> Option<u64> {
-        self.body.acts_within()
+    /// How long the plant waits for a tick's command within that tick, ns ([`Plant::command_deadline_ns`]).
+    pub fn command_deadline_ns(&self) -> Option<u64> {
+        self.body.command_deadline_ns()
     }
 
     /// Advances the plant by the ticks from `tick` up to but without `until`, which the loop skipped because it
     /// was late.
     pub fn skip(&mut self, tick: u64, until: u64) {
-        if self.body.acts_within().is_some() {
+        if self.body.command_deadline_ns().is_some() {
             // Hardware has moved through all skipped ticks by now, so it acts and is read only once.
             for tick in tick..until {
                 self.apply(tick, None, tick + 1 == until);
@@ -169,7 +169,7 @@ impl<P: Plant> PlantSide<P> {
         let skip = if skipped > 0 { flag::SKIPPED } else { 0 };
         let target = if fresh { flag::NEW_TARGET } else { 0 };
         observation.header.tick = tick;
-        observation.header.flags = self.flags | self.body.remarks() | more | skip | target;
+        observation.header.flags = self.flags | self.body.sensing_flags() | more | skip | target;
         observation.applied = self.applied;
         observation.reward = self.outcome.reward;
         observation.measures = self.outcome.measures;

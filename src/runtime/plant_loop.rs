@@ -367,7 +367,7 @@ impl<P: Plant> PlantLoop<P> {
     /// it on.
     fn act(&mut self) -> Result<(), RuntimeError> {
         self.acted = false;
-        if let Some(within) = self.state.side.acts_within() {
+        if let Some(within) = self.state.side.command_deadline_ns() {
             let until = self.time.scheduled(self.tick) + within;
             while !self.inbox.poll_for(&self.ports.command, self.tick)
                 && self.time.now() < until

@@ -181,8 +181,8 @@ pub(super) fn reserve_space(folder: &Path, role: Role) {
     }
 }
 
-/// Removes the reserved space of processes that ended without a report.
-pub(crate) fn sweep_drafts(folder: &Path) {
+/// Removes the reserved space (`*.json.part`) of processes that ended without writing their report.
+pub(crate) fn remove_unwritten_reports(folder: &Path) {
     for role in Role::ALL {
         let _ = std::fs::remove_file(draft_of(&report_path(folder, role)));
     }

@@ -17,7 +17,7 @@ use crate::state::{Persist, StateVisitor};
 use crate::stats::number_or_nan;
 
 /// Targets kept before, and after, a tick.
-pub const WINDOW_TARGETS: usize = 10;
+const WINDOW_TARGETS: usize = 10;
 /// Changes of the arm that are looked at; those beyond are not.
 const MOST_CHANGES: usize = 8;
 

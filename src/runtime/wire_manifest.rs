@@ -1,5 +1,5 @@
-//! What a program in another language needs to join a run, as plain JSON in the run's manifest. So such a
-//! program need neither read TOML nor compute a hash. `docs/wire.md` describes its use.
+//! The part of a run's manifest that a program in another language needs to join the run. It is plain JSON, so
+//! such a program need neither read TOML nor compute a hash. `docs/wire.md` describes its use.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -24,7 +24,7 @@ pub struct WireManifest {
     pub scenario: String,
     /// The run's build.
     pub build: String,
-    /// Hash of the build as on the boards, hexadecimal.
+    /// Hash of the build, as the status boards have it, hexadecimal.
     pub build_hash: String,
     /// Names of the run's services.
     pub services: Services,
@@ -49,14 +49,14 @@ pub struct Services {
     pub command: String,
     /// Learning records.
     pub learning: String,
-    /// Measurements of trackers, where the scenario has such a channel.
+    /// Measurements of trackers; absent in a scenario without trackers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision: Option<String>,
     /// The event that wakes the controller. Its attributes identify the run.
     pub wake: String,
-    /// The launcher's board.
+    /// The launcher's status board.
     pub control: String,
-    /// The boards of plant, controller and logger.
+    /// The status boards of plant, controller and logger.
     pub boards: [String; 3],
 }
 

@@ -1,10 +1,11 @@
-//! What the checks of all tables share: numbers in a range, names, lists, and how a value is shown in a message.
+//! Helpers that the checks of all tables share: numbers in a range, names, lists, and the text of a value in a
+//! message.
 
 use std::{collections::HashSet, fmt::Display, ops::RangeInclusive};
 
-use super::{SignalConfig, error::Violation, error::either, error::quoted, limits};
+use super::{SignalConfig, error::Violation, error::quoted, error::word_list, limits};
 
-/// A number in a range; NaN is in none.
+/// Checks that a number is in a range. NaN is in no range.
 pub(super) fn number(
     key: impl Display,
     value: f64,
@@ -14,7 +15,7 @@ pub(super) fn number(
     if range.contains(&value) { Ok(()) } else { Err(Violation::value(key, show(value), remedy)) }
 }
 
-/// A whole number of ticks.
+/// Checks a number of ticks, from `least` to [`limits::MAX_TICK`].
 pub(super) fn ticks(key: impl Display, value: u64, least: u64) -> Result<(), Violation> {
     if (least..=limits::MAX_TICK).contains(&value) {
         return Ok(());
@@ -22,41 +23,45 @@ pub(super) fn ticks(key: impl Display, value: u64, least: u64) -> Result<(), Vio
     Err(Violation::value(key, value, format_args!("give {least} to 1000000000000 ticks")))
 }
 
-/// Two ends of a range, `[low, high]`.
-pub(super) fn ordered(key: &str, [low, high]: [f64; 2], most: f64) -> Result<(), Violation> {
-    let ends = -most..=most;
+/// Checks the two ends of a range: `low` below `high`, both at most `limit` in magnitude.
+pub(super) fn range_ends(key: &str, [low, high]: [f64; 2], limit: f64) -> Result<(), Violation> {
+    let ends = -limit..=limit;
     if ends.contains(&low) && ends.contains(&high) && low < high {
         return Ok(());
     }
     let value = format!("[{}, {}]", show(low), show(high));
-    let remedy = format!("give the lower end and then the upper one, between {} and {}", show(-most), show(most));
+    let remedy = format!("give the lower end and then the upper one, between {} and {}", show(-limit), show(limit));
     Err(Violation::value(key, value, remedy))
 }
 
+/// Checks one end of a signal's range.
 pub(super) fn range_end(key: impl Display, value: f64) -> Result<(), Violation> {
     number(key, value, -limits::RANGE..=limits::RANGE, "give a number from -1e9 to 1e9")
 }
 
+/// Checks the name of a signal or measure.
 pub(super) fn signal_name(key: &str, name: &str) -> Result<(), Violation> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
-    named(key, name, limits::NAME_CHARS, allowed, "letters, digits, _, -, . and /")
+    checked_name(key, name, limits::NAME_CHARS, allowed, "letters, digits, _, -, . and /")
 }
 
-pub(super) fn named(
+/// Checks a name: 1 to `max_chars` characters, all of them `allowed`. The message describes these as
+/// `allowed_text`.
+pub(super) fn checked_name(
     key: impl Display,
     name: &str,
-    most: usize,
+    max_chars: usize,
     allowed: impl Fn(char) -> bool,
-    words: &str,
+    allowed_text: &str,
 ) -> Result<(), Violation> {
-    if !name.is_empty() && name.chars().count() <= most && name.chars().all(allowed) {
+    if !name.is_empty() && name.chars().count() <= max_chars && name.chars().all(allowed) {
         return Ok(());
     }
-    Err(Violation::value(key, quoted(name), format_args!("give 1 to {most} characters out of {words}")))
+    Err(Violation::value(key, quoted(name), format_args!("give 1 to {max_chars} characters out of {allowed_text}")))
 }
 
-/// Names in a list that must all differ.
-pub(super) fn different(list: &str, suffix: &str, names: &[impl AsRef<str>]) -> Result<(), Violation> {
+/// Checks that no name occurs twice in a list. The key of entry `i` is `{list}[{i}]{suffix}`.
+pub(super) fn unique_names(list: &str, suffix: &str, names: &[impl AsRef<str>]) -> Result<(), Violation> {
     let mut seen = HashSet::new();
     for (i, name) in names.iter().enumerate() {
         let name = name.as_ref();
@@ -72,22 +77,22 @@ pub(super) fn different(list: &str, suffix: &str, names: &[impl AsRef<str>]) -> 
     Ok(())
 }
 
-/// Three significant digits, for numbers that we worked out and nobody wrote.
+/// Rounds to three significant digits, for computed numbers in a message.
 pub(super) fn rounded(value: f64) -> f64 {
     format!("{value:.2e}").parse().unwrap_or(value)
 }
 
-/// A number as TOML writes it, short even if it is huge.
+/// A number in TOML's notation. Huge numbers have an exponent.
 pub(super) fn show(value: f64) -> String {
     let text = format!("{value:?}");
-    // `inf` and `NaN` are Rust's words; TOML says `nan`.
+    // Rust writes `NaN`, TOML `nan`; both write `inf`.
     if value.is_nan() { "nan".to_owned() } else { text.strip_suffix(".0").map(str::to_owned).unwrap_or(text) }
 }
 
-/// The number of the input that has this name.
+/// The index of the input with this name, or a message that lists the plant's inputs.
 pub(super) fn known_input(key: impl Display, name: &str, inputs: &[SignalConfig]) -> Result<usize, Violation> {
     inputs.iter().position(|input| input.name == name).ok_or_else(|| {
         let names: Vec<_> = inputs.iter().map(|input| &input.name).collect();
-        Violation::value(key, quoted(name), format!("the plant's inputs are {}", either(&names, "and")))
+        Violation::value(key, quoted(name), format!("the plant's inputs are {}", word_list(&names, "and")))
     })
 }

@@ -1,5 +1,5 @@
-//! `[plant.emulator]`: what the emulated chain of servos is like, and the checks of it. Left out, it is ideal: as fast as it is told to
-//! be, without delay, noise or faults.
+//! Checks of `[plant.emulator]`, the properties of an emulated chain of servos. By default the chain is ideal:
+//! it follows any commanded speed, without delay, noise or faults.
 
 use tectum_servo::model::MODELS;
 
@@ -7,7 +7,7 @@ use super::check::{number, show};
 use super::error::{Violation, quoted};
 use super::{EmulatorConfig, ServoFault, ServoFaultKind, limits};
 
-/// Checks what the types cannot say.
+/// Checks ranges and the model's name.
 pub(super) fn check(emulator: &EmulatorConfig) -> Result<(), Violation> {
     let key = |name: &str| format!("plant.emulator.{name}");
     if let Some(name) = &emulator.model
@@ -32,10 +32,10 @@ pub(super) fn check(emulator: &EmulatorConfig) -> Result<(), Violation> {
             format_args!("has {} entries; give at most 16", emulator.faults.len()),
         ));
     }
-    emulator.faults.iter().enumerate().try_for_each(|(i, one)| fault(&key(&format!("faults[{i}]")), one))
+    emulator.faults.iter().enumerate().try_for_each(|(i, fault)| check_fault(&key(&format!("faults[{i}]")), fault))
 }
 
-fn fault(key: &str, fault: &ServoFault) -> Result<(), Violation> {
+fn check_fault(key: &str, fault: &ServoFault) -> Result<(), Violation> {
     if fault.probability.is_none() && fault.from_s.is_none() && fault.until_s.is_none() {
         let text = "says neither how likely it is nor when; give probability, or from_s and until_s, or all of them";
         return Err(Violation::new(key, text));
@@ -76,32 +76,32 @@ fn fault(key: &str, fault: &ServoFault) -> Result<(), Violation> {
 mod tests {
     use super::*;
 
-    fn refused(text: &str) -> String {
+    /// The violation that `check` reports for this table.
+    fn violation(text: &str) -> String {
         let table: EmulatorConfig = toml::from_str(text).expect("a table");
-        let problem = check(&table).expect_err("a problem");
-        format!("{problem:?}")
+        format!("{:?}", check(&table).expect_err("a violation"))
     }
 
     #[test]
-    fn what_cannot_be_is_refused_by_key_value_and_remedy() {
-        let fault = |rest: &str| refused(&format!("[[faults]]\nkind = \"slow\"\n{rest}"));
-        for (text, said) in [
-            (refused("model = \"MX-28\""), "plant.emulator.model"),
-            (refused("speed = 0.0"), "plant.emulator.speed"),
-            (refused("acceleration = nan"), "plant.emulator.acceleration"),
-            (refused("noise = -1.0"), "plant.emulator.noise"),
-            (refused("latency_us = inf"), "plant.emulator.latency_us"),
+    fn an_invalid_value_is_reported_with_its_key() {
+        let fault = |rest: &str| violation(&format!("[[faults]]\nkind = \"slow\"\n{rest}"));
+        for (message, key) in [
+            (violation("model = \"MX-28\""), "plant.emulator.model"),
+            (violation("speed = 0.0"), "plant.emulator.speed"),
+            (violation("acceleration = nan"), "plant.emulator.acceleration"),
+            (violation("noise = -1.0"), "plant.emulator.noise"),
+            (violation("latency_us = inf"), "plant.emulator.latency_us"),
             (fault(""), "faults[0]"),
             (fault("servo = 254\nprobability = 0.1"), "faults[0].servo"),
             (fault("probability = 0.0"), "faults[0].probability"),
             (fault("from_s = 5.0\nuntil_s = 5.0"), "faults[0].until_s"),
             (fault("from_s = 5.0\ndelay_ms = 0.0"), "faults[0].delay_ms"),
-            (refused("[[faults]]\nkind = \"hot\"\nfrom_s = 1.0\ndelay_ms = 2.0"), "faults[0].delay_ms"),
+            (violation("[[faults]]\nkind = \"hot\"\nfrom_s = 1.0\ndelay_ms = 2.0"), "faults[0].delay_ms"),
         ] {
-            assert!(text.contains(said), "{said}: {text}");
+            assert!(message.contains(key), "{key}: {message}");
         }
         assert!(toml::from_str::<EmulatorConfig>("latency = 1.0").is_err());
         let good = "speed = 5.0\nnoise = 0.5\n[[faults]]\nkind = \"cable-out\"\nservo = 3\nfrom_s = 1.0\nuntil_s = 2.0";
-        check(&toml::from_str(good).expect("a table")).expect("no problem");
+        check(&toml::from_str(good).expect("a table")).expect("a valid table");
     }
 }

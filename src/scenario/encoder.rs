@@ -1,9 +1,9 @@
-//! `[encoder]` as it stands in its file, and its checks.
+//! `[encoder]`: the keys of the table, and their checks.
 
 use serde::{Deserialize, Serialize};
 use tectum_core::serde_pairs::pairs;
 
-use super::check::{different, known_input, number, ordered, rounded, show};
+use super::check::{known_input, number, range_ends, rounded, show, unique_names};
 use super::{Rule, SignalConfig, error::Violation, limits};
 
 /// `[encoder]`: topographic maps, concatenated (section 3.3).
@@ -11,12 +11,13 @@ use super::{Rule, SignalConfig, error::Violation, limits};
 #[serde(deny_unknown_fields)]
 pub struct EncoderConfig {
     /// Scale the concatenated features to unit Euclidean norm.
-    #[serde(default = "yes")]
+    #[serde(default = "enabled")]
     pub normalise: bool,
-    /// Inputs, by name, that are features as they are, behind the maps' and never normalised.
+    /// Names of inputs that are features without a map. They follow the maps' features and are never
+    /// normalised.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub scalars: Vec<String>,
-    /// The maps; at most 64, with at most 65,536 units together; none only beside scalars.
+    /// The maps: at most 64, with at most 65,536 units together. At least one, unless there are scalars.
     pub maps: Vec<MapConfig>,
 }
 
@@ -36,23 +37,23 @@ pub struct MapConfig {
     pub ranges: Vec<[f64; 2]>,
 }
 
-fn yes() -> bool {
+fn enabled() -> bool {
     true
 }
 
-/// Checks the encoder and counts its features.
+/// Checks the encoder and returns the number of its features.
 pub(super) fn check(encoder: &EncoderConfig, inputs: &[SignalConfig]) -> Result<usize, Violation> {
     let maps = &encoder.maps;
     for (i, name) in encoder.scalars.iter().enumerate() {
         known_input(format_args!("encoder.scalars[{i}]"), name, inputs)?;
     }
-    different("encoder.scalars", "", &encoder.scalars)?;
+    unique_names("encoder.scalars", "", &encoder.scalars)?;
     if (maps.is_empty() && encoder.scalars.is_empty()) || maps.len() > limits::MAX_MAPS {
         return Err(Violation::new("encoder.maps", format_args!("has {} maps; give 1 to 64", maps.len())));
     }
     let mut total = 0;
     for (i, map) in maps.iter().enumerate() {
-        // At most 64 maps of 4096 x 4096 units: far from overflow.
+        // Cannot overflow: at most 64 maps of 4096 x 4096 units.
         total += check_map(&format!("encoder.maps[{i}]"), map, inputs)?;
     }
     if total > limits::MAX_FEATURES {
@@ -62,29 +63,31 @@ pub(super) fn check(encoder: &EncoderConfig, inputs: &[SignalConfig]) -> Result<
     Ok(total + encoder.scalars.len())
 }
 
-/// What a rule can do with at most: some work out matrices of the encoder's before they begin.
-pub(super) fn within_reach(rule: Rule, encoder: &EncoderConfig, features: usize) -> Result<(), Violation> {
+/// Checks that the learning rule supports an encoder of this size. Two rules compute matrices over the features
+/// before the first tick, and the work grows with the cube of their size.
+pub(super) fn check_rule(rule: Rule, encoder: &EncoderConfig, features: usize) -> Result<(), Violation> {
     if rule == Rule::NaturalActorCritic && features > limits::METRIC_FEATURES {
-        let text = format!("is natural-actor-critic, for which {features} features are too many; it can do 1024");
+        let text =
+            format!("is natural-actor-critic, for which {features} features are too many; it supports at most 1024");
         return Err(Violation::new("learner.rule", text));
     }
     if rule != Rule::LearnedReward {
         return Ok(());
     }
     if !encoder.scalars.is_empty() {
-        let text = "is given, and the rule learned-reward can do with maps alone; take it out, or give another rule";
+        let text = "is given, and the rule learned-reward supports only maps; take it out, or give another rule";
         return Err(Violation::new("encoder.scalars", text));
     }
     for (i, map) in encoder.maps.iter().enumerate() {
         if let Some(units) = map.units.iter().find(|&&units| units > limits::MODEL_UNITS) {
-            let text = "the rule learned-reward can do with at most 256 units along an input";
+            let text = "the rule learned-reward supports at most 256 units along an input";
             return Err(Violation::value(format_args!("encoder.maps[{i}].units"), units, text));
         }
     }
     Ok(())
 }
 
-/// Checks a map and counts its units.
+/// Checks a map and returns the number of its units.
 fn check_map(key: &str, map: &MapConfig, inputs: &[SignalConfig]) -> Result<usize, Violation> {
     let n = map.inputs.len();
     if !(1..=2).contains(&n) {
@@ -93,11 +96,11 @@ fn check_map(key: &str, map: &MapConfig, inputs: &[SignalConfig]) -> Result<usiz
             format_args!("has {n} entries; a map has 1 or 2 inputs"),
         ));
     }
-    let mut known = Vec::with_capacity(n);
+    let mut map_inputs = Vec::with_capacity(n);
     for (i, name) in map.inputs.iter().enumerate() {
-        known.push(&inputs[known_input(format_args!("{key}.inputs[{i}]"), name, inputs)?]);
+        map_inputs.push(&inputs[known_input(format_args!("{key}.inputs[{i}]"), name, inputs)?]);
     }
-    different(&format!("{key}.inputs"), "", &map.inputs)?;
+    unique_names(&format!("{key}.inputs"), "", &map.inputs)?;
 
     for (list, length) in [("units", map.units.len()), ("ranges", map.ranges.len())] {
         if length != 0 && length != n {
@@ -107,26 +110,26 @@ fn check_map(key: &str, map: &MapConfig, inputs: &[SignalConfig]) -> Result<usiz
         }
     }
     number(format_args!("{key}.radius"), map.radius, limits::RADIUS, "give more than 0 (1e-9 or more), up to 1e9")?;
-    let mut total = 1;
-    for (i, input) in known.into_iter().enumerate() {
+    let mut map_units = 1;
+    for (i, input) in map_inputs.into_iter().enumerate() {
         let units = map.units.get(i).copied().unwrap_or(limits::DEFAULT_UNITS);
         if !limits::UNITS.contains(&units) {
             let remedy = "a map may have 2 to 4096 units along an input";
             return Err(Violation::value(format_args!("{key}.units[{i}]"), units, remedy));
         }
-        total *= units;
+        map_units *= units;
         let [min, max] = map.ranges.get(i).copied().unwrap_or([input.min, input.max]);
-        ordered(&format!("{key}.ranges[{i}]"), [min, max], limits::RANGE)?;
+        range_ends(&format!("{key}.ranges[{i}]"), [min, max], limits::RANGE)?;
         let spacing = (max - min) / (units - 1) as f64;
         if spacing > limits::SPACING_PER_RADIUS * map.radius {
             let remedy = format!(
-                "the units along {} are about {} apart, so that inputs between them would hardly activate any; give a radius of \
-                 at least a tenth of that, or more units",
+                "the units along {} are about {} apart, so that inputs between them would hardly activate any; \
+                 give a radius of at least a tenth of that, or more units",
                 input.name,
                 show(rounded(spacing))
             );
             return Err(Violation::value(format_args!("{key}.radius"), show(map.radius), remedy));
         }
     }
-    Ok(total)
+    Ok(map_units)
 }

@@ -1,7 +1,8 @@
-//! What can be wrong with a scenario, in words: every message names the file, the line or key, the value and the remedy.
+//! Errors in a scenario. Every message names the file, the line or key, the value and the remedy.
 //!
-//! The messages are read by people who edit TOML, not Rust, so that what `serde` says about types is put in TOML's words
-//! here, and every text taken from the file is quoted, cut to a readable length and kept on one line.
+//! The readers of these messages edit TOML, not Rust. Therefore this module translates serde's messages about
+//! types into TOML's terms. Every text taken from the file is quoted, cut to a readable length and kept on one
+//! line.
 
 use std::fmt::{self, Display};
 
@@ -19,9 +20,9 @@ pub enum ScenarioError {
     /// The name is neither a file nor a built-in scenario.
     #[error("there is no scenario {}: {searched}; {remedy}", quoted(.name))]
     UnknownName {
-        /// The name as it was given.
+        /// The name that the caller gave.
         name: String,
-        /// Where it was searched for.
+        /// The places that were searched.
         searched: String,
         /// The nearest names, or all of them.
         remedy: String,
@@ -29,27 +30,27 @@ pub enum ScenarioError {
     /// The file does not exist.
     #[error("{file}: there is no such file; check the path")]
     Missing {
-        /// The path as it was given.
+        /// The path that the caller gave.
         file: String,
     },
     /// The path is a folder.
     #[error("{file}: this is a folder; name a scenario file in it")]
     Folder {
-        /// The path as it was given.
+        /// The path that the caller gave.
         file: String,
     },
-    /// The operating system refuses to give the file.
+    /// The file exists but cannot be read.
     #[error("{file}: the file cannot be read ({source}); check the path and its permissions")]
     Read {
-        /// The path as it was given.
+        /// The path that the caller gave.
         file: String,
-        /// What the operating system says.
+        /// The operating system's error.
         source: std::io::Error,
     },
     /// The file is larger than [`MAX_FILE_BYTES`](super::MAX_FILE_BYTES).
     #[error("{file}: the file is larger than 1 MiB; a scenario is a short TOML file, so check that this is one")]
     TooLarge {
-        /// The path as it was given.
+        /// The path that the caller gave.
         file: String,
     },
     /// The file is not UTF-8.
@@ -63,7 +64,7 @@ pub enum ScenarioError {
     Syntax {
         /// The file and the line.
         place: FilePosition,
-        /// What the TOML parser says.
+        /// The TOML parser's message.
         reason: String,
     },
     /// A key that no table has.
@@ -76,14 +77,14 @@ pub enum ScenarioError {
         /// The nearest known key, or all of them.
         remedy: String,
     },
-    /// A key that has to be there is not.
+    /// A required key is missing.
     #[error("{place}: {key} is missing; {remedy}")]
     MissingKey {
         /// The file and the line of the table.
         place: FilePosition,
         /// The key with its table.
         key: String,
-        /// What to do.
+        /// How to correct it.
         remedy: String,
     },
     /// A value of the wrong type.
@@ -93,29 +94,29 @@ pub enum ScenarioError {
         place: FilePosition,
         /// The key with its table.
         key: String,
-        /// The value, or what kind of value it is.
+        /// The value, or its type.
         value: String,
-        /// What would be right.
+        /// The type that the key takes.
         expected: String,
     },
-    /// A value out of range, or one that does not fit the others.
+    /// A value out of range, or one that contradicts another key.
     #[error("{place}: {key} {problem}")]
     Invalid {
-        /// The file, and the line where the key or its table stands.
+        /// The file, and the line of the key or of its table.
         place: FilePosition,
         /// The key with its table, such as `encoder.maps[0].units[1]`.
         key: String,
-        /// What is wrong with it, and the remedy.
+        /// The problem and the remedy.
         problem: String,
     },
 }
 
-/// A place in a scenario file.
+/// A position in a scenario file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FilePosition {
-    /// The file as it was named.
+    /// The file, as the caller named it.
     pub file: String,
-    /// The line, from 1, where it is known.
+    /// The line, counted from 1; `None` if unknown.
     pub line: Option<usize>,
 }
 
@@ -128,7 +129,7 @@ impl Display for FilePosition {
     }
 }
 
-/// What a check found: the key, and the rest of the sentence.
+/// The problem that a check found: the key, and the rest of the sentence.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Violation {
     pub(super) key: String,
@@ -147,10 +148,10 @@ impl Violation {
     }
 }
 
-/// Longest piece of a file that a message repeats, in characters.
+/// Longest text from a file that a message repeats, characters.
 const MAX_QUOTE: usize = 60;
 
-/// A text from a file in quotes, on one line and at a readable length.
+/// A text from a file: in quotes, on one line, and cut to [`MAX_QUOTE`].
 pub(super) fn quoted(text: &str) -> String {
     if text.chars().nth(MAX_QUOTE).is_none() {
         return format!("{text:?}");
@@ -158,13 +159,13 @@ pub(super) fn quoted(text: &str) -> String {
     format!("{:?}...", text.chars().take(MAX_QUOTE).collect::<String>())
 }
 
-/// A message from elsewhere on one line and at a readable length.
+/// A message of a library, on one line and cut to a readable length.
 fn one_line(message: &str) -> String {
     let clean = |c: char| if c.is_control() { ' ' } else { c };
     message.chars().map(clean).take(4 * MAX_QUOTE).collect::<String>().trim().to_owned()
 }
 
-/// Reads the tables out of a text.
+/// Parses a text into the scenario's tables.
 pub(super) fn tables(source: &ScenarioSource) -> Result<Scenario, ScenarioError> {
     let place =
         |offset: usize| FilePosition { file: source.name().to_owned(), line: Some(line_at(source.text(), offset)) };
@@ -174,29 +175,30 @@ pub(super) fn tables(source: &ScenarioSource) -> Result<Scenario, ScenarioError>
         ScenarioError::Syntax { place: place(error.span().unwrap_or_default().start), reason }
     })?;
     if let Some((key, start)) = list_for_table(document.get_ref()) {
-        let (value, expected) = ("a list".to_owned(), expected_in_words("struct "));
+        let (value, expected) = ("a list".to_owned(), expected_in_toml("struct "));
         return Err(ScenarioError::WrongType { place: place(start), key, value, expected });
     }
     toml::from_str(source.text()).map_err(|error| {
         let span = error.span().unwrap_or_default();
         let key = key_at(document.get_ref(), &span).unwrap_or_default();
-        refused(error.message(), place(span.start), key)
+        from_serde(error.message(), place(span.start), key)
     })
 }
 
-/// Puts what serde says about the value at a key into our words.
-fn refused(message: &str, place: FilePosition, key: String) -> ScenarioError {
+/// Translates serde's message about the value of `key`.
+fn from_serde(message: &str, place: FilePosition, key: String) -> ScenarioError {
     if let Some((unknown, known)) = between(message, "unknown field `", "`, expected ") {
-        // The name may hold dots of its own, so that the table is what is left of the path without it.
+        // The unknown name may contain dots, so the table is the path without the name, not the path up to the
+        // last dot.
         let table = key.strip_suffix(unknown).map_or("", |table| table.trim_end_matches('.'));
-        let remedy = remedy_for_unknown(table, unknown, &listed(known));
-        return ScenarioError::UnknownKey { place, key: joined(table, unknown), remedy };
+        let remedy = remedy_for_unknown(table, unknown, &names_in_backticks(known));
+        return ScenarioError::UnknownKey { place, key: full_key(table, unknown), remedy };
     }
     if let Some(missing) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
-        // The root has no line of its own.
+        // A key missing from the root table has no line.
         let place = if key.is_empty() { FilePosition { line: None, ..place } } else { place };
         let remedy = "this key has no default, so add it".to_owned();
-        return ScenarioError::MissingKey { place, key: joined(&key, missing), remedy };
+        return ScenarioError::MissingKey { place, key: full_key(&key, missing), remedy };
     }
     let key = if key.is_empty() { "the value".to_owned() } else { key };
     if message == "wanted string or table" {
@@ -207,19 +209,17 @@ fn refused(message: &str, place: FilePosition, key: String) -> ScenarioError {
         };
     }
     if let Some((value, known)) = between(message, "unknown variant `", "`, expected ") {
-        let known: Vec<_> = listed(known).into_iter().map(quoted).collect();
-        return ScenarioError::WrongType { place, key, value: quoted(value), expected: either(&known, "or") };
+        let known: Vec<_> = names_in_backticks(known).into_iter().map(quoted).collect();
+        return ScenarioError::WrongType { place, key, value: quoted(value), expected: word_list(&known, "or") };
     }
     let found = between(message, "invalid type: ", ", expected ")
         .or_else(|| between(message, "invalid value: ", ", expected "))
-        .map(|(value, expected)| (found_in_words(value), expected))
+        .map(|(value, expected)| (value_in_toml(value), expected))
         .or_else(|| {
             between(message, "invalid length ", ", expected ").map(|(n, expected)| (format!("a list of {n}"), expected))
         });
     match found {
-        Some((value, expected)) => {
-            ScenarioError::WrongType { place, key, value, expected: expected_in_words(expected) }
-        }
+        Some((value, expected)) => ScenarioError::WrongType { place, key, value, expected: expected_in_toml(expected) },
         None => ScenarioError::Invalid {
             place,
             key,
@@ -228,19 +228,19 @@ fn refused(message: &str, place: FilePosition, key: String) -> ScenarioError {
     }
 }
 
-/// What stands between a prefix and the last separator, and what follows the separator.
+/// The text between a prefix and the last separator, and the text after the separator.
 fn between<'m>(message: &'m str, prefix: &str, separator: &str) -> Option<(&'m str, &'m str)> {
     let (first, second) = message.strip_prefix(prefix)?.rsplit_once(separator)?;
     Some((first, second))
 }
 
 /// The names in backticks in one of serde's lists.
-fn listed(list: &str) -> Vec<&str> {
+fn names_in_backticks(list: &str) -> Vec<&str> {
     list.split('`').skip(1).step_by(2).collect()
 }
 
-/// `a, b or c`
-pub(super) fn either(names: &[impl AsRef<str>], word: &str) -> String {
+/// The names as a list in a sentence: `a, b or c`, where `word` is `or`.
+pub(super) fn word_list(names: &[impl AsRef<str>], word: &str) -> String {
     let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
     match names.split_last() {
         Some((last, [])) => (*last).to_owned(),
@@ -249,7 +249,7 @@ pub(super) fn either(names: &[impl AsRef<str>], word: &str) -> String {
     }
 }
 
-fn joined(table: &str, key: &str) -> String {
+fn full_key(table: &str, key: &str) -> String {
     if table.is_empty() { key.to_owned() } else { format!("{table}.{key}") }
 }
 
@@ -258,14 +258,14 @@ fn remedy_for_unknown(table: &str, unknown: &str, known: &[&str]) -> String {
     let nearest = known.iter().map(|known| (distance(&unknown, known), *known)).min();
     match nearest {
         Some((distance, known)) if distance <= 1 + known.len() / 4 => {
-            format!("did you mean {:?}?", joined(table, known))
+            format!("did you mean {:?}?", full_key(table, known))
         }
         _ if known.len() == 1 => format!("the only key here is {}", known[0]),
-        _ => format!("the keys here are {}", either(known, "and")),
+        _ => format!("the keys here are {}", word_list(known, "and")),
     }
 }
 
-/// Edits (insert, delete, replace, swap of neighbours) between two words.
+/// Edit distance of two words. An edit inserts, deletes or replaces a character, or swaps two neighbours.
 pub(super) fn distance(a: &str, b: &str) -> usize {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
     let mut rows = vec![vec![0; b.len() + 1]; a.len() + 1];
@@ -284,16 +284,16 @@ pub(super) fn distance(a: &str, b: &str) -> usize {
     rows[a.len()][b.len()]
 }
 
-/// serde's name of a value that it found, in TOML's words.
-fn found_in_words(value: &str) -> String {
+/// Translates serde's description of a value that it found into TOML's terms.
+fn value_in_toml(value: &str) -> String {
     match value {
         "sequence" => return "a list".to_owned(),
-        // A date reaches serde as a table of one.
+        // The parser hands a date to serde as a table with one key.
         "map" => return "a table or a date".to_owned(),
         _ => {}
     }
     if let Some(text) = value.strip_prefix("string ") {
-        // In quotes and escaped already, but of any length.
+        // serde has quoted and escaped the text, but not cut it.
         let cut = text.chars().nth(MAX_QUOTE).is_some();
         return if cut { format!("{}...", text.chars().take(MAX_QUOTE).collect::<String>()) } else { text.to_owned() };
     }
@@ -301,8 +301,8 @@ fn found_in_words(value: &str) -> String {
     one_line(value.split('`').nth(1).unwrap_or(value))
 }
 
-/// serde's name of what it expected, in TOML's words.
-fn expected_in_words(expected: &str) -> String {
+/// Translates serde's description of the expected type into TOML's terms.
+fn expected_in_toml(expected: &str) -> String {
     match expected {
         "f64" => "a number".to_owned(),
         "u64" | "u32" | "usize" => "a whole number from 0, written in digits only, such as 12_000_000".to_owned(),

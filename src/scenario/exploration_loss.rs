@@ -1,4 +1,4 @@
-//! The loss that exploration alone causes, which no policy can avoid. It is known for the built-in arm.
+//! The loss that exploration alone causes. No policy can avoid it. It is known for the built-in arm only.
 
 use super::Plan;
 use crate::plant::noise_share;
@@ -21,7 +21,7 @@ mod tests {
     use crate::scenario::Scenario;
 
     #[test]
-    fn the_steps_are_the_arms_share_of_noise_in_every_tick() {
+    fn steps_equal_the_arms_noise_share_in_every_tick() {
         let plan = Scenario::find("arm").unwrap().plan().unwrap();
         let arm = plan.scenario.plant.arm.as_ref().unwrap();
         assert!(!arm.block.is_empty(), "the test needs a joint that blocks");

@@ -1,7 +1,7 @@
-//! `[faults]`: what is made to go wrong in a run, on purpose and the same every time, and the checks of it.
+//! `[faults]`: faults that a run injects on purpose, and their checks. A seed always gives the same faults.
 //!
-//! Faults of channels are injected where a sample is read ([`FaultyChannel`](crate::runtime::Line)); those of processes are carried
-//! out by the run's launcher.
+//! Channel faults act where a sample is received (`FaultyChannel` of `runtime`). The launcher injects process
+//! faults.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,14 +10,15 @@ use super::error::Violation;
 use super::limits;
 use crate::wire::Role;
 
-/// `[faults]`: what goes wrong.
+/// `[faults]`: injected faults.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FaultsConfig {
-    /// Faults of channels. Each is decided for every tick by itself, by its place in the list, the seed and the tick.
+    /// Faults of channels. Whether a fault acts in a tick depends only on its index in this list, the seed and
+    /// the tick.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub channel: Vec<ChannelFault>,
-    /// What happens to processes.
+    /// Faults of processes.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub process: Vec<ProcessFault>,
 }
@@ -26,59 +27,61 @@ pub struct FaultsConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ChannelFault {
-    /// The channel, where it is read: the controller reads observations, the plant commands, the
-    /// logger learning records.
+    /// The channel. The fault acts at its receiver: observations at the controller, commands at the plant,
+    /// learning records at the logger.
     pub channel: FaultChannel,
-    /// What happens to a sample.
+    /// The effect on a sample.
     pub kind: FaultKind,
-    /// How likely it is in each tick, above 0 and up to 1; left out, it happens in every tick from `from` to `until`.
+    /// Probability in each tick, above 0 and up to 1. Left out: every tick from `from` to `until`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
-    /// The first tick in which it may happen; left out, 0.
+    /// The first tick in which the fault may act. Default: 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<u64>,
-    /// The first tick in which it no longer happens; left out, never.
+    /// The first tick in which the fault no longer acts. Default: it acts until the end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<u64>,
-    /// Ticks by which a sample is delayed, after which its duplicate comes, or for which the channel is frozen; left out, 1.
+    /// Ticks of a delay, from a sample to its duplicate, or of a freeze. Default: 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ticks: Option<u64>,
-    /// What `corrupt` writes over the sample's values.
+    /// The value that `corrupt` writes over the sample's values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub value: Option<FaultValue>,
 }
 
-/// The channels that faults can be injected into.
+/// A channel into which faults can be injected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FaultChannel {
-    /// Plant to controller; the log has the observations as they were sent.
+    /// Plant to controller. The log has the observations as they were sent.
     Observation,
-    /// Controller to plant; the log has the commands as they were sent.
+    /// Controller to plant. The log has the commands as they were sent.
     Command,
-    /// Controller to logger: what does not come in its tick is missing from the log, which says so.
+    /// Controller to logger. A record that does not arrive in its tick is missing from the log, and the log
+    /// states it.
     Learning,
 }
 
-/// What can happen to a sample.
+/// The effect of a channel fault on a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FaultKind {
-    /// It comes `ticks` later.
+    /// The sample arrives `ticks` later.
     Delay,
-    /// It never comes.
+    /// The sample never arrives.
     Drop,
-    /// It comes, and `ticks` later once more.
+    /// The sample arrives, and arrives again `ticks` later.
     Duplicate,
-    /// It comes behind the next one.
+    /// The sample arrives after the next one.
     Reorder,
-    /// From this tick on the sample that was read last comes again and again, for `ticks` ticks, and nothing else does.
+    /// For `ticks` ticks from this one on, the channel repeats the sample that was received last and delivers
+    /// no other.
     Freeze,
-    /// It comes with `value` in place of its own: an observation's inputs, a command's outputs.
+    /// The sample arrives with `value` in place of an observation's inputs or a command's outputs.
     Corrupt,
 }
 
-/// What a corrupted sample holds.
+/// The value in a corrupted sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FaultValue {
@@ -88,23 +91,23 @@ pub enum FaultValue {
     Huge,
 }
 
-/// `[[faults.process]]`: something that happens to a process at given ticks.
+/// `[[faults.process]]`: a fault of a process at given ticks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProcessFault {
     /// The process.
     pub process: FaultProcess,
-    /// What happens to it.
+    /// The kind of fault.
     #[serde(rename = "do")]
     pub act: ProcessFaultKind,
-    /// The ticks, in rising order, as the plant's board shows them.
+    /// The ticks, in rising order, as the plant's status board shows them.
     pub at: Vec<u64>,
-    /// How long it is stopped, ms.
+    /// Duration of a stop, ms.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub for_ms: Option<f64>,
 }
 
-/// The processes of a run.
+/// A process of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FaultProcess {
@@ -116,7 +119,7 @@ pub enum FaultProcess {
     Logger,
 }
 
-/// What can happen to a process.
+/// The kind of a process fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ProcessFaultKind {
@@ -124,17 +127,18 @@ pub enum ProcessFaultKind {
     Kill,
     /// SIGSTOP, and SIGCONT after `for_ms`.
     Stop,
-    /// SIGTERM, and a new start.
+    /// SIGTERM, after which the launcher starts the process again.
     Restart,
 }
 
 impl FaultsConfig {
-    /// Whether nothing is made to go wrong.
+    /// Whether there are no faults.
     pub fn is_nothing(&self) -> bool {
         self.channel.is_empty() && self.process.is_empty()
     }
 
-    /// The faults in words, for whoever might take the run for a clean one.
+    /// One line of text per fault. The summary prints them, so that the run is not mistaken for one without
+    /// faults.
     pub fn in_words(&self) -> Vec<String> {
         let channels = self.channel.iter().map(ChannelFault::in_words);
         channels.chain(self.process.iter().map(ProcessFault::in_words)).collect()
@@ -142,13 +146,13 @@ impl FaultsConfig {
 }
 
 impl ChannelFault {
-    /// Ticks of delay, of a duplicate or of a freeze.
+    /// Ticks of a delay, to a duplicate, or of a freeze.
     pub fn ticks(&self) -> u64 {
         self.ticks.unwrap_or(1)
     }
 
     fn in_words(&self) -> String {
-        let mut text = format!("{} {}", word(&self.channel), word(&self.kind));
+        let mut text = format!("{} {}", keyword(&self.channel), keyword(&self.kind));
         if let Some(value) = self.value {
             text += if value == FaultValue::Nan { " (not a number)" } else { " (huge)" };
         }
@@ -168,7 +172,7 @@ impl ChannelFault {
 }
 
 impl FaultKind {
-    /// Whether the key `ticks` says something of it.
+    /// Whether the key `ticks` applies to this kind.
     pub fn takes_ticks(self) -> bool {
         matches!(self, Self::Delay | Self::Duplicate | Self::Freeze)
     }
@@ -176,9 +180,9 @@ impl FaultKind {
 
 impl ProcessFault {
     fn in_words(&self) -> String {
-        let times = self.at.len();
-        let often = if times == 1 { format!("at tick {}", self.at[0]) } else { format!("{times} times") };
-        format!("{} {} {often}", word(&self.process), word(&self.act))
+        let count = self.at.len();
+        let times = if count == 1 { format!("at tick {}", self.at[0]) } else { format!("{count} times") };
+        format!("{} {} {times}", keyword(&self.process), keyword(&self.act))
     }
 }
 
@@ -193,12 +197,12 @@ impl FaultProcess {
     }
 }
 
-/// A word of the file.
-fn word<T: Serialize>(value: &T) -> String {
+/// The name of an enum's variant in the file.
+fn keyword<T: Serialize>(value: &T) -> String {
     serde_json::to_value(value).ok().and_then(|word| word.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
-/// Checks what the types cannot say.
+/// Checks ranges, and that each kind of fault has exactly the keys that apply to it.
 pub(super) fn check(faults: &FaultsConfig) -> Result<(), Violation> {
     for (key, n) in [("faults.channel", faults.channel.len()), ("faults.process", faults.process.len())] {
         if n > limits::MAX_FAULTS {
@@ -215,7 +219,7 @@ pub(super) fn check(faults: &FaultsConfig) -> Result<(), Violation> {
 }
 
 fn channel(key: &str, fault: &ChannelFault) -> Result<(), Violation> {
-    let kind = word(&fault.kind);
+    let kind = keyword(&fault.kind);
     if fault.probability.is_none() && fault.from.is_none() && fault.until.is_none() {
         let text = "says neither how likely it is nor when; give probability, or from and until, or all of them";
         return Err(Violation::new(key, text));
@@ -237,8 +241,8 @@ fn channel(key: &str, fault: &ChannelFault) -> Result<(), Violation> {
         return Err(Violation::value(format_args!("{key}.until"), until, remedy));
     }
     if (fault.channel, fault.kind) == (FaultChannel::Learning, FaultKind::Corrupt) {
-        let text =
-            "is corrupt, on the channel learning; only the log hears that, and must hold what was learned or nothing";
+        let text = "is corrupt, on the channel learning; the log would contain false records, \
+                    so give another kind or another channel";
         return Err(Violation::new(format_args!("{key}.kind"), text));
     }
     match (fault.ticks, fault.kind) {
@@ -268,7 +272,7 @@ fn channel(key: &str, fault: &ChannelFault) -> Result<(), Violation> {
 }
 
 fn process(key: &str, fault: &ProcessFault) -> Result<(), Violation> {
-    if fault.at.is_empty() || fault.at.len() > limits::MAX_STRIKES {
+    if fault.at.is_empty() || fault.at.len() > limits::MAX_FAULT_TICKS {
         let text = format!("has {} entries; give 1 to 1000 ticks", fault.at.len());
         return Err(Violation::new(format_args!("{key}.at"), text));
     }
@@ -287,7 +291,7 @@ fn process(key: &str, fault: &ProcessFault) -> Result<(), Violation> {
             number(format_args!("{key}.for_ms"), ms, limits::STOPPED_MS, "give 1 to 60000 ms")
         }
         (act, Some(_)) => {
-            let text = format!("is given, and {} takes no time; it belongs to stop", word(&act));
+            let text = format!("is given, and {} takes no time; it belongs to stop", keyword(&act));
             Err(Violation::new(format_args!("{key}.for_ms"), text))
         }
         (_, None) => Ok(()),

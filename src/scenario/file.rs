@@ -1,7 +1,7 @@
-//! The scenario as it stands in its TOML file: one struct a table, every key with its unit, every default named.
+//! The scenario file: one struct per table, each key with its unit and default.
 //!
-//! Unknown keys are refused. What the types cannot say (ranges, references between tables) is checked by
-//! [`Scenario::plan`](super::Scenario::plan).
+//! Deserialising refuses unknown keys. [`Scenario::plan`](super::Scenario::plan) checks what types cannot
+//! express: ranges, and references between tables.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,45 +18,46 @@ pub struct Scenario {
     /// Short name, used for the run's folder: letters, digits, `-` and `_`.
     pub name: String,
     /// Seed of every random stream.
-    #[serde(default = "one")]
+    #[serde(default = "default_seed")]
     pub seed: u64,
     /// Period of the tick, ms; 1 to 1000.
-    #[serde(default = "fifty")]
+    #[serde(default = "default_period_ms")]
     pub period_ms: f64,
     /// Ticks of a run; at least 2.
     pub ticks: u64,
-    /// What is controlled.
+    /// The plant.
     pub plant: PlantConfig,
-    /// How inputs become features.
+    /// The encoder, which turns inputs into features.
     pub encoder: EncoderConfig,
-    /// How features become commands.
+    /// The policy, which turns features into commands.
     #[serde(default)]
     pub policy: PolicyConfig,
-    /// How rewards become weights.
+    /// The learner, which changes the policy's weights by rewards.
     #[serde(default)]
     pub learner: LearnerConfig,
-    /// What the plant does with commands that are late, missing or out of range.
+    /// The gate: treatment of commands that are late, missing or out of range.
     #[serde(default)]
     pub gate: GateConfig,
-    /// What is written down.
+    /// The log.
     #[serde(default)]
     pub log: LogConfig,
-    /// The names of the channels.
+    /// Names of the channels.
     #[serde(default)]
     pub channels: ChannelNames,
-    /// What happens when a process dies or hangs.
+    /// Restart policy for processes that die or hang.
     #[serde(default, skip_serializing_if = "RestartConfig::is_usual")]
     pub restart: RestartConfig,
-    /// What each process asks of the operating system in real time.
+    /// Real-time settings that each process requests from the operating system.
     #[serde(default, skip_serializing_if = "RealtimeConfig::is_nothing")]
     pub realtime: RealtimeConfig,
-    /// What the plant does when it cannot keep its own deadlines.
+    /// Treatment of deadlines that the plant itself misses.
     #[serde(default, skip_serializing_if = "OverrunConfig::is_nothing")]
     pub overrun: OverrunConfig,
-    /// What is made to go wrong, on purpose.
+    /// Injected faults.
     #[serde(default, skip_serializing_if = "FaultsConfig::is_nothing")]
     pub faults: FaultsConfig,
-    /// Where the scenario came from, for messages; not a key of the file, not compared and not hashed.
+    /// The origin of the scenario, for messages. It is not a key of the file, and is neither compared nor
+    /// hashed.
     #[serde(skip)]
     pub source: ScenarioSource,
 }
@@ -67,33 +68,33 @@ pub struct Scenario {
 pub struct PolicyConfig {
     /// Standard deviation of the exploration noise, in units of the command.
     pub sigma: f64,
-    /// How the noise is distributed.
+    /// Distribution of the noise.
     pub noise: Noise,
 }
 
-/// `[log]`: what is written down.
+/// `[log]`: which ticks the log contains.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LogConfig {
-    /// Write every N-th tick; 1 writes all.
+    /// The log contains every N-th tick; 1 for all.
     pub every: u64,
-    /// Hash the weights every N-th tick.
+    /// The learning record of every N-th tick contains a hash of the weights.
     pub hash_every: u64,
 }
 
 impl Scenario {
-    /// The name of the channel on which trackers say what they see, if this scenario has one.
+    /// The name of the channel on which trackers publish, if this scenario has one.
     pub fn vision(&self) -> Option<&str> {
-        let looked_at = self.plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model());
-        looked_at.then_some(self.channels.vision.as_str())
+        let has_tracker = self.plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model());
+        has_tracker.then_some(self.channels.vision.as_str())
     }
 }
 
-fn one() -> u64 {
+fn default_seed() -> u64 {
     1
 }
 
-fn fifty() -> f64 {
+fn default_period_ms() -> f64 {
     50.0
 }
 

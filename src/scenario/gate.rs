@@ -1,7 +1,7 @@
-//! `[gate]` and `[overrun]`: what the plant does with commands that are late, missing or out of range, and when it gives
-//! up on its own deadlines; and the checks of both.
+//! `[gate]` and `[overrun]`: how the plant treats commands that are late, missing or out of range, when it ends
+//! the run because it misses its own deadlines, and the checks of both tables.
 //!
-//! Nothing but the rate limit and the hold policy is on unless a file says so.
+//! By default only the limit on the command and the hold policy are active.
 
 use std::fmt;
 
@@ -14,33 +14,33 @@ use super::{PlantConfig, SignalConfig, limits};
 use crate::wire::MAX_OUTPUTS;
 use tectum_core::serde_pairs::pairs;
 
-/// `[gate]`: between a command and the actuators.
+/// `[gate]`: limits between a command and the actuators.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GateConfig {
     /// Largest command in magnitude.
     pub max_command: PerOutput,
-    /// Largest change of the applied command from tick to tick; left out, any.
+    /// Largest change of the applied command from tick to tick. Default: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_step: Option<PerOutput>,
-    /// Least and greatest position of the joint behind each output, rad; empty: no limits of position.
+    /// Least and greatest position of the joint that each output moves, rad. Empty: no position limits.
     #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
     pub positions: Vec<[f64; 2]>,
-    /// Ticks for which the last command is held when none comes.
+    /// Ticks for which the last command is held when none arrives.
     pub hold_ticks: u32,
-    /// Ticks over which it then decays to zero.
+    /// Ticks over which the held command then decays to zero.
     pub decay_ticks: u32,
-    /// Ticks over which the largest command grows to its full size when commands begin to come, or come back.
+    /// Ticks over which the largest command grows to its full size when commands begin, or begin again.
     #[serde(skip_serializing_if = "is_zero")]
     pub ramp_ticks: u32,
 }
 
-/// `[overrun]`: what the plant does when it cannot keep its own deadlines, in real time.
+/// `[overrun]`: what the plant does when it misses its own deadlines in real time.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OverrunConfig {
-    /// Most ticks passed over in a row, without one begun in time between them; with more the plant ends the run. 0: it
-    /// never does.
+    /// Largest number of ticks skipped in a row, with none begun in time between them. With more the plant ends
+    /// the run. 0: no limit.
     pub max_consecutive: u64,
 }
 
@@ -48,9 +48,9 @@ pub struct OverrunConfig {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum PerOutput {
-    /// The same for all.
+    /// The same number for all outputs.
     All(f64),
-    /// In the order of the outputs.
+    /// One number per output, in the order of the outputs.
     Each(Vec<f64>),
 }
 
@@ -59,12 +59,12 @@ impl PerOutput {
     pub fn of(&self, output: usize) -> f64 {
         match self {
             Self::All(value) => *value,
-            // A list that is too short is refused before anybody relies on this.
+            // A list of another length never gets into a plan: `check_outputs` refuses it.
             Self::Each(list) => list.get(output).or(list.last()).copied().unwrap_or(1.0),
         }
     }
 
-    /// The numbers in single precision, for as many outputs as a command can carry.
+    /// The numbers in single precision, for [`MAX_OUTPUTS`] outputs.
     pub fn outputs(&self) -> [f32; MAX_OUTPUTS] {
         std::array::from_fn(|output| self.of(output) as f32)
     }
@@ -74,7 +74,7 @@ impl PerOutput {
         (0..MAX_OUTPUTS).map(|output| self.of(output)).fold(f64::INFINITY, f64::min)
     }
 
-    /// The keys of the numbers, and the numbers.
+    /// Each number with its key.
     fn entries(&self, key: &str) -> Vec<(String, f64)> {
         match self {
             Self::All(value) => vec![(key.to_owned(), *value)],
@@ -140,7 +140,7 @@ fn is_zero(ticks: &u32) -> bool {
     *ticks == 0
 }
 
-/// Checks what can be checked without knowing the outputs.
+/// Checks everything that does not depend on the plant's outputs.
 pub(super) fn check(gate: &GateConfig, overrun: &OverrunConfig) -> Result<(), Violation> {
     let remedy = "give more than 0 (1e-9 or more), up to 1e6";
     let steps = gate.max_step.iter().flat_map(|step| step.entries("gate.max_step"));
@@ -149,7 +149,7 @@ pub(super) fn check(gate: &GateConfig, overrun: &OverrunConfig) -> Result<(), Vi
     }
     for (i, &[low, high]) in gate.positions.iter().enumerate() {
         let range = -limits::POSITION..=limits::POSITION;
-        if !(range.contains(&low) && range.contains(&high) && high - low >= limits::LEAST_COURSE) {
+        if !(range.contains(&low) && range.contains(&high) && high - low >= limits::MIN_POSITION_RANGE) {
             let value = format!("[{}, {}]", show(low), show(high));
             let remedy = "give the least and then the greatest angle, from -1000 to 1000 rad and at least 0.001 apart";
             return Err(Violation::value(format_args!("gate.positions[{i}]"), value, remedy));
@@ -171,8 +171,8 @@ pub(super) fn check(gate: &GateConfig, overrun: &OverrunConfig) -> Result<(), Vi
     Ok(())
 }
 
-/// Checks the lists against the plant's outputs. Of a plant that is not ours only the plant itself knows whether it has
-/// joints; it is asked when it takes its place.
+/// Checks that the lists match the plant's outputs. Whether a plant of another program reports joint positions
+/// is known only when that plant joins the run; it is checked then.
 pub(super) fn check_outputs(gate: &GateConfig, plant: &PlantConfig, outputs: &[SignalConfig]) -> Result<(), Violation> {
     if plant.eye.is_some() && !gate.positions.is_empty() {
         let text = "is given, and the eye has no joints whose positions could be limited; take it out";

@@ -1,4 +1,4 @@
-//! Checks of `[learner]`: constants in range, and no table that the rule would not read.
+//! Checks of `[learner]`: constants in range, and no table that the rule does not use.
 
 use std::ops::RangeInclusive;
 
@@ -14,12 +14,12 @@ pub(super) fn check(learner: &LearnerConfig, signals: &PlantSignals) -> Result<(
     below_one("learner.beta", learner.beta)?;
     number("learner.alpha_over_variance", learner.alpha_over_variance, limits::STEP, "give 0 to 1000")?;
     let rule = learner.rule;
-    for (key, given, read) in [
+    for (key, given, used) in [
         ("learner.baseline", learner.baseline.is_some(), rule == Rule::Baseline),
         ("learner.critic", learner.critic.is_some(), matches!(rule, Rule::ActorCritic | Rule::NaturalActorCritic)),
         ("learner.model", learner.model.is_some(), rule == Rule::LearnedReward),
     ] {
-        if given && !read {
+        if given && !used {
             return Err(Violation::new(
                 key,
                 "is a table that the rule does not read; take it out, or give another rule",
@@ -30,10 +30,10 @@ pub(super) fn check(learner: &LearnerConfig, signals: &PlantSignals) -> Result<(
         number("learner.baseline.ticks", ticks, limits::LEARNER_TICKS, "give 1 to 1e12 ticks")?;
     }
     if let Some(table) = &learner.critic {
-        critic(table)?;
+        check_critic(table)?;
     }
     if rule == Rule::LearnedReward {
-        model(&learner.model.clone().unwrap_or_default(), signals)?;
+        check_model(&learner.model.clone().unwrap_or_default(), signals)?;
     }
     Ok(())
 }
@@ -45,7 +45,7 @@ fn below_one(key: &str, value: f64) -> Result<(), Violation> {
     Err(Violation::value(key, show(value), "give at least 0 and less than 1"))
 }
 
-fn critic(table: &CriticConfig) -> Result<(), Violation> {
+fn check_critic(table: &CriticConfig) -> Result<(), Violation> {
     let key = |name: &str| format!("learner.critic.{name}");
     number(key("step"), table.step, limits::STEP, "give 0 to 1000")?;
     below_one(&key("discount"), table.discount)?;
@@ -59,11 +59,11 @@ fn critic(table: &CriticConfig) -> Result<(), Violation> {
     number(key("regularisation"), table.regularisation, limits::REGULARISATION, "give 1e-6 to 1e6")
 }
 
-fn model(table: &ModelConfig, signals: &PlantSignals) -> Result<(), Violation> {
+fn check_model(table: &ModelConfig, signals: &PlantSignals) -> Result<(), Violation> {
     let key = |name: &str| format!("learner.model.{name}");
     let (inputs, outputs) = (&signals.inputs, signals.outputs.len());
     if inputs.len() > limits::MODEL_INPUTS {
-        let text = format!("is learned-reward, for which {} inputs are too many; it can do 10", inputs.len());
+        let text = format!("is learned-reward, for which {} inputs are too many; it supports at most 10", inputs.len());
         return Err(Violation::new("learner.rule", text));
     }
     if table.moved.is_empty() && inputs.len() < outputs {
@@ -76,10 +76,10 @@ fn model(table: &ModelConfig, signals: &PlantSignals) -> Result<(), Violation> {
     number(key("spread"), table.spread, limits::SPREADS, "give 1e-6 to 1e6")?;
     number(key("smoothness"), table.smoothness, 1e-3..=1.0, "give 0.001 to 1")?;
     number(key("reward_noise"), table.reward_noise, limits::SPREADS, "give 1e-6 to 1e6")?;
-    whole(&key("movements"), table.movements, limits::IMAGINED)?;
-    whole(&key("horizon"), table.horizon, limits::IMAGINED)?;
-    whole(&key("steps"), table.steps, limits::IMAGINED)?;
-    whole(&key("memory"), table.memory, limits::MEMORY)?;
+    whole_number(&key("movements"), table.movements, limits::IMAGINED)?;
+    whole_number(&key("horizon"), table.horizon, limits::IMAGINED)?;
+    whole_number(&key("steps"), table.steps, limits::IMAGINED)?;
+    whole_number(&key("memory"), table.memory, limits::MEMORY)?;
     number(key("last_counts"), table.last_counts, limits::LAST_COUNTS, "give 1 to 1000")?;
     number(key("imagined"), table.imagined, 0.0..=1.0, "give 0 to 1")?;
     number(key("anywhere"), table.anywhere, 0.0..=1.0, "give 0 to 1")?;
@@ -97,7 +97,7 @@ fn model(table: &ModelConfig, signals: &PlantSignals) -> Result<(), Violation> {
     number(key("floor"), table.floor, 0.0..=1.0, "give 0 to 1")
 }
 
-fn whole(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<(), Violation> {
+fn whole_number(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<(), Violation> {
     if range.contains(&value) {
         return Ok(());
     }
@@ -109,7 +109,7 @@ mod tests {
     use super::super::Scenario;
     use super::*;
 
-    /// The message for the built-in arm with this `[learner]`.
+    /// The message for the built-in arm with this `[learner]`; `fine` if it is valid.
     fn message(learner: &str) -> String {
         let mut scenario = Scenario::find("paper").unwrap();
         scenario.learner = toml::from_str(learner).unwrap();
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn presets_are_valid_and_survive_being_written() {
+    fn presets_are_valid_and_parse_back_unchanged() {
         for rule in [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward] {
             let mut scenario = Scenario::find("paper").unwrap();
             scenario.learner = LearnerConfig::preset(rule);
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn the_eye_has_nothing_that_commands_move() {
+    fn the_eye_is_refused_for_a_learned_reward() {
         let mut scenario = Scenario::find("eye").unwrap();
         scenario.learner = LearnerConfig::preset(Rule::LearnedReward);
         let message = scenario.plan().unwrap_err().to_string();
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_settings_are_named() {
+    fn invalid_settings_are_reported_with_their_key() {
         for (learner, expected) in [
             ("rule = \"learned-reward\"", "fine"),
             ("rule = \"actor-critic\"\n[critic]\ndiscount = 1", "learner.critic.discount is 1"),

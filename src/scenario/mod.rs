@@ -1,11 +1,16 @@
-//! Scenario files: TOML in, a validated [`Plan`] out.
+//! Scenario files: reads TOML and returns a validated [`Plan`].
 //!
-//! A scenario says what to run: the plant, the encoder, the policy, the learner, and how long. It is read in
-//! two steps. [`Scenario::load`], [`Scenario::parse`] and [`Scenario::find`] turn text into tables, refusing
-//! unknown keys and wrong types; the caller may then change what the command line overrides (seed, ticks);
-//! and [`Scenario::plan`] checks every number and every reference between tables and fills in what the file
-//! leaves out. Past that point nothing is checked again: a [`Plan`] keeps the bounds in [`limits`]. No input
-//! makes these functions panic.
+//! A scenario describes a run: the plant, the encoder, the policy, the learner, and the number of ticks. It is
+//! read in two steps:
+//!
+//! 1. [`Scenario::load`], [`Scenario::parse`] and [`Scenario::find`] turn text into tables. They refuse unknown
+//!    keys and wrong types.
+//! 2. [`Scenario::plan`] checks every number and every reference between tables, and fills in the keys that the
+//!    file leaves out.
+//!
+//! Between the two steps the caller may change the keys that the command line overrides (seed, ticks). After
+//! them nothing is checked again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions
+//! panic.
 
 mod check;
 mod emulator;
@@ -66,8 +71,8 @@ use plant_signals::signals;
 /// Largest scenario file, bytes.
 pub const MAX_FILE_BYTES: u64 = 1 << 20;
 
-/// A validated scenario: what the processes of a run are built from. Everything in it is finite, in range and
-/// consistent.
+/// A validated scenario, from which the processes of a run are built. All of its values are finite, in range
+/// and consistent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// The scenario with every default filled in.
@@ -82,17 +87,18 @@ pub struct Plan {
     pub measures: Vec<String>,
     /// The encoder's maps, in order, ranges and units resolved.
     pub maps: Vec<Map>,
-    /// The inputs that are features as they are.
+    /// Indices of the inputs that are features without a map.
     pub scalars: Vec<usize>,
-    /// 64-bit hash of the resolved scenario, as compared in the handshake: XXH3 of [`Scenario::to_toml`], so that it
+    /// 64-bit hash of the resolved scenario: XXH3 of [`Scenario::to_toml`]. The handshake compares it. It
     /// covers every setting, seed and ticks included, but neither comments and layout nor the file's name.
     pub hash: u64,
-    /// What is allowed but likely to go wrong, one sentence each: key, value, why, remedy.
+    /// Warnings about settings that are allowed but likely to fail. Each is one sentence with key, value,
+    /// reason and remedy.
     pub warnings: Vec<String>,
 }
 
 impl Plan {
-    /// What the scenario's learner is built for.
+    /// The specification from which the scenario's learner is built.
     pub fn learner_spec(&self) -> LearnerSpec {
         LearnerSpec {
             inputs: self.inputs.clone(),
@@ -105,7 +111,7 @@ impl Plan {
         }
     }
 
-    /// The simulated plant that the scenario names, or `None` when it names another program's.
+    /// The scenario's simulated plant, or `None` when the plant is another program.
     pub fn simulated_plant(&self) -> Option<SimulatedPlant> {
         let (plant, period_s) = (&self.scenario.plant, self.scenario.period_ms / 1000.0);
         SimulatedPlant::new(plant.arm.as_ref(), plant.eye.as_ref(), period_s, self.scenario.seed)
@@ -136,7 +142,7 @@ impl Scenario {
             return Err(ScenarioError::Folder { file });
         }
         let mut bytes = Vec::new();
-        // The limit is on what is read, not on what the metadata says: a device or a pipe has no length.
+        // Limits the bytes read instead of checking the metadata, because a device or a pipe has no length.
         let read = File::open(path).and_then(|open| open.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes));
         match read {
             Ok(_) if bytes.len() as u64 > MAX_FILE_BYTES => return Err(ScenarioError::TooLarge { file }),
@@ -159,36 +165,38 @@ impl Scenario {
     ///
     /// # Errors
     ///
-    /// If the text is not TOML, has an unknown key, lacks one that has no default, or has a value of the wrong type.
+    /// If the text is not TOML, has an unknown key, lacks one that has no default, or has a value of the wrong
+    /// type.
     pub fn parse(text: &str, source_name: &str) -> Result<Self, ScenarioError> {
         let source = ScenarioSource::new(source_name, text);
         let mut scenario = tables(&source)?;
-        // What a file leaves out of a rule's settings is the rule's own, not the paper's.
-        let given = text.parse::<toml::Table>().ok().and_then(|mut file| file.remove("learner"));
-        if let Some(toml::Value::Table(given)) = given {
-            scenario.learner = over_preset(scenario.learner, given);
+        // Keys that the file leaves out of `[learner]` get the defaults of the file's rule. serde filled in
+        // those of the paper's rule.
+        let learner = text.parse::<toml::Table>().ok().and_then(|mut file| file.remove("learner"));
+        if let Some(toml::Value::Table(learner)) = learner {
+            scenario.learner = with_preset_defaults(scenario.learner, learner);
         }
         Ok(Self { source, ..scenario })
     }
 
-    /// Checks the scenario and fills in what it leaves out.
+    /// Checks the scenario and fills in the keys that it leaves out.
     ///
     /// # Errors
     ///
     /// [`ScenarioError::Invalid`] for the first value that is out of range or does not fit the others.
     pub fn plan(self) -> Result<Plan, ScenarioError> {
-        let refused = |Violation { key, text }| {
+        let invalid = |Violation { key, text }| {
             let place = FilePosition { file: self.source.name().to_owned(), line: self.line_of(&key) };
             ScenarioError::Invalid { place, key, problem: text }
         };
-        validate::check(&self).map_err(refused)?;
+        validate::check(&self).map_err(invalid)?;
         let scenario = self.resolved();
         let signals = signals(&scenario);
-        let maps = scenario.encoder.maps.iter().filter_map(|map| built(map, &signals.inputs)).collect();
+        let maps = scenario.encoder.maps.iter().filter_map(|map| build_map(map, &signals.inputs)).collect();
         let mut plan = Plan {
-            // Exact: `check` has seen to it that the period is a whole number of ns.
+            // Exact: `validate::check` accepts only a period that is a whole number of ns.
             period_ns: (scenario.period_ms * 1e6).round() as u64,
-            scalars: scenario.encoder.scalars.iter().filter_map(|name| find(&signals.inputs, name)).collect(),
+            scalars: scenario.encoder.scalars.iter().filter_map(|name| input_index(&signals.inputs, name)).collect(),
             inputs: signals.inputs,
             outputs: signals.outputs,
             measures: signals.measures,
@@ -197,19 +205,22 @@ impl Scenario {
             scenario,
             warnings: Vec::new(),
         };
-        plan.warnings = steps::check(&plan).map_err(refused)?;
+        plan.warnings = steps::check(&plan).map_err(invalid)?;
         Ok(plan)
     }
 
-    /// The scenario as a TOML file with every default written out. Parsed again, it gives the same plan and hash.
+    /// The scenario as a TOML file with every default written out. Parsed again, it gives the same plan and
+    /// hash.
     pub fn to_toml(&self) -> String {
-        // Tables of finite depth made of strings, numbers, lists and tables with string keys: nothing that the writer
-        // could refuse. Should it ever, the text says so and does not pass for a scenario.
+        // The writer cannot fail: the tables have finite depth and contain strings, numbers, lists and tables
+        // with string keys only. If it fails all the same, the text is a comment, which does not parse as a
+        // scenario.
         toml::to_string(&self.resolved())
             .unwrap_or_else(|error| format!("# This scenario cannot be written: {error}\n"))
     }
 
-    /// The same scenario with the units and ranges of its maps filled in where they follow from the inputs.
+    /// The same scenario with all defaults of the learner, and with the units and ranges of maps that the file
+    /// leaves out. The default range of a map is that of its input.
     fn resolved(&self) -> Self {
         let mut scenario = self.clone();
         scenario.learner = scenario.learner.resolved();
@@ -219,15 +230,18 @@ impl Scenario {
                 map.units = vec![limits::DEFAULT_UNITS; map.inputs.len()];
             }
             if map.ranges.is_empty() {
-                let ranges: Option<Vec<_>> =
-                    map.inputs.iter().map(|name| find(&inputs, name).map(|i| [inputs[i].min, inputs[i].max])).collect();
+                let ranges: Option<Vec<_>> = map
+                    .inputs
+                    .iter()
+                    .map(|name| input_index(&inputs, name).map(|i| [inputs[i].min, inputs[i].max]))
+                    .collect();
                 map.ranges = ranges.unwrap_or_default();
             }
         }
         scenario
     }
 
-    /// The line of a key, unless its value no longer comes from the file.
+    /// The line of a key, or `None` when the caller has changed its value since the file was read.
     fn line_of(&self, key: &str) -> Option<usize> {
         let overridden = match key {
             "seed" => self.source.whole_number(key) != Some(self.seed),
@@ -238,14 +252,15 @@ impl Scenario {
     }
 }
 
-/// The preset of the file's rule, with what the file gives in place of its values; `file` is what the file alone says.
-fn over_preset(file: LearnerConfig, given: toml::Table) -> LearnerConfig {
-    let Ok(mut table) = toml::Table::try_from(LearnerConfig::preset(file.rule)) else { return file };
+/// The preset of the rule, overridden by the keys that the file has. `parsed` is the file's `[learner]` as
+/// serde reads it, `given` the same table with the file's keys only.
+fn with_preset_defaults(parsed: LearnerConfig, given: toml::Table) -> LearnerConfig {
+    let Ok(mut table) = toml::Table::try_from(LearnerConfig::preset(parsed.rule)) else { return parsed };
     merge(&mut table, given);
-    table.try_into().unwrap_or(file)
+    table.try_into().unwrap_or(parsed)
 }
 
-/// Puts the values of one table over those of another, table by table.
+/// Overrides the values of `into` with those of `over`. Tables inside them are merged in the same way.
 pub fn merge(into: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (into.get_mut(&key), value) {
@@ -256,15 +271,22 @@ pub fn merge(into: &mut toml::Table, over: toml::Table) {
 }
 
 /// The index of the input with this name.
-fn find(inputs: &[SignalConfig], name: &str) -> Option<usize> {
+fn input_index(inputs: &[SignalConfig], name: &str) -> Option<usize> {
     inputs.iter().position(|input| input.name == name)
 }
 
-/// The encoder's map for a table whose units and ranges are resolved; `None` only for one that `check` refuses.
-fn built(map: &MapConfig, inputs: &[SignalConfig]) -> Option<Map> {
+/// The encoder's map for a table with resolved units and ranges; `None` only for a table that `encoder::check`
+/// refuses.
+fn build_map(map: &MapConfig, inputs: &[SignalConfig]) -> Option<Map> {
     let axis = |i: usize| {
         let [min, max] = *map.ranges.get(i)?;
-        Some(Axis { input: find(inputs, map.inputs.get(i)?)?, units: *map.units.get(i)?, min, max, radius: map.radius })
+        Some(Axis {
+            input: input_index(inputs, map.inputs.get(i)?)?,
+            units: *map.units.get(i)?,
+            min,
+            max,
+            radius: map.radius,
+        })
     };
     match map.inputs.len() {
         1 => Some(Map::Line(axis(0)?)),

@@ -1,34 +1,34 @@
-//! `[plant]` as it stands in its file, and its checks: which tables go with which program, the geometry of arm and eye, and
-//! the lists of signals.
+//! `[plant]`: the keys of the table, and their checks: which tables belong to which program, the geometry of
+//! arm and eye, and the lists of signals.
 
 use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{different, number, ordered, range_end, show, signal_name, ticks};
+use super::check::{number, range_end, range_ends, show, signal_name, ticks, unique_names};
 use super::{
     ArmConfig, EmulatorConfig, EyeConfig, ServosConfig, SignalConfig, error::Violation, error::quoted, limits,
 };
 use crate::programs::is_simulator;
 use crate::wire::MAX_MEASURES;
 
-/// `[plant]`: the program in the plant's place, and what it says and takes.
+/// `[plant]`: the plant's program, its signals and its settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlantConfig {
-    /// The program: a name is looked up beside `tectum` and then in `PATH`, a path is taken as it is.
-    #[serde(default = "simulator")]
+    /// The program. A name is looked up beside `tectum` and then in `PATH`; a path is used unchanged.
+    #[serde(default = "default_program")]
     pub program: String,
     /// Arguments for the program, before those that the launcher adds.
     #[serde(default)]
     pub args: Vec<String>,
-    /// The inputs of an observation. Left out for `arm` and `eye`, which know theirs.
+    /// The inputs of an observation. Optional with `arm` and `eye`, which define their own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub inputs: Vec<SignalConfig>,
-    /// The outputs of a command. Left out for `arm` and `eye`.
+    /// The outputs of a command. Optional with `arm` and `eye`, which define their own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outputs: Vec<SignalConfig>,
-    /// Names of the measures, at most 6; one called `error` is reported as the error at the end of a target.
+    /// Names of the measures, at most 6. The summary reports the measure `error` at the end of each target.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub measures: Vec<String>,
     /// The simulator's arm.
@@ -45,20 +45,20 @@ pub struct PlantConfig {
     pub emulator: Option<EmulatorConfig>,
 }
 
-fn simulator() -> String {
+fn default_program() -> String {
     crate::programs::SIMULATOR.to_owned()
 }
 
-/// Checks the table; the lists of signals are checked where they are resolved.
+/// Checks the table without its lists of signals, which are checked after they are resolved.
 pub(super) fn check(plant: &PlantConfig) -> Result<(), Violation> {
-    program(plant)?;
-    kind(plant)?;
-    plant.arm.as_ref().map_or(Ok(()), arm)?;
-    plant.eye.as_ref().map_or(Ok(()), eye)?;
+    check_program(plant)?;
+    check_kind(plant)?;
+    plant.arm.as_ref().map_or(Ok(()), check_arm)?;
+    plant.eye.as_ref().map_or(Ok(()), check_eye)?;
     plant.emulator.as_ref().map_or(Ok(()), super::emulator::check)
 }
 
-fn program(plant: &PlantConfig) -> Result<(), Violation> {
+fn check_program(plant: &PlantConfig) -> Result<(), Violation> {
     if plant.program.trim().is_empty() {
         return Err(Violation::value(
             "plant.program",
@@ -68,7 +68,7 @@ fn program(plant: &PlantConfig) -> Result<(), Violation> {
     }
     let args = plant.args.iter().enumerate().map(|(i, arg)| (format!("plant.args[{i}]"), arg));
     for (key, text) in std::iter::once(("plant.program".to_owned(), &plant.program)).chain(args) {
-        // The operating system ends a program's name and arguments at a zero character.
+        // A zero character would end the string for the operating system.
         if text.contains('\0') || text.chars().count() > limits::PROGRAM_CHARS {
             return Err(Violation::value(
                 key,
@@ -80,8 +80,9 @@ fn program(plant: &PlantConfig) -> Result<(), Violation> {
     Ok(())
 }
 
-/// The simulator has exactly one of arm and eye and knows their signals; any other program may have an arm.
-fn kind(plant: &PlantConfig) -> Result<(), Violation> {
+/// Checks that the simulator has exactly one of arm and eye, and no lists of signals, because it defines them.
+/// Any other program may have an arm, but no eye.
+fn check_kind(plant: &PlantConfig) -> Result<(), Violation> {
     if !is_simulator(&plant.program) {
         if plant.eye.is_some() {
             let program = quoted(&plant.program);
@@ -102,18 +103,18 @@ fn kind(plant: &PlantConfig) -> Result<(), Violation> {
         }
         _ => {}
     }
-    let given = [
+    let signal_lists = [
         ("plant.inputs", plant.inputs.is_empty()),
         ("plant.outputs", plant.outputs.is_empty()),
         ("plant.measures", plant.measures.is_empty()),
     ];
-    match given.iter().find(|(_, empty)| !empty) {
+    match signal_lists.iter().find(|(_, empty)| !empty) {
         Some((key, _)) => Err(Violation::new(key, "is given, but tectum-simulator knows its own; take it out")),
         None => Ok(()),
     }
 }
 
-fn arm(arm: &ArmConfig) -> Result<(), Violation> {
+fn check_arm(arm: &ArmConfig) -> Result<(), Violation> {
     let n = arm.lengths.len();
     if !limits::JOINTS.contains(&n) {
         return Err(Violation::new("plant.arm.lengths", format_args!("has {n} entries; give 1 to 8 lengths")));
@@ -129,14 +130,14 @@ fn arm(arm: &ArmConfig) -> Result<(), Violation> {
         let remedy = "give a rate other than 0, from -1e6 to 1e6 rad/s";
         return Err(Violation::value("plant.arm.gain", show(arm.gain), remedy));
     }
-    joint_limits(arm)?;
-    ordered("plant.arm.arena", arm.arena, limits::COORDINATE)?;
+    check_limits(arm)?;
+    range_ends("plant.arm.arena", arm.arena, limits::COORDINATE)?;
     ticks("plant.arm.target_every", arm.target_every, 1)?;
     if arm.open_loop && arm.target_every != 1 {
         let remedy = "an open loop has a new target every tick, so give 1";
         return Err(Violation::value("plant.arm.target_every", arm.target_every, remedy));
     }
-    targets(arm)?;
+    check_targets(arm)?;
     let reward = &arm.reward;
     let weights =
         [("scale", reward.scale), ("speed", reward.speed), ("angle", reward.angle), ("collision", reward.collision)];
@@ -146,17 +147,18 @@ fn arm(arm: &ArmConfig) -> Result<(), Violation> {
     if let Some(near) = reward.near {
         number("plant.arm.reward.near", near, limits::LENGTH, "give 0.001 to 100 m, or leave it out")?;
     }
-    blocks(arm)?;
-    shortened(arm)?;
-    mirrors(arm)
+    check_blocks(arm)?;
+    check_shortened(arm)?;
+    check_mirrors(arm)
 }
 
-/// All joints are limited or none, and the arm starts with all angles 0.
-fn joint_limits(arm: &ArmConfig) -> Result<(), Violation> {
+/// Either all joints are limited or none. Each range contains 0, because the arm starts with all angles 0.
+fn check_limits(arm: &ArmConfig) -> Result<(), Violation> {
     let (limited, joints) = (arm.limits.len(), arm.lengths.len());
     if limited != 0 && limited != joints {
         let text = format!(
-            "has {limited} entries and the arm has {joints} joints; give one for each, or leave it out if they turn freely"
+            "has {limited} entries and the arm has {joints} joints; give one for each, \
+             or leave it out if they turn freely"
         );
         return Err(Violation::new("plant.arm.limits", text));
     }
@@ -164,7 +166,8 @@ fn joint_limits(arm: &ArmConfig) -> Result<(), Violation> {
         let turn = -PI..=PI;
         if !(turn.contains(&low) && turn.contains(&high) && low < high && (low..=high).contains(&0.0)) {
             let value = format!("[{}, {}]", show(low), show(high));
-            let remedy = "give the least and then the greatest angle, from -pi to pi rad, with the starting angle 0 between them";
+            let remedy = "give the least and then the greatest angle, from -pi to pi rad, \
+                          with the starting angle 0 between them";
             return Err(Violation::value(format_args!("plant.arm.limits[{i}]"), value, remedy));
         }
         if high - low > limits::LIMITED_TURN {
@@ -177,7 +180,7 @@ fn joint_limits(arm: &ArmConfig) -> Result<(), Violation> {
     Ok(())
 }
 
-fn targets(arm: &ArmConfig) -> Result<(), Violation> {
+fn check_targets(arm: &ArmConfig) -> Result<(), Violation> {
     let [low, high] = arm.arena;
     for (i, target) in arm.targets.iter().enumerate() {
         if !target.iter().all(|value| (low..=high).contains(value)) {
@@ -188,7 +191,8 @@ fn targets(arm: &ArmConfig) -> Result<(), Violation> {
     }
     if arm.targets.is_empty() && reachable_share(arm) < limits::REACHABLE_SHARE {
         let value = format!("[{}, {}]", show(low), show(high));
-        let remedy = "the arm can reach less than 1 % of it, so that no targets can be drawn; change arena, base or lengths, or give targets";
+        let remedy = "the arm can reach less than 1 % of it, so that no targets can be drawn; \
+                      change arena, base or lengths, or give targets";
         return Err(Violation::value("plant.arm.arena", value, remedy));
     }
     Ok(())
@@ -196,8 +200,8 @@ fn targets(arm: &ArmConfig) -> Result<(), Violation> {
 
 /// The share of the arena that the end-effector can reach, counted on a grid.
 ///
-/// With joints that turn freely, the reach is a ring around the base: out to the sum of the lengths, and in to what the
-/// longest segment leaves when all others point back along it.
+/// Assumes joints that turn freely. The reachable points then form a ring around the base. Its outer radius is
+/// the sum of the lengths. Its inner radius is the length of the longest segment minus all others, or 0.
 fn reachable_share(arm: &ArmConfig) -> f64 {
     const STEPS: usize = 200;
     let longest = arm.lengths.iter().copied().fold(0.0, f64::max);
@@ -215,7 +219,7 @@ fn reachable_share(arm: &ArmConfig) -> f64 {
     reached as f64 / (STEPS * STEPS) as f64
 }
 
-fn blocks(arm: &ArmConfig) -> Result<(), Violation> {
+fn check_blocks(arm: &ArmConfig) -> Result<(), Violation> {
     let joints = arm.lengths.len();
     for (i, block) in arm.block.iter().enumerate() {
         if !(1..=joints).contains(&block.joint) {
@@ -239,9 +243,9 @@ fn blocks(arm: &ArmConfig) -> Result<(), Violation> {
     Ok(())
 }
 
-fn shortened(arm: &ArmConfig) -> Result<(), Violation> {
+fn check_shortened(arm: &ArmConfig) -> Result<(), Violation> {
     let segments = arm.lengths.len();
-    few("plant.arm.shorten", arm.shorten.len())?;
+    check_count("plant.arm.shorten", arm.shorten.len())?;
     for (i, change) in arm.shorten.iter().enumerate() {
         let key = |name: &str| format!("plant.arm.shorten[{i}]{name}");
         if !(1..=segments).contains(&change.segment) {
@@ -259,16 +263,16 @@ fn shortened(arm: &ArmConfig) -> Result<(), Violation> {
     }
     for (i, change) in arm.shorten.iter().enumerate() {
         if arm.targets.is_empty() && reachable_share(&arm.at(change.tick)) < limits::REACHABLE_SHARE {
-            let remedy = "from then on the arm can reach less than 1 % of plant.arm.arena, so that no targets can be drawn; \
-                          give another length, or targets";
+            let remedy = "from then on the arm can reach less than 1 % of plant.arm.arena, \
+                          so that no targets can be drawn; give another length, or targets";
             return Err(Violation::value(format_args!("plant.arm.shorten[{i}].length"), show(change.length), remedy));
         }
     }
     Ok(())
 }
 
-fn mirrors(arm: &ArmConfig) -> Result<(), Violation> {
-    few("plant.arm.mirror", arm.mirror.len())?;
+fn check_mirrors(arm: &ArmConfig) -> Result<(), Violation> {
+    check_count("plant.arm.mirror", arm.mirror.len())?;
     for (i, mirror) in arm.mirror.iter().enumerate() {
         ticks(format_args!("plant.arm.mirror[{i}].tick"), mirror.tick, 0)?;
         if arm.mirror[..i].contains(mirror) {
@@ -279,26 +283,27 @@ fn mirrors(arm: &ArmConfig) -> Result<(), Violation> {
     Ok(())
 }
 
-fn few(key: &str, n: usize) -> Result<(), Violation> {
+fn check_count(key: &str, n: usize) -> Result<(), Violation> {
     if n <= limits::MAX_CHANGES {
         return Ok(());
     }
     Err(Violation::new(key, format_args!("has {n} entries; give at most 64")))
 }
 
-fn eye(eye: &EyeConfig) -> Result<(), Violation> {
+fn check_eye(eye: &EyeConfig) -> Result<(), Violation> {
     number("plant.eye.distortion", eye.distortion, limits::DISTORTION, "give 0.001 to 1e6")?;
     number("plant.eye.spread", eye.spread, limits::SPREAD, "give 1e-6 to 10, in retina coordinates")?;
     number("plant.eye.bonus", eye.bonus, -limits::BONUS..=limits::BONUS, "give -1000 to 1000")
 }
 
-pub(super) fn signal_list(key: &str, signals: &[SignalConfig], most: usize) -> Result<(), Violation> {
+/// Checks the resolved inputs or outputs of a plant, at most `max_len` of them.
+pub(super) fn signal_list(key: &str, signals: &[SignalConfig], max_len: usize) -> Result<(), Violation> {
     if signals.is_empty() {
         let text = "is empty; a program other than tectum-simulator lists its inputs and outputs";
         return Err(Violation::new(key, text));
     }
-    if signals.len() > most {
-        return Err(Violation::new(key, format_args!("has {} entries; give at most {most}", signals.len())));
+    if signals.len() > max_len {
+        return Err(Violation::new(key, format_args!("has {} entries; give at most {max_len}", signals.len())));
     }
     for (i, signal) in signals.iter().enumerate() {
         signal_name(&format!("{key}[{i}].name"), &signal.name)?;
@@ -318,9 +323,10 @@ pub(super) fn signal_list(key: &str, signals: &[SignalConfig], most: usize) -> R
         }
     }
     let names: Vec<_> = signals.iter().map(|signal| signal.name.as_str()).collect();
-    different(key, ".name", &names)
+    unique_names(key, ".name", &names)
 }
 
+/// Checks the names of a plant's measures.
 pub(super) fn measures(names: &[String]) -> Result<(), Violation> {
     if names.len() > MAX_MEASURES {
         let text = format!("has {} entries; give at most {MAX_MEASURES}", names.len());
@@ -329,5 +335,5 @@ pub(super) fn measures(names: &[String]) -> Result<(), Violation> {
     for (i, name) in names.iter().enumerate() {
         signal_name(&format!("plant.measures[{i}]"), name)?;
     }
-    different("plant.measures", "", names)
+    unique_names("plant.measures", "", names)
 }

@@ -1,37 +1,37 @@
-//! What a plant says and takes: the inputs, outputs and measures of a scenario, given or known.
+//! The inputs, outputs and measures of a scenario's plant: those that the file lists, or else those of arm or
+//! eye.
 
 use std::f64::consts::PI;
 
 use super::{ArmConfig, EyeConfig, MirrorAxis, PerOutput, Retina, Scenario, SignalConfig};
 use crate::wire::MAX_MEASURES;
 
-/// The signals of a plant, in the order of the samples.
+/// The signals of a plant, in the order in which samples carry them.
 pub(super) struct PlantSignals {
     pub(super) inputs: Vec<SignalConfig>,
     pub(super) outputs: Vec<SignalConfig>,
     pub(super) measures: Vec<String>,
 }
 
-/// The signals that the scenario gives; those that it leaves out are the arm's or the eye's. Lists are empty if nothing
-/// says what they hold.
+/// The signals that the scenario lists. For a list that it leaves out, those of its arm or eye; without arm and
+/// eye the list is empty.
 pub(super) fn signals(scenario: &Scenario) -> PlantSignals {
     let plant = &scenario.plant;
-    let known = match (&plant.arm, &plant.eye) {
+    let mut defaults = match (&plant.arm, &plant.eye) {
         (Some(arm), _) => of_arm(arm, &scenario.gate.max_command),
         (None, Some(eye)) => of_eye(eye, &scenario.gate.max_command),
         (None, None) => PlantSignals { inputs: Vec::new(), outputs: Vec::new(), measures: Vec::new() },
     };
-    let mut known = known;
     if plant.servos.is_some() {
-        known.measures.extend(["bus_read_us", "bus_write_us"].map(String::from));
+        defaults.measures.extend(["bus_read_us", "bus_write_us"].map(String::from));
     }
-    if plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model()) && known.measures.len() < MAX_MEASURES {
-        known.measures.push("vision_age_ms".to_owned());
+    if plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model()) && defaults.measures.len() < MAX_MEASURES {
+        defaults.measures.push("vision_age_ms".to_owned());
     }
     PlantSignals {
-        inputs: if plant.inputs.is_empty() { known.inputs } else { plant.inputs.clone() },
-        outputs: if plant.outputs.is_empty() { known.outputs } else { plant.outputs.clone() },
-        measures: if plant.measures.is_empty() { known.measures } else { plant.measures.clone() },
+        inputs: if plant.inputs.is_empty() { defaults.inputs } else { plant.inputs.clone() },
+        outputs: if plant.outputs.is_empty() { defaults.outputs } else { plant.outputs.clone() },
+        measures: if plant.measures.is_empty() { defaults.measures } else { plant.measures.clone() },
     }
 }
 
@@ -48,14 +48,14 @@ fn of_arm(arm: &ArmConfig, max_command: &PerOutput) -> PlantSignals {
         let range = |joint: usize| arm.limits.get(joint - 1).copied().unwrap_or([-PI, PI]);
         inputs.extend(joints.clone().map(|joint| signal(&format!("theta_{joint}"), "rad", range(joint))));
     }
-    let output = if arm.open_loop { "angle" } else { "rate" };
+    let quantity = if arm.open_loop { "angle" } else { "rate" };
     let mut measures = ["error", "end_x", "end_y"].map(String::from).to_vec();
     if arm.reward.collision > 0.0 {
         measures.push("crossings".to_owned());
     }
     PlantSignals {
         inputs,
-        outputs: joints.map(|joint| limited(&format!("{output}_{joint}"), max_command.of(joint - 1))).collect(),
+        outputs: joints.map(|joint| output_signal(&format!("{quantity}_{joint}"), max_command.of(joint - 1))).collect(),
         measures,
     }
 }
@@ -68,7 +68,7 @@ fn of_eye(eye: &EyeConfig, max_command: &PerOutput) -> PlantSignals {
             signal("velocity_x", "1/s", [-1.0, 1.0]),
             signal("velocity_y", "1/s", [-1.0, 1.0]),
         ],
-        // The radius of a velocity is a logarithm, so that it has no unit of its own.
+        // The radius of a velocity is a logarithm and therefore has no unit.
         Retina::LogPolar => vec![
             signal("position_rho", "1", [0.0, 1.0]),
             signal("position_phi", "rad", [-PI, PI]),
@@ -78,13 +78,16 @@ fn of_eye(eye: &EyeConfig, max_command: &PerOutput) -> PlantSignals {
     };
     PlantSignals {
         inputs,
-        outputs: (0..).zip(["up", "down", "left", "right"]).map(|(i, name)| limited(name, max_command.of(i))).collect(),
+        outputs: (0..)
+            .zip(["up", "down", "left", "right"])
+            .map(|(i, name)| output_signal(name, max_command.of(i)))
+            .collect(),
         measures: vec!["error".to_owned()],
     }
 }
 
-/// An output that the gate limits.
-fn limited(name: &str, limit: f64) -> SignalConfig {
+/// An output. Its range is the gate's limit.
+fn output_signal(name: &str, limit: f64) -> SignalConfig {
     signal(name, "1", [-limit, limit])
 }
 

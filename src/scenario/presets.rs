@@ -1,12 +1,12 @@
 //! The scenarios that are built into the program, so that an installed `tectum` runs in any folder.
 //!
-//! They are the files of the project's `scenarios/` folder, byte for byte.
+//! They are byte-for-byte copies of the files in the project's `scenarios/` folder.
 
 use std::path::{Component, Path};
 
 use super::{
     Scenario, ScenarioError,
-    error::{distance, either},
+    error::{distance, word_list},
 };
 
 /// A built-in scenario.
@@ -14,7 +14,7 @@ use super::{
 pub struct Preset {
     /// The name by which it is found.
     pub name: &'static str,
-    /// What it is, in one sentence.
+    /// Description, one sentence.
     pub about: &'static str,
     /// The text of its TOML file.
     pub text: &'static str,
@@ -45,20 +45,20 @@ const PRESETS: &[Preset] = &[
     preset!("servo-vision", "As `servo-emulated`, but a tracker (such as a camera) reports target and end-effector."),
 ];
 
-/// The built-in scenarios, the one to start with first.
+/// The built-in scenarios, in the order in which they are most used.
 pub fn presets() -> &'static [Preset] {
     PRESETS
 }
 
 impl Preset {
-    /// The built-in scenario of this name, whatever files there are: `arm`, `arm.toml` and `scenarios/arm.toml` all
-    /// name `arm`.
+    /// The built-in scenario of this name. Does not look at files: `arm`, `arm.toml` and `scenarios/arm.toml`
+    /// all name `arm`.
     ///
     /// # Errors
     ///
     /// [`ScenarioError::UnknownName`] if there is none.
     pub fn named(name: &str) -> Result<&'static Self, ScenarioError> {
-        named_by(Path::new(name)).ok_or_else(|| ScenarioError::UnknownName {
+        preset_for(Path::new(name)).ok_or_else(|| ScenarioError::UnknownName {
             name: name.to_owned(),
             searched: "no built-in scenario has that name".to_owned(),
             remedy: remedy(name),
@@ -72,20 +72,20 @@ impl Preset {
 }
 
 impl Scenario {
-    /// Finds a scenario by path or name: an existing file wins; otherwise `arm`, `arm.toml` and `scenarios/arm.toml`
-    /// all name the built-in `arm`.
+    /// Finds a scenario by path or name. An existing file takes precedence. Otherwise `arm`, `arm.toml` and
+    /// `scenarios/arm.toml` all name the built-in `arm`.
     ///
     /// # Errors
     ///
-    /// [`ScenarioError::UnknownName`], which names the places searched and the nearest scenarios, if it is neither;
-    /// otherwise as [`load`](Self::load).
+    /// [`ScenarioError::UnknownName`] if it is neither; it names the places searched and the nearest scenarios.
+    /// Otherwise as [`load`](Self::load).
     pub fn find(name_or_path: impl AsRef<Path>) -> Result<Self, ScenarioError> {
         let path = name_or_path.as_ref();
-        // A folder that happens to be called like a preset does not hide it: only a file wins.
+        // A folder with the name of a preset does not hide the preset. Only a file does.
         if path.exists() && !path.is_dir() {
             return Self::load(path);
         }
-        if let Some(preset) = named_by(path) {
+        if let Some(preset) = preset_for(path) {
             return preset.scenario();
         }
         if path.exists() {
@@ -103,7 +103,7 @@ impl Scenario {
         Err(ScenarioError::UnknownName { name, searched, remedy })
     }
 
-    /// The built-in scenario of this name, whatever files lie about.
+    /// The built-in scenario of this name. Does not look at files.
     ///
     /// # Errors
     ///
@@ -113,8 +113,8 @@ impl Scenario {
     }
 }
 
-/// The preset that a path names, if any: bare or in `scenarios/`, with or without `.toml`.
-fn named_by(path: &Path) -> Option<&'static Preset> {
+/// The preset that a path names, if any. The path may begin with `scenarios/` and end with `.toml`.
+fn preset_for(path: &Path) -> Option<&'static Preset> {
     let parts: Vec<_> = path.components().filter(|part| *part != Component::CurDir).collect();
     let file = match parts.as_slice() {
         [file] => file,
@@ -125,20 +125,20 @@ fn named_by(path: &Path) -> Option<&'static Preset> {
     PRESETS.iter().find(|preset| preset.name == name)
 }
 
-/// The presets nearest to a name that none has, or all of them.
+/// The remedy for an unknown name: the nearest presets, or all of them.
 fn remedy(name: &str) -> String {
     let nearest: Vec<_> = nearest(name).into_iter().map(|preset| format!("{preset:?}")).collect();
     if nearest.is_empty() {
         let names: Vec<_> = PRESETS.iter().map(|preset| preset.name).collect();
-        return format!("the built-in ones are {}", either(&names, "and"));
+        return format!("the built-in ones are {}", word_list(&names, "and"));
     }
-    format!("did you mean {}?", either(&nearest, "or"))
+    format!("did you mean {}?", word_list(&nearest, "or"))
 }
 
-/// The presets that begin with a name, such as `servo`; otherwise the one with the fewest edits, if these are few.
-/// Folder, extension and case do not count.
+/// The presets that begin with the name, such as `servo`. If there are none, the preset with the smallest edit
+/// distance, if that is small. Folder, extension and case are ignored.
 fn nearest(name: &str) -> Vec<&'static str> {
-    /// Longer texts are no misspelt name. A limit, because the cost of a comparison grows with the length.
+    /// Limits the cost of the comparisons, which grows with the length. A longer text is not a misspelt name.
     const MAX_CHARS: usize = 60;
     let file = Path::new(name).file_name().and_then(|file| file.to_str()).unwrap_or(name);
     let name = without_extension(file).to_lowercase();
@@ -146,11 +146,12 @@ fn nearest(name: &str) -> Vec<&'static str> {
         return Vec::new();
     }
     let names = || PRESETS.iter().map(|preset| preset.name);
-    let beginning: Vec<_> = names().filter(|preset| preset.starts_with(&name)).collect();
-    if !beginning.is_empty() {
-        return beginning;
+    let with_prefix: Vec<_> = names().filter(|preset| preset.starts_with(&name)).collect();
+    if !with_prefix.is_empty() {
+        return with_prefix;
     }
-    // The first of several that are equally near: presets stand in the order in which they are most used.
+    // `min_by_key` returns the first of several equal ones, and presets are in the order in which they are most
+    // used.
     let best = names().map(|preset| (distance(&name, preset), preset)).min_by_key(|(edits, _)| *edits);
     best.filter(|(edits, preset)| *edits <= 1 + preset.len() / 4).map(|(_, preset)| preset).into_iter().collect()
 }

@@ -1,9 +1,9 @@
-//! `[realtime]`: what each process asks of the operating system for itself when a run follows the real clock, and the
-//! checks of it.
+//! `[realtime]`: the settings that each process requests from the operating system in a real-time run, and
+//! their checks.
 //!
-//! Nothing is asked unless a file says so; only the timers' slack of 1 ns always is. What is asked is checked after the
-//! request (`clock::realtime`), so that nothing here depends on the machine: a core that a machine lacks is a refusal
-//! when the run starts, and the same file is good on another.
+//! By default a process requests only a timer slack of 1 ns. Whether the machine grants a request is checked
+//! when the run starts (`clock::realtime`). So nothing here depends on the machine: a core that one machine
+//! lacks is refused at the start of the run, and the same file is valid on another machine.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,39 +11,39 @@ use super::error::Violation;
 use super::limits;
 use crate::wire::Role;
 
-/// `[realtime]`: a table for each process.
+/// `[realtime]`: one table per process.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RealtimeConfig {
-    /// What the plant asks for.
+    /// Requests of the plant.
     #[serde(skip_serializing_if = "RealtimeProcess::is_nothing")]
     pub plant: RealtimeProcess,
-    /// What the controller asks for.
+    /// Requests of the controller.
     #[serde(skip_serializing_if = "RealtimeProcess::is_nothing")]
     pub controller: RealtimeProcess,
-    /// What the logger asks for.
+    /// Requests of the logger.
     #[serde(skip_serializing_if = "RealtimeProcess::is_nothing")]
     pub logger: RealtimeProcess,
 }
 
-/// `[realtime.plant]`, `[realtime.controller]`, `[realtime.logger]`: what the process asks for.
+/// `[realtime.plant]`, `[realtime.controller]`, `[realtime.logger]`: the requests of one process.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RealtimeProcess {
-    /// Priority under SCHED_FIFO, 1 to 99; left out, the system's ordinary scheduler.
+    /// Priority under SCHED_FIFO, 1 to 99. Default: the system's ordinary scheduler.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub priority: Option<u32>,
-    /// The cores on which the process may run, from 0; left out, all.
+    /// The cores on which the process may run, counted from 0. Default: all.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub cores: Vec<u32>,
-    /// Keep all memory in RAM, what is there and what will come.
+    /// Locks all memory in RAM, current and future (`mlockall`).
     pub lock_memory: bool,
-    /// Stack to be touched before the first tick, KiB; 0 to 4096.
+    /// Stack that is touched before the first tick, KiB; 0 to 4096.
     pub prefault_stack_kib: u32,
 }
 
 impl RealtimeConfig {
-    /// What the process in the place of `role` asks for.
+    /// The requests of the process with this role.
     pub fn of(&self, role: Role) -> &RealtimeProcess {
         match role {
             Role::Plant => &self.plant,
@@ -58,13 +58,13 @@ impl RealtimeConfig {
 }
 
 impl RealtimeProcess {
-    /// Whether nothing is asked for.
+    /// Whether the table requests nothing.
     pub fn is_nothing(&self) -> bool {
         *self == Self::default()
     }
 }
 
-/// Checks what the types cannot say.
+/// Checks ranges, and that no core is listed twice.
 pub(super) fn check(realtime: &RealtimeConfig) -> Result<(), Violation> {
     for role in Role::ALL {
         let process = realtime.of(role);
@@ -97,26 +97,30 @@ pub(super) fn check(realtime: &RealtimeConfig) -> Result<(), Violation> {
 mod tests {
     use super::super::Scenario;
 
-    /// What comes of `lines` at the end of a scenario: its plan's TOML, or the message.
-    fn planned(lines: &str) -> Result<String, String> {
+    /// The resolved TOML of a scenario with `lines` appended, or the message.
+    fn plan_with(lines: &str) -> Result<String, String> {
         let text = Scenario::find(std::path::Path::new("paper")).unwrap().to_toml() + lines;
         let scenario = Scenario::parse(&text, "x.toml").map_err(|e| e.to_string())?;
         scenario.plan().map(|plan| plan.scenario.to_toml()).map_err(|e| e.to_string())
     }
 
     #[test]
-    fn nothing_is_asked_unless_the_file_says_so() {
-        assert!(!planned("").unwrap().contains("realtime"), "and the hash of a file without it stays what it was");
-        assert_eq!(planned("\n[realtime]\n"), planned(""));
-        assert_eq!(planned("\n[realtime.plant]\ncores = []\nlock_memory = false\n"), planned(""));
-        let asked = "\n[realtime.plant]\npriority = 80\ncores = [1, 0]\nlock_memory = true\nprefault_stack_kib = 512\n";
-        let written = planned(asked).unwrap();
-        assert!(written.ends_with(&asked[1..]), "{written}");
-        assert!(planned("\n[realtime.logger]\npriority = 99\ncores = [1023]\n").is_ok(), "whatever this machine has");
+    fn nothing_is_requested_by_default() {
+        assert!(!plan_with("").unwrap().contains("realtime"), "a file without the table keeps its hash");
+        assert_eq!(plan_with("\n[realtime]\n"), plan_with(""));
+        assert_eq!(plan_with("\n[realtime.plant]\ncores = []\nlock_memory = false\n"), plan_with(""));
+        let requests =
+            "\n[realtime.plant]\npriority = 80\ncores = [1, 0]\nlock_memory = true\nprefault_stack_kib = 512\n";
+        let written = plan_with(requests).unwrap();
+        assert!(written.ends_with(&requests[1..]), "{written}");
+        assert!(
+            plan_with("\n[realtime.logger]\npriority = 99\ncores = [1023]\n").is_ok(),
+            "valid whatever cores this machine has"
+        );
     }
 
     #[test]
-    fn what_no_machine_could_grant_is_refused() {
+    fn requests_that_no_machine_could_grant_are_refused() {
         for (lines, expected) in [
             ("plant]\npriority = 0", "realtime.plant.priority is 0; give 1 to 99, or leave it out"),
             ("controller]\npriority = 100", "realtime.controller.priority is 100; give 1 to 99"),
@@ -130,7 +134,7 @@ mod tests {
             ("plant]\nprio = 3", "realtime.plant.prio"),
             ("launcher]", "realtime.launcher"),
         ] {
-            let message = planned(&format!("\n[realtime.{lines}\n")).unwrap_err();
+            let message = plan_with(&format!("\n[realtime.{lines}\n")).unwrap_err();
             let place = message.split_once(": ").unwrap();
             assert!(place.0.starts_with("x.toml:") && place.1.contains(expected), "{message}\n{expected}");
         }

@@ -1,4 +1,5 @@
-//! `[restart]`: what the launcher does when a process of the run dies or hangs.
+//! `[restart]`: which processes the launcher restarts, after what delay, and when a missing heartbeat counts as
+//! a hang.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,37 +7,38 @@ use super::check::{number, show};
 use super::error::Violation;
 use crate::wire::Role;
 
-/// When a process that has ended is started again.
+/// When the launcher restarts a process that has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RestartPolicy {
-    /// Never: its end is the end of the run.
+    /// Never: when the process ends, the run ends.
     Never,
-    /// When it was killed, hung, or ended with an error that another start may not meet.
+    /// After it was killed, after it hung, and after an error that may not occur again.
     OnFailure,
-    /// Whenever it ended before the run was over.
+    /// Whenever it ends before the run does.
     Always,
 }
 
-/// `[restart]`: policies, and how patient the launcher is.
+/// `[restart]`: restart policies, delays and the limits at which the launcher gives up.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RestartConfig {
-    /// For the plant.
+    /// Policy for the plant.
     pub plant: RestartPolicy,
-    /// For the controller.
+    /// Policy for the controller.
     pub controller: RestartPolicy,
-    /// For the logger.
+    /// Policy for the logger.
     pub logger: RestartPolicy,
-    /// Wait before the first start after a healthy while, ms; it doubles with each further one,
+    /// Delay before the first restart, ms. It doubles with each further restart.
     pub backoff_ms: f64,
-    /// up to this, ms.
+    /// Upper limit of the delay, ms.
     pub backoff_cap_ms: f64,
-    /// A process that has lived for so long is healthy, s: the wait is short again.
+    /// After running for this long, s, a process counts as healthy: delay and count of restarts begin anew.
     pub healthy_s: f64,
-    /// After so many starts in a row without a healthy while between them the run ends.
+    /// The run ends when a process would need more restarts in a row than this without being healthy between
+    /// them.
     pub give_up_after: u32,
-    /// A process that gives no sign of life for so long hangs, s, and is killed; 0: it is waited for.
+    /// A process without a heartbeat for this long, s, counts as hanging and is killed. 0: never.
     pub hang_s: f64,
 }
 
@@ -56,7 +58,7 @@ impl Default for RestartConfig {
 }
 
 impl RestartConfig {
-    /// The policy for the process in the place of `role`.
+    /// The policy for the process with this role.
     pub fn of(&self, role: Role) -> RestartPolicy {
         match role {
             Role::Plant => self.plant,
@@ -70,7 +72,7 @@ impl RestartConfig {
     }
 }
 
-/// Checks what the types cannot say.
+/// Checks ranges.
 pub(super) fn check(table: &RestartConfig) -> Result<(), Violation> {
     number("restart.backoff_ms", table.backoff_ms, 0.0..=3.6e6, "give 0 to 3600000 ms")?;
     if !(table.backoff_ms..=3.6e6).contains(&table.backoff_cap_ms) {

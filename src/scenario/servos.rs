@@ -1,4 +1,4 @@
-//! `[plant.servos]`: a chain of serial-bus servos in the simulated arm's place; and the checks of the table.
+//! `[plant.servos]`: a chain of serial-bus servos in place of the simulated arm, and the checks of the table.
 
 use serde::{Deserialize, Serialize};
 use tectum_servo::model::Protocol;
@@ -7,138 +7,140 @@ use super::check::{number, show};
 use super::error::{Violation, quoted};
 use super::{ArmConfig, PlantConfig, limits};
 
-/// `[plant.servos]`: the bus, the joints on it, and when torque goes off.
+/// `[plant.servos]`: the bus, the joints on it, and the limits at which torque is switched off.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ServosConfig {
-    /// The serial port, such as `/dev/ttyUSB0`; `emulator` is a chain that the bridge starts itself, as `[plant.emulator]` says.
+    /// The serial port, such as `/dev/ttyUSB0`. With `emulator` the bridge starts an emulated chain itself,
+    /// with the settings of `[plant.emulator]`.
     pub port: String,
-    /// What the servos speak.
+    /// The servos' protocol.
     pub protocol: Protocol,
-    /// Bits a second.
-    #[serde(default = "megabaud")]
+    /// Baud rate, bit/s.
+    #[serde(default = "default_baud")]
     pub baud: u32,
-    /// What a rate command becomes.
+    /// The kind of goal that a rate command is converted to.
     #[serde(default)]
     pub goal: ServoGoal,
-    /// Whether torque may go on without anybody's asking for it.
+    /// Whether torque may be switched on without a request of the user (`--arm`).
     #[serde(default)]
     pub armed: bool,
-    /// The file with the joints, as `tectum-bridge calibrate` writes it; in place of `joints`.
+    /// The file with the joints that `tectum-bridge calibrate` writes. Replaces `joints`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<String>,
-    /// From a tick's beginning to the last instant at which its command is waited for, ms; default half a period.
+    /// How long after the start of a tick the bridge waits for its command, ms. Default: half a period.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub command_within_ms: Option<f64>,
-    /// Ticks in a row without an answer from the bus after which it counts as lost.
-    #[serde(default = "three")]
+    /// Ticks in a row without a response after which the bus counts as lost.
+    #[serde(default = "default_lost_after")]
     pub lost_after: u32,
-    /// Highest temperature, degrees Celsius.
-    #[serde(default = "sixty_five")]
+    /// Highest allowed temperature, degrees Celsius.
+    #[serde(default = "default_max_temperature")]
     pub max_temperature: f64,
-    /// Lowest voltage, V; 0 asks for none.
+    /// Lowest allowed voltage, V; 0: no limit.
     #[serde(default)]
     pub min_voltage: f64,
-    /// Who says where target and end-effector are.
+    /// The source of target and end-effector positions.
     #[serde(default, skip_serializing_if = "PoseSource::is_model")]
     pub sight: PoseSource,
-    /// With `sight = "vision"`: how old the newest sample may be when a tick begins, ms; default 100.
+    /// With `sight = "vision"`: maximum age of the newest sample when a tick begins, ms. Default: 100.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision_age_ms: Option<f64>,
-    /// With `sight = "vision"`: a target that has moved further than this since it was taken up is a new one, m; default 0.05.
+    /// With `sight = "vision"`: a target that is further than this, m, from the last new target counts as a new
+    /// one. Default: 0.05.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision_jump: Option<f64>,
-    /// The joints, from the base on; with one motor for each segment of `[plant.arm]`.
+    /// The joints, from the base on, one per segment of `[plant.arm]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub joints: Vec<JointConfig>,
 }
 
-/// `[[plant.servos.joints]]`: one motor, which turns a segment against the one before it.
+/// `[[plant.servos.joints]]`: one motor, which turns a segment relative to the one before it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointConfig {
-    /// Its id on the bus.
+    /// The servo's id on the bus.
     pub id: u8,
-    /// 1 where positions grow with the angle, -1 where they shrink.
-    #[serde(default = "forward")]
+    /// 1 if positions increase with the angle, -1 if they decrease.
+    #[serde(default = "default_direction")]
     pub direction: i32,
     /// Position at angle 0, steps.
-    #[serde(default = "middle")]
+    #[serde(default = "default_zero")]
     pub zero: i32,
     /// Least and greatest angle, rad.
-    #[serde(default = "half_turns")]
+    #[serde(default = "default_range")]
     pub range: [f64; 2],
     /// Highest speed, rad/s.
-    #[serde(default = "six")]
+    #[serde(default = "default_max_speed")]
     pub max_speed: f64,
 }
 
-/// What a rate command becomes.
+/// The kind of goal that a rate command is converted to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ServoGoal {
-    /// A goal speed: the servo goes on at it until it hears another, or its watchdog stops it.
+    /// A goal speed. The servo keeps it until it receives another goal, or until its watchdog stops it.
     #[default]
     Speed,
-    /// A goal position, one tick's travel ahead: the servo stops there by itself.
+    /// A goal position, one tick's travel ahead. The servo stops there by itself.
     Position,
 }
 
-/// Who says where target and end-effector are.
+/// The source of target and end-effector positions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PoseSource {
-    /// Targets are drawn as in the simulator, and the end-effector is where the model of the arm has it.
+    /// Targets are drawn as in the simulator. The end-effector is computed by the model of the arm.
     #[default]
     Model,
-    /// Any program that looks, on the channel `vision`.
+    /// Trackers, which publish both on the channel `vision`.
     Vision,
 }
 
 impl PoseSource {
-    /// Whether nobody looks.
+    /// Whether the source is the model.
     pub fn is_model(&self) -> bool {
         *self == Self::Model
     }
 }
 
 impl ServosConfig {
-    /// How old the newest sample of a tracker may be when a tick begins, ns.
+    /// Maximum age of a tracker's newest sample when a tick begins, ns.
     pub fn vision_age_ns(&self) -> u64 {
         (self.vision_age_ms.unwrap_or(100.0) * 1e6) as u64
     }
 
-    /// How far a target moves before it is a new one, m.
+    /// Distance from the last new target, m, beyond which a target counts as a new one.
     pub fn vision_jump(&self) -> f32 {
         self.vision_jump.unwrap_or(0.05) as f32
     }
 }
 
-fn megabaud() -> u32 {
+fn default_baud() -> u32 {
     1_000_000
 }
 
-fn three() -> u32 {
+fn default_lost_after() -> u32 {
     3
 }
 
-fn sixty_five() -> f64 {
+fn default_max_temperature() -> f64 {
     65.0
 }
 
-fn forward() -> i32 {
+fn default_direction() -> i32 {
     1
 }
 
-fn middle() -> i32 {
+fn default_zero() -> i32 {
     2048
 }
 
-fn half_turns() -> [f64; 2] {
+fn default_range() -> [f64; 2] {
     [-std::f64::consts::PI, std::f64::consts::PI]
 }
 
-fn six() -> f64 {
+fn default_max_speed() -> f64 {
     6.0
 }
 
@@ -149,7 +151,7 @@ impl JointConfig {
     }
 }
 
-/// Checks the table of a plant that has one.
+/// Checks the plant's `[plant.servos]`, if it has one.
 pub(super) fn check(plant: &PlantConfig, period_ms: f64) -> Result<(), Violation> {
     let Some(servos) = &plant.servos else { return Ok(()) };
     if crate::programs::is_simulator(&plant.program) {
@@ -179,27 +181,29 @@ pub(super) fn check(plant: &PlantConfig, period_ms: f64) -> Result<(), Violation
     }
     number("plant.servos.max_temperature", servos.max_temperature, 20.0..=100.0, "give 20 to 100 degrees")?;
     number("plant.servos.min_voltage", servos.min_voltage, 0.0..=50.0, "give 0 to 50 V")?;
-    sight(servos, arm)?;
+    check_sight(servos, arm)?;
     match (&servos.calibration, servos.joints.is_empty()) {
         (None, true) => {
-            let text = "has neither joints nor a calibration; add [[plant.servos.joints]], or the file that `tectum-bridge calibrate` writes";
+            let text = "has neither joints nor a calibration; add [[plant.servos.joints]], \
+                        or the file that `tectum-bridge calibrate` writes";
             Err(Violation::new("plant.servos", text))
         }
         (Some(_), false) => {
             Err(Violation::new("plant.servos.calibration", "stands beside plant.servos.joints; keep one of the two"))
         }
         (Some(_), true) => Ok(()),
-        (None, false) => joints(&servos.joints, arm.lengths.len(), servos.protocol, servos.goal),
+        (None, false) => check_joint_table(&servos.joints, arm.lengths.len(), servos.protocol, servos.goal),
     }
 }
 
-/// Checks the keys of what is seen.
-fn sight(servos: &ServosConfig, arm: &ArmConfig) -> Result<(), Violation> {
+/// Checks the keys that belong to the source of positions.
+fn check_sight(servos: &ServosConfig, arm: &ArmConfig) -> Result<(), Violation> {
     if servos.sight.is_model() {
-        let given = [("vision_age_ms", servos.vision_age_ms), ("vision_jump", servos.vision_jump)];
-        return match given.iter().find(|(_, value)| value.is_some()) {
+        let vision_keys = [("vision_age_ms", servos.vision_age_ms), ("vision_jump", servos.vision_jump)];
+        return match vision_keys.iter().find(|(_, value)| value.is_some()) {
             Some((key, _)) => {
-                let text = "says what is done with a tracker's samples, and plant.servos.sight is \"model\"; take it out, or give sight = \"vision\"";
+                let text = "applies only to samples of a tracker, and plant.servos.sight is \"model\"; \
+                            take it out, or give sight = \"vision\"";
                 Err(Violation::new(format_args!("plant.servos.{key}"), text))
             }
             None => Ok(()),
@@ -212,23 +216,29 @@ fn sight(servos: &ServosConfig, arm: &ArmConfig) -> Result<(), Violation> {
         number("plant.servos.vision_jump", jump, limits::LENGTH, "give 0.001 to 100 m")?;
     }
     if !arm.targets.is_empty() {
-        let text = "are given, and with plant.servos.sight = \"vision\" a tracker says where the target is; take one of the two out";
+        let text = "are given, and with plant.servos.sight = \"vision\" a tracker reports the target; \
+                    take one of the two out";
         return Err(Violation::new("plant.arm.targets", text));
     }
     Ok(())
 }
 
 /// Checks a table of joints, from a scenario or from a calibration.
-fn joints(joints: &[JointConfig], segments: usize, protocol: Protocol, goal: ServoGoal) -> Result<(), Violation> {
+fn check_joint_table(
+    joints: &[JointConfig],
+    segments: usize,
+    protocol: Protocol,
+    goal: ServoGoal,
+) -> Result<(), Violation> {
     if joints.len() != segments {
         let text = format!("has {} entries and plant.arm has {segments} segments; give one for each", joints.len());
         return Err(Violation::new("plant.servos.joints", text));
     }
     for (i, joint) in joints.iter().enumerate() {
         let key = |name: &str| format!("plant.servos.joints[{i}].{name}");
-        let most = protocol.series().max_id;
-        if joint.id > most {
-            return Err(Violation::value(key("id"), joint.id, format!("give 0 to {most}")));
+        let max_id = protocol.series().max_id;
+        if joint.id > max_id {
+            return Err(Violation::value(key("id"), joint.id, format!("give 0 to {max_id}")));
         }
         if joints[..i].iter().any(|other| other.id == joint.id) {
             return Err(Violation::value(key("id"), joint.id, "another joint has it already; each servo has its own"));
@@ -256,12 +266,12 @@ fn joints(joints: &[JointConfig], segments: usize, protocol: Protocol, goal: Ser
     Ok(())
 }
 
-/// Checks the joints of a calibration against the arm; the problem as a sentence.
+/// Checks the joints of a calibration against the arm.
 ///
 /// # Errors
-/// As for the scenario's own table.
+/// The first problem, as one sentence with the key, as for the joints of a scenario.
 pub fn check_joints(table: &[JointConfig], segments: usize, protocol: Protocol, goal: ServoGoal) -> Result<(), String> {
-    joints(table, segments, protocol, goal).map_err(|problem| format!("{} {}", problem.key, problem.text))
+    check_joint_table(table, segments, protocol, goal).map_err(|problem| format!("{} {}", problem.key, problem.text))
 }
 
 #[cfg(test)]
@@ -273,36 +283,34 @@ mod tests {
     }
 
     #[test]
-    fn what_is_said_of_sight_fits_or_is_refused() {
-        let good = plan(|text| text).unwrap();
-        assert_eq!(good.scenario.vision(), Some("vision"));
-        assert_eq!(good.measures.last().map(String::as_str), Some("vision_age_ms"));
+    fn vision_keys_are_refused_without_vision() {
+        let valid = plan(|text| text).unwrap();
+        assert_eq!(valid.scenario.vision(), Some("vision"));
+        assert_eq!(valid.measures.last().map(String::as_str), Some("vision_age_ms"));
         let model = |text: String| text.replace("sight = \"vision\"", "sight = \"model\"");
-        let bare = |text: String| model(text).replace("vision_age_ms =", "# ").replace("vision_jump =", "# ");
-        let named = |text: String| text + "\n[channels]\nvision = \"eye\"\n";
-        assert_eq!(plan(named).unwrap().scenario.vision(), Some("eye"));
-        for (told, change) in [
-            (
-                "plant.servos.vision_age_ms says what is done with a tracker's samples",
-                &model as &dyn Fn(String) -> String,
-            ),
-            ("plant.servos.vision_jump says", &|text| model(text).replace("vision_age_ms =", "# ")),
+        let without_vision = |text: String| model(text).replace("vision_age_ms =", "# ").replace("vision_jump =", "# ");
+        let with_channel = |text: String| text + "\n[channels]\nvision = \"eye\"\n";
+        assert_eq!(plan(with_channel).unwrap().scenario.vision(), Some("eye"));
+        for (message, change) in [
+            ("plant.servos.vision_age_ms applies only to samples of a tracker", &model as &dyn Fn(String) -> String),
+            ("plant.servos.vision_jump applies only", &|text| model(text).replace("vision_age_ms =", "# ")),
             ("plant.servos.vision_age_ms is 0", &|text| text.replace("vision_age_ms = 100.0", "vision_age_ms = 0.0")),
             ("plant.servos.vision_jump is 0", &|text| text.replace("vision_jump = 0.05", "vision_jump = 0.0")),
-            ("channels.vision names a channel that there is with", &|text| named(bare(text))),
+            ("channels.vision names a channel that exists only with", &|text| with_channel(without_vision(text))),
             ("are both \"command\"", &|text| text + "\n[channels]\nvision = \"command\"\n"),
             ("plant.arm.targets are given", &|text| {
                 text.replace("[plant.arm]  ", "[plant.arm]\ntargets = [[0.0, 0.0]]\n#")
             }),
         ] {
             let error = plan(change).unwrap_err().to_string();
-            assert!(error.contains(told) && error.starts_with("vision.toml"), "{error}");
+            assert!(error.contains(message) && error.starts_with("vision.toml"), "{error}");
         }
     }
 
-    /// A scenario in which nobody looks is written as before there were trackers, so that its hash is what it was.
+    /// The keys of trackers are left out where they have their defaults, so that scenarios from before trackers
+    /// existed keep their hash.
     #[test]
-    fn who_does_not_look_has_no_new_keys() {
+    fn scenarios_without_a_tracker_have_no_tracker_keys() {
         let emulated = Scenario::built_in("servo-emulated").unwrap().plan().unwrap();
         let text = emulated.scenario.to_toml();
         assert!(!text.contains("vision") && !text.contains("sight"), "{text}");

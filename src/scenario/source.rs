@@ -1,4 +1,4 @@
-//! Where a scenario's text came from, and on which line of it a key stands: what messages need beside the tables.
+//! The origin of a scenario (file name and text), and the line of a key in that text, for error messages.
 
 use std::{fmt, ops::Range, sync::Arc};
 
@@ -6,8 +6,8 @@ use toml::de::{DeTable, DeValue};
 
 /// The origin of a scenario: the name of its file and its text, kept for messages.
 ///
-/// It is not part of what the scenario says: two scenarios that say the same are equal whatever their origin, and it is
-/// neither written by [`to_toml`](super::Scenario::to_toml) nor hashed.
+/// It is not part of the scenario's content: it takes no part in comparisons, and is neither written by
+/// [`to_toml`](super::Scenario::to_toml) nor hashed.
 #[derive(Clone)]
 pub struct ScenarioSource {
     name: Arc<str>,
@@ -19,24 +19,26 @@ impl ScenarioSource {
         Self { name: name.into(), text: text.into() }
     }
 
-    /// The file as it was named; `scenario` for one that was built in memory.
+    /// The file, as the caller named it; `scenario` for a scenario built in memory.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The text of the file as it was read, without what the caller changed since; empty for a scenario built in memory.
+    /// The text of the file when it was read. It does not have the caller's changes. Empty for a scenario built
+    /// in memory.
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// The line of a key such as `encoder.maps[0].units[1]`, or of the innermost table around it that the text has.
+    /// The line of a key such as `encoder.maps[0].units[1]`. If the text does not have the key, the line of the
+    /// innermost table around it that the text has.
     pub(super) fn line_of(&self, key: &str) -> Option<usize> {
         let document = DeTable::parse(&self.text).ok()?;
         let (start, _, _) = follow(document.get_ref(), key)?;
         Some(line_at(&self.text, start))
     }
 
-    /// A top-level whole number as the text has it.
+    /// The value of a top-level whole number in the text.
     pub(super) fn whole_number(&self, key: &str) -> Option<u64> {
         let document = DeTable::parse(&self.text).ok()?;
         let number = document.get_ref().get(key)?.get_ref().as_integer()?;
@@ -62,8 +64,9 @@ impl fmt::Debug for ScenarioSource {
     }
 }
 
-/// Follows a path such as `encoder.maps[0].units[1]` as far as it leads: where the last step's key begins, its value, and
-/// whether that was the whole path. `None` if not even the first step is there.
+/// Follows a path such as `encoder.maps[0].units[1]` as far as it exists in the document. Returns the byte
+/// offset of the last key found, its value, and whether it is the end of the path. `None` if the first key does
+/// not exist.
 fn follow<'d, 'i>(document: &'d DeTable<'i>, path: &str) -> Option<(usize, &'d DeValue<'i>, bool)> {
     let mut steps = path.split(['.', '[']);
     let (first, value) = document.get_key_value(steps.next()?)?;
@@ -86,8 +89,8 @@ fn follow<'d, 'i>(document: &'d DeTable<'i>, path: &str) -> Option<(usize, &'d D
     Some((start, value, true))
 }
 
-/// The first list that stands where a table belongs, and where it begins. serde would take its entries for the table's
-/// keys in the order of their declaration, which nobody means.
+/// The first list in place of a table, as path and byte offset. serde would accept it and assign its entries to
+/// the table's keys in the order of their declaration, which is never intended.
 pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> {
     const TABLES: [&str; 15] = [
         "plant",
@@ -129,13 +132,13 @@ pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> 
     })
 }
 
-/// The line, from 1, of a byte offset; the last line for an offset past the end.
+/// The line of a byte offset, counted from 1. For an offset past the end, the last line.
 pub(super) fn line_at(text: &str, offset: usize) -> usize {
     let before = &text.as_bytes()[..offset.min(text.len())];
     1 + before.iter().filter(|&&byte| byte == b'\n').count()
 }
 
-/// The path of the key or value that has this span, the innermost one if several do.
+/// The path of the key or value with this span. If several have it, the innermost one.
 pub(super) fn key_at(table: &DeTable<'_>, span: &Range<usize>) -> Option<String> {
     table.iter().find_map(|(key, value)| {
         let inner = key_in(value.get_ref(), span);

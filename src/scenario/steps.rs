@@ -1,8 +1,10 @@
-//! Steps that are too long for their features: what only bounds would hold is refused, what is likely to fail is warned of.
+//! Checks that a learner's steps are not too long for its features. A step at which only the bound on updates
+//! would prevent divergence is refused. A step that is likely to fail gives a warning.
 //!
-//! How far one update changes the answer to the inputs that it came of is the step times the squared length of the
-//! features, so it is their product that counts: 1 for features of unit norm, a mean of 44 over the input box for the arm's maps as they are.
-//! The limits were measured on the arm, over some 100,000 ticks; where rewards are much smaller, longer steps will do.
+//! One update changes the command (or value) for its own inputs by the step times the squared length of the
+//! features. Therefore the limits apply to this product. The squared length is 1 for features of unit norm; for
+//! the arm's maps without normalisation its mean over the input box is 44. The limits were measured on the arm,
+//! over some 100,000 ticks. Where rewards are much smaller, longer steps work too.
 
 use crate::encoder::Encoder;
 use crate::seed::stream;
@@ -12,79 +14,83 @@ use super::error::Violation;
 use super::{CriticFeatures, Plan, Rule};
 use rand::RngExt as _;
 
-/// Draws from the input box for the mean squared length of the features.
+/// Number of draws from the input box with which the mean squared length of the features is estimated.
 const DRAWS: usize = 64;
-/// Largest step without a trace (a run of single decisions): with features of unit norm and rewards of the order of 1, the
-/// answer overshoots from there on, as [`STEP`](super::limits::STEP) has it. Not measured.
-const OPEN_LOOP: f64 = 2.0;
-/// Largest step of the paper's rule with a trace: on the arm 0.03 learns and 0.1 does not.
-const PAPER: f64 = 0.05;
-/// The same with a baseline: 0.2 learns, 0.5 does not.
-const BASELINE: f64 = 0.3;
-/// The same of an actor with a critic. Its updates are bounded, so that it does not diverge: 10 learns (0.026 to 0.036 a
-/// tick after 100,000 ticks, three seeds), 1000 moves by the whole bound in every tick and is left with 0.036 to 0.093.
-const ACTOR: f64 = 10.0;
-/// Largest step of a critic that makes a difference. Its updates are bounded too, at `1 - gamma lambda` of the error once the
-/// trace has grown, with the preset's constants 0.28; steps of 1 and 5.5 learn alike.
-const CRITIC: f64 = 1.0;
+/// Largest step without a trace, where each tick is a trial of its own. With features of unit norm and rewards
+/// of the order of 1, an update overshoots above 2 (see [`STEP`](super::limits::STEP)). Not measured.
+const MAX_OPEN_LOOP: f64 = 2.0;
+/// Largest step of the paper's rule with a trace. On the arm, 0.03 learns and 0.1 does not.
+const MAX_PAPER: f64 = 0.05;
+/// Largest step with a baseline. On the arm, 0.2 learns and 0.5 does not.
+const MAX_BASELINE: f64 = 0.3;
+/// Largest step of an actor with a critic. Its updates are bounded, so that it does not diverge. On the arm, 10
+/// learns (loss of 0.026 to 0.036 a tick after 100,000 ticks, three seeds). With 1000 every update is as large
+/// as the bound, and the loss stays at 0.036 to 0.093.
+const MAX_ACTOR: f64 = 10.0;
+/// Largest useful step of a critic. Its updates are bounded too, at `1 - gamma lambda` of the error once the
+/// trace has grown; with the preset's constants that is 0.28. Steps of 1 and 5.5 learn equally well.
+const MAX_CRITIC: f64 = 1.0;
 
-/// Checks the steps of a plan's learner. Returns warnings, one sentence each: key, value, why, remedy.
+/// Checks the steps of a plan's learner. Returns warnings; each is one sentence with key, value, reason and
+/// remedy.
 pub(super) fn check(plan: &Plan) -> Result<Vec<String>, Violation> {
     let learner = &plan.scenario.learner;
     let mut warnings = Vec::new();
     let actor = learner.alpha_over_variance;
-    let most = match learner.rule {
-        // Natural steps are measured by the metric, and a learned reward has no such step.
+    let max_actor = match learner.rule {
+        // A natural step is measured in the metric of the features, and a learned reward has no such step.
         Rule::NaturalActorCritic | Rule::LearnedReward => f64::INFINITY,
-        _ if learner.beta == 0.0 => OPEN_LOOP,
-        Rule::Paper => PAPER,
-        Rule::Baseline => BASELINE,
-        Rule::ActorCritic => ACTOR,
+        _ if learner.beta == 0.0 => MAX_OPEN_LOOP,
+        Rule::Paper => MAX_PAPER,
+        Rule::Baseline => MAX_BASELINE,
+        Rule::ActorCritic => MAX_ACTOR,
     };
     let critic = learner.critic.as_ref().filter(|_| learner.rule == Rule::ActorCritic);
-    let dear = critic.is_some_and(|c| c.sees == CriticFeatures::Policy);
-    // Most plans are far from all limits, whatever their features.
+    let critic_uses_policy_features = critic.is_some_and(|c| c.sees == CriticFeatures::Policy);
+    // The features have to be drawn only if the step could be too long for the longest possible features.
     let units = (plan.encoder().units() as f64).max(1.0);
-    let largest = if plan.scenario.encoder.normalise && plan.scalars.is_empty() { 1.0 } else { units };
-    let length = if actor * largest > most || dear { squared_length(plan) } else { 1.0 };
-    if actor * length > most {
-        warnings.push(likely("learner.alpha_over_variance", actor, length, most));
+    let longest = if plan.scenario.encoder.normalise && plan.scalars.is_empty() { 1.0 } else { units };
+    let length = if actor * longest > max_actor || critic_uses_policy_features { squared_length(plan) } else { 1.0 };
+    if actor * length > max_actor {
+        warnings.push(warning("learner.alpha_over_variance", actor, length, max_actor));
     }
     if let Some(critic) = critic {
-        let length = if dear { length } else { 1.0 };
-        // While inputs stand still the trace settles at 1 / (1 - gamma lambda) features, and an update changes the
-        // temporal-difference error by this share of it: above 2, every update would make the error larger than it was, and
-        // it is only ever the bound that is taken in place of the step.
+        let length = if critic_uses_policy_features { length } else { 1.0 };
+        // While inputs do not change, the trace converges to the features times 1 / (1 - gamma lambda). An
+        // update then changes the temporal-difference error by this share of it. Above 2, every update would
+        // make the error larger than before, so that the bound would always replace the step.
         let (gamma, lambda) = (critic.discount, critic.decay);
         let share = critic.step * length * (1.0 - gamma) / (1.0 - gamma * lambda);
         if share > 2.0 {
-            let most = 2.0 * critic.step / share;
+            let max_step = 2.0 * critic.step / share;
             let remedy = format!(
-                "with features of a mean squared length of {} the critic would diverge if its steps were not bounded; give less than {}",
-                short(length),
-                short(most)
+                "with features of a mean squared length of {} the critic would diverge if its steps were not bounded; \
+                 give less than {}",
+                two_digits(length),
+                two_digits(max_step)
             );
             return Err(Violation::value("learner.critic.step", show(critic.step), remedy));
         }
-        if critic.step * length > CRITIC {
-            warnings.push(likely("learner.critic.step", critic.step, length, CRITIC));
+        if critic.step * length > MAX_CRITIC {
+            warnings.push(warning("learner.critic.step", critic.step, length, MAX_CRITIC));
         }
     }
     Ok(warnings)
 }
 
-fn likely(key: &str, value: f64, length: f64, most: f64) -> String {
+/// The warning for a step `value` times the squared `length` above `max_product`.
+fn warning(key: &str, value: f64, length: f64, max_product: f64) -> String {
     format!(
         "{key} is {}, and with features of a mean squared length of {} learning is likely to fail; give at most {}{}",
         show(value),
-        short(length),
-        short(most / length),
+        two_digits(length),
+        two_digits(max_product / length),
         if length > 2.0 { ", or set encoder.normalise" } else { "" }
     )
 }
 
-/// Two significant digits, for numbers that nobody wrote.
-fn short(value: f64) -> String {
+/// Two significant digits, for computed numbers in a message.
+fn two_digits(value: f64) -> String {
     show(format!("{value:.1e}").parse().unwrap_or(value))
 }
 
@@ -110,8 +116,8 @@ mod tests {
     use super::super::{LearnerConfig, Scenario, presets};
     use super::*;
 
-    /// What is said of the built-in arm with this `[learner]`: warnings, or the refusal.
-    fn said(learner: &str, normalise: bool) -> Result<Vec<String>, String> {
+    /// The warnings for the built-in arm with this `[learner]`, or the error.
+    fn warnings_for(learner: &str, normalise: bool) -> Result<Vec<String>, String> {
         let mut scenario = Scenario::find("arm").unwrap();
         scenario.learner = toml::from_str(learner).unwrap();
         scenario.encoder.normalise = normalise;
@@ -119,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_built_in_is_not_warned_of() {
+    fn presets_give_no_warnings() {
         for preset in presets() {
             assert_eq!(preset.scenario().unwrap().plan().unwrap().warnings, [""; 0], "{}", preset.name);
         }
@@ -131,34 +137,36 @@ mod tests {
     }
 
     #[test]
-    fn long_steps_are_warned_of_by_name() {
-        // What the prototypes met: raw kernels with 0.01 diverge, with 0.0009 they do not.
-        assert_eq!(said("alpha_over_variance = 0.0009", false).unwrap(), [""; 0]);
-        let raw = said("alpha_over_variance = 0.01", false).unwrap();
+    fn a_warning_names_the_step_that_is_too_long() {
+        // Measured with prototypes: without normalisation a step of 0.01 diverges and 0.0009 does not.
+        assert_eq!(warnings_for("alpha_over_variance = 0.0009", false).unwrap(), [""; 0]);
+        let warnings = warnings_for("alpha_over_variance = 0.01", false).unwrap();
         assert!(
-            raw[0].starts_with("learner.alpha_over_variance is 0.01, and with features of a mean squared length of 44"),
-            "{raw:?}"
+            warnings[0]
+                .starts_with("learner.alpha_over_variance is 0.01, and with features of a mean squared length of 44"),
+            "{warnings:?}"
         );
-        assert!(raw[0].ends_with(", or set encoder.normalise"), "{raw:?}");
+        assert!(warnings[0].ends_with(", or set encoder.normalise"), "{warnings:?}");
         for (learner, key) in [
             ("alpha_over_variance = 0.1", "learner.alpha_over_variance is 0.1"),
             ("rule = \"baseline\"\nalpha_over_variance = 0.5", "learner.alpha_over_variance is 0.5"),
             ("rule = \"actor-critic\"\nalpha_over_variance = 11.0", "learner.alpha_over_variance is 11,"),
             ("rule = \"actor-critic\"\n[critic]\nstep = 1.5", "learner.critic.step is 1.5"),
         ] {
-            let warnings = said(learner, true).unwrap();
+            let warnings = warnings_for(learner, true).unwrap();
             assert!(warnings.len() == 1 && warnings[0].starts_with(key), "{warnings:?}");
         }
-        assert_eq!(said("beta = 0\nalpha_over_variance = 0.5", true).unwrap(), [""; 0]);
+        assert_eq!(warnings_for("beta = 0\nalpha_over_variance = 0.5", true).unwrap(), [""; 0]);
     }
 
     #[test]
-    fn a_critic_that_only_its_bound_would_hold_is_refused() {
-        let refusal = said("rule = \"actor-critic\"\n[critic]\nstep = 6", true).unwrap_err();
-        assert!(refusal.contains("learner.critic.step is 6") && refusal.contains("give less than 5.6"), "{refusal}");
-        // The same step that is fine for unit norm.
-        let refusal = said("rule = \"actor-critic\"\nalpha_over_variance = 0.001\n[critic]\nsees = \"policy\"", false)
-            .unwrap_err();
-        assert!(refusal.contains("learner.critic.step is 0.3"), "{refusal}");
+    fn a_critic_that_would_diverge_without_its_bound_is_refused() {
+        let error = warnings_for("rule = \"actor-critic\"\n[critic]\nstep = 6", true).unwrap_err();
+        assert!(error.contains("learner.critic.step is 6") && error.contains("give less than 5.6"), "{error}");
+        // The preset's step, which is valid for features of unit norm.
+        let error =
+            warnings_for("rule = \"actor-critic\"\nalpha_over_variance = 0.001\n[critic]\nsees = \"policy\"", false)
+                .unwrap_err();
+        assert!(error.contains("learner.critic.step is 0.3"), "{error}");
     }
 }

@@ -1,4 +1,5 @@
-//! Whatever a file says, reading and planning it ends in a plan that keeps its bounds or in a message; never in a panic.
+//! Property tests: for any text, parsing and planning give either a plan that keeps its bounds or an error
+//! message, and never panic.
 
 use std::f64::consts::PI;
 
@@ -7,19 +8,48 @@ use proptest::prelude::*;
 use super::*;
 use crate::wire::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
 
-/// Everything that the rest of the program relies on, in numbers written out here on purpose rather than taken from
-/// [`limits`], so that a slip there shows.
+/// Asserts all bounds on which the rest of the program relies. The numbers are repeated here instead of taken
+/// from [`limits`], so that a wrong number there fails a test.
 fn assert_bounds(plan: &Plan) {
     let s = &plan.scenario;
-    let fits = |text: &str, most: usize| (1..=most).contains(&text.chars().count());
     assert!(fits(&s.name, 32) && s.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_'));
     assert!(s.seed <= i64::MAX as u64);
     assert!((1_000_000..=1_000_000_000).contains(&plan.period_ns));
     assert_eq!(plan.period_ns as f64 / 1e6, s.period_ms);
     assert!((2..=1_000_000_000_000).contains(&s.ticks));
+    assert_signals(plan);
+    assert_maps(plan);
+    assert_gate(plan);
+    assert!(s.overrun.max_consecutive <= 1_000_000_000_000);
+    assert_faults(&s.faults);
+    assert!((0.0..1.0).contains(&s.learner.beta) && (0.0..=1000.0).contains(&s.learner.alpha_over_variance));
+    assert!(s.log.every >= 1 && s.log.hash_every >= 1);
+    let channels = [&s.channels.observation, &s.channels.command, &s.channels.learning];
+    for (i, channel) in channels.iter().enumerate() {
+        assert!(fits(channel, 64) && !channels[..i].contains(channel));
+        assert!(channel.bytes().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || b"_-/".contains(&c)));
+    }
+    assert!(!s.plant.program.trim().is_empty());
+    if s.plant.program == "tectum-simulator" {
+        assert!(s.plant.arm.is_some() != s.plant.eye.is_some());
+    }
+    if let Some(arm) = &s.plant.arm {
+        assert_arm(arm);
+    }
+    if let Some(eye) = &s.plant.eye {
+        assert!((1e-3..=1e6).contains(&eye.distortion) && (1e-6..=10.0).contains(&eye.spread));
+        assert!(eye.bonus.abs() <= 1000.0);
+    }
+}
 
-    for (signals, most) in [(&plan.inputs, MAX_INPUTS), (&plan.outputs, MAX_OUTPUTS)] {
-        assert!((1..=most).contains(&signals.len()));
+/// Whether a text has 1 to `max_chars` characters.
+fn fits(text: &str, max_chars: usize) -> bool {
+    (1..=max_chars).contains(&text.chars().count())
+}
+
+fn assert_signals(plan: &Plan) {
+    for (signals, max_len) in [(&plan.inputs, MAX_INPUTS), (&plan.outputs, MAX_OUTPUTS)] {
+        assert!((1..=max_len).contains(&signals.len()));
         for (i, signal) in signals.iter().enumerate() {
             assert!(fits(&signal.name, 32) && signal.unit.chars().count() <= 32);
             assert!(-1e9 <= signal.min && signal.min < signal.max && signal.max <= 1e9);
@@ -27,9 +57,11 @@ fn assert_bounds(plan: &Plan) {
         }
     }
     assert!(plan.measures.len() <= MAX_MEASURES && plan.measures.iter().all(|name| fits(name, 32)));
+}
 
+fn assert_maps(plan: &Plan) {
     assert!((1..=64).contains(&plan.maps.len()));
-    assert_eq!(plan.maps.len(), s.encoder.maps.len());
+    assert_eq!(plan.maps.len(), plan.scenario.encoder.maps.len());
     let mut features = 0;
     for map in &plan.maps {
         let axes = match *map {
@@ -48,8 +80,10 @@ fn assert_bounds(plan: &Plan) {
         features += axes.iter().map(|axis| axis.units).product::<usize>();
     }
     assert!(features <= 65_536);
+}
 
-    let outputs = plan.outputs.len();
+fn assert_gate(plan: &Plan) {
+    let (s, outputs) = (&plan.scenario, plan.outputs.len());
     for numbers in std::iter::once(&s.gate.max_command).chain(&s.gate.max_step) {
         assert!((0..outputs).all(|i| 0.0 < numbers.of(i) && numbers.of(i) <= 1e6));
         assert!(!matches!(numbers, PerOutput::Each(list) if list.len() != outputs));
@@ -58,46 +92,29 @@ fn assert_bounds(plan: &Plan) {
     assert!(s.gate.hold_ticks <= 1_000_000 && s.gate.decay_ticks <= 1_000_000 && s.gate.ramp_ticks <= 1_000_000);
     assert!(s.gate.positions.is_empty() || (s.gate.positions.len() == outputs && s.plant.eye.is_none()));
     assert!(s.gate.positions.iter().all(|[low, high]| -1000.0 <= *low && low + 0.001 <= *high && *high <= 1000.0));
-    assert!(s.overrun.max_consecutive <= 1_000_000_000_000);
-    assert_faults(&s.faults);
-    assert!((0.0..1.0).contains(&s.learner.beta) && (0.0..=1000.0).contains(&s.learner.alpha_over_variance));
-    assert!(s.log.every >= 1 && s.log.hash_every >= 1);
-    let channels = [&s.channels.observation, &s.channels.command, &s.channels.learning];
-    for (i, channel) in channels.iter().enumerate() {
-        assert!(fits(channel, 64) && !channels[..i].contains(channel));
-        assert!(channel.bytes().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || b"_-/".contains(&c)));
-    }
+}
 
-    assert!(!s.plant.program.trim().is_empty());
-    if s.plant.program == "tectum-simulator" {
-        assert!(s.plant.arm.is_some() != s.plant.eye.is_some());
+fn assert_arm(arm: &ArmConfig) {
+    assert!((1..=8).contains(&arm.lengths.len()) && arm.lengths.iter().all(|l| (1e-3..=100.0).contains(l)));
+    assert!(arm.base.iter().all(|b| b.abs() <= 1000.0) && arm.arena.iter().all(|a| a.abs() <= 1000.0));
+    assert!(arm.arena[0] < arm.arena[1] && arm.gain.abs() <= 1e6 && arm.gain != 0.0 && arm.target_every >= 1);
+    assert!(arm.targets.iter().flatten().all(|x| (arm.arena[0]..=arm.arena[1]).contains(x)));
+    let weights = [arm.reward.scale, arm.reward.speed, arm.reward.angle, arm.reward.collision];
+    assert!(weights.iter().all(|w| (0.0..=1e6).contains(w)));
+    assert!(arm.reward.near.is_none_or(|near| (1e-3..=100.0).contains(&near)));
+    assert!(arm.limits.is_empty() || arm.limits.len() == arm.lengths.len());
+    for [low, high] in &arm.limits {
+        assert!(-PI <= *low && *low <= 0.0 && 0.0 <= *high && *high <= PI && low < high && high - low <= 6.25);
     }
-    if let Some(arm) = &s.plant.arm {
-        assert!((1..=8).contains(&arm.lengths.len()) && arm.lengths.iter().all(|l| (1e-3..=100.0).contains(l)));
-        assert!(arm.base.iter().all(|b| b.abs() <= 1000.0) && arm.arena.iter().all(|a| a.abs() <= 1000.0));
-        assert!(arm.arena[0] < arm.arena[1] && arm.gain.abs() <= 1e6 && arm.gain != 0.0 && arm.target_every >= 1);
-        assert!(arm.targets.iter().flatten().all(|x| (arm.arena[0]..=arm.arena[1]).contains(x)));
-        let weights = [arm.reward.scale, arm.reward.speed, arm.reward.angle, arm.reward.collision];
-        assert!(weights.iter().all(|w| (0.0..=1e6).contains(w)));
-        assert!(arm.reward.near.is_none_or(|near| (1e-3..=100.0).contains(&near)));
-        assert!(arm.limits.is_empty() || arm.limits.len() == arm.lengths.len());
-        for [low, high] in &arm.limits {
-            assert!(-PI <= *low && *low <= 0.0 && 0.0 <= *high && *high <= PI && low < high && high - low <= 6.25);
-        }
-        assert!(!arm.open_loop || arm.target_every == 1);
-        assert!(arm.shorten.len() <= 64 && arm.mirror.len() <= 64);
-        for (i, change) in arm.shorten.iter().enumerate() {
-            assert!((1..=arm.lengths.len()).contains(&change.segment) && (1e-3..=100.0).contains(&change.length));
-            assert!(arm.shorten[..i].iter().all(|other| (other.segment, other.tick) != (change.segment, change.tick)));
-        }
-        for (i, block) in arm.block.iter().enumerate() {
-            assert!((1..=arm.lengths.len()).contains(&block.joint) && block.angle.abs() <= PI);
-            assert!(arm.block[..i].iter().all(|other| (other.joint, other.tick) != (block.joint, block.tick)));
-        }
+    assert!(!arm.open_loop || arm.target_every == 1);
+    assert!(arm.shorten.len() <= 64 && arm.mirror.len() <= 64);
+    for (i, change) in arm.shorten.iter().enumerate() {
+        assert!((1..=arm.lengths.len()).contains(&change.segment) && (1e-3..=100.0).contains(&change.length));
+        assert!(arm.shorten[..i].iter().all(|other| (other.segment, other.tick) != (change.segment, change.tick)));
     }
-    if let Some(eye) = &s.plant.eye {
-        assert!((1e-3..=1e6).contains(&eye.distortion) && (1e-6..=10.0).contains(&eye.spread));
-        assert!(eye.bonus.abs() <= 1000.0);
+    for (i, block) in arm.block.iter().enumerate() {
+        assert!((1..=arm.lengths.len()).contains(&block.joint) && block.angle.abs() <= PI);
+        assert!(arm.block[..i].iter().all(|other| (other.joint, other.tick) != (block.joint, block.tick)));
     }
 }
 
@@ -108,12 +125,12 @@ fn assert_faults(faults: &FaultsConfig) {
         assert!(fault.probability.is_some() || fault.from.is_some() || fault.until.is_some());
         assert!(fault.until.is_none_or(|until| fault.from.unwrap_or(0) < until && until <= 1_000_000_000_000));
         assert!(fault.from.is_none_or(|from| from <= 1_000_000_000_000));
-        let most = match fault.kind {
+        let max_ticks = match fault.kind {
             FaultKind::Delay | FaultKind::Duplicate => 16,
             FaultKind::Freeze => 1_000_000,
             _ => 1,
         };
-        assert!((1..=most).contains(&fault.ticks()));
+        assert!((1..=max_ticks).contains(&fault.ticks()));
         assert_eq!(fault.value.is_some(), fault.kind == FaultKind::Corrupt);
     }
     for fault in &faults.process {
@@ -125,8 +142,8 @@ fn assert_faults(faults: &FaultsConfig) {
     assert_eq!(faults.in_words().len(), faults.channel.len() + faults.process.len());
 }
 
-/// Reads and plans a text; whatever comes of it must hold up.
-fn survives(text: &str) {
+/// Parses and plans a text. Asserts the bounds of the plan, or the form of the message.
+fn assert_plan_or_message(text: &str) {
     match Scenario::parse(text, "x.toml") {
         Ok(scenario) => {
             let written = scenario.to_toml();
@@ -143,7 +160,8 @@ fn survives(text: &str) {
     }
 }
 
-/// A message is one line of bearable length that begins with the file and does not show serde's innards.
+/// Asserts that a message is one line of fewer than 1000 characters, begins with the file, and has none of
+/// serde's terms.
 fn assert_message(error: &ScenarioError) {
     let message = error.to_string();
     assert!(message.starts_with("x.toml:"), "{message}");
@@ -153,7 +171,7 @@ fn assert_message(error: &ScenarioError) {
     }
 }
 
-/// Byte ranges of the numbers in a text, comments included, which then do nothing.
+/// Byte ranges of the numbers in a text. Includes numbers in comments, where an edit has no effect.
 fn numbers(text: &str) -> Vec<std::ops::Range<usize>> {
     let bytes = text.as_bytes();
     let digit = |i: usize| i < bytes.len() && (bytes[i].is_ascii_digit() || b"._".contains(&bytes[i]));
@@ -245,8 +263,8 @@ fn applied(text: &str, edit: &Edit) -> String {
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// An arm with every table and key there is.
-fn everything() -> Scenario {
+/// An arm scenario with all keys of arm, gate, overrun and faults.
+fn scenario_with_all_tables() -> Scenario {
     let mut scenario = presets()[0].scenario().unwrap();
     let arm = scenario.plant.arm.get_or_insert_default();
     arm.targets = vec![[0.5, 0.0], [-0.5, 0.2]];
@@ -273,7 +291,7 @@ fn everything() -> Scenario {
     scenario
 }
 
-/// The presets, an arm with everything, and a plant of somebody else's.
+/// The presets, an arm with all tables, and a plant of another program.
 fn texts() -> Vec<String> {
     let mut other = presets()[0].scenario().unwrap();
     other.plant = PlantConfig {
@@ -288,27 +306,30 @@ fn texts() -> Vec<String> {
     other.plant.arm = None;
     other.encoder.maps.truncate(1);
     other.encoder.maps[0].inputs = vec!["angle".to_owned(), "speed".to_owned()];
-    let made = [everything().to_toml(), other.to_toml()];
-    presets().iter().map(|preset| preset.text.to_owned()).chain(made).collect()
+    let built = [scenario_with_all_tables().to_toml(), other.to_toml()];
+    presets().iter().map(|preset| preset.text.to_owned()).chain(built).collect()
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_damage_to_a_file_does_harm(which in any::<prop::sample::Index>(), edits in prop::collection::vec(edit(), 1..4)) {
+    fn an_edited_file_gives_a_plan_or_a_message(
+        which in any::<prop::sample::Index>(),
+        edits in prop::collection::vec(edit(), 1..4),
+    ) {
         let text = edits.iter().fold(which.get(&texts()).clone(), |text, edit| applied(&text, edit));
-        survives(&text);
+        assert_plan_or_message(&text);
     }
 
     #[test]
-    fn no_text_at_all_does_harm(text in "(?s).{0,200}") {
-        survives(&text);
+    fn any_text_gives_a_plan_or_a_message(text in "(?s).{0,200}") {
+        assert_plan_or_message(&text);
     }
 }
 
 #[test]
-fn the_texts_under_test_are_good_ones() {
+fn the_texts_that_the_tests_edit_are_valid() {
     for text in texts() {
         let plan = Scenario::parse(&text, "x.toml").unwrap().plan().unwrap();
         assert_bounds(&plan);
@@ -316,44 +337,44 @@ fn the_texts_under_test_are_good_ones() {
 }
 
 #[test]
-fn every_number_replaced_by_every_odd_one() {
+fn any_number_replaced_by_an_extreme_one_gives_a_plan_or_a_message() {
     for text in texts() {
         for range in numbers(&text) {
             for value in ["nan", "inf", "-inf", "-1", "0", "1e300", "9223372036854775807"] {
                 let mut text = text.clone();
                 text.replace_range(range.clone(), value);
-                survives(&text);
+                assert_plan_or_message(&text);
             }
         }
     }
 }
 
 #[test]
-fn deep_and_long_texts_end_in_a_message() {
-    survives(&format!("name = {}", "[".repeat(100_000)));
-    survives(&"a.".repeat(100_000));
-    survives(&"[a]\n".repeat(10_000));
-    survives(&format!("name = \"{}\"\n", "\u{e9}".repeat(100_000)));
-    survives(&format!("{} = 1\n", "k".repeat(100_000)));
-    survives(&format!("seed = \"{}\"\n", "\\n".repeat(100_000)));
-    survives(&format!("seed = {}\n", "9".repeat(100_000)));
-    let mut many = everything();
+fn deep_and_long_texts_give_a_message() {
+    assert_plan_or_message(&format!("name = {}", "[".repeat(100_000)));
+    assert_plan_or_message(&"a.".repeat(100_000));
+    assert_plan_or_message(&"[a]\n".repeat(10_000));
+    assert_plan_or_message(&format!("name = \"{}\"\n", "\u{e9}".repeat(100_000)));
+    assert_plan_or_message(&format!("{} = 1\n", "k".repeat(100_000)));
+    assert_plan_or_message(&format!("seed = \"{}\"\n", "\\n".repeat(100_000)));
+    assert_plan_or_message(&format!("seed = {}\n", "9".repeat(100_000)));
+    let mut many = scenario_with_all_tables();
     many.plant.arm.get_or_insert_default().targets = vec![[0.5, 0.0]; 50_000];
-    survives(&many.to_toml());
+    assert_plan_or_message(&many.to_toml());
 }
 
 #[test]
-fn a_scenario_made_by_hand_is_checked_too() {
+fn a_scenario_built_in_memory_is_checked_too() {
     let mut scenario = presets()[0].scenario().unwrap();
     scenario.encoder.maps[0].units = vec![usize::MAX, usize::MAX];
     scenario.log.every = u64::MAX;
-    survives(&scenario.to_toml());
+    assert_plan_or_message(&scenario.to_toml());
     let error = scenario.plan().unwrap_err();
     assert!(error.to_string().contains("encoder.maps[0].units[0] is 18446744073709551615"), "{error}");
 }
 
 #[test]
-fn what_a_file_leaves_out_of_a_rule_is_the_rules_own() {
+fn missing_keys_get_the_defaults_of_the_files_rule() {
     use super::{LearnerConfig, Rule};
     let learner = |table: &str| {
         let arm = std::fs::read_to_string("scenarios/arm.toml").unwrap();
@@ -372,7 +393,7 @@ fn what_a_file_leaves_out_of_a_rule_is_the_rules_own() {
 }
 
 #[test]
-fn rules_are_given_no_more_than_they_can_do() {
+fn encoders_that_a_rule_does_not_support_are_refused() {
     use super::{LearnerConfig, Rule};
     let message = |rule: Rule, change: &dyn Fn(&mut Scenario)| {
         let mut scenario = Scenario::built_in("paper").unwrap();
@@ -384,7 +405,7 @@ fn rules_are_given_no_more_than_they_can_do() {
     let wider = |s: &mut Scenario| s.encoder.maps[1].units = vec![1024];
     let scalar = |s: &mut Scenario| s.encoder.scalars = vec!["theta_1".to_owned()];
     assert!(
-        message(Rule::LearnedReward, &wide).contains("encoder.maps[1].units is 257; the rule learned-reward can do")
+        message(Rule::LearnedReward, &wide).contains("encoder.maps[1].units is 257; the rule learned-reward supports")
     );
     assert!(message(Rule::LearnedReward, &scalar).contains("encoder.scalars is given, and the rule learned-reward"));
     assert!(message(Rule::NaturalActorCritic, &wider).contains("learner.rule is natural-actor-critic, for which 1328"));

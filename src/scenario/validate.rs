@@ -1,9 +1,9 @@
-//! The checks that the types of the tables cannot make: ranges, names, and references between tables.
+//! The checks that types cannot express: ranges, names, and references between tables.
 //!
-//! Checks run from the top of the file to the bottom and stop at the first problem, since one mistake often brings others
-//! with it. Every bound comes from [`limits`].
+//! Checks run from the top of the file to the bottom and stop at the first problem, because one mistake often
+//! causes several. Every bound comes from [`limits`].
 
-use super::check::{named, number, show, ticks};
+use super::check::{checked_name, number, show, ticks};
 use super::{
     LogConfig, Rule, Scenario, encoder, error::Violation, error::quoted, faults, gate, learner, limits, plant,
     plant_signals::signals, realtime, restart, servos,
@@ -12,7 +12,7 @@ use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
 
 /// Checks a whole scenario.
 pub(super) fn check(scenario: &Scenario) -> Result<(), Violation> {
-    top(scenario)?;
+    check_top_level(scenario)?;
     gate::check(&scenario.gate, &scenario.overrun)?;
     plant::check(&scenario.plant)?;
     servos::check(&scenario.plant, scenario.period_ms)?;
@@ -24,29 +24,29 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Violation> {
     plant::measures(&signals.measures)?;
 
     let features = encoder::check(&scenario.encoder, &signals.inputs)?;
-    policy(scenario.policy.sigma, scenario.gate.max_command.least())?;
-    let still = match &scenario.plant {
+    check_policy(scenario.policy.sigma, scenario.gate.max_command.least())?;
+    let unmoved = match &scenario.plant {
         plant if plant.eye.is_some() => Some("the eye"),
         plant if plant.arm.as_ref().is_some_and(|arm| arm.open_loop) => Some("an arm in an open loop"),
         _ => None,
     };
-    if let (Rule::LearnedReward, Some(plant)) = (scenario.learner.rule, still) {
+    if let (Rule::LearnedReward, Some(plant)) = (scenario.learner.rule, unmoved) {
         let text =
             format!("is learned-reward, which needs inputs that the commands move; {plant} has none, so give it paper");
         return Err(Violation::new("learner.rule", text));
     }
-    encoder::within_reach(scenario.learner.rule, &scenario.encoder, features)?;
+    encoder::check_rule(scenario.learner.rule, &scenario.encoder, features)?;
     learner::check(&scenario.learner, &signals)?;
-    log(&scenario.log)?;
-    channels(scenario)?;
+    check_log(&scenario.log)?;
+    check_channels(scenario)?;
     restart::check(&scenario.restart)?;
     realtime::check(&scenario.realtime)?;
     faults::check(&scenario.faults)
 }
 
-fn top(scenario: &Scenario) -> Result<(), Violation> {
+fn check_top_level(scenario: &Scenario) -> Result<(), Violation> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || "-_".contains(c);
-    named("name", &scenario.name, limits::NAME_CHARS, allowed, "letters, digits, - and _")?;
+    checked_name("name", &scenario.name, limits::NAME_CHARS, allowed, "letters, digits, - and _")?;
     if scenario.seed > limits::MAX_SEED {
         return Err(Violation::value(
             "seed",
@@ -56,7 +56,8 @@ fn top(scenario: &Scenario) -> Result<(), Violation> {
     }
     let period = scenario.period_ms;
     number("period_ms", period, limits::PERIOD_MS, "give 1 to 1000 ms")?;
-    // Division rounds to the nearest double, so that every decimal with up to six places comes back as it was written.
+    // Division rounds to the nearest double. So every decimal with up to six places passes this comparison
+    // exactly.
     if (period * 1e6).round() / 1e6 != period {
         let remedy = "give at most six decimals, so that it is a whole number of ns";
         return Err(Violation::value("period_ms", show(period), remedy));
@@ -64,31 +65,30 @@ fn top(scenario: &Scenario) -> Result<(), Violation> {
     ticks("ticks", scenario.ticks, *limits::TICKS.start())
 }
 
-fn policy(sigma: f64, max_command: f64) -> Result<(), Violation> {
+fn check_policy(sigma: f64, max_command: f64) -> Result<(), Violation> {
     let remedy = format!("give more than 0 (1e-9 or more), up to gate.max_command, which is {}", show(max_command));
     number("policy.sigma", sigma, limits::MIN_SIGMA..=max_command, remedy)
 }
 
-fn log(log: &LogConfig) -> Result<(), Violation> {
+fn check_log(log: &LogConfig) -> Result<(), Violation> {
     ticks("log.every", log.every, 1)?;
     ticks("log.hash_every", log.hash_every, 1)
 }
 
-fn channels(scenario: &Scenario) -> Result<(), Violation> {
+fn check_channels(scenario: &Scenario) -> Result<(), Violation> {
     let channels = &scenario.channels;
     let mut named_channels =
         vec![("observation", &channels.observation), ("command", &channels.command), ("learning", &channels.learning)];
     if scenario.vision().is_some() {
         named_channels.push(("vision", &channels.vision));
     } else if channels.vision != crate::wire::ChannelNames::default().vision {
-        let text =
-            "names a channel that there is with plant.servos.sight = \"vision\" alone; take it out, or give that";
+        let text = "names a channel that exists only with plant.servos.sight = \"vision\"; take it out, or give that";
         return Err(Violation::new("channels.vision", text));
     }
     let allowed = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "_-/".contains(c);
     for (i, (key, name)) in named_channels.iter().enumerate() {
-        let words = "lower-case letters, digits, _, - and /";
-        named(format_args!("channels.{key}"), name, limits::CHANNEL_CHARS, allowed, words)?;
+        let allowed_text = "lower-case letters, digits, _, - and /";
+        checked_name(format_args!("channels.{key}"), name, limits::CHANNEL_CHARS, allowed, allowed_text)?;
         if let Some((other, _)) = named_channels[..i].iter().find(|(_, other)| other == name) {
             let text = format!("and channels.{other} are both {}; give each channel a name of its own", quoted(name));
             return Err(Violation::new(format_args!("channels.{key}"), text));

@@ -6,7 +6,7 @@ use super::summary::{RunOutcome, RunSummary};
 use super::{Launch, LaunchError};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::plant::SimulatedPlant;
-use crate::runtime::{PolicySnapshot, SnapshotSchedule, in_process_seen};
+use crate::runtime::{PolicySnapshot, SnapshotSchedule, in_process_with_observer};
 use crate::scenario::Plan;
 
 /// Ticks between two checks for signals and updates of the progress line.
@@ -27,7 +27,7 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let began = monotonic_ns();
     let due = SnapshotSchedule::of(plan).map_or_else(Vec::new, |schedule| schedule.due().to_vec());
     let mut snapshots: Vec<PolicySnapshot> = Vec::new();
-    let result = in_process_seen(plan, plant, |observation, controller| {
+    let result = in_process_with_observer(plan, plant, |observation, controller| {
         let tick = observation.header.tick;
         if due.get(snapshots.len()) == Some(&tick) {
             snapshots.push(PolicySnapshot { tick, policy: controller.policy().clone() });

@@ -40,7 +40,7 @@ use supervisor::Supervisor;
 
 use crate::channel::{DomainName, RunServices, remove_stale_domains};
 use crate::clock::{RealtimeRefusal, TerminationSignals, monotonic_ns, wall_ns};
-use crate::process::say;
+use crate::process::print_error_line;
 use crate::runtime::{Mode, ResumePoint, RunManifest, WireManifest, identity, read_realtime, snapshot_path};
 use crate::scenario::Plan;
 use crate::wire::{Control, Role};
@@ -83,7 +83,10 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
 
     // A launcher that was killed could not remove its own.
     for left in remove_stale_domains(false) {
-        say(&format!("tectum: removed {} from shared memory, which a run that was killed had left", left.domain));
+        print_error_line(&format!(
+            "tectum: removed {} from shared memory, which a run that was killed had left",
+            left.domain
+        ));
     }
     let run_id = run_id(plan);
     let domain = DomainName::of(run_id);
@@ -136,7 +139,9 @@ fn warn_of_refusals(folder: &Path) {
     for role in Role::ALL {
         for refusal in read_realtime(folder, role).into_iter().flat_map(|report| report.refused) {
             let (name, RealtimeRefusal { what, why, remedy }) = (role.name(), refusal);
-            say(&format!("tectum: warning: the {name} asked for {what} and does not have it ({why}); {remedy}"));
+            print_error_line(&format!(
+                "tectum: warning: the {name} asked for {what} and does not have it ({why}); {remedy}"
+            ));
         }
     }
 }

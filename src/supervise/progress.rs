@@ -6,7 +6,7 @@ use super::folder::RunFolder;
 use super::progress_line::ProgressLine;
 use crate::channel::RunServices;
 use crate::clock::monotonic_ns;
-use crate::process::say;
+use crate::process::print_error_line;
 use crate::programs;
 use crate::runtime::Mode;
 use crate::text::thousands;
@@ -37,7 +37,7 @@ impl RunProgress {
                 Role::Controller => programs::CONTROLLER,
                 Role::Logger => programs::LOGGER,
             };
-            say(&format!("waiting for the {}: {program} --run {}", role.name(), folder.path().display()));
+            print_error_line(&format!("waiting for the {}: {program} --run {}", role.name(), folder.path().display()));
         }
         let scenario = &launch.plan.scenario;
         Self { realtime: launch.mode == Mode::Realtime, ..Self::study(&scenario.name, scenario.ticks, launch.progress) }

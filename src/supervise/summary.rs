@@ -16,7 +16,7 @@ use crate::log;
 use crate::report::{self, ProgressRow, Reached, RunHistory};
 use crate::runtime::{
     ControllerReport, InProcess, LoggerReport, Mode, PlantReport, PolicySnapshot, TickBudget, exit, read_realtime,
-    read_report, read_snapshots, sweep_drafts,
+    read_report, read_snapshots, remove_unwritten_reports,
 };
 use crate::stats::{Percentiles, Window};
 use crate::text::thousands;
@@ -203,13 +203,14 @@ impl RunSummary {
         });
         let controller: Option<ControllerReport> = read_report(folder, Role::Controller);
         let logger: LoggerReport = read_report(folder, Role::Logger).unwrap_or_default();
-        sweep_drafts(folder);
+        remove_unwritten_reports(folder);
         let mut summary = Self::new(launch, folder, ended, seconds);
         summary.add_plant(&plant);
         summary.add_controller(launch, controller, &read_snapshots(folder, &launch.plan));
         summary.restarts = incidents;
-        let report = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
-        summary.realtime = Role::ALL.into_iter().filter_map(report).collect();
+        let realtime_of =
+            |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
+        summary.realtime = Role::ALL.into_iter().filter_map(realtime_of).collect();
         summary.add_log(folder, &logger);
         if let Some(ProcessFailure { code, message, .. }) = failure {
             summary.failure = Some(message);
@@ -318,7 +319,7 @@ impl RunSummary {
         self.log_segments = segments.len();
         self.log = if segments.len() > 1 { Some(folder.to_owned()) } else { segments.pop() };
         self.log_missing_from = logger.missing_from;
-        // The logger's report outlives plants and controllers.
+        // The logger's counts include those of restarted plants and controllers.
         for (shown, counted) in [
             (&mut self.wake_up_lateness_us, logger.wake_up_lateness),
             (&mut self.observation_to_command_us, logger.observation_to_command),

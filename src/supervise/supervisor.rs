@@ -8,7 +8,7 @@ use super::restarts::{RestartIncident, RestartTracker};
 use super::{Launch, LaunchError, RunOutcome, RunProgress};
 use crate::channel::{DomainName, RunServices, reclaim_dead};
 use crate::clock::{TerminationSignals, monotonic_ns, pause};
-use crate::process::say;
+use crate::process::print_error_line;
 use crate::runtime::Mode;
 use crate::wire::{Control, Phase, ProcessState, Role, Status};
 
@@ -153,7 +153,7 @@ impl Supervisor {
             let running = self.ended.is_none() && self.control.phase() == Phase::Run;
             let requested = self.fault_injector.take_restart(death.failure.role);
             if running && self.restarts.schedule(&death, monotonic_ns(), requested) {
-                say(&format!("tectum: {}; it is started again", death.failure.message));
+                print_error_line(&format!("tectum: {}; it is started again", death.failure.message));
             } else {
                 self.fail(death.failure);
             }
@@ -185,7 +185,7 @@ impl Supervisor {
                 _ => self.restarts.since_start(role, now) > SET_UP_LIMIT.as_nanos() as u64,
             };
             if hangs {
-                say(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));
+                print_error_line(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));
                 process.kill();
             }
         }

@@ -383,7 +383,7 @@ impl Plant for Bridge {
         new_target
     }
 
-    fn acts_within(&self) -> Option<u64> {
+    fn command_deadline_ns(&self) -> Option<u64> {
         Some(self.command_within)
     }
 
@@ -452,7 +452,7 @@ impl Plant for Bridge {
         outcome
     }
 
-    fn remarks(&self) -> u32 {
+    fn sensing_flags(&self) -> u32 {
         if self.read_failed || !self.sees() { flag::BLIND } else { 0 }
     }
 

@@ -29,7 +29,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::{StudyError, WorkerPool};
-use crate::clock::{facts, monotonic_ns};
+use crate::clock::{machine_facts, monotonic_ns};
 use crate::reference::{LEVEL, TARGETS, TEST_SEED};
 use crate::scenario::Rule;
 use crate::supervise::RunFolder;
@@ -123,7 +123,7 @@ pub fn compare(comparison: &Comparison) -> Result<ComparisonResult, StudyError> 
             seed: TEST_SEED,
         },
         build: crate::BUILD,
-        machine: facts(),
+        machine: machine_facts(),
         seconds: (monotonic_ns() - began) as f64 / 1e9,
         folder: folder.path().to_owned(),
         rows,

@@ -78,7 +78,7 @@ impl Plant for ReplayedPlant {
         }
     }
 
-    fn acts_within(&self) -> Option<u64> {
+    fn command_deadline_ns(&self) -> Option<u64> {
         match self {
             Self::Logged { own: Some(_), .. } => Some(0),
             _ => None,
@@ -95,7 +95,7 @@ impl Plant for ReplayedPlant {
         }
     }
 
-    fn remarks(&self) -> u32 {
+    fn sensing_flags(&self) -> u32 {
         match self {
             Self::Logged { own: Some(own), .. } => own.flags & flag::BLIND,
             _ => 0,

@@ -7,8 +7,8 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::ReproduceSettings;
-use crate::clock::{facts, monotonic_ns};
-use crate::runtime::{Controller, in_process_seen};
+use crate::clock::{machine_facts, monotonic_ns};
+use crate::runtime::{Controller, in_process_with_observer};
 use crate::scenario::{Plan, Scenario};
 use crate::study::error::write_file;
 use crate::study::{JobProgress, StudyError, WorkerPool};
@@ -53,7 +53,7 @@ impl ReproduceSettings {
         let runs = pool.run(name, ticks, &plans, work)?;
         let seconds = (monotonic_ns() - began) as f64 / 1e9;
         folder.keep();
-        let facts = ExperimentFacts { seconds, machine: facts(), folder: folder.path().to_owned() };
+        let facts = ExperimentFacts { seconds, machine: machine_facts(), folder: folder.path().to_owned() };
         Ok(Experiment { plans, runs, per_variant: self.seeds as usize, facts })
     }
 }
@@ -119,7 +119,7 @@ pub(super) fn run(
     mut observe: impl FnMut(&Observation, &Controller),
 ) -> LearnerEnd {
     let Some(body) = plan.simulated_plant() else { unreachable!("the built-in scenarios use simulated plants") };
-    let result = in_process_seen(plan, body, |observation, controller| {
+    let result = in_process_with_observer(plan, body, |observation, controller| {
         observe(observation, controller);
         !observation.header.tick.is_multiple_of(REPORT) || progress.report(REPORT)
     });

@@ -52,7 +52,7 @@ pub trait Plant: Persist {
     /// For a plant on hardware, where the command of a tick acts during that tick: how long the plant's loop
     /// waits for the command, ns after the beginning of the tick. `None` for a simulated plant, which advances
     /// when the tick is over.
-    fn acts_within(&self) -> Option<u64> {
+    fn command_deadline_ns(&self) -> Option<u64> {
         None
     }
 
@@ -64,7 +64,7 @@ pub trait Plant: Persist {
     }
 
     /// Flags about the latest sensing, in addition to those of the gate.
-    fn remarks(&self) -> u32 {
+    fn sensing_flags(&self) -> u32 {
         0
     }
 
