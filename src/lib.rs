@@ -85,11 +85,13 @@ pub mod wire;
 
 pub use tectum_core::{learner, plant, policy, seed, state};
 pub use tectum_encoder as encoder;
-pub use tectum_encoder::simd;
 
 // The programs, tests and benches of this package are crates of their own and need the following modules, so
 // they are public. They are hidden because a plant, a tracker or a study of your own does not need them. They
 // may change at any time.
+#[doc(hidden)]
+pub use tectum_encoder::simd;
+
 #[doc(hidden)]
 pub mod bench;
 #[doc(hidden)]

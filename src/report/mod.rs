@@ -1,7 +1,7 @@
 //! What a run's end shows: a figure and a table of how the controller learned.
 //!
 //! A [`RunHistory`] is plain numbers, collected window by window by whoever watches the run, and handed on as JSON if that is
-//! another process. [`figure::draw`] makes one SVG of it, [`table`] a few lines of text. Both only see the story: they
+//! another process. [`figure::draw`] makes one SVG of it, [`table`] a few lines of text. Both depend on the history alone: they
 //! give the same bytes for the same numbers, on every machine.
 
 pub mod figure;
@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Means over some ticks in a row. Errors are in the story's [`unit`](Story::unit).
+/// Means over some ticks in a row. Errors are in the history's [`unit`](RunHistory::unit).
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Window {

@@ -1,6 +1,6 @@
 //! What people do with an arm before it is a plant: find its servos, calibrate it by hand, move one joint, look.
 //!
-//! Nothing here turns torque on but [`jog`], which turns it off again however it ends. Ports and clocks are handed in, so that the same
+//! Nothing here turns torque on but `jog`, which turns it off again however it ends. Ports and clocks are handed in, so that the same
 //! code runs on hardware, on the emulated chain and in a test.
 
 mod calibrate;
