@@ -1,4 +1,4 @@
-//! A chain of emulated servos on a pseudo-terminal, in real time.
+//! `tectum-servo-emulator`: a chain of emulated servos behind a pseudo-terminal, in real time.
 
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -15,43 +15,45 @@ use tectum::servo::pseudo_terminal::{EmulatorTasks, PseudoTerminal};
 const EXAMPLE: &str = "Four servos that a bridge, or any program for such servos, finds under /tmp/arm:\n  \
     tectum-servo-emulator --protocol feetech --ids 1,2,3,4 --link /tmp/arm\n  \
     tectum-bridge scan --port /tmp/arm --protocol feetech\n\
-    With --control it takes lines on standard input: \"hand 1 3000\" turns servo 1 by hand, \"state\" says how all are.";
+    With --control it takes lines on standard input: \
+    \"hand 1 3000\" turns servo 1 by hand, \"state\" says how all are.";
 
 /// Emulates a chain of serial-bus servos behind a pseudo-terminal
 #[derive(Debug, Parser)]
 #[command(version = tectum::BUILD, after_help = EXAMPLE)]
 struct Arguments {
-    /// What the servos speak
+    /// Protocol of the servos
     #[arg(long, default_value = "dynamixel", value_parser = Protocol::NAMES)]
     protocol: String,
-    /// Their ids, in the order of the wire; one that stands twice makes two servos that talk at once
+    /// Their ids, in the order on the wire; a repeated id gives two servos that answer at the same time
     #[arg(long, value_delimiter = ',', default_value = "1,2,3,4")]
     ids: Vec<u8>,
-    /// The baud rate at which they listen
+    /// Their baud rate
     #[arg(long, default_value_t = 1_000_000)]
     baud: u32,
-    /// Takes [plant.emulator] and the seed from this scenario
+    /// Take [plant.emulator] and the seed from this scenario
     #[arg(long, value_name = "FILE")]
     scenario: Option<PathBuf>,
-    /// The seed of noise, jitter and faults; left out, the scenario's, or 1
+    /// Seed of noise, jitter and faults; by default the scenario's, or 1
     #[arg(long)]
     seed: Option<u64>,
-    /// A fault as `KIND`, `KIND:SERVO`, `KIND:SERVO:FROM_S` or `KIND:SERVO:FROM_S:UNTIL_S`; may be given several times
+    /// A fault as `KIND`, `KIND:SERVO`, `KIND:SERVO:FROM_S` or `KIND:SERVO:FROM_S:UNTIL_S`; may be given
+    /// several times
     #[arg(long = "fault", value_name = "FAULT")]
     faults: Vec<String>,
-    /// A symbolic link to the terminal
+    /// Create this symbolic link to the terminal
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
-    /// Ends with the process of this id
+    /// End with the process of this id
     #[arg(long, value_name = "PID")]
     parent: Option<u32>,
-    /// Takes commands on standard input
+    /// Read commands from standard input
     #[arg(long)]
     control: bool,
-    /// Says when a servo's torque goes on or off
+    /// Print a line when a servo's torque goes on or off
     #[arg(long)]
     trace: bool,
-    /// One JSON object a line on standard output
+    /// Print one JSON object per line
     #[arg(long)]
     json: bool,
 }
@@ -66,7 +68,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// A sentence and an exit code.
+/// A message and an exit code.
 type Problem = (String, u8);
 
 fn run(arguments: &Arguments) -> Result<(), Problem> {
@@ -91,9 +93,9 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
     }
     let signals = TerminationSignals::install().map_err(|error| own(format!("signals cannot be taken: {error}")))?;
     let parent = match arguments.parent {
-        // A parent that is gone already has nobody left to serve.
+        // If the parent has already ended, there is nothing to do.
         Some(pid) => match ProcessHandle::of(pid) {
-            Some(life) => Some(life),
+            Some(parent) => Some(parent),
             None => return Ok(()),
         },
         None => None,
@@ -112,11 +114,11 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
         format!("{} servos at {path}", arguments.ids.len())
     };
     let _ = writeln!(out, "{line}").and_then(|()| out.flush());
-    let duties = EmulatorTasks { control: arguments.control, trace: arguments.trace, json: arguments.json, parent };
-    terminal.serve(chain, &signals, &duties).map_err(|error| own(format!("the terminal failed: {error}")))
+    let tasks = EmulatorTasks { control: arguments.control, trace: arguments.trace, json: arguments.json, parent };
+    terminal.serve(chain, &signals, &tasks).map_err(|error| own(format!("the terminal failed: {error}")))
 }
 
-/// `KIND[:SERVO[:FROM_S[:UNTIL_S]]]`.
+/// Parses a fault: `KIND[:SERVO[:FROM_S[:UNTIL_S]]]`.
 fn fault(text: &str) -> Result<ServoFault, String> {
     let wrong =
         |what: &str| format!("--fault {text}: {what}; give KIND[:SERVO[:FROM_S[:UNTIL_S]]], as in no-reply:2:5:6");

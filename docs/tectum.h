@@ -1,7 +1,7 @@
-/* Samples and boards of a Tectum run, for C and C++. docs/wire.md says how they are used.
+/* Samples and boards of a Tectum run, for C and C++. docs/wire.md describes their use.
  *
- * Made from the field tables of the Rust processes by tests/wire.rs; do not edit. Little endian, IEEE 754, no padding. The string
- * that begins with TECTUM_TYPE_ is the payload's type name, which iceoryx2 compares. */
+ * Made from the field tables of the Rust processes by tests/wire.rs; do not edit. Little endian, IEEE 754, no
+ * padding. The constants that begin with TECTUM_TYPE_ are the payloads' type names, which iceoryx2 compares. */
 #ifndef TECTUM_H
 #define TECTUM_H
 

@@ -1,12 +1,12 @@
-//! A plant of your own in the simulator's place: a point on a line has to follow a target.
+//! A plant of your own instead of the simulator: a point on a line that has to follow a target.
 //!
 //! ```text
 //! cargo build --release --bins --examples
 //! target/release/tectum run examples/point.toml
 //! ```
 //!
-//! A plant program is a body (a type that implements `Plant`) and one call. Channels, handshake, time, hold policy and
-//! limits come with the library. Controller and logger do not notice the difference.
+//! A plant program is a type that implements `Plant`, and one call. The library provides channels, handshake, time,
+//! hold policy and limits. Controller and logger are the same as with the simulator.
 
 use std::process::ExitCode;
 

@@ -1,5 +1,5 @@
-//! `tectum bench`: each of its commands, shortly, with real processes. What is measured on a machine that other tests share is
-//! worth nothing, so no test asserts a time; they assert that everything is there, adds up, and is gone afterwards.
+//! Short runs of each command of `tectum bench` with real processes. Other tests share the machine, so no test
+//! asserts a time. The tests check that the results are complete and consistent and that nothing is left afterwards.
 
 mod support;
 
@@ -7,17 +7,18 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::Value;
-use support::{Outcome, Place, TECTUM, children, signal_process};
+use support::{ProcessOutcome, TECTUM, TestFolder, children, has_ended, read_json, signal_process};
 use tectum::log::{RunLog, segments};
 
-const WAYS: [&str; 5] = ["iceoryx2-event", "iceoryx2-poll", "unix-socket", "pipe", "futex"];
+const TRANSPORTS: [&str; 5] = ["iceoryx2-event", "iceoryx2-poll", "unix-socket", "pipe", "futex"];
 const SERIES: [&str; 5] =
     ["scheduled_to_sensed", "sensed_to_command", "command_to_applied", "sensed_to_applied", "scheduled_to_applied"];
 
-fn bench(place: &Place, arguments: &[&str]) -> Outcome {
+/// Runs a bench and checks that it leaves nothing in shared memory and no process.
+fn bench(test_folder: &TestFolder, arguments: &[&str]) -> ProcessOutcome {
     let mut all = vec!["bench"];
     all.extend(arguments);
-    let process = place.start(TECTUM, &all);
+    let process = test_folder.start(TECTUM, &all);
     let pid = process.id();
     let outcome = process.wait();
     assert_eq!(domains_of(pid), Vec::<String>::new(), "left in /dev/shm: {outcome:#?}");
@@ -25,7 +26,7 @@ fn bench(place: &Place, arguments: &[&str]) -> Outcome {
     outcome
 }
 
-/// The domains in shared memory that process `pid` has made.
+/// The domains in shared memory that process `pid` has created.
 fn domains_of(pid: u32) -> Vec<String> {
     let names = fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.path());
     let ours = |path: &std::path::PathBuf| {
@@ -49,84 +50,86 @@ fn assert_machine(found: &Value) {
     assert!(machine["date"].as_str().unwrap().ends_with(" UTC") && machine["mitigations"].is_object());
 }
 
-/// Every series of every way: as many samples as ticks, percentiles in order, and the whole distribution in a file.
+/// Checks every series of every transport: one sample a tick, percentiles in order, and the distribution in a file.
 fn assert_latency(found: &Value, folder: &Path) {
     assert_machine(found);
-    for way in list(found, "ways") {
-        let (ticks, swallowed) = (number(way, "ticks"), number(way, "swallowed"));
-        assert!(ticks > 0.0, "{way}");
+    for transport in list(found, "ways") {
+        let (ticks, swallowed) = (number(transport, "ticks"), number(transport, "swallowed"));
+        assert!(ticks > 0.0, "{transport}");
         for series in SERIES {
-            let p = &way[format!("{series}_us")];
+            let p = &transport[format!("{series}_us")];
             let values = ["p50", "p90", "p99", "p999", "max"].map(|q| number(p, q));
-            // A histogram has three digits, and its largest value is told as it is.
-            assert!(values.windows(2).all(|w| w[0] <= w[1] * 1.002) && values[0] >= 0.0, "{series} {way}");
+            // A histogram has three digits of precision; its maximum is exact.
+            assert!(values.windows(2).all(|w| w[0] <= w[1] * 1.002) && values[0] >= 0.0, "{series} {transport}");
             let count = number(p, "count");
             let expected = if series.starts_with("scheduled") { ticks + swallowed } else { ticks };
-            assert!(count == expected || count < expected && series.contains("command"), "{series} {way}");
+            assert!(count == expected || count < expected && series.contains("command"), "{series} {transport}");
         }
-        let files = list(way, "files");
+        let files = list(transport, "files");
         assert_eq!(files.len(), SERIES.len());
         for (file, series) in files.iter().zip(SERIES) {
             let text = fs::read_to_string(folder.join(file.as_str().unwrap())).unwrap();
             let total =
                 text.lines().last().unwrap().rsplit_once('=').unwrap().1.trim_end_matches(']').trim().to_owned();
-            assert_eq!(total.parse::<f64>().unwrap(), number(&way[format!("{series}_us")], "count"), "{text}");
+            assert_eq!(total.parse::<f64>().unwrap(), number(&transport[format!("{series}_us")], "count"), "{text}");
         }
     }
     for ratio in list(found, "ratios") {
-        assert!(WAYS.contains(&ratio["to"].as_str().unwrap()), "{ratio}");
+        assert!(TRANSPORTS.contains(&ratio["to"].as_str().unwrap()), "{ratio}");
         assert!(number(ratio, "p50") > 0.0 && number(ratio, "p99") > 0.0, "{ratio}");
     }
     assert!(!folder.join("block").exists(), "the runs are gone");
 }
 
-fn ways(found: &Value, caches: &str) -> Vec<String> {
-    let these = list(found, "ways").iter().filter(|way| way["caches"] == caches);
-    these.map(|way| way["way"].as_str().unwrap().to_owned()).collect()
+/// The names of the transports that were measured with these caches.
+fn transports(found: &Value, caches: &str) -> Vec<String> {
+    let measured = list(found, "ways").iter().filter(|transport| transport["caches"] == caches);
+    measured.map(|transport| transport["way"].as_str().unwrap().to_owned()).collect()
 }
 
 #[test]
-fn latency_at_the_cadence_has_every_way_cold_and_warm() {
-    let place = Place::new();
-    let found = bench(&place, &["latency", "--seconds", "0.2", "--json", "--out", "lat"]).expect(0).json();
-    let folder = place.path().join("lat");
+fn latency_at_a_cadence_measures_every_transport_cold_and_warm() {
+    let test_folder = TestFolder::new();
+    let found = bench(&test_folder, &["latency", "--seconds", "0.2", "--json", "--out", "lat"]).expect(0).json();
+    let folder = test_folder.path().join("lat");
     assert_latency(&found, &folder);
     let mut all = vec!["tectum"];
-    all.extend(WAYS);
-    assert_eq!(ways(&found, "usual"), all);
+    all.extend(TRANSPORTS);
+    assert_eq!(transports(&found, "usual"), all);
     for caches in ["cold", "warm"] {
-        assert_eq!(ways(&found, caches), ["tectum", "iceoryx2-event"]);
+        assert_eq!(transports(&found, caches), ["tectum", "iceoryx2-event"]);
     }
     assert_eq!((found["mode"].as_str(), number(&found, "period_ms")), (Some("cadence"), 50.0));
-    // Each bare way in the same series and over its whole round trip, and event once more cold and warm.
-    assert_eq!(list(&found, "ratios").len(), 2 * (WAYS.len() + 2));
+    // Each bare transport has a ratio in the same series and one over its whole round trip; iceoryx2-event also has
+    // them cold and warm.
+    assert_eq!(list(&found, "ratios").len(), 2 * (TRANSPORTS.len() + 2));
     assert!(found["slowest_eviction_ms"].is_number());
     // A command of Tectum is applied at the next tick.
     let tectum = &list(&found, "ways")[0];
     assert!(number(&tectum["scheduled_to_applied_us"], "p50") >= 50_000.0, "{tectum}");
-    let same: Value = serde_json::from_str(&fs::read_to_string(folder.join("latency.json")).unwrap()).unwrap();
-    assert_eq!(same["ways"], found["ways"]);
+    let written = read_json(folder.join("latency.json"));
+    assert_eq!(written["ways"], found["ways"]);
 }
 
 #[test]
-fn latency_back_to_back_has_every_way() {
-    let place = Place::new();
-    let found = bench(&place, &["latency", "--mode", "saturated", "--seconds", "0.1", "--json", "--out", "sat"])
+fn latency_back_to_back_measures_every_transport() {
+    let test_folder = TestFolder::new();
+    let found = bench(&test_folder, &["latency", "--mode", "saturated", "--seconds", "0.1", "--json", "--out", "sat"])
         .expect(0)
         .json();
-    assert_latency(&found, &place.path().join("sat"));
-    assert_eq!(ways(&found, "usual").len(), WAYS.len() + 1);
-    assert_eq!(list(&found, "ratios").len(), WAYS.len());
+    assert_latency(&found, &test_folder.path().join("sat"));
+    assert_eq!(transports(&found, "usual").len(), TRANSPORTS.len() + 1);
+    assert_eq!(list(&found, "ratios").len(), TRANSPORTS.len());
     assert!(found["period_ms"].is_null() && found["slowest_eviction_ms"].is_null());
     let tectum = &list(&found, "ways")[0];
     assert!(number(tectum, "ticks") > 1000.0 && number(tectum, "missed") == 0.0, "{tectum}");
 }
 
 #[test]
-fn lockstep_stands_beside_bare_iceoryx2() {
-    let place = Place::new();
-    let asked = ["lockstep", "--ticks", "20000", "--rounds", "2", "--json", "--out", "lock"];
-    let found = bench(&place, &asked).expect(0).json();
+fn lockstep_is_measured_beside_bare_iceoryx2() {
+    let test_folder = TestFolder::new();
+    let arguments = ["lockstep", "--ticks", "20000", "--rounds", "2", "--json", "--out", "lock"];
+    let found = bench(&test_folder, &arguments).expect(0).json();
     assert_machine(&found);
     let cases = list(&found, "cases");
     assert_eq!(cases.len(), 4);
@@ -136,12 +139,12 @@ fn lockstep_stands_beside_bare_iceoryx2() {
         assert_eq!(case["share_of_bare"].is_null(), i == 3, "{case}");
         assert_eq!(case["usage"].is_object(), i < 2, "{case}");
     }
-    // Of each round by itself.
+    // The share is computed for each round separately.
     let rates = |i: usize| list(&cases[i], "blocks").iter().map(|x| x.as_f64().unwrap()).collect::<Vec<_>>();
     let shares: Vec<f64> = rates(0).iter().zip(rates(3)).map(|(ours, bare)| ours / bare).collect();
     let least = shares.iter().copied().fold(f64::INFINITY, f64::min);
     assert!((number(&cases[0]["share_of_bare"], "min") - least).abs() < 1e-9);
-    assert!(place.path().join("lock/lockstep.json").exists() && !place.path().join("lock/block").exists());
+    assert!(test_folder.path().join("lock/lockstep.json").exists() && !test_folder.path().join("lock/block").exists());
 }
 
 fn paths() -> Vec<String> {
@@ -161,18 +164,18 @@ fn assert_costs(found: &Value, growths: usize) {
 }
 
 #[test]
-fn encoder_and_learner_have_every_version_on_every_path() {
-    let place = Place::new();
-    let found = bench(&place, &["encoder", "--batches", "2", "--json", "--out", "enc"]).expect(0).json();
+fn encoder_and_learner_are_measured_in_every_version_on_every_path() {
+    let test_folder = TestFolder::new();
+    let found = bench(&test_folder, &["encoder", "--batches", "2", "--json", "--out", "enc"]).expect(0).json();
     assert_costs(&found, 2);
     let versions: Vec<_> = list(&found, "costs").iter().map(|c| c["version"].as_str().unwrap()).collect();
     let mut expected = vec!["naive".to_owned(), "separable".to_owned(), "scalar twin".to_owned()];
     expected.extend(paths().iter().map(|path| format!("final, {path}")));
     assert_eq!(versions, expected);
-    let csv = fs::read_to_string(place.path().join("enc/encoder.csv")).unwrap();
+    let csv = fs::read_to_string(test_folder.path().join("enc/encoder.csv")).unwrap();
     assert_eq!(csv.lines().count(), 1 + list(&found, "costs").len() + list(&found, "growth").len());
 
-    let found = bench(&place, &["learner", "--batches", "2", "--json", "--out", "learn"]).expect(0).json();
+    let found = bench(&test_folder, &["learner", "--batches", "2", "--json", "--out", "learn"]).expect(0).json();
     assert_costs(&found, 2);
     let what: Vec<_> = list(&found, "costs").iter().map(|c| c["what"].as_str().unwrap()).collect();
     for rule in ["paper", "baseline", "actor-critic", "natural-actor-critic", "learned-reward"] {
@@ -183,11 +186,11 @@ fn encoder_and_learner_have_every_version_on_every_path() {
 }
 
 #[test]
-fn all_of_it_is_a_page_with_figures_and_numbers() {
-    let place = Place::new();
-    let small = ["--seconds", "0.1", "--ticks", "20000", "--rounds", "1", "--batches", "2"];
-    let found = bench(&place, &[&["all", "--report", "page", "--json"][..], &small].concat()).expect(0).json();
-    let folder = place.path().join("page");
+fn bench_all_writes_a_page_with_figures_and_numbers() {
+    let test_folder = TestFolder::new();
+    let short = ["--seconds", "0.1", "--ticks", "20000", "--rounds", "1", "--batches", "2"];
+    let found = bench(&test_folder, &[&["all", "--report", "page", "--json"][..], &short].concat()).expect(0).json();
+    let folder = test_folder.path().join("page");
     let page = fs::read_to_string(folder.join("performance.md")).unwrap();
     for words in ["| what | target | measured |", "(latency.svg)", "(growth.svg)", "## Lockstep", " UTC"] {
         assert!(page.contains(words), "{words} in {page}");
@@ -209,73 +212,60 @@ fn all_of_it_is_a_page_with_figures_and_numbers() {
     assert!(list(&found, "targets").len() >= 10, "{}", found["targets"]);
 }
 
-/// A bench that empties caches between ticks must know when they begin.
+/// A bench that empties caches between ticks relies on this.
 #[test]
 fn ticks_of_a_real_time_run_begin_at_whole_multiples_of_the_period() {
-    let place = Place::new();
-    let scenario = place.arm(&[("every", "1"), ("period_ms", "7")]);
-    place.run(&[&scenario, "--mode", "realtime", "--ticks", "3"]).wait().expect(0);
-    let log = RunLog::open(&segments(&place.run_folder())).unwrap();
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[("every", "1"), ("period_ms", "7")]);
+    test_folder.run(&[&scenario, "--mode", "realtime", "--ticks", "3"]).wait().expect(0);
+    let log = RunLog::open(&segments(&test_folder.run_folder())).unwrap();
     let scheduled: Vec<u64> =
         log.filter_map(|record| Some(record.unwrap().header()?.scheduled_ns % 7_000_000)).collect();
     assert!(!scheduled.is_empty() && scheduled.iter().all(|&rest| rest == 0), "{scheduled:?}");
 }
 
-/// Waits until the bench has started the other process of a bare way; gives its id.
-fn peer_of(bench: &mut support::Process) -> u32 {
-    let mut peer = None;
-    let parent = bench.id();
-    bench.until("the other process", || {
-        peer = children(parent).into_iter().find(|(_, name)| name == "tectum").map(|(pid, _)| pid);
-        peer.is_some()
-    });
-    peer.unwrap()
-}
-
-fn gone(pid: u32) -> bool {
-    fs::read_to_string(format!("/proc/{pid}/stat")).map_or(true, |stat| stat.contains(") Z "))
-}
-
 #[test]
-fn a_signal_ends_it_and_nothing_is_left() {
-    let place = Place::new();
-    let mut process = place.start(TECTUM, &["bench", "latency", "--seconds", "60", "--out", "lat"]);
-    let peer = peer_of(&mut process);
+fn a_signal_ends_a_bench_and_leaves_nothing() {
+    let test_folder = TestFolder::new();
+    let mut process = test_folder.start(TECTUM, &["bench", "latency", "--seconds", "60", "--out", "lat"]);
+    // The peer process of a bare transport is started from the same program.
+    let peer = process.child_pid("tectum");
     let pid = process.id();
     process.signal("INT");
     let outcome = process.wait().expect(130);
     assert!(outcome.stdout.is_empty() && outcome.stderr.contains("ended by signal 2"), "{outcome:?}");
-    assert!(gone(peer) && domains_of(pid).is_empty());
-    assert!(!place.path().join("lat").exists(), "a folder without results");
+    assert!(has_ended(peer) && domains_of(pid).is_empty());
+    assert!(!test_folder.path().join("lat").exists(), "a folder without results");
 }
 
-/// Killed while each of the ways has its turn, the other process ends by itself.
+/// When a bench is killed while Tectum or a bare transport is measured, the other processes end.
 #[test]
-fn the_other_process_does_not_outlive_a_bench_that_is_killed() {
-    let place = Place::new();
-    let mut process = place.start(TECTUM, &["bench", "lockstep", "--ticks", "400000", "--rounds", "1"]);
-    // Any member of its first run will do: all of them follow their launcher's pidfd.
-    let member = process.member("tectum-controller");
+fn the_peer_process_ends_when_its_bench_is_killed() {
+    let test_folder = TestFolder::new();
+    let mut process = test_folder.start(TECTUM, &["bench", "lockstep", "--ticks", "400000", "--rounds", "1"]);
+    // Any process of the first run will do: all of them watch their launcher's pidfd.
+    let controller = process.child_pid("tectum-controller");
     process.signal("KILL");
-    let mut waiting = place.start("sleep", &["100"]);
-    waiting.until("the end of the run", || gone(member));
+    let mut waiting = test_folder.start("sleep", &["100"]);
+    waiting.wait_until("the end of the run", || has_ended(controller));
 
-    let mut process = place.start(TECTUM, &["bench", "latency", "--seconds", "60"]);
-    let peer = peer_of(&mut process);
+    let mut process = test_folder.start(TECTUM, &["bench", "latency", "--seconds", "60"]);
+    // The peer process of a bare transport is started from the same program.
+    let peer = process.child_pid("tectum");
     let pid = process.id();
     signal_process(pid, "KILL");
-    waiting.until("the end of the other process", || gone(peer));
-    // What it held in shared memory has nobody any more, and goes with the next run or `doctor --clean`.
-    waiting.until("a clean /dev/shm", || {
-        let _ = place.start(TECTUM, &["doctor", "--clean", "--seconds", "0", "--json"]).wait();
+    waiting.wait_until("the end of the other process", || has_ended(peer));
+    // Its files in shared memory are unused now. The next run or `doctor --clean` removes them.
+    waiting.wait_until("a clean /dev/shm", || {
+        let _ = test_folder.start(TECTUM, &["doctor", "--clean", "--seconds", "0", "--json"]).wait();
         domains_of(pid).is_empty()
     });
 }
 
 #[test]
-fn bad_input_is_told_in_a_sentence() {
-    let place = Place::new();
-    place.file("file", "");
+fn bad_input_is_refused_in_one_sentence() {
+    let test_folder = TestFolder::new();
+    test_folder.write_file("file", "");
     for (arguments, words) in [
         (&["latency", "--seconds", "0"][..], "--seconds"),
         (&["latency", "--seconds", "nan"], "--seconds"),
@@ -284,14 +274,14 @@ fn bad_input_is_told_in_a_sentence() {
         (&["encoder", "--batches", "1", "--out", "file"], "file"),
         (&["peer", "--over", "pigeon"], "iceoryx2-event"),
     ] {
-        let outcome = bench(&place, arguments).expect(2);
+        let outcome = bench(&test_folder, arguments).expect(2);
         assert!(outcome.stderr.contains(words) && outcome.stdout.is_empty(), "{arguments:?} {outcome:?}");
     }
-    // The hidden one, started by hand, has nobody to answer.
-    let outcome = bench(&place, &["peer", "--over", "futex"]);
+    // The hidden command `peer`, started by hand, has no bench to answer.
+    let outcome = bench(&test_folder, &["peer", "--over", "futex"]);
     assert!(outcome.code == Some(4) && outcome.stderr.contains("the other process of futex"), "{outcome:?}");
     for command in ["latency", "lockstep", "encoder", "learner", "all"] {
-        let help = bench(&place, &[command, "--help"]).expect(0).stdout;
+        let help = bench(&test_folder, &[command, "--help"]).expect(0).stdout;
         assert!(
             help.contains("Example") && help.contains(&format!("tectum bench {command}")) || command == "learner",
             "{help}"

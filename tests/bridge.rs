@@ -1,11 +1,16 @@
-//! The bridge on the emulated chain, in virtual time: the swap, the numbers, and what each fault does.
+//! The bridge on the emulated chain, in virtual time: replacing the simulator, learning, limits, and the effect of each
+//! fault.
 //!
-//! The table in `tests/snapshots/servo_faults.txt` is what came out, exactly; `TECTUM_BLESS=1 cargo test --test bridge` writes
-//! it anew. A change of it is a change of what the bridge does about faults, and is reviewed there.
+//! The effects of faults must equal `tests/snapshots/servo_faults.txt`. A change of that table is a change of the
+//! bridge's reaction to faults and must be reviewed there. To write it anew: `TECTUM_BLESS=1 cargo test --test bridge`.
+
+#[path = "support/snapshot.rs"]
+mod snapshot;
 
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex};
 
+use snapshot::assert_snapshot;
 use tectum::runtime::{Controller, PlantSide};
 use tectum::scenario::{EmulatorConfig, Plan, Scenario};
 use tectum::servo::bridge::{Bridge, BridgeError, SafetyState, joints_of};
@@ -14,7 +19,8 @@ use tectum::servo::emulator::{EmulatedChain, EmulatedPort, SteppedClock};
 use tectum::servo::model::{Protocol, ServoModel};
 use tectum::wire::{Command, Learning, Observation, Vision, flag};
 
-/// The emulated twin with this emulator, so many ticks, and with `change` made to its text.
+/// The plan of `scenarios/servo-emulated.toml` with this emulator, this number of ticks, and `change` applied to its
+/// text.
 fn plan(emulator: &str, ticks: u64, change: impl FnOnce(String) -> String) -> Plan {
     let text = std::fs::read_to_string("scenarios/servo-emulated.toml").unwrap();
     let (head, tail) = text.split_once("\n[plant.emulator]\n").unwrap();
@@ -25,13 +31,14 @@ fn plan(emulator: &str, ticks: u64, change: impl FnOnce(String) -> String) -> Pl
     scenario.plan().unwrap()
 }
 
-/// A bridge at the host's end of an emulated chain.
+/// A bridge on an emulated chain.
 struct Setup {
     chain: Arc<Mutex<EmulatedChain>>,
     clock: SteppedClock,
     bridge: Bridge,
 }
 
+/// A bridge on the chain that the plan describes.
 fn set_up(plan: &Plan) -> Setup {
     let servos = plan.scenario.plant.servos.as_ref().unwrap();
     let ids: Vec<u8> = joints_of(plan).unwrap().iter().map(|joint| joint.id).collect();
@@ -41,26 +48,26 @@ fn set_up(plan: &Plan) -> Setup {
     set_up_on(plan, chain).unwrap()
 }
 
-/// The same on a chain that may not be the plan's.
+/// A bridge on any chain, which may differ from the plan's.
 fn set_up_on(plan: &Plan, chain: EmulatedChain) -> Result<Setup, BridgeError> {
     let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
     let bridge = Bridge::new(plan, bus_to(&chain, &clock, plan), joints_of(plan)?, Box::new(|_| {}))?;
     Ok(Setup { chain, clock, bridge })
 }
 
-/// The plan's host at the other end of the wire.
+/// The plan's host side of the bus.
 fn bus_to(chain: &Arc<Mutex<EmulatedChain>>, clock: &SteppedClock, plan: &Plan) -> Bus {
     let servos = plan.scenario.plant.servos.as_ref().unwrap();
     let (port, now) = (EmulatedPort::new(Arc::clone(chain), clock.clone(), servos.baud), clock.clone());
     Bus::over(Box::new(port), servos.protocol, Bridge::budget(plan), Box::new(move || now.now()))
 }
 
-/// The text of a plan with another protocol.
-fn speaking(text: &str, protocol: Protocol) -> String {
+/// A scenario's text with another protocol.
+fn with_protocol(text: &str, protocol: Protocol) -> String {
     text.replace("\"dynamixel\" ", &format!("\"{}\" ", protocol.name()))
 }
 
-/// Errors at the ends of targets, averaged over the last quarter of the run.
+/// The error at the end of a target, averaged over the targets of the last quarter of the run.
 fn end_error(observations: &[Observation]) -> f64 {
     let late = &observations[observations.len() * 3 / 4..];
     let ends: Vec<f64> =
@@ -68,17 +75,18 @@ fn end_error(observations: &[Observation]) -> f64 {
     ends.iter().sum::<f64>() / ends.len() as f64
 }
 
-/// One run in virtual time; `see` is asked in every tick for what happens to the command.
-fn run(plan: &Plan, setup: Setup, heard: impl FnMut(u64) -> bool) -> (Vec<Observation>, Vec<bool>, Bridge) {
-    let (all, torque, bridge, _) = run_learning(plan, setup, heard);
+/// One run in virtual time. `command_arrives` decides for every tick whether the bridge receives the command. Returns
+/// the observations, whether any servo had torque at the end of each tick, and the bridge.
+fn run(plan: &Plan, setup: Setup, command_arrives: impl FnMut(u64) -> bool) -> (Vec<Observation>, Vec<bool>, Bridge) {
+    let (all, torque, bridge, _) = run_learning(plan, setup, command_arrives);
     (all, torque, bridge)
 }
 
-/// The same, with what was learned at each tick.
+/// The same, and returns the learning sample of each tick as well.
 fn run_learning(
     plan: &Plan,
     setup: Setup,
-    mut heard: impl FnMut(u64) -> bool,
+    mut command_arrives: impl FnMut(u64) -> bool,
 ) -> (Vec<Observation>, Vec<bool>, Bridge, Vec<Learning>) {
     let Setup { chain, clock, bridge } = setup;
     let t0 = clock.now();
@@ -94,9 +102,9 @@ fn run_learning(
         let mut learning = Learning::default();
         controller.record(&observation, &mut learning);
         learned.push(learning);
-        side.apply(tick, heard(tick).then_some(&command), true);
+        side.apply(tick, command_arrives(tick).then_some(&command), true);
         let end = t0 + (tick + 1) * plan.period_ns;
-        assert!(clock.now() <= end, "tick {tick}: the bus took more than the tick has");
+        assert!(clock.now() <= end, "tick {tick}: the bus took longer than the tick");
         clock.step_to(end);
         torque.push(chain.lock().unwrap().state(end).iter().any(|servo| servo.torque));
         side.finish_step(tick);
@@ -105,7 +113,7 @@ fn run_learning(
 }
 
 #[test]
-fn the_swap_is_the_plant_alone() {
+fn the_emulated_and_simulated_scenarios_differ_only_in_the_plant() {
     let load = |name: &str| Scenario::load(format!("scenarios/{name}.toml").as_ref()).unwrap();
     let (mut emulated, simulated) = (load("servo-emulated"), load("servo-simulated"));
     assert_ne!(emulated, simulated);
@@ -114,7 +122,8 @@ fn the_swap_is_the_plant_alone() {
     assert_eq!(emulated, simulated);
 }
 
-/// Both have the same targets with the same seed, so that the seeds are those of one run each.
+/// The same seed gives simulator and emulator the same targets. The mean error of four seeds on the bridge must lie
+/// within the simulator's spread over eight seeds.
 #[test]
 fn an_ideal_chain_learns_as_the_simulator_does() {
     let ticks = 1600;
@@ -135,7 +144,7 @@ fn an_ideal_chain_learns_as_the_simulator_does() {
         setup.bridge.arm().unwrap();
         end_error(&run(&plan, setup, |_| true).0)
     };
-    // The simulator's spread over seeds, and where the bridge is on the average of some.
+    // Two threads take half of the seeds each.
     let (simulated, emulated) = std::thread::scope(|scope| {
         let halves = [1..=4, 5..=8].map(|seeds| {
             scope.spawn(|| {
@@ -148,11 +157,11 @@ fn an_ideal_chain_learns_as_the_simulator_does() {
     });
     let mean = emulated.iter().sum::<f64>() / emulated.len() as f64;
     let (low, high) = simulated.iter().fold((f64::MAX, 0.0_f64), |(low, high), &e| (low.min(e), high.max(e)));
-    assert!((low..=high).contains(&mean), "{mean} m of {emulated:?}, and the simulator has {simulated:?} m");
+    assert!((low..=high).contains(&mean), "mean {mean} m of {emulated:?} m; the simulator has {simulated:?} m");
 }
 
 #[test]
-fn unarmed_it_reads_and_torque_stays_off() {
+fn an_unarmed_bridge_reads_and_keeps_torque_off() {
     let plan = plan("", 100, |text| text);
     let (all, torque, bridge) = run(&plan, set_up(&plan), |_| true);
     assert_eq!(bridge.state(), SafetyState::ReadOnly);
@@ -164,12 +173,12 @@ fn unarmed_it_reads_and_torque_stays_off() {
 }
 
 #[test]
-fn whoever_arms_late_begins_gently() {
+fn commands_ramp_up_after_late_arming() {
     let plan =
         plan("", 140, |text| text.replace("\"learned-reward\"", "\"paper\"").replace("sigma = 0.001", "sigma = 0.01"));
     let setup = set_up(&plan);
-    let key = setup.bridge.key();
-    // The gate's ramp is long over when torque comes on.
+    let key = setup.bridge.arm_request();
+    // Torque is turned on long after the gate's ramp of the start has ended.
     let (all, torque, _) = run(&plan, setup, |tick| {
         key.store(tick == 100, std::sync::atomic::Ordering::Relaxed);
         true
@@ -183,9 +192,9 @@ fn whoever_arms_late_begins_gently() {
     assert!(all[first + 1].header.flags & flag::RAMPED != 0);
 }
 
-/// A tracker that is there from tick 0, says nothing from tick 100 to 149, and whose target jumps at tick 60.
+/// A tracker that publishes from tick 0, publishes nothing from tick 100 to 149, and whose target jumps at tick 60.
 #[test]
-fn what_is_seen_counts_and_who_does_not_see_stands_still() {
+fn vision_sets_the_target_and_a_blind_arm_stands_still() {
     let plan = plan("", 200, |text| {
         let text = text.replace("\"learned-reward\"", "\"paper\"");
         text.replace("armed = true ", "sight = \"vision\"\narmed = true ")
@@ -193,8 +202,8 @@ fn what_is_seen_counts_and_who_does_not_see_stands_still() {
     assert_eq!(plan.measures[3..], ["bus_read_us", "bus_write_us", "vision_age_ms"]);
     let mut setup = set_up(&plan);
     let samples = Arc::new(Mutex::new(std::collections::VecDeque::new()));
-    let theirs = Arc::clone(&samples);
-    setup.bridge.look_with(Box::new(move || theirs.lock().unwrap().pop_front()));
+    let queue = Arc::clone(&samples);
+    setup.bridge.set_vision_source(Box::new(move || queue.lock().unwrap().pop_front()));
     setup.bridge.arm().unwrap();
     let clock = setup.clock.clone();
     let (first, second, end) = ([0.3, 0.2], [-0.4, 0.1], [0.1_f32, 0.25]);
@@ -203,17 +212,18 @@ fn what_is_seen_counts_and_who_does_not_see_stands_still() {
             let mut sample = Vision { target: if tick < 60 { first } else { second }, end, ..Vision::default() };
             sample.header.sensed_ns = clock.now();
             samples.lock().unwrap().push_back(sample);
-            // What cannot be is dropped.
+            // An invalid sample is dropped.
             samples.lock().unwrap().push_back(Vision { end: [f32::NAN; 2], ..sample });
         }
         true
     });
     let error = |target: [f32; 2]| (target[0] - end[0]).hypot(target[1] - end[1]);
-    // What was sent in tick k is there when tick k + 1 begins; that of tick 99 is 145 ms old at tick 102, and another is there at tick 151.
+    // A sample that was sent in tick k is available when tick k + 1 begins. The sample of tick 99 is 145 ms old at tick
+    // 102. The next one is available at tick 151.
     let sees = |tick: u64| (1..102).contains(&tick) || tick > 150;
     for (tick, observation) in (0..).zip(&all) {
         let (flags, target) = (observation.header.flags, if tick < 61 { first } else { second });
-        // A tick in which it did not see at the beginning or at the end.
+        // A tick is blind when there was no vision at its beginning or at its end.
         let blind = !sees(tick) || tick > 1 && !sees(tick - 1);
         assert_eq!(flags & flag::BLIND != 0, blind, "tick {tick}: {flags:b}");
         assert_eq!(learned[tick as usize].header.flags & flag::LEARNED != 0, tick > 1 && !blind, "tick {tick}");
@@ -222,7 +232,7 @@ fn what_is_seen_counts_and_who_does_not_see_stands_still() {
             assert_eq!(observation.inputs[..2], target, "tick {tick}");
         }
         if tick > 1 {
-            // The reward of the tick before is that of its own target.
+            // The error belongs to the tick before and to that tick's target.
             let before = if tick < 62 { first } else { second };
             assert!((observation.measures[0] - error(before)).abs() < 1e-6, "tick {tick}: {:?}", observation.measures);
             assert_eq!(observation.measures[1..3], end, "tick {tick}");
@@ -231,7 +241,8 @@ fn what_is_seen_counts_and_who_does_not_see_stands_still() {
             assert!((0.0..=100.0).contains(&observation.measures[5]), "tick {tick}: {:?}", observation.measures);
         }
     }
-    // Torque comes on with the first command that is given with open eyes, and stays on when they close; the arm then stands.
+    // Torque is turned on with the first command that is based on vision. It stays on when vision is lost; the arm then
+    // stands still.
     assert_eq!(torque.iter().position(|on| *on), Some(1));
     assert!(torque[1..].iter().all(|on| *on));
     for observation in &all[103..=151] {
@@ -245,15 +256,15 @@ fn what_is_seen_counts_and_who_does_not_see_stands_still() {
     assert_eq!(bridge.report.armed, 1);
 }
 
-/// Whatever the goals are, the servos hold the joints' limits afterwards; a joint that turns freely has none.
+/// For every kind of goal, the servos hold the joints' limits afterwards.
 #[test]
 fn limits_are_written_into_the_servos() {
     let both = [Protocol::Dynamixel, Protocol::Feetech];
     for (protocol, goal) in both.into_iter().flat_map(|protocol| [(protocol, "speed"), (protocol, "position")]) {
         let plan = plan("", 10, |text| {
-            let text = speaking(&text, protocol).replace("goal = \"speed\"", &format!("goal = \"{goal}\""));
+            let text = with_protocol(&text, protocol).replace("goal = \"speed\"", &format!("goal = \"{goal}\""));
             let all = text.replace("max_speed = 12.0", "range = [-2.0, 2.0]\nmax_speed = 12.0");
-            // The first one is mounted the other way round, with its zero off the middle.
+            // The first joint is mounted in the opposite direction, and its zero is off the middle.
             all.replacen("range = [-2.0, 2.0]", "direction = -1\nzero = 1500\nrange = [-1.0, 0.5]\n", 1)
         });
         let mut setup = set_up(&plan);
@@ -271,13 +282,13 @@ fn limits_are_written_into_the_servos() {
     }
 }
 
-/// What speaks against torque is said in a sentence that names the servo or the file, and nothing has torque then.
+/// A reason against torque is reported in one sentence that names the servo or the file, and no servo has torque then.
 #[test]
-fn what_does_not_fit_is_refused_without_torque() {
+fn a_mismatch_is_refused_and_torque_stays_off() {
     let ids = [1, 2, 3, 4];
     let chain = |ids: &[u8]| EmulatedChain::new(Protocol::Dynamixel, ids, 1_000_000, &EmulatorConfig::default(), 1);
-    let whole = plan("", 10, |text| text);
-    // Of the same protocol, with another control table.
+    let four_joints = plan("", 10, |text| text);
+    // A model of the same protocol with another control table.
     let small = ServoModel { name: "XL-320", number: 350, protocol: Protocol::Dynamixel };
     let small = EmulatedChain::of(&small, &ids, 1_000_000, &EmulatorConfig::default(), 1);
     for (chain, text) in [
@@ -285,20 +296,20 @@ fn what_does_not_fit_is_refused_without_torque() {
         (chain(&[1, 2, 4]), "(`tectum-bridge scan`)"),
         (chain(&[1, 2, 2, 3, 4]), "2"),
     ] {
-        let error = set_up_on(&whole, chain).err().unwrap().to_string();
+        let error = set_up_on(&four_joints, chain).err().unwrap().to_string();
         assert!(error.contains(text), "{text}: {error}");
     }
 
-    // It stands at 1 rad of a range that ends at 0.5.
-    let bent =
+    // The joint stands at 1 rad and its range ends at 0.5 rad.
+    let out_of_range =
         plan("", 10, |text| text.replacen("max_speed = 12.0", "zero = 1396\nrange = [-1.0, 0.5]\nmax_speed = 12.0", 1));
-    let mut setup = set_up_on(&bent, chain(&ids)).unwrap();
+    let mut setup = set_up_on(&out_of_range, chain(&ids)).unwrap();
     let error = setup.bridge.arm().unwrap_err().to_string();
     assert!(error.starts_with("servo 1 stands at 1.000 rad and its range is -1 to 0.5 rad"), "{error}");
-    let (_, torque, bridge) = run(&bent, setup, |_| true);
+    let (_, torque, bridge) = run(&out_of_range, setup, |_| true);
     assert!(bridge.state() == SafetyState::ReadOnly && torque.iter().all(|on| !on));
 
-    // Calibrations: another arm's in what it speaks, and in its number of joints.
+    // Calibrations of other arms: with another protocol, and with another number of joints.
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("arm.toml");
     let by_file = plan("", 10, |text| {
@@ -322,19 +333,21 @@ fn what_does_not_fit_is_refused_without_torque() {
     }
 }
 
-/// An answer does not say to what it is one: those that come too late are not taken for that of the next question.
+/// An answer does not identify its request. An answer that arrives too late must not be taken for that of the next
+/// request.
 #[test]
-fn late_answers_are_nobodys() {
+fn late_answers_are_not_taken_for_the_next_request() {
     let slow = "faults = [{ kind = \"slow\", servo = 1, delay_ms = 10.0, until_s = 0.01 }]";
     for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
-        let plan = plan("", 10, |text| speaking(&text, protocol));
-        // Whenever the next question is asked, the second of two late answers comes then.
+        let plan = plan("", 10, |text| with_protocol(&text, protocol));
+        // The next request is sent after every possible delay, so that the second of two late answers arrives during
+        // it.
         for wait in (0..12_000_000).step_by(50_000) {
             let chain = EmulatedChain::new(protocol, &[1], 1_000_000, &toml::from_str(slow).unwrap(), 1);
             let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
             let mut bus = bus_to(&chain, &clock, &plan);
             let (read, _) = bus.sync_read(&[1], bus.series().state);
-            assert!(read.is_ok(), "the second time it is in time for the first");
+            assert!(read.is_ok(), "the second attempt receives the answer to the first");
             clock.step_to(clock.now() + wait);
             let (number, known) = bus.model(1).unwrap();
             assert!(known.is_some(), "{protocol:?}, after {wait} ns: {number}");
@@ -343,7 +356,7 @@ fn late_answers_are_nobodys() {
     }
 }
 
-/// A panic with torque on, here in what the bridge says: torque is off before the process is gone.
+/// A panic with torque on, here in the callback for messages, turns torque off before the process ends.
 #[test]
 fn a_panic_turns_torque_off() {
     let plan = plan("", 100, |text| text);
@@ -351,35 +364,35 @@ fn a_panic_turns_torque_off() {
     let chain = EmulatedChain::new(servos.protocol, &[1, 2, 3, 4], servos.baud, &EmulatorConfig::default(), 1);
     let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
     let bus = bus_to(&chain, &clock, &plan);
-    let seen = Arc::new(Mutex::new(false));
-    let (look, at, note) = (Arc::clone(&chain), clock.clone(), Arc::clone(&seen));
-    let say = move |text: &str| {
+    let had_torque = Arc::new(Mutex::new(false));
+    let (observed, now, result) = (Arc::clone(&chain), clock.clone(), Arc::clone(&had_torque));
+    let report = move |text: &str| {
         if text.contains("torque is on") {
-            *note.lock().unwrap() = look.lock().unwrap().state(at.now()).iter().all(|servo| servo.torque);
-            panic!("as any other");
+            *result.lock().unwrap() = observed.lock().unwrap().state(now.now()).iter().all(|servo| servo.torque);
+            panic!("a panic like any other");
         }
     };
-    let mut bridge = Bridge::new(&plan, bus, joints_of(&plan).unwrap(), Box::new(say)).unwrap();
+    let mut bridge = Bridge::new(&plan, bus, joints_of(&plan).unwrap(), Box::new(report)).unwrap();
     bridge.arm().unwrap();
     let setup = Setup { chain: Arc::clone(&chain), clock: clock.clone(), bridge };
     let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run(&plan, setup, |_| true)));
-    assert!(ended.is_err() && *seen.lock().unwrap(), "it did not panic with torque on");
+    assert!(ended.is_err() && *had_torque.lock().unwrap(), "it did not panic with torque on");
     assert!(chain.lock().unwrap().state(clock.now()).iter().all(|servo| !servo.torque));
 }
 
-/// An hour of everything at once: whatever happens, what is applied is within limits, no tick is longer than a tick, and torque is on
-/// in no tick that says it is off.
+/// An hour with all faults at once. The applied command is always within limits, no tick takes longer than its period,
+/// and no servo has torque in a tick whose flags say that torque is off.
 #[test]
-fn an_hour_of_mixed_faults() {
+fn an_hour_of_mixed_faults_stays_within_limits() {
     let mixed: String = ["no-reply", "bad-checksum", "wrong-id", "slow", "cable-out"]
         .map(|kind| format!("[[plant.emulator.faults]]\nkind = \"{kind}\"\nprobability = 0.001\n"))
         .concat();
     let plan = plan(&mixed, 72_000, |text| text.replace("\"learned-reward\"", "\"paper\""));
     let mut setup = set_up(&plan);
     setup.bridge.arm().unwrap();
-    let key = setup.bridge.key();
+    let key = setup.bridge.arm_request();
     let (all, torque, bridge) = run(&plan, setup, |tick| {
-        // Somebody looks at it every ten seconds.
+        // The operator arms the bridge again every ten seconds.
         key.store(tick % 200 == 0, std::sync::atomic::Ordering::Relaxed);
         tick % 1009 > 8
     });
@@ -390,16 +403,16 @@ fn an_hour_of_mixed_faults() {
         assert!(!off || observation.applied == [0.0; 8], "tick {}", observation.header.tick);
         assert!(!(off && *on) || observation.header.flags & flag::BLIND != 0, "tick {}", observation.header.tick);
     }
-    let driven = torque.iter().filter(|on| **on).count();
+    let with_torque = torque.iter().filter(|on| **on).count();
     assert!(
-        bridge.report.blind > 10 && driven > 36_000,
-        "{} blind, {driven} driven, {:?}",
+        bridge.report.blind > 10 && with_torque > 36_000,
+        "{} blind, {with_torque} with torque, {:?}",
         bridge.report.blind,
         bridge.report.events
     );
 }
 
-/// A fault for the table: the emulator's table, or commands that stay away, from tick 100 to tick 200.
+/// The faults of the table: name, and the keys of the emulator's fault from tick 100 to tick 200.
 const FAULTS: [(&str, &str); 9] = [
     ("none", ""),
     ("no-reply", "kind = \"no-reply\""),
@@ -412,18 +425,19 @@ const FAULTS: [(&str, &str); 9] = [
     ("hot", "kind = \"hot\""),
 ];
 
-fn row(name: &str, emulator: &str, protocol: &str, away: bool) -> String {
+/// Runs one fault and describes its effect in a line. With `no_commands`, the bridge receives no commands during the
+/// fault.
+fn row(name: &str, emulator: &str, protocol: &str, no_commands: bool) -> String {
     let plan = plan(emulator, 400, |text| text.replace("\"dynamixel\" ", &format!("\"{protocol}\" ")));
     let mut setup = set_up(&plan);
     setup.bridge.arm().unwrap();
-    let (all, torque, bridge) = run(&plan, setup, |tick| !away || !(100..200).contains(&tick));
+    let (all, torque, bridge) = run(&plan, setup, |tick| !no_commands || !(100..200).contains(&tick));
     for observation in &all {
         assert!(observation.applied.iter().all(|u| u.abs() <= 0.0101), "{name}: {:?}", observation.applied);
     }
     let off = (100..400).find(|&tick| !torque[tick]);
     let back = off.and_then(|off| (off..400).find(|&tick| torque[tick]));
-    let causes: Vec<String> = bridge.report.events.iter().map(|event| event.cause.to_string()).collect();
-    let mut causes = causes;
+    let mut causes: Vec<String> = bridge.report.events.iter().map(|event| event.cause.to_string()).collect();
     causes.dedup();
     let at = |tick: Option<usize>| tick.map_or("-".to_owned(), |tick| format!("{} ms", (tick as i64 - 99) * 50));
     format!(
@@ -436,7 +450,7 @@ fn row(name: &str, emulator: &str, protocol: &str, away: bool) -> String {
 }
 
 #[test]
-fn what_each_fault_does() {
+fn each_fault_has_its_recorded_effect() {
     let mut table = String::from("A fault from tick 100 to tick 200 of 400, of 50 ms each: what it does.\n\n");
     for protocol in ["dynamixel", "feetech"] {
         for (name, fault) in FAULTS {
@@ -448,10 +462,5 @@ fn what_each_fault_does() {
         }
         writeln!(table, "{}", row("commands away", "", protocol, true)).unwrap();
     }
-    let path = "tests/snapshots/servo_faults.txt";
-    if std::env::var_os("TECTUM_BLESS").is_some() {
-        std::fs::write(path, &table).unwrap();
-    }
-    let kept = std::fs::read_to_string(path).unwrap_or_default();
-    assert_eq!(kept, table, "TECTUM_BLESS=1 writes it anew");
+    assert_snapshot("tests/snapshots/servo_faults.txt", &table);
 }

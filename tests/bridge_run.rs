@@ -1,4 +1,5 @@
-//! The real bridge in a real run, on the real emulator behind its pseudo-terminal: torque follows arming, and is off however it ends.
+//! The real bridge in a real run, on the real emulator behind its pseudo-terminal. Torque follows arming and is off
+//! however a run ends.
 
 mod support;
 
@@ -7,127 +8,130 @@ use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 
 use serde_json::Value;
-use support::{Place, TECTUM, WATCHDOG, assert_no_debris, signal_process};
+use support::{TECTUM, TestFolder, WATCHDOG, assert_no_debris, read_json, signal_process};
 
-/// A chain of four that says each change of torque; dropped, it is killed.
-struct EmulatedChain {
+/// An emulated chain of four servos that reports each change of torque. It is killed when this is dropped.
+struct EmulatorProcess {
     child: Child,
-    said: Receiver<(u64, bool)>,
+    /// A servo's id, and whether its torque is on.
+    torque_reports: Receiver<(u64, bool)>,
+    /// The last reported torque of each servo, by id.
     torque: [bool; 5],
 }
 
-impl EmulatedChain {
-    fn start(place: &Place) -> Self {
+impl EmulatorProcess {
+    fn start(test_folder: &TestFolder) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_tectum-servo-emulator"))
             .args(["--protocol", "dynamixel", "--ids", "1,2,3,4", "--link", "arm", "--trace", "--json"])
-            .current_dir(place.path())
+            .current_dir(test_folder.path())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        // The first line says that the port is there.
+        // The first line reports that the port exists.
         lines.next().unwrap().unwrap();
-        let (tell, said) = channel();
+        let (sender, torque_reports) = channel();
         std::thread::spawn(move || {
             for line in lines.map_while(Result::ok) {
                 let line: Value = serde_json::from_str(&line).unwrap();
                 for servo in line["servos"].as_array().unwrap() {
-                    let _ = tell.send((servo["id"].as_u64().unwrap(), servo["torque"].as_bool().unwrap()));
+                    let _ = sender.send((servo["id"].as_u64().unwrap(), servo["torque"].as_bool().unwrap()));
                 }
             }
         });
-        Self { child, said, torque: [false; 5] }
+        Self { child, torque_reports, torque: [false; 5] }
     }
 
     /// Waits until all servos have torque, or none has.
-    fn until(&mut self, on: bool) {
+    fn wait_for_torque(&mut self, on: bool) {
         while self.torque[1..].iter().any(|torque| *torque != on) {
-            let (id, torque) =
-                self.said.recv_timeout(WATCHDOG).unwrap_or_else(|_| panic!("{:?}, waiting for {on}", self.torque));
+            let (id, torque) = self
+                .torque_reports
+                .recv_timeout(WATCHDOG)
+                .unwrap_or_else(|_| panic!("{:?}, waiting for {on}", self.torque));
             self.torque[id as usize] = torque;
         }
     }
 
-    /// Whether torque has never been on since.
+    /// Whether no servo has reported torque.
     fn stayed_off(&self) -> bool {
-        self.said.try_iter().all(|(_, on)| !on)
+        self.torque_reports.try_iter().all(|(_, on)| !on)
     }
 }
 
-impl Drop for EmulatedChain {
+impl Drop for EmulatorProcess {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// The emulated scenario, on this chain instead of one of the bridge's own.
-fn scenario(place: &Place, armed: bool, more: &str) -> String {
+/// The emulated scenario on this chain instead of the bridge's own emulator.
+fn scenario(test_folder: &TestFolder, armed: bool, more: &str) -> String {
     let text = std::fs::read_to_string("scenarios/servo-emulated.toml").unwrap();
     let (head, tail) = text.split_once("\n[plant.emulator]\n").unwrap();
     let (_, tail) = tail.split_once("[encoder]").unwrap();
     let head = head.replace("\"emulator\" ", "\"arm\" ").replace("armed = true ", &format!("armed = {armed} "));
     let tail = tail.replace("\"learned-reward\"", "\"paper\"");
-    place.file("scenario.toml", format!("{head}\n[encoder]{tail}\n{more}")).to_str().unwrap().to_owned()
+    test_folder.write_file("scenario.toml", format!("{head}\n[encoder]{tail}\n{more}")).to_str().unwrap().to_owned()
 }
 
 #[test]
-fn unarmed_it_only_looks() {
-    let place = Place::new();
-    let chain = EmulatedChain::start(&place);
-    let scenario = scenario(&place, false, "");
-    let outcome = place.run(&[&scenario, "--ticks", "30", "--json"]).wait().expect(0);
+fn an_unarmed_bridge_only_reads() {
+    let test_folder = TestFolder::new();
+    let chain = EmulatorProcess::start(&test_folder);
+    let scenario = scenario(&test_folder, false, "");
+    let outcome = test_folder.run(&[&scenario, "--ticks", "30", "--json"]).wait().expect(0);
     assert_eq!(outcome.json()["mode"], "realtime");
     assert!(chain.stayed_off(), "torque was on");
-    let account = std::fs::read_to_string(place.run_folder().join("bridge.json")).unwrap();
-    let account: Value = serde_json::from_str(&account).unwrap();
-    assert_eq!(account["armed"], 0, "{account}");
-    assert!(account["bus_read"]["count"].as_u64() > Some(20), "{account}");
-    assert_no_debris(&place.run_folder());
-    replays(&place);
+    let report = read_json(test_folder.run_folder().join("bridge.json"));
+    assert_eq!(report["armed"], 0, "{report}");
+    assert!(report["bus_read"]["count"].as_u64() > Some(20), "{report}");
+    assert_no_debris(&test_folder.run_folder());
+    replays(&test_folder);
 }
 
-/// The log of an arm that limits and stops itself is learned again like any other.
-fn replays(place: &Place) {
-    let replay = place.start(TECTUM, &["replay", "run", "--json"]).wait().expect(0).json();
+/// Requires that the log replays, although the bridge limits and stops the arm itself.
+fn replays(test_folder: &TestFolder) {
+    let replay = test_folder.start(TECTUM, &["replay", "run", "--json"]).wait().expect(0).json();
     assert!(replay["difference"].is_null() && replay["commands"].as_u64() > Some(20), "{replay}");
 }
 
 #[test]
-fn torque_is_off_however_it_ends() {
+fn torque_is_off_however_a_run_ends() {
     let never = "[restart]\nplant = \"never\"\n";
     for (signal, to_the_bridge, more, code) in
         [("TERM", false, "", 143), ("INT", false, "", 130), ("TERM", true, never, 4), ("KILL", true, never, 4)]
     {
-        let place = Place::new();
-        let mut chain = EmulatedChain::start(&place);
-        let scenario = scenario(&place, true, more);
-        let mut run = place.run(&[&scenario, "--ticks", "100000", "--json"]);
-        chain.until(true);
+        let test_folder = TestFolder::new();
+        let mut chain = EmulatorProcess::start(&test_folder);
+        let scenario = scenario(&test_folder, true, more);
+        let mut run = test_folder.run(&[&scenario, "--ticks", "100000", "--json"]);
+        chain.wait_for_torque(true);
         match to_the_bridge {
-            true => signal_process(run.member("tectum-bridge"), signal),
+            true => signal_process(run.child_pid("tectum-bridge"), signal),
             false => run.signal(signal),
         }
-        chain.until(false);
+        chain.wait_for_torque(false);
         run.wait().expect(code);
-        assert_no_debris(&place.run_folder());
+        assert_no_debris(&test_folder.run_folder());
     }
 }
 
-/// A bridge that was killed comes back, on the port that its guard may have had for a moment, and goes on.
+/// A killed bridge is restarted and continues. Its guard may have used the port in between.
 #[test]
-fn a_bridge_that_was_killed_comes_back() {
-    let place = Place::new();
-    let mut chain = EmulatedChain::start(&place);
-    let scenario = scenario(&place, true, "");
-    let mut run = place.run(&[&scenario, "--ticks", "100000", "--json"]);
-    chain.until(true);
-    signal_process(run.member("tectum-bridge"), "KILL");
-    chain.until(false);
-    chain.until(true);
+fn a_killed_bridge_restarts() {
+    let test_folder = TestFolder::new();
+    let mut chain = EmulatorProcess::start(&test_folder);
+    let scenario = scenario(&test_folder, true, "");
+    let mut run = test_folder.run(&[&scenario, "--ticks", "100000", "--json"]);
+    chain.wait_for_torque(true);
+    signal_process(run.child_pid("tectum-bridge"), "KILL");
+    chain.wait_for_torque(false);
+    chain.wait_for_torque(true);
     run.signal("INT");
     let outcome = run.wait().expect(130);
     assert_eq!(outcome.json()["restarts"][0]["process"], "plant");
-    chain.until(false);
+    chain.wait_for_torque(false);
 }

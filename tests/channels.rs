@@ -1,4 +1,4 @@
-//! The channels by themselves: the handshake, overflow, and removal of a domain.
+//! The channels without processes: handshake, overflow, and removal of a domain.
 
 use tectum::channel::{
     ChannelError, ControllerPorts, DomainName, Identity, LOG_BUFFER, LoggerPorts, PlantPorts, RunServices,
@@ -13,9 +13,9 @@ fn domain(salt: u64) -> DomainName {
     DomainName::of(u64::from(std::process::id()) << 32 | 0xc4a0 | salt << 16)
 }
 
-/// Schema, scenario and build are each compared, and the difference is named.
+/// Schema, scenario and build are each compared, and the error names the difference.
 #[test]
-fn the_handshake_compares_all_three() {
+fn the_handshake_compares_schema_scenario_and_build() {
     let (name, channels) = (domain(1), ChannelNames::default());
     let _services = RunServices::create(&name, &identity(), &channels, None).unwrap();
     for (identity_of_process, what, ours, theirs) in [
@@ -38,9 +38,9 @@ fn the_handshake_compares_all_three() {
     PlantPorts::open(&name, &identity(), &channels).unwrap();
 }
 
-/// A reader that does not read loses the oldest samples; the writer never notices.
+/// A reader that does not read loses the oldest samples. The writer is never blocked.
 #[test]
-fn a_full_reader_loses_its_oldest() {
+fn a_full_reader_loses_its_oldest_samples() {
     let (name, channels) = (domain(2), ChannelNames::default());
     let _services = RunServices::create(&name, &identity(), &channels, None).unwrap();
     let (plant, _board) = PlantPorts::open(&name, &identity(), &channels).unwrap();
@@ -52,28 +52,28 @@ fn a_full_reader_loses_its_oldest() {
         observation.header.tick = tick;
         plant.observation.send(&observation).unwrap();
     }
-    let rest = |receive: &dyn Fn() -> Option<Observation>| {
+    let received = |receive: &dyn Fn() -> Option<Observation>| {
         std::iter::from_fn(receive).map(|o| o.header.tick).collect::<Vec<u64>>()
     };
-    let newest = rest(&|| controller.observation.receive().unwrap());
+    let newest = received(&|| controller.observation.receive().unwrap());
     assert_eq!(newest, [sent - 2, sent - 1], "the loop reads the newest");
-    let log = rest(&|| logger.observation.receive().unwrap());
+    let log = received(&|| logger.observation.receive().unwrap());
     assert_eq!(log, (sent - LOG_BUFFER as u64..sent).collect::<Vec<u64>>());
 }
 
 #[test]
 fn a_domain_is_removed_with_its_services() {
     let (name, channels) = (domain(3), ChannelNames::default());
-    let here = || {
+    let files = || {
         let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
         let prefix = name.prefix();
         let prefix = prefix.trim_end_matches('_').to_owned();
         entries.filter(|e| e.file_name().to_string_lossy().starts_with(&prefix)).count()
     };
     let services = RunServices::create(&name, &identity(), &channels, None).unwrap();
-    assert!(here() > 0);
+    assert!(files() > 0);
     drop(services);
-    assert_eq!(here(), 0);
+    assert_eq!(files(), 0);
     let Err(ChannelError::SetUp { hint, .. }) = PlantPorts::open(&name, &identity(), &channels) else {
         panic!("there is no run any more");
     };

@@ -1,23 +1,24 @@
-//! `tectum compare` as its users start it: the shape of its object, its files, and the same numbers again.
+//! `tectum compare`: the shape of its JSON object, its files, and the same numbers for the same seeds.
 
 mod support;
 
 use serde_json::Value;
-use support::{Place, TECTUM};
+use support::{TECTUM, TestFolder};
 
-/// Quick: few ticks, one or two seeds, and a rough optimum.
+/// A quick comparison: few ticks and a rough optimum.
 const QUICK: [&str; 8] = ["compare", "--json", "--out", "run", "--starts", "1", "--ticks", "3000"];
 
-fn compared(more: &[&str]) -> (Place, Value) {
-    let place = Place::new();
+/// Runs a quick comparison and returns its JSON object.
+fn compare(more: &[&str]) -> (TestFolder, Value) {
+    let test_folder = TestFolder::new();
     let all: Vec<&str> = QUICK.iter().chain(more).copied().collect();
-    let outcome = place.start(TECTUM, &all).wait().expect(0);
+    let outcome = test_folder.start(TECTUM, &all).wait().expect(0);
     let json = outcome.json();
-    (place, json)
+    (test_folder, json)
 }
 
-/// Everything but times and machine.
-fn lasting(mut json: Value) -> Value {
+/// The object without times and machine, which differ from call to call.
+fn numbers(mut json: Value) -> Value {
     for key in ["seconds", "machine"] {
         json.as_object_mut().unwrap().remove(key).unwrap();
     }
@@ -30,8 +31,8 @@ fn lasting(mut json: Value) -> Value {
 }
 
 #[test]
-fn one_object_says_it_all() {
-    let (place, json) = compared(&["--learners", "paper,actor-critic", "--seeds", "2", "--block", "2000"]);
+fn the_json_object_holds_every_result() {
+    let (test_folder, json) = compare(&["--learners", "paper,actor-critic", "--seeds", "2", "--block", "2000"]);
     assert_eq!((&json["level"], &json["seeds"]), (&0.0375.into(), &serde_json::json!([1000, 1001])));
     let learners = json["learners"].as_array().unwrap();
     assert_eq!(learners.iter().map(|l| l["name"].as_str().unwrap()).collect::<Vec<_>>(), ["paper", "actor-critic"]);
@@ -39,7 +40,7 @@ fn one_object_says_it_all() {
         for list in ["ticks_to_level", "ticks_to_recover", "weights_hash", "diverged_at"] {
             assert_eq!(learner[list].as_array().unwrap().len(), 2, "{list}");
         }
-        assert!(learner["ticks_to_level"][0].is_null(), "nobody learns that in 2,000 ticks");
+        assert!(learner["ticks_to_level"][0].is_null(), "no learner reaches that in 2,000 ticks");
         let at = &learner["loss_at"]["1000"];
         let losses = ["min", "median", "max"].map(|key| at[key].as_f64().unwrap());
         assert!(losses.is_sorted() && losses[0] > 0.0375 && losses[2] < 1.0, "{losses:?}");
@@ -54,7 +55,7 @@ fn one_object_says_it_all() {
         assert!(losses.is_sorted(), "{world}: {losses:?}");
     }
 
-    let file = |name: &str| std::fs::read_to_string(place.run_folder().join(name)).unwrap();
+    let file = |name: &str| std::fs::read_to_string(test_folder.run_folder().join(name)).unwrap();
     let rows = file("compare.csv");
     assert_eq!(rows.lines().count(), 1 + 4);
     assert!(rows.starts_with("learner,seed,ticks,ticks_to_level,loss_at_1000,"));
@@ -70,9 +71,9 @@ fn one_object_says_it_all() {
 fn the_same_seeds_give_the_same_numbers() {
     let arguments = ["--learners", "learned-reward,baseline", "--ticks", "300", "--seeds", "2", "--first-seed", "7"];
     let quick = |arguments: &[&str]| {
-        let place = Place::new();
+        let test_folder = TestFolder::new();
         let all: Vec<&str> = QUICK[..6].iter().chain(arguments).copied().collect();
-        lasting(place.start(TECTUM, &all).wait().expect(0).json())
+        numbers(test_folder.start(TECTUM, &all).wait().expect(0).json())
     };
     let one = quick(&arguments);
     assert_eq!(one, quick(&arguments));
@@ -81,18 +82,18 @@ fn the_same_seeds_give_the_same_numbers() {
 }
 
 #[test]
-fn people_get_tables() {
-    let place = Place::new();
+fn the_text_output_has_tables() {
+    let test_folder = TestFolder::new();
     let arguments = ["compare", "--learners", "paper", "--ticks", "500", "--seeds", "1", "--starts", "1"];
-    let said = place.start(TECTUM, &arguments).wait().expect(0).stdout;
+    let text = test_folder.start(TECTUM, &arguments).wait().expect(0).stdout;
     for words in ["seed 1000: ", "to the level", "paper", "never", "trajectory-optimum", "runs/compare-1/figure.svg"] {
-        assert!(said.contains(words), "{words}: {said}");
+        assert!(text.contains(words), "{words}: {text}");
     }
-    assert!(place.path().join("runs/compare-1/compare.csv").exists());
+    assert!(test_folder.path().join("runs/compare-1/compare.csv").exists());
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_and_leaves_nothing() {
+fn bad_input_is_refused_and_leaves_no_files() {
     for (arguments, message) in [
         (&["--learners", "papers"][..], "tectum: there is no learner \"papers\"; the learners are paper, baseline, "),
         (&["--learners", "paper,paper"], "tectum: --learners names paper twice; "),
@@ -101,21 +102,21 @@ fn what_makes_no_sense_is_refused_and_leaves_nothing() {
         (&["--learners", "paper", "--set", "learner.beta=1"], "tectum: paper: learner.beta is 1; give at least 0"),
         (&["--learners", "paper", "--change", "block:9@50"], "tectum: paper: plant.arm.block[0].joint is 9; "),
     ] {
-        let place = Place::new();
+        let test_folder = TestFolder::new();
         let all: Vec<&str> = QUICK.iter().chain(arguments).copied().collect();
-        let outcome = place.start(TECTUM, &all).wait().expect(2);
+        let outcome = test_folder.start(TECTUM, &all).wait().expect(2);
         assert!(outcome.stderr.starts_with(message) && outcome.stderr.lines().count() == 1, "{outcome:#?}");
-        assert!(!place.run_folder().exists());
+        assert!(!test_folder.run_folder().exists());
     }
 }
 
 #[test]
-fn ctrl_c_ends_it_and_leaves_nothing() {
-    let place = Place::new();
+fn ctrl_c_ends_a_comparison_and_leaves_no_files() {
+    let test_folder = TestFolder::new();
     let arguments = ["compare", "--learners", "paper", "--ticks", "1000000000", "--seeds", "2", "--out", "run"];
-    let mut run = place.start(TECTUM, &arguments);
-    let folder = place.run_folder();
-    run.until("its folder", || folder.exists());
+    let mut run = test_folder.start(TECTUM, &arguments);
+    let folder = test_folder.run_folder();
+    run.wait_until("its folder", || folder.exists());
     run.signal("INT");
     let outcome = run.wait().expect(130);
     assert!(outcome.stderr.contains("so there are none"), "{outcome:#?}");

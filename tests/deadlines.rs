@@ -1,58 +1,56 @@
-//! Real time when a process is held up: ticks are missed, commands held, decayed, stopped; nothing is learned from what
-//! the policy did not do, and nothing is made up in a burst.
+//! Real time with a stalled process: ticks are missed; commands are held, then decayed, then stopped. Commands that the
+//! policy did not choose are not learned from, and missed ticks are not made up in a burst.
 
 mod support;
 
 use std::time::Duration;
 
 use serde_json::Value;
-use support::content::{Content, read};
-use support::{Place, signal_process};
+use support::content::{LogContent, read_log};
+use support::{TestFolder, stop_process_for};
 use tectum::wire::{Observation, flag};
 
 const TICKS: &str = "600";
 
-/// A run in which one program is stopped for a fifth of a second: its summary and its log.
-fn stalled(program: &str) -> (Value, Content) {
-    let place = Place::new();
-    let scenario = place.arm(&[("every", "1"), ("period_ms", "2")]);
-    let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", TICKS, "--json"]);
-    let member = run.member(program);
-    run.until_ticking();
-    signal_process(member, "STOP");
-    std::thread::sleep(Duration::from_millis(200));
-    signal_process(member, "CONT");
+/// The summary and the log of a run in which one program is stopped for a fifth of a second.
+fn stalled(program: &str) -> (Value, LogContent) {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[("every", "1"), ("period_ms", "2")]);
+    let mut run = test_folder.run(&[&scenario, "--mode", "realtime", "--ticks", TICKS, "--json"]);
+    let pid = run.child_pid(program);
+    run.wait_until_ticking();
+    stop_process_for(pid, Duration::from_millis(200));
     let summary = run.wait().expect(0).json();
-    let (_, content) = read(&place.run_folder().join("log.mcap"));
+    let (_, content) = read_log(&test_folder.log_path());
     (summary, content)
 }
 
-/// A controller that is stopped for a fifth of a second, at a period of 2 ms: a hundred ticks. A stall of the machine
-/// can fall on the very ticks that are looked at; then the run is repeated.
+/// A controller is stopped for a fifth of a second, which is a hundred ticks of 2 ms. A stall of the machine may hit
+/// the ticks that are checked; then the run is repeated.
 #[test]
-fn a_stalled_controller_is_missed_and_nothing_is_learned_from_it() {
-    assert!((0..5).any(|_| stall_of_the_controller()), "five runs, and the machine stalled in each");
+fn ticks_of_a_stalled_controller_are_missed_and_not_learned_from() {
+    assert!((0..5).any(|_| check_stalled_controller()), "the machine stalled in each of five runs");
 }
 
-/// False when the machine's own stalls hide what is to be seen.
-fn stall_of_the_controller() -> bool {
+/// Checks one run with a stalled controller. Returns false when stalls of the machine leave no ticks to check.
+fn check_stalled_controller() -> bool {
     let (summary, content) = stalled("tectum-controller");
     assert!(summary["missed"].as_u64() >= Some(50), "{summary}");
     let observations = &content.observations;
     let missed = |o: &Observation| o.header.flags & flag::MISSED != 0;
 
-    // Nothing was learned from a missed tick, and no credit crossed it.
+    // Nothing was learned from a missed tick, and the trace was cut there.
     for learning in &content.learnings {
         if observations.iter().any(|o| o.header.tick == learning.header.tick && missed(o)) {
             assert_eq!(learning.header.flags & flag::LEARNED, 0, "tick {}", learning.header.tick);
             assert_eq!(learning.trace_norm, 0.0, "tick {}", learning.header.tick);
         }
     }
-    // The controller came back to the present: what it never saw is counted, not worked off.
+    // The controller continued with the newest observation: the ones it did not receive are counted, not processed.
     let (sensed, answered) = (observations.len(), content.commands.len());
     assert!(answered < sensed - 50, "{answered} answers to {sensed} observations");
 
-    // What the plant did without commands: hold 2, decay over 4, then stand.
+    // Without commands the plant holds for 2 ticks, decays over 4, and then stands still.
     let rows = observations.windows(9);
     let Some(row) = rows
         .into_iter()
@@ -73,26 +71,26 @@ fn stall_of_the_controller() -> bool {
     true
 }
 
-/// A plant that is stopped passes ticks over, says so, and goes on at the tick that is due.
+/// A stopped plant skips ticks, reports that, and continues at the tick that is due.
 #[test]
-fn a_stalled_plant_passes_ticks_over() {
+fn a_stalled_plant_skips_ticks() {
     let (summary, content) = stalled("tectum-simulator");
     let skipped = summary["skipped"].as_u64().unwrap();
     assert!(skipped >= 50, "{summary}");
-    assert!(summary["missed"].as_u64() >= Some(skipped), "ticks passed over are ticks missed: {summary}");
-    let mut told = 0;
+    assert!(summary["missed"].as_u64() >= Some(skipped), "skipped ticks count as missed: {summary}");
+    let mut reported = 0;
     for pair in content.observations.windows(2) {
         let [before, after] = pair else { unreachable!() };
         let gap = after.header.tick - before.header.tick - 1;
         assert_eq!(u64::from(after.skipped), gap);
         assert_eq!(after.header.flags & flag::SKIPPED != 0, gap > 0);
         assert_eq!(after.header.sequence, before.header.sequence + 1);
-        // Never before its time: no burst.
+        // No tick begins before its scheduled time, so there is no burst.
         assert!(after.header.sensed_ns >= after.header.scheduled_ns);
-        told += gap;
+        reported += gap;
     }
     let last = content.observations.last().unwrap().header.tick;
-    assert_eq!(told + TICKS.parse::<u64>().unwrap() - 1 - last, skipped);
+    assert_eq!(reported + TICKS.parse::<u64>().unwrap() - 1 - last, skipped);
     for learning in &content.learnings {
         if let Some(o) = content.observations.iter().find(|o| o.header.tick == learning.header.tick)
             && o.header.flags & flag::SKIPPED != 0

@@ -1,5 +1,5 @@
-//! `tectum doctor`, what is left of a killed launcher, and the real-time set-up: with real processes, on a machine that
-//! other tests' runs share. So every test looks at its own domain alone, and no test asserts how late anything was.
+//! `tectum doctor`, the domain of a killed launcher, and the real-time set-up, with real processes. Other tests share
+//! the machine. So every test checks only its own domain, and no test asserts a lateness.
 
 mod support;
 
@@ -8,47 +8,33 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use support::{Outcome, Place, Process, TECTUM, assert_no_debris};
+use support::{
+    Process, ProcessOutcome, TECTUM, TestFolder, append, assert_no_debris, domain, has_ended, read_json, shared_memory,
+};
 
-fn doctor(place: &Place, arguments: &[&str]) -> Outcome {
+fn doctor(test_folder: &TestFolder, arguments: &[&str]) -> ProcessOutcome {
     let mut all = vec!["doctor", "--seconds", "0", "--json"];
     all.extend(arguments);
-    place.start(TECTUM, &all).wait()
+    test_folder.start(TECTUM, &all).wait()
 }
 
-/// The name of the domain of the run in `place`.
-fn domain(place: &Place) -> String {
-    let manifest: Value =
-        serde_json::from_str(&fs::read_to_string(place.run_folder().join("run.json")).unwrap()).unwrap();
-    format!("tectum_{}", manifest["domain"].as_str().unwrap())
-}
-
-/// What the doctor's `list` says of a domain.
-fn of<'a>(found: &'a Value, list: &str, domain: &str) -> Option<&'a Value> {
+/// The entry of a domain in one of the doctor's lists.
+fn entry_of<'a>(found: &'a Value, list: &str, domain: &str) -> Option<&'a Value> {
     found[list].as_array().unwrap().iter().find(|entry| entry["domain"] == domain)
 }
 
-fn left(domain: &str) -> bool {
-    let names = fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.file_name().to_string_lossy().into_owned());
-    names.into_iter().any(|name| name.starts_with(domain))
-}
-
-/// A run that ticks and does not end by itself.
-fn endless(place: &Place, mode: &str) -> Process {
-    let scenario = place.endless(mode);
-    let mut run = place.run(&[&scenario, "--mode", mode, "--json"]);
-    run.until_ticking();
+/// Starts a run that does not end by itself, and waits until it ticks.
+fn endless(test_folder: &TestFolder, mode: &str) -> Process {
+    let scenario = test_folder.endless_scenario(mode);
+    let mut run = test_folder.run(&[&scenario, "--mode", mode, "--json"]);
+    run.wait_until_ticking();
     run
-}
-
-fn gone(pid: u32) -> bool {
-    fs::read_to_string(format!("/proc/{pid}/stat")).map_or(true, |stat| stat.contains(") Z "))
 }
 
 #[test]
 fn the_report_has_every_check_with_verdict_and_remedy() {
-    let place = Place::new();
-    let outcome = place.start(TECTUM, &["doctor", "--seconds", "1", "--json"]).wait();
+    let test_folder = TestFolder::new();
+    let outcome = test_folder.start(TECTUM, &["doctor", "--seconds", "1", "--json"]).wait();
     let found = outcome.json();
     let checks = found["checks"].as_array().unwrap();
     let names: Vec<_> = checks.iter().map(|check| check["name"].as_str().unwrap()).collect();
@@ -75,7 +61,7 @@ fn the_report_has_every_check_with_verdict_and_remedy() {
         assert!(check["found"].as_str().is_some_and(|found| !found.is_empty()), "{check}");
         assert_eq!(check["remedy"].is_null(), fine, "{check}");
     }
-    // The exit code is the verdict.
+    // The exit code follows from the verdict.
     let problem = checks.iter().any(|check| check["verdict"] == "problem");
     assert_eq!((outcome.code, found["verdict"] == "problem"), (Some(i32::from(problem)), problem), "{found}");
 
@@ -87,92 +73,106 @@ fn the_report_has_every_check_with_verdict_and_remedy() {
     assert!(fifo.is_null() || fifo["count"] == 200, "{lateness}");
     assert!(found["domains"].is_array() && found["removed"].as_array().unwrap().is_empty());
 
-    // For people, the same; nothing is measured where nothing is wanted.
-    let text = place.start(TECTUM, &["doctor", "--seconds", "0"]).wait().stdout;
+    // The text output has the same checks. With 0 seconds nothing is measured.
+    let text = test_folder.start(TECTUM, &["doctor", "--seconds", "0"]).wait().stdout;
     assert!(expected[..13].iter().all(|name| text.contains(name)) && !text.contains("wake-up lateness"), "{text}");
-    place.start(TECTUM, &["doctor", "--seconds", "3601"]).wait().expect(2);
+    test_folder.start(TECTUM, &["doctor", "--seconds", "3601"]).wait().expect(2);
 }
 
-/// A launcher that is killed leaves its domain. While its processes use it, it is left alone, whoever cleans up; then the
-/// next run or the doctor removes it. A run that lives meanwhile comes to its end.
-#[test]
-fn what_a_killed_launcher_left_is_named_and_removed_and_the_living_are_left_alone() {
-    let alive = Place::new();
-    let mut living = endless(&alive, "lockstep");
-    for by_run in [false, true] {
-        let place = Place::new();
-        let scenario = place.endless("realtime");
-        let mut run = place.run(&[&scenario, "--mode", "realtime", "--by-hand", "controller"]);
-        let manifest = place.run_folder().join("run.json");
-        run.until("the run's manifest", || fs::read_to_string(&manifest).is_ok_and(|text| text.trim().ends_with('}')));
-        // By hand, because a stopped child of a launcher that dies is hung up by the kernel, and ends.
-        let controller = place.start(env!("CARGO_BIN_EXE_tectum-controller"), &["--run", "run"]);
-        run.until_ticking();
-        let members = ["tectum-simulator", "tectum-logger"].map(|program| run.member(program));
-        let domain = domain(&place);
-        let found = doctor(&place, &[]).json();
-        assert_eq!(of(&found, "domains", &domain).unwrap()["pid"], run.id(), "{found}");
+/// Requires that the doctor does not remove a domain without launcher that process `pid` uses.
+fn check_domain_in_use(test_folder: &TestFolder, domain: &str, pid: u32) {
+    let found = doctor(test_folder, &["--clean"]).json();
+    let entry = entry_of(&found, "domains", domain).unwrap_or_else(|| panic!("removed while in use: {found}"));
+    assert_eq!(entry["owner"], "processes", "{found}");
+    assert!(entry["pids"].as_array().unwrap().contains(&pid.into()), "{found}");
+    let check = found["checks"].as_array().unwrap().iter().find(|c| c["name"] == "debris of runs").unwrap();
+    assert_eq!(check["verdict"], "could-be-better");
+    assert!(check["remedy"].as_str().unwrap().contains("kill "), "{check}");
+}
 
-        // A process that cannot notice that its launcher is gone: the domain is used.
+/// Requires that the next run, or the doctor, removes an unused domain. Any run or doctor on this machine may remove it
+/// first; it must be gone after ours.
+fn check_removal(test_folder: &TestFolder, domain: &str, by_run: bool) {
+    let named = doctor(test_folder, &[]).json();
+    assert!(entry_of(&named, "domains", domain).is_none_or(|entry| entry["owner"] == "nobody"), "{named}");
+    if by_run {
+        let next = TestFolder::new();
+        let scenario = next.arm_scenario(&[]);
+        let outcome = next.run(&[&scenario, "--ticks", "50"]).wait().expect(0);
+        assert!(outcome.stderr.is_empty() || outcome.stderr.contains("which a run that was killed had left"));
+    } else {
+        let cleaned = doctor(test_folder, &["--clean"]);
+        assert!(matches!(cleaned.code, Some(0 | 1)), "{cleaned:?}");
+        let cleaned = cleaned.json();
+        assert!(entry_of(&cleaned, "domains", domain).is_none(), "{cleaned}");
+        // The removal is reported, unless another process was quicker.
+        assert!(entry_of(&cleaned, "removed", domain).is_none_or(|entry| entry["files"].as_u64() > Some(10)));
+    }
+}
+
+/// A killed launcher leaves its domain. It is not removed while processes use it. After that, the next run or the
+/// doctor removes it. The domain of another run that is active meanwhile is never touched.
+#[test]
+fn only_the_unused_domain_of_a_killed_launcher_is_removed() {
+    let other_folder = TestFolder::new();
+    let mut other_run = endless(&other_folder, "lockstep");
+    for by_run in [false, true] {
+        let test_folder = TestFolder::new();
+        let scenario = test_folder.endless_scenario("realtime");
+        let mut run = test_folder.run(&[&scenario, "--mode", "realtime", "--by-hand", "controller"]);
+        let manifest = test_folder.run_folder().join("run.json");
+        run.wait_until("the run's manifest", || {
+            fs::read_to_string(&manifest).is_ok_and(|text| text.trim().ends_with('}'))
+        });
+        // The controller is started by hand: the kernel would end a stopped child of a launcher that dies.
+        let controller = test_folder.start(env!("CARGO_BIN_EXE_tectum-controller"), &["--run", "run"]);
+        run.wait_until_ticking();
+        let children = ["tectum-simulator", "tectum-logger"].map(|program| run.child_pid(program));
+        let domain = domain(&test_folder.run_folder());
+        let found = doctor(&test_folder, &[]).json();
+        assert_eq!(entry_of(&found, "domains", &domain).unwrap()["pid"], run.id(), "{found}");
+
+        // A stopped process cannot notice that its launcher is gone. It still uses the domain.
         controller.signal("STOP");
         run.signal("KILL");
         assert_eq!(run.wait().code, None);
-        let found = doctor(&place, &["--clean"]).json();
-        let entry = of(&found, "domains", &domain).unwrap_or_else(|| panic!("removed while in use: {found}"));
-        assert_eq!(entry["owner"], "processes", "{found}");
-        assert!(entry["pids"].as_array().unwrap().contains(&controller.id().into()), "{found}");
-        let check = found["checks"].as_array().unwrap().iter().find(|c| c["name"] == "debris of runs").unwrap();
-        assert_eq!(check["verdict"], "could-be-better");
-        assert!(check["remedy"].as_str().unwrap().contains("kill "), "{check}");
+        check_domain_in_use(&test_folder, &domain, controller.id());
 
         controller.signal("CONT");
         controller.wait().expect(4);
         let began = Instant::now();
-        while !members.iter().all(|&pid| gone(pid)) {
-            assert!(began.elapsed() < Duration::from_secs(60), "orphans");
+        while !children.iter().all(|&pid| has_ended(pid)) {
+            assert!(began.elapsed() < Duration::from_secs(60), "processes outlived their launcher");
             std::thread::yield_now();
         }
-        // Any run or doctor on this machine may remove it from here on: what counts is that it is gone after ours.
-        let named = doctor(&place, &[]).json();
-        assert!(of(&named, "domains", &domain).is_none_or(|entry| entry["owner"] == "nobody"), "{named}");
-        if by_run {
-            let next = Place::new();
-            let scenario = next.arm(&[]);
-            let outcome = next.run(&[&scenario, "--ticks", "50"]).wait().expect(0);
-            assert!(outcome.stderr.is_empty() || outcome.stderr.contains("which a run that was killed had left"));
-        } else {
-            let cleaned = doctor(&place, &["--clean"]);
-            assert!(matches!(cleaned.code, Some(0 | 1)), "{cleaned:?}");
-            let cleaned = cleaned.json();
-            assert!(of(&cleaned, "domains", &domain).is_none(), "{cleaned}");
-            // Said, unless somebody else was quicker.
-            assert!(of(&cleaned, "removed", &domain).is_none_or(|entry| entry["files"].as_u64() > Some(10)));
-        }
-        assert!(!left(&domain), "by a run: {by_run}");
-        let found = doctor(&alive, &["--clean"]).json();
-        let entry = of(&found, "domains", &self::domain(&alive)).expect("a living run is never touched");
-        assert_eq!((&entry["owner"], &entry["pid"]), (&"launcher".into(), &living.id().into()), "{found}");
+        check_removal(&test_folder, &domain, by_run);
+        assert!(shared_memory(&domain).is_empty(), "by a run: {by_run}");
+        let found = doctor(&other_folder, &["--clean"]).json();
+        let entry = entry_of(&found, "domains", &support::domain(&other_folder.run_folder()))
+            .expect("an active run is never touched");
+        assert_eq!((&entry["owner"], &entry["pid"]), (&"launcher".into(), &other_run.id().into()), "{found}");
     }
-    living.until_ticking();
-    living.signal("INT");
-    let summary = living.wait().expect(130).json();
+    other_run.wait_until_ticking();
+    other_run.signal("INT");
+    let summary = other_run.wait().expect(130).json();
     assert!(summary["weights_hash"].is_string() && summary["lost"] == 0, "{summary}");
-    assert_no_debris(&alive.run_folder());
+    assert_no_debris(&other_folder.run_folder());
 }
 
-/// Policy and priority of a process as the kernel has it.
+/// Scheduling policy and priority of a process, from the kernel.
 fn scheduling(pid: u32) -> (u32, u32) {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
     let fields: Vec<_> = stat.rsplit_once(") ").unwrap().1.split(' ').collect();
     (fields[38].parse().unwrap(), fields[37].parse().unwrap())
 }
 
-fn realtime_report(place: &Place, role: &str) -> Value {
-    serde_json::from_str(&fs::read_to_string(place.run_folder().join(format!("{role}.realtime.json"))).unwrap())
-        .unwrap()
+/// A process's report of its real-time set-up.
+fn realtime_report(test_folder: &TestFolder, role: &str) -> Value {
+    read_json(test_folder.run_folder().join(format!("{role}.realtime.json")))
 }
 
-const ASKED: &str = "
+/// A real-time set-up of the plant. No test machine has core 1023.
+const REQUESTED: &str = "
 [realtime.plant]
 priority = 7
 cores = [0, 1023]
@@ -180,33 +180,31 @@ lock_memory = true
 prefault_stack_kib = 256
 ";
 
-/// What is said to hold holds, and what is refused is said: at the start, at the end and in the log.
+/// The reported set-up is the one that the kernel has. Refusals are reported at the start, at the end and in the log.
 #[test]
-fn the_real_time_set_up_is_what_the_summary_says() {
-    let place = Place::new();
-    let scenario = place.endless("realtime");
-    let text = fs::read_to_string(&scenario).unwrap() + ASKED;
-    fs::write(&scenario, text).unwrap();
-    let mut run = place.run(&[&scenario, "--mode", "realtime", "--json"]);
-    let (plant, logger) = (run.member("tectum-simulator"), run.member("tectum-logger"));
-    run.until_ticking();
+fn the_summary_reports_the_real_time_set_up_that_holds() {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.endless_scenario("realtime");
+    append(&scenario, REQUESTED);
+    let mut run = test_folder.run(&[&scenario, "--mode", "realtime", "--json"]);
+    let (plant, logger) = (run.child_pid("tectum-simulator"), run.child_pid("tectum-logger"));
+    run.wait_until_ticking();
 
-    let report = realtime_report(&place, "plant");
+    let report = realtime_report(&test_folder, "plant");
     let held = &report["held"];
     let refused: Vec<_> = report["refused"].as_array().unwrap().iter().map(|r| r["what"].as_str().unwrap()).collect();
-    // The processes themselves, by the kernel's own account.
+    // The kernel reports the processes' policies.
     match refused.contains(&"priority = 7") {
         false => assert_eq!((scheduling(plant), &held["scheduler"]), ((1, 7), &"fifo".into())),
         true => assert_eq!((scheduling(plant), &held["priority"]), ((0, 0), &0.into())),
     }
-    assert_eq!(scheduling(logger), (0, 0), "asked for nothing");
+    assert_eq!(scheduling(logger), (0, 0), "the logger requested nothing");
     let status = fs::read_to_string(format!("/proc/{plant}/status")).unwrap();
     let row = |key: &str| status.lines().find_map(|l| l.strip_prefix(key)?.strip_prefix(":\t")).unwrap().trim();
     assert_eq!((row("Cpus_allowed_list"), &held["cores"]), ("0", &serde_json::json!([0])));
     let kib = |key: &str| row(key).trim_end_matches(" kB").parse::<u64>().unwrap();
     assert!(refused.contains(&"lock_memory") || kib("VmLck") > 1000, "{status}");
     assert!(kib("VmStk") >= 256, "{status}");
-    // A core that no machine of ours has.
     assert!(refused.contains(&"cores = [1023]"), "{report}");
 
     run.signal("INT");
@@ -221,57 +219,55 @@ fn the_real_time_set_up_is_what_the_summary_says() {
     let processes: Vec<_> = realtime.iter().map(|r| r["process"].as_str().unwrap()).collect();
     assert_eq!(processes, ["plant", "controller", "logger"]);
     for process in realtime {
-        let report = realtime_report(&place, process["process"].as_str().unwrap());
+        let report = realtime_report(&test_folder, process["process"].as_str().unwrap());
         for key in ["asked", "held", "refused"] {
             assert_eq!(process[key], report[key]);
         }
         assert!(process["held"]["timer_slack_ns"].as_u64() <= Some(1), "{process}");
     }
-    let log = tectum::log::LogReader::open(&place.run_folder().join("log.mcap")).unwrap();
+    let log = tectum::log::LogReader::open(&test_folder.log_path()).unwrap();
     let header = &log.metadata()["tectum.run"];
     assert_eq!(serde_json::from_str::<Value>(&header["realtime.plant"]).unwrap(), report);
     assert!(header.contains_key("realtime.controller") && header.contains_key("realtime.logger"));
-    assert_no_debris(&place.run_folder());
+    assert_no_debris(&test_folder.run_folder());
 }
 
-/// Without the right to it, the run goes on under the ordinary scheduler, and says so.
+/// Without permission for a priority, the run continues under the ordinary scheduler and warns.
 #[test]
-fn a_priority_that_is_not_allowed_degrades_loudly() {
+fn a_refused_priority_causes_a_warning_and_the_run_continues() {
     let setpriv = Path::new("/usr/bin/setpriv");
     if !setpriv.exists() {
-        // Nothing to take the right away with; the unit tests look at either case.
+        // The permission cannot be removed without setpriv; the unit tests cover both cases.
         return;
     }
-    let place = Place::new();
-    let scenario = place.arm(&[("period_ms", "5")]);
-    let text = fs::read_to_string(&scenario).unwrap() + "\n[realtime.controller]\npriority = 7\nlock_memory = true\n";
-    fs::write(&scenario, text).unwrap();
-    let without =
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[("period_ms", "5")]);
+    append(&scenario, "\n[realtime.controller]\npriority = 7\nlock_memory = true\n");
+    let setpriv_arguments =
         ["--bounding-set=-sys_nice,-ipc_lock", "--inh-caps=-sys_nice,-ipc_lock", "--", "prlimit", "--rtprio=0"];
-    let mut arguments = without.to_vec();
+    let mut arguments = setpriv_arguments.to_vec();
     arguments.extend([TECTUM, "run", "--out", "run", &scenario, "--mode", "realtime", "--ticks", "40"]);
-    let outcome = place.start(setpriv, &arguments).wait();
+    let outcome = test_folder.start(setpriv, &arguments).wait();
     if outcome.stderr.starts_with("setpriv: ") {
-        // Not root: a right that nobody has cannot be taken away.
+        // Without root, permissions cannot be removed.
         return;
     }
     let outcome = outcome.expect(0);
     assert!(outcome.stderr.contains("the controller asked for priority = 7 and does not have it"), "{outcome:#?}");
     assert!(outcome.stderr.contains("rtprio 7") && outcome.stderr.contains("setcap"), "{outcome:#?}");
-    let report = realtime_report(&place, "controller");
+    let report = realtime_report(&test_folder, "controller");
     assert_eq!((&report["held"]["scheduler"], &report["held"]["priority"]), (&"other".into(), &0.into()));
     let line = outcome.stdout.lines().find(|line| line.starts_with("real time, controller")).unwrap();
     assert!(line.contains("scheduler other") && line.contains("refused: ") && line.contains("priority = 7"), "{line}");
 }
 
-/// In lockstep nothing is asked for: the numbers are the same on every machine, and so is what is left.
+/// In lockstep no real-time set-up is requested, so that a run is the same on every machine.
 #[test]
-fn lockstep_asks_for_nothing() {
-    let place = Place::new();
-    let scenario = place.arm(&[]);
-    let text = fs::read_to_string(&scenario).unwrap() + ASKED;
-    fs::write(&scenario, text).unwrap();
-    let outcome = place.run(&[&scenario, "--ticks", "50", "--json"]).wait().expect(0);
+fn lockstep_requests_no_real_time_set_up() {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[]);
+    append(&scenario, REQUESTED);
+    let outcome = test_folder.run(&[&scenario, "--ticks", "50", "--json"]).wait().expect(0);
     assert_eq!(outcome.json()["realtime"], serde_json::json!([]));
-    assert!(!place.run_folder().join("plant.realtime.json").exists());
+    assert!(!test_folder.run_folder().join("plant.realtime.json").exists());
 }

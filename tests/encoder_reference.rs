@@ -1,25 +1,26 @@
-//! The encoder against features computed in double precision by another program (`tests/reference/make_reference.py`).
+//! Compares the encoder with features that another program computed in double precision
+//! (`tests/reference/make_reference.py`).
 //!
-//! The file's features belong to its double-precision inputs; the encoder takes `f32`. Two comparisons keep these
-//! apart:
+//! The file's features belong to its double-precision inputs; the encoder takes `f32`. Two comparisons separate the
+//! error of rounded inputs from the encoder's own error:
 //!
-//! - with the definition in double precision *at the rounded inputs*: what is left is the encoder's own error, and
-//!   that must stay within 1e-6;
+//! - with the definition in double precision *at the rounded inputs*: the difference is the encoder's own error, and
+//!   must stay within 1e-6;
 //! - with the file: rounding an input moves it by up to `|x| 2^-24`, and a feature by at most `0.607 / radius` times
 //!   that (the steepest slope of a Gaussian, `exp(-1/2) / radius`). For radius 0.5 and an angle of pi that is 2.3e-7;
 //!   a plane takes the sum over its two axes, at most 3e-7 for the log-polar eye. So 1e-6 + 3e-7 must hold here.
 //!
-//! Normalised features are covered by the same tolerances: the norm is above 1, and its own change is smaller still.
+//! The same tolerances cover normalised features: the norm is above 1, and the error of the norm is smaller still.
 
 use std::f64::consts::PI;
 
 use serde_json::Value;
 use tectum::encoder::{Axis, Encoder, Map, naive};
 
-/// Largest error of the encoder itself.
-const OWN: f64 = 1e-6;
+/// The largest allowed error of the encoder itself.
+const ENCODER_ERROR: f64 = 1e-6;
 
-/// What rounding the inputs to `f32` may add.
+/// The largest error that rounding the inputs to `f32` may add.
 const ROUNDED_INPUTS: f64 = 3e-7;
 
 fn reference() -> Value {
@@ -35,8 +36,8 @@ fn axis(input: usize, min: f64, max: f64) -> Axis {
     Axis { input, units: 16, min, max, radius: 0.5 }
 }
 
-/// Compares kernel and twin with the file and with the definition at the rounded inputs; returns the largest error of
-/// the latter kind.
+/// Compares the kernel and the scalar twin with the file and with the definition at the rounded inputs. Returns the
+/// largest error of the latter comparison.
 fn check(maps: &[Map], normalise: bool, inputs: &[f64], expected: &[f64]) -> f64 {
     let inputs: Vec<f32> = inputs.iter().map(|&x| x as f32).collect();
     let exact = naive::reference(maps, &inputs.iter().map(|&x| f64::from(x)).collect::<Vec<_>>(), normalise);
@@ -54,15 +55,18 @@ fn check(maps: &[Map], normalise: bool, inputs: &[f64], expected: &[f64]) -> f64
             let feature = f64::from(features.as_slice()[at]);
             worst = worst.max((feature - exact).abs());
             let error = (feature - expected).abs();
-            assert!(error <= OWN + ROUNDED_INPUTS, "feature {at}: {feature} instead of {expected}, twin: {twin}");
+            assert!(
+                error <= ENCODER_ERROR + ROUNDED_INPUTS,
+                "feature {at}: {feature} instead of {expected}, twin: {twin}"
+            );
         }
     }
-    assert!(worst <= OWN, "error {worst:e}, normalise: {normalise}");
+    assert!(worst <= ENCODER_ERROR, "error {worst:e}, normalise: {normalise}");
     worst
 }
 
 #[test]
-fn arm() {
+fn the_arms_features_match_the_reference() {
     let mut maps = vec![Map::Plane(axis(0, -1.0, 1.0), axis(1, -1.0, 1.0))];
     maps.extend((2..6).map(|input| Map::Line(axis(input, -PI, PI))));
     let reference = reference();
@@ -84,36 +88,36 @@ fn log_polar(p: &[f64]) -> [f64; 2] {
 }
 
 #[test]
-fn eye() {
+fn the_eyes_features_match_the_reference() {
     let plane = |range: [(f64, f64); 2], input| {
         Map::Plane(axis(input, range[0].0, range[0].1), axis(input + 1, range[1].0, range[1].1))
     };
     let reference = reference();
     let cases = reference["eye"].as_array().expect("cases");
-    let mut seen = [0, 0];
+    let mut counts = [0, 0];
     let mut worst: f64 = 0.0;
     for case in cases {
         let (position, velocity) = (numbers(&case["position"]), numbers(&case["velocity"]));
         let (range, inputs) = match case["retina"].as_str() {
             Some("linear") => {
-                seen[0] += 1;
+                counts[0] += 1;
                 ([(-1.0, 1.0), (-1.0, 1.0)], [position, velocity].concat())
             }
             Some("log_polar") => {
-                seen[1] += 1;
+                counts[1] += 1;
                 ([(0.0, 1.0), (-PI, PI)], [log_polar(&position), log_polar(&velocity)].concat())
             }
             other => panic!("unknown retina {other:?}"),
         };
         worst = worst.max(check(&[plane(range, 0), plane(range, 2)], false, &inputs, &numbers(&case["features"])));
     }
-    assert!(seen[0] >= 4 && seen[1] >= 4, "cases of each retina: {seen:?}");
+    assert!(counts[0] >= 4 && counts[1] >= 4, "cases of each retina: {counts:?}");
     println!("largest error, eye: {worst:.2e}");
 }
 
-/// The inputs of the file are few; a sweep over the arm's ranges looks for the worst.
+/// The file has few inputs. This sweep over the arm's ranges searches for the largest error.
 #[test]
-fn sweep() {
+fn features_over_the_arms_ranges_match_double_precision() {
     let mut maps = vec![Map::Plane(axis(0, -1.0, 1.0), axis(1, -1.0, 1.0))];
     maps.extend((2..6).map(|input| Map::Line(axis(input, -PI, PI))));
     for normalise in [false, true] {
@@ -132,6 +136,6 @@ fn sweep() {
             }
         }
         println!("largest error, sweep: {worst:.2e}, normalise: {normalise}");
-        assert!(worst <= OWN, "error {worst:e}");
+        assert!(worst <= ENCODER_ERROR, "error {worst:e}");
     }
 }

@@ -1,5 +1,5 @@
-//! Faults on demand, between real processes: the same in one process and in three, in lockstep and in real time, and in a
-//! replay. And a plant that gives up on its deadlines, or that cannot be limited as asked.
+//! Faults on demand between real processes: equal in one process and in three, in lockstep and in real time, and in a
+//! replay. Also a plant that skips too many ticks, and a plant without the joints that a limit needs.
 
 mod support;
 
@@ -7,13 +7,14 @@ use std::fs;
 use std::time::Duration;
 
 use serde_json::Value;
-use support::{Outcome, Place, TECTUM, assert_no_debris, example, signal_process};
+use support::{ProcessOutcome, TECTUM, TestFolder, assert_no_debris, example, stop_process_for};
 use tectum::log::{LogInfo, LogReader, LogRecord};
 
-/// Every limit of the gate, and every fault that can be told from a clean run.
+/// All limits of the gate.
 const GATE: &str = "\
 max_command = [0.05, 0.04, 0.05, 0.03]\nmax_step = 0.02\nramp_ticks = 5
 positions = [[-0.5, 0.5], [-1.0, 1.0], [-2.0, 2.0], [-100.0, 100.0]]\n";
+/// All faults whose effect differs from a run without faults.
 const FAULTS: &str = r#"
 [[faults.channel]]
 channel = "observation"
@@ -59,21 +60,22 @@ probability = 0.01
 value = "nan"
 "#;
 
-/// The quick arm with every tick in its log, more keys under `[gate]` and more tables at the end.
-fn scenario(place: &Place, gate: &str, more: &str, changes: &[(&str, &str)]) -> String {
-    let path = place.arm(&[&[("every", "1"), ("hash_every", "10")], changes].concat());
+/// The arm with every tick in its log, other limits under `[gate]` unless `gate` is empty, and more tables at the end.
+fn scenario(test_folder: &TestFolder, gate: &str, more: &str, changes: &[(&str, &str)]) -> String {
+    let path = test_folder.arm_scenario(&[&[("every", "1"), ("hash_every", "10")], changes].concat());
     let text = fs::read_to_string(&path).unwrap();
     let text = text.replacen("max_command = 0.05\n", if gate.is_empty() { "max_command = 0.05\n" } else { gate }, 1);
-    place.file("scenario.toml", text + "\n" + more).to_str().unwrap().to_owned()
+    test_folder.write_file("scenario.toml", text + "\n" + more).to_str().unwrap().to_owned()
 }
 
-fn run(place: &Place, scenario: &str, mode: &str, ticks: &str) -> Value {
-    place.run(&[scenario, "--mode", mode, "--ticks", ticks, "--seed", "5", "--json"]).wait().expect(0).json()
+fn run(test_folder: &TestFolder, scenario: &str, mode: &str, ticks: &str) -> Value {
+    test_folder.run(&[scenario, "--mode", mode, "--ticks", ticks, "--seed", "5", "--json"]).wait().expect(0).json()
 }
 
+/// Requires that the log replays, and returns the result.
 #[track_caller]
-fn replays(place: &Place) -> Value {
-    let done = place.start(TECTUM, &["replay", "run", "--json"]).wait().expect(0).json();
+fn replays(test_folder: &TestFolder) -> Value {
+    let done = test_folder.start(TECTUM, &["replay", "run", "--json"]).wait().expect(0).json();
     assert_eq!(done["difference"], Value::Null, "{done}");
     done
 }
@@ -95,20 +97,20 @@ const COUNTS: [&str; 13] = [
 ];
 
 #[test]
-fn faults_are_the_same_in_one_process_and_in_three_and_replay() {
-    let (place, single) = (Place::new(), Place::new());
-    let scenario = scenario(&place, GATE, FAULTS, &[]);
-    let three = run(&place, &scenario, "lockstep", "4000");
+fn faults_are_equal_in_one_process_and_in_three_and_replay() {
+    let (test_folder, single) = (TestFolder::new(), TestFolder::new());
+    let scenario = scenario(&test_folder, GATE, FAULTS, &[]);
+    let three = run(&test_folder, &scenario, "lockstep", "4000");
     let one = run(&single, &scenario, "in-process", "4000");
     for key in COUNTS {
         assert_eq!(three[key], one[key], "{key}");
         assert!(three[key].as_u64() != Some(0), "{key}: {three}");
     }
     assert_eq!(three["lost"], 0, "the log has what was sent");
-    assert_no_debris(&place.run_folder());
-    assert_eq!(replays(&place)["weights_hash"], three["weights_hash"]);
+    assert_no_debris(&test_folder.run_folder());
+    assert_eq!(replays(&test_folder)["weights_hash"], three["weights_hash"]);
 
-    // Nobody takes it for a clean run.
+    // The summary and the log show that the run had faults.
     let text = single.start(TECTUM, &["run", &scenario, "--mode", "in-process", "--ticks", "300", "--out", "b"]).wait();
     let text = text.expect(0).stdout;
     for line in [
@@ -118,27 +120,27 @@ fn faults_are_the_same_in_one_process_and_in_three_and_replay() {
     ] {
         assert!(text.contains(line), "{line}: {text}");
     }
-    let info = LogInfo::of(&[place.run_folder().join("log.mcap")]).unwrap();
+    let info = LogInfo::of(&[test_folder.log_path()]).unwrap();
     for (flag, key) in [("MISSED", "missed"), ("POSITION_LIMITED", "position_limited"), ("UNHEARD", "unheard")] {
-        // What came of the last tick is in no observation.
+        // No observation reports the last tick.
         let (flags, run) = (info.flags[flag], three[key].as_u64().unwrap());
         assert!(flags == run || flags + 1 == run, "{flag}: {flags} {run}");
     }
     assert!(info.to_text().contains("\nflags    "), "{}", info.to_text());
 }
 
-/// I2 with faults. A stall of the machine makes a miss beyond the faults' own, and then nothing is promised but that the log
-/// replays: the run is repeated.
+/// I2 with faults. A stall of the machine causes a miss in addition to those of the faults. Then only the replay of
+/// the log is required, and the run is repeated.
 #[test]
 fn real_time_has_the_same_faults_as_lockstep() {
-    let place = Place::new();
-    let scenario = scenario(&place, GATE, FAULTS, &[("period_ms", "10")]);
-    let lockstep = run(&place, &scenario, "lockstep", "200");
+    let test_folder = TestFolder::new();
+    let scenario = scenario(&test_folder, GATE, FAULTS, &[("period_ms", "10")]);
+    let lockstep = run(&test_folder, &scenario, "lockstep", "200");
     for _ in 0..5 {
-        let place = Place::new();
-        let real = run(&place, &scenario, "realtime", "200");
+        let test_folder = TestFolder::new();
+        let real = run(&test_folder, &scenario, "realtime", "200");
         if real["lost"] == 0 {
-            replays(&place);
+            replays(&test_folder);
         }
         if real["missed"] == lockstep["missed"] && real["late"] == lockstep["late"] {
             for key in COUNTS {
@@ -150,66 +152,64 @@ fn real_time_has_the_same_faults_as_lockstep() {
     panic!("every run of five had a miss of its own: this machine cannot keep 10 ms");
 }
 
-/// A run on the real clock in which one program is stopped for a tenth of a second.
-fn stalled(place: &Place, scenario: &str, program: &str, ticks: &str) -> Outcome {
-    let mut run = place.run(&[scenario, "--mode", "realtime", "--ticks", ticks, "--json"]);
-    let member = run.member(program);
-    run.until_ticking();
-    signal_process(member, "STOP");
-    std::thread::sleep(Duration::from_millis(100));
-    signal_process(member, "CONT");
+/// A run in real time in which one program is stopped for a tenth of a second.
+fn stalled(test_folder: &TestFolder, scenario: &str, program: &str, ticks: &str) -> ProcessOutcome {
+    let mut run = test_folder.run(&[scenario, "--mode", "realtime", "--ticks", ticks, "--json"]);
+    let pid = run.child_pid(program);
+    run.wait_until_ticking();
+    stop_process_for(pid, Duration::from_millis(100));
     run.wait()
 }
 
-/// What was missed by a fault and what was missed by the clock are told apart, or it does not matter.
+/// A log replays whether its ticks were missed because of a fault or because of the clock.
 #[test]
-fn real_time_with_faults_and_misses_of_its_own_replays() {
+fn a_real_time_log_with_faults_and_stalls_replays() {
     for program in ["tectum-controller", "tectum-simulator"] {
-        let fine = (0..5).any(|_| {
-            let place = Place::new();
-            let scenario = scenario(&place, GATE, FAULTS, &[("period_ms", "2")]);
-            let summary = stalled(&place, &scenario, program, "400").expect(0).json();
+        let replayed = (0..5).any(|_| {
+            let test_folder = TestFolder::new();
+            let scenario = scenario(&test_folder, GATE, FAULTS, &[("period_ms", "2")]);
+            let summary = stalled(&test_folder, &scenario, program, "400").expect(0).json();
             if summary["lost"] != 0 {
                 return false;
             }
-            replays(&place);
+            replays(&test_folder);
             true
         });
-        assert!(fine, "five runs, and the logger held up in none");
+        assert!(replayed, "the logger lost samples in each of five runs");
     }
 }
 
-/// Another program in the plant's place tells no log where its joints are; what the gate made of them is in it.
+/// The log of another plant program does not contain its joint angles, but it contains the result of the gate.
 #[test]
-fn position_limits_of_a_plant_that_cannot_be_run_again_replay() {
-    let place = Place::new();
-    let rig = place.path().join("rig");
+fn position_limits_of_a_plant_without_simulation_replay() {
+    let test_folder = TestFolder::new();
+    let rig = test_folder.path().join("rig");
     let simulator = std::path::Path::new(TECTUM).with_file_name("tectum-simulator");
     std::os::unix::fs::symlink(simulator, &rig).unwrap();
     let program = format!("\"{}\"", rig.display());
-    let scenario = scenario(&place, GATE, FAULTS, &[("program", &program), ("period_ms", "2")]);
-    let summary = run(&place, &scenario, "lockstep", "1000");
+    let scenario = scenario(&test_folder, GATE, FAULTS, &[("program", &program), ("period_ms", "2")]);
+    let summary = run(&test_folder, &scenario, "lockstep", "1000");
     assert!(summary["position_limited"].as_u64() > Some(10), "{summary}");
-    assert_eq!(replays(&place)["plant_simulated"], false);
-    let fine = (0..5).any(|_| {
-        let place = Place::new();
-        let summary = stalled(&place, &scenario, "rig", "400").expect(0).json();
-        let fine = summary["lost"] == 0 && summary["skipped"].as_u64() > Some(10);
-        if fine {
-            replays(&place);
+    assert_eq!(replays(&test_folder)["plant_simulated"], false);
+    let replayed = (0..5).any(|_| {
+        let test_folder = TestFolder::new();
+        let summary = stalled(&test_folder, &scenario, "rig", "400").expect(0).json();
+        let complete = summary["lost"] == 0 && summary["skipped"].as_u64() > Some(10);
+        if complete {
+            replays(&test_folder);
         }
-        fine
+        complete
     });
-    assert!(fine, "five runs, and the logger held up in none");
+    assert!(replayed, "the logger lost samples in each of five runs");
 }
 
 #[test]
-fn a_plant_that_passes_over_too_many_ticks_ends_the_run_in_good_order() {
-    let place = Place::new();
-    // A tenth of a second is more than 40 ticks. A machine that takes as long before there are ticks in the log shows the same.
+fn too_many_skipped_ticks_in_a_row_end_the_run_cleanly() {
+    let test_folder = TestFolder::new();
+    // A tenth of a second is more than 40 ticks. The test also passes on a machine that stalls as long at the start.
     let overrun = "[overrun]\nmax_consecutive = 40\n";
-    let scenario = scenario(&place, "", overrun, &[("period_ms", "2")]);
-    let outcome = stalled(&place, &scenario, "tectum-simulator", "100000").expect(4);
+    let scenario = scenario(&test_folder, "", overrun, &[("period_ms", "2")]);
+    let outcome = stalled(&test_folder, &scenario, "tectum-simulator", "100000").expect(4);
     let message = outcome.stderr.lines().last().unwrap();
     for words in [
         "the plant ended: the plant passed over ",
@@ -218,32 +218,32 @@ fn a_plant_that_passes_over_too_many_ticks_ends_the_run_in_good_order() {
     ] {
         assert!(message.contains(words), "{words}: {message}");
     }
-    assert_no_debris(&place.run_folder());
-    let mut log = LogReader::open(&place.run_folder().join("log.mcap")).unwrap();
+    assert_no_debris(&test_folder.run_folder());
+    let mut log = LogReader::open(&test_folder.log_path()).unwrap();
     assert!(log.by_ref().all(|record| record.is_ok()) && log.finished());
     assert!(!log.totals().unwrap().complete);
-    // What is said of the run is what the plant counted, not what its board said last.
+    // The summary holds the plant's own count, not the last value on its board.
     assert!(outcome.json()["skipped"].as_u64() > Some(40), "{outcome:?}");
 }
 
 #[test]
-fn limits_of_position_need_a_plant_with_joints() {
-    let place = Place::new();
+fn position_limits_need_a_plant_with_joints() {
+    let test_folder = TestFolder::new();
     let text = fs::read_to_string("examples/point.toml").unwrap();
     let program = format!("program = {:?}", example("point"));
     let text = text.replacen("program = \"target/release/examples/point\"", &program, 1);
     let text = text.replacen("[gate]", "[gate]\npositions = [[-1.0, 1.0]]", 1);
-    let path = place.file("point.toml", text);
-    let outcome = place.run(&[path.to_str().unwrap(), "--ticks", "100"]).wait().expect(2);
+    let path = test_folder.write_file("point.toml", text);
+    let outcome = test_folder.run(&[path.to_str().unwrap(), "--ticks", "100"]).wait().expect(2);
     for words in ["`positions` under [gate] needs a plant that tells where its joints are", "take it out"] {
         assert!(outcome.stderr.contains(words), "{words}: {outcome:?}");
     }
 }
 
-/// What only the log hears: it lacks that, and says so; nobody else notices.
+/// Faults on the learning channel affect only the log. The log states what it lacks.
 #[test]
-fn what_the_logger_does_not_hear_is_stated() {
-    let place = Place::new();
+fn samples_that_faults_keep_from_the_logger_are_stated_as_gaps() {
+    let test_folder = TestFolder::new();
     let faults = r#"
 [[faults.channel]]
 channel = "learning"
@@ -269,14 +269,14 @@ ticks = 1500
 from = 1000
 until = 1001
 "#;
-    let clean = place.arm(&[("every", "1"), ("ticks", "4000")]);
-    let scenario = place.file("faulty.toml", std::fs::read_to_string(&clean).unwrap() + faults);
+    let clean = test_folder.arm_scenario(&[("every", "1"), ("ticks", "4000")]);
+    let scenario = test_folder.write_file("faulty.toml", std::fs::read_to_string(&clean).unwrap() + faults);
     let hash = |arguments: &[&str]| {
-        place.start(TECTUM, &[&["run"], arguments].concat()).wait().expect(0).json()["weights_hash"].clone()
+        test_folder.start(TECTUM, &[&["run"], arguments].concat()).wait().expect(0).json()["weights_hash"].clone()
     };
     let clean = hash(&[&clean, "--out", "clean", "--json"]);
     assert_eq!(hash(&[scenario.to_str().unwrap(), "--out", "run", "--json"]), clean);
-    let log = place.run_folder().join("log.mcap");
+    let log = test_folder.log_path();
     let (mut learning, mut gaps) = (Vec::new(), 0);
     for record in LogReader::open(&log).unwrap() {
         match record.unwrap() {
@@ -286,7 +286,7 @@ until = 1001
             _ => {}
         }
     }
-    assert!(learning.is_sorted() && learning.windows(2).all(|two| two[0] < two[1]));
+    assert!(learning.is_sorted() && learning.windows(2).all(|pair| pair[0] < pair[1]));
     assert_eq!(learning.len() as u64 + gaps, 4000);
     assert!((1600..2000).contains(&gaps), "{gaps}");
     assert!(!learning.iter().any(|n| (500..600).contains(n) || (1000..2500).contains(n)));

@@ -5,27 +5,12 @@ mod support;
 use std::fs;
 
 use serde_json::Value;
-use support::{Outcome, Place, TECTUM};
+use support::TestFolder;
 
 /// A run of the arm, `ticks` long, with these changes to its scenario.
-fn ran(place: &Place, changes: &[(&str, &str)], ticks: &str) {
-    let scenario = place.arm(changes);
-    place.run(&[&scenario, "--ticks", ticks]).wait().expect(0);
-}
-
-fn filmed(place: &Place, arguments: &[&str]) -> Outcome {
-    let mut all = vec!["film"];
-    all.extend(arguments);
-    place.start(TECTUM, &all).wait()
-}
-
-/// Refused as bad input, in one message.
-#[track_caller]
-fn refused(place: &Place, arguments: &[&str]) -> String {
-    let outcome = filmed(place, arguments).expect(2);
-    assert_eq!(outcome.stderr.lines().count(), 1, "{outcome:#?}");
-    assert_eq!(outcome.stdout, "");
-    outcome.stderr.trim().to_owned()
+fn ran(test_folder: &TestFolder, changes: &[(&str, &str)], ticks: &str) {
+    let scenario = test_folder.arm_scenario(changes);
+    test_folder.run(&[&scenario, "--ticks", ticks]).wait().expect(0);
 }
 
 /// The SVG's elements, if each is closed in its turn; attributes are looked at as far as their quotes go.
@@ -54,13 +39,13 @@ fn well_formed(svg: &str) -> Vec<String> {
 
 #[test]
 fn a_runs_film_is_an_animated_picture_without_script() {
-    let place = Place::new();
+    let test_folder = TestFolder::new();
     // The joint blocks at tick 640; `tick` stands first there.
-    ran(&place, &[("every", "1"), ("tick", "640")], "1000");
-    let made = filmed(&place, &["run", "--json"]).expect(0);
+    ran(&test_folder, &[("every", "1"), ("tick", "640")], "1000");
+    let made = test_folder.tectum("film", &["run", "--json"]).expect(0);
     assert_eq!((made.stdout.lines().count(), made.stderr.as_str()), (1, ""));
     let json = made.json();
-    let file = place.run_folder().join("film.svg");
+    let file = test_folder.run_folder().join("film.svg");
     let svg = fs::read_to_string(&file).unwrap();
     assert_eq!((&json["file"], &json["bytes"]), (&"run/film.svg".into(), &svg.len().into()));
     assert!(svg.len() < 150_000, "{} bytes", svg.len());
@@ -86,41 +71,41 @@ fn a_runs_film_is_an_animated_picture_without_script() {
     }
 
     // The same bytes again, elsewhere, from the log alone, and a table for people.
-    let log = place.run_folder().join("log.mcap");
-    let text = filmed(&place, &[log.to_str().unwrap(), "--out", "again.svg"]).expect(0).stdout;
+    let log = test_folder.log_path();
+    let text = test_folder.tectum("film", &[log.to_str().unwrap(), "--out", "again.svg"]).expect(0).stdout;
     assert!(text.contains("After the joint blocks") && text.contains("film  again.svg ("), "{text}");
-    assert_eq!(svg, fs::read_to_string(place.path().join("again.svg")).unwrap());
+    assert_eq!(svg, fs::read_to_string(test_folder.path().join("again.svg")).unwrap());
 }
 
 #[test]
 fn without_a_change_of_the_body_the_last_panel_is_the_end() {
-    let place = Place::new();
+    let test_folder = TestFolder::new();
     // The block at tick 9,300,000 of the paper's scenario is never reached.
-    ran(&place, &[("every", "1")], "600");
-    let json = filmed(&place, &["run", "--json"]).expect(0).json();
+    ran(&test_folder, &[("every", "1")], "600");
+    let json = test_folder.tectum("film", &["run", "--json"]).expect(0).json();
     assert_eq!((&json["panels"][2]["caption"], &json["panels"][2]["from"]), (&"At the end".into(), &480.into()));
-    assert!(!fs::read_to_string(place.run_folder().join("film.svg")).unwrap().contains("blocked"));
+    assert!(!fs::read_to_string(test_folder.run_folder().join("film.svg")).unwrap().contains("blocked"));
 }
 
 #[test]
 fn logs_without_a_film_are_refused_with_the_remedy() {
-    let place = Place::new();
-    ran(&place, &[("every", "7")], "700");
-    let message = refused(&place, &["run"]);
+    let test_folder = TestFolder::new();
+    ran(&test_folder, &[("every", "7")], "700");
+    let message = test_folder.refused("film", &["run"]);
     assert!(message.starts_with("tectum: the log run/log.mcap holds every 7th tick only"), "{message}");
 
-    let place = Place::new();
-    ran(&place, &[("every", "1")], "300");
-    let message = refused(&place, &["run"]);
+    let test_folder = TestFolder::new();
+    ran(&test_folder, &[("every", "1")], "300");
+    let message = test_folder.refused("film", &["run"]);
     assert!(message.contains("is too short for a film: 300 ticks hold 3 whole reaches"), "{message}");
     assert!(message.ends_with("make a longer run"), "{message}");
-    assert!(!place.run_folder().join("film.svg").exists());
+    assert!(!test_folder.run_folder().join("film.svg").exists());
 
-    let place = Place::new();
+    let test_folder = TestFolder::new();
     let eye = fs::read_to_string("scenarios/eye.toml").unwrap();
-    let scenario = place.file("eye.toml", eye).to_str().unwrap().to_owned();
-    place.run(&[&scenario, "--ticks", "50"]).wait().expect(0);
-    let message = refused(&place, &["run"]);
+    let scenario = test_folder.write_file("eye.toml", eye).to_str().unwrap().to_owned();
+    test_folder.run(&[&scenario, "--ticks", "50"]).wait().expect(0);
+    let message = test_folder.refused("film", &["run"]);
     assert!(
         message.contains("the plant of scenario \"eye\" is an eye") && message.contains("[plant.arm]"),
         "{message}"
@@ -129,9 +114,12 @@ fn logs_without_a_film_are_refused_with_the_remedy() {
 
 #[test]
 fn what_is_no_log_has_no_film() {
-    let place = Place::new();
-    assert_eq!(refused(&place, &["nowhere"]), "tectum: nowhere does not exist; give a log, or the folder of a run");
-    ran(&place, &[("every", "1")], "700");
-    let message = refused(&place, &["run", "--out", "nowhere/film.svg"]);
+    let test_folder = TestFolder::new();
+    assert_eq!(
+        test_folder.refused("film", &["nowhere"]),
+        "tectum: nowhere does not exist; give a log, or the folder of a run"
+    );
+    ran(&test_folder, &[("every", "1")], "700");
+    let message = test_folder.refused("film", &["run", "--out", "nowhere/film.svg"]);
     assert!(message.contains("nowhere/film.svg cannot be written: ") && message.ends_with("--out"), "{message}");
 }

@@ -1,5 +1,5 @@
-//! A disk that fills up while a run goes on: the loop goes on, the log is closed and says from which tick on it lacks
-//! everything, and the run's exit code says so.
+//! A disk that fills up during a run. The control loop continues, the log is closed and states the tick from which on
+//! everything is missing, and the run's exit code reports it.
 
 mod support;
 
@@ -8,23 +8,23 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use serde_json::Value;
-use support::content::read;
-use support::{Outcome, Place, TECTUM, assert_no_debris};
+use support::content::read_log;
+use support::{ProcessOutcome, TECTUM, TestFolder, assert_no_debris};
 
-/// What holds, whatever the limit was; `why` is said of it.
-fn check(place: &Place, outcome: &Outcome, ticks: u64, why: &str) {
+/// Checks what must hold for every kind of limit; the messages must contain `why`.
+fn check(test_folder: &TestFolder, outcome: &ProcessOutcome, ticks: u64, why: &str) {
     let summary = outcome.json();
     assert_eq!((&summary["ticks"], &summary["ended"]), (&ticks.into(), &"complete".into()), "{outcome:#?}");
     assert!(summary["weights_hash"].is_string(), "the controller came to its end: {summary}");
-    assert_no_debris(&place.run_folder());
-    let (reader, content) = read(&place.run_folder().join("log.mcap"));
+    assert_no_debris(&test_folder.run_folder());
+    let (reader, content) = read_log(&test_folder.log_path());
     let missing = reader.missing_from().unwrap();
     assert!(reader.finished() && missing > 1000, "{missing}");
     let expected = format!("tectum: the log lacks everything from tick {} on: the log ", thousands(missing));
     assert!(outcome.stderr.starts_with(&expected) && outcome.stderr.contains(why), "{outcome:#?}");
     assert_eq!(outcome.stderr.lines().count(), 1, "{outcome:#?}");
-    assert_eq!((summary["log_missing_from"].as_u64(), &summary["failure"]), (Some(missing), &said(outcome)));
-    // All before that tick is there, and what is missing behind is stated.
+    assert_eq!((summary["log_missing_from"].as_u64(), &summary["failure"]), (Some(missing), &message(outcome)));
+    // The log is complete before that tick and states what is missing after it.
     let whole: Vec<(u64, u8)> = content.order.iter().copied().filter(|(tick, _)| *tick < missing).collect();
     assert!(whole.iter().copied().eq((0..missing).flat_map(|tick| [(tick, 0), (tick, 1), (tick, 2)])));
     let (totals, counts) =
@@ -34,54 +34,55 @@ fn check(place: &Place, outcome: &Outcome, ticks: u64, why: &str) {
         assert_eq!(count as u64 + totals.lost[i], ticks, "channel {i}");
         assert_eq!(content.gaps[i].first, count as u64, "channel {i}");
     }
-    // And anybody can see it.
-    let text = place.start(TECTUM, &["log", "info", "run"]).wait().expect(0).stdout;
+    // `tectum log info` and `tectum replay` report it.
+    let text = test_folder.start(TECTUM, &["log", "info", "run"]).wait().expect(0).stdout;
     assert!(text.contains(&format!("missing  from tick {missing} on: ")) && text.contains(why), "{text}");
-    let info = place.start(TECTUM, &["log", "info", "run", "--json"]).wait().expect(0).json();
+    let info = test_folder.start(TECTUM, &["log", "info", "run", "--json"]).wait().expect(0).json();
     assert!(info["channels"].as_array().unwrap().iter().all(|channel| channel["agrees"] == true), "{info}");
-    let text = place.start(TECTUM, &["replay", "run"]).wait().expect(2).stderr;
-    // Of the tick itself, what came before the sample without room may be there.
+    let text = test_folder.start(TECTUM, &["replay", "run"]).wait().expect(2).stderr;
+    // The log may contain samples of that tick itself, up to the one that had no room.
     let last = if content.commands.last().is_some_and(|c| c.header.tick == missing) { missing } else { missing - 1 };
     assert!(text.contains(&format!("up to tick {last} it is what this build makes of it")), "{text}");
 }
 
-/// The message, without the program's name.
-fn said(outcome: &Outcome) -> Value {
+/// The error message without the program's name.
+fn message(outcome: &ProcessOutcome) -> Value {
     outcome.stderr.trim().trim_start_matches("tectum: ").into()
 }
 
+/// A number with a comma before the last three digits.
 fn thousands(n: u64) -> String {
     let text = n.to_string();
     let (head, tail) = text.split_at(text.len().saturating_sub(3));
     if head.is_empty() { tail.to_owned() } else { format!("{head},{tail}") }
 }
 
-/// By way of a limit on the size of files, which anybody may set. (It counts for shared memory too, so it lies above what
-/// the channels need.)
+/// A limit on the size of files, which every user may set. It also applies to shared memory, so it is larger than the
+/// channels' files.
 #[test]
-fn a_limit_on_the_size_of_files() {
-    let place = Place::new();
-    let scenario = place.arm(&[("every", "1")]);
+fn a_file_size_limit_closes_the_log_and_the_run_completes() {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[("every", "1")]);
     let limited = format!("ulimit -f 8192; exec {TECTUM} run {scenario} --ticks 30000 --out run --json");
-    let outcome = place.start("/bin/sh", &["-c", &limited]).wait().expect(2);
+    let outcome = test_folder.start("/bin/sh", &["-c", &limited]).wait().expect(2);
     check(
-        &place,
+        &test_folder,
         &outcome,
         30_000,
         "the limit on the size of a file is reached; raise the limit (ulimit -f) or thin the log",
     );
 }
 
-/// A disk of its own, in memory, which somebody else fills up while the run goes on.
+/// A file system in memory, which another program fills up during the run.
 #[test]
-fn a_disk_that_somebody_fills_up() {
+fn a_full_disk_closes_the_log_and_the_run_completes() {
     if !may_mount() {
-        eprintln!("user namespaces with a mount of their own are not allowed here: not tested");
+        eprintln!("skipped: user namespaces with a mount of their own are not allowed here");
         return;
     }
-    let place = Place::new();
-    let scenario = place.arm(&[("every", "1")]);
-    fs::create_dir(place.path().join("disk")).unwrap();
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[("every", "1")]);
+    fs::create_dir(test_folder.path().join("disk")).unwrap();
     let script = format!(
         "mount -t tmpfs -o size=48m tmpfs disk || exit 9
          {TECTUM} run {scenario} --ticks 40000 --out disk/run --json & run=$!
@@ -91,12 +92,12 @@ fn a_disk_that_somebody_fills_up() {
          cp -r disk/run run; exit $code"
     );
     let arguments = ["-r", "-m", "sh", "-c", &script];
-    let outcome = place.start(Path::new("unshare"), &arguments).wait().expect(2);
-    check(&place, &outcome, 40_000, "no space left on device; free some space");
+    let outcome = test_folder.start(Path::new("unshare"), &arguments).wait().expect(2);
+    check(&test_folder, &outcome, 40_000, "no space left on device; free some space");
 }
 
 fn may_mount() -> bool {
-    let try_it = "mount -t tmpfs tmpfs /mnt";
-    let tried = Command::new("unshare").args(["-r", "-m", "sh", "-c", try_it]).stderr(Stdio::null()).status();
-    tried.is_ok_and(|status| status.success())
+    let mount = "mount -t tmpfs tmpfs /mnt";
+    let status = Command::new("unshare").args(["-r", "-m", "sh", "-c", mount]).stderr(Stdio::null()).status();
+    status.is_ok_and(|status| status.success())
 }

@@ -1,10 +1,11 @@
-//! How many instructions a tick takes, as it was when it was last looked at: so that a later change shows, also one that
-//! nobody meant (a loop over lanes that is no longer inlined takes ten times as many).
+//! Compares the number of instructions of a tick with a recorded number, so that an unintended change is noticed. (A
+//! loop over lanes that is no longer inlined takes ten times as many instructions.)
 //!
-//! Counted one by one: this program starts itself again and steps through the part between two signals with ptrace, which
-//! needs no hardware counters, and gives the same number every time. Where that is not allowed the test says so and passes.
-//! The numbers below belong to rustc 1.95; a much different one may need new ones. `cargo test --test instructions` checks
-//! those of the tests' profile, and with `--release` those of what users run.
+//! The instructions are counted one by one: this program starts itself again and steps with ptrace through the part
+//! between two signals. That needs no hardware counters and gives the same number every time. Where ptrace is not
+//! allowed, the test prints that it is skipped, and passes. The numbers below belong to rustc 1.95; a very different
+//! version may need new ones. `cargo test --test instructions` checks the numbers of the test profile; with `--release`
+//! it checks those of the programs that users run.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Command, ExitCode, Stdio};
@@ -18,14 +19,15 @@ use tectum::scenario::Scenario;
 use tectum::simd::SimdPath;
 use tectum::wire::{self, Observation};
 
-/// Names what the program is to do when it is started to be counted.
+/// The environment variable that names the part to count, when the program is started to be counted.
 const PART: &str = "TECTUM_COUNTED_PART";
 
-/// Ticks before those that are counted, and those.
+/// Ticks before the counted ones.
 const BEFORE: u64 = 2000;
+/// Ticks that are counted.
 const COUNTED: u64 = 4;
 
-/// What is counted, by path, as recorded: instructions a tick of the paper's arm in the release profile and in the tests'.
+/// The recorded numbers: part, path, and instructions a tick of the paper's arm in the release and in the test profile.
 const RECORDED: [(&str, &str, [u64; 2]); 6] = [
     ("encode", "sse2", [1570, 2386]),
     ("encode", "avx2", [921, 1467]),
@@ -35,12 +37,12 @@ const RECORDED: [(&str, &str, [u64; 2]); 6] = [
     ("tick", "avx2", [4484, 10751]),
 ];
 
-/// Largest departure that is no change, in percent.
+/// The largest tolerated difference, in percent.
 const TOLERANCE: u64 = 5;
 
 fn main() -> ExitCode {
     if let Ok(part) = std::env::var(PART) {
-        counted(&part);
+        run_counted_part(&part);
         return ExitCode::SUCCESS;
     }
     let profile = usize::from(cfg!(debug_assertions));
@@ -66,7 +68,7 @@ fn main() -> ExitCode {
     ExitCode::from(u8::from(changed))
 }
 
-/// Counts the instructions of a part, less those of a part that does nothing.
+/// Counts the instructions of a part, minus those of an empty part.
 fn count(part: &str) -> nix::Result<u64> {
     let program = std::env::current_exe().unwrap();
     let mut child = Command::new(program).env(PART, part).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
@@ -78,15 +80,15 @@ fn count(part: &str) -> nix::Result<u64> {
         child.stdin.take().unwrap().write_all(b"go\n").unwrap();
         ptrace::cont(pid, None)?;
         assert_eq!(waitpid(pid, None)?, WaitStatus::Stopped(pid, Signal::SIGUSR1), "the first mark");
-        let nothing = step_to_mark(pid)?;
-        Ok(step_to_mark(pid)? - nothing)
+        let overhead = step_to_mark(pid)?;
+        Ok(step_to_mark(pid)? - overhead)
     });
     let _ = child.kill();
     let _ = child.wait();
     counted
 }
 
-/// Steps to the next mark, and says how many instructions that took.
+/// Steps to the next mark and returns the number of instructions.
 fn step_to_mark(pid: Pid) -> nix::Result<u64> {
     let mut steps = 0;
     loop {
@@ -100,8 +102,8 @@ fn step_to_mark(pid: Pid) -> nix::Result<u64> {
     }
 }
 
-/// The counted program's side: gets ready, waits until it is watched, and marks where counting begins and ends.
-fn counted(part: &str) {
+/// The counted program: prepares the part, waits until ptrace is attached, and marks where counting begins and ends.
+fn run_counted_part(part: &str) {
     let (what, path) = part.split_once(' ').unwrap();
     let path = SimdPath::all().find(|here| here.to_string() == path).unwrap();
     let plan = Scenario::find("paper").unwrap().plan().unwrap();
@@ -136,7 +138,7 @@ fn counted(part: &str) {
     mark();
 }
 
-/// A mark that whoever watches this process sees.
+/// A signal that the counting process observes.
 fn mark() {
     rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::USR1).unwrap();
 }

@@ -1,37 +1,18 @@
-//! The log as its users meet it: written by one hand, read by another, through the file system.
+//! A log is written and read back through the file system.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+#[path = "support/counting_allocator.rs"]
+mod counting_allocator;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command as Process;
+
+use counting_allocator::allocations;
 use tectum::log::{
     FIXED_BYTES, LogClock, LogError, LogHeader, LogReader, LogRecord, LogTotals, LogWriter, bytes_per_tick,
 };
 use tectum::scenario::SignalConfig;
 use tectum::wire::{ChannelNames, Command, Gap, Header, Learning, Observation, schema_hash};
-
-/// Counts what each thread allocates.
-struct Counting;
-
-thread_local!(static ALLOCATIONS: Cell<u64> = const { Cell::new(0) });
-
-// SAFETY: every call is handed to the system's allocator as it came; the counter is a plain number of this thread.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
-        // SAFETY: the caller's promise about `layout` is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: `at` came from `System` with this layout, as the caller promises.
-        unsafe { System.dealloc(at, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 fn header() -> LogHeader {
     let signal = |name: &str, unit: &str| SignalConfig { name: name.into(), unit: unit.into(), min: -1.0, max: 1.0 };
@@ -87,7 +68,7 @@ fn write(path: &Path, ticks: u64) -> u64 {
 }
 
 #[test]
-fn a_log_comes_back_as_it_was_written() {
+fn a_log_is_read_back_as_it_was_written() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
     let mut log = LogWriter::create(&path, &header()).unwrap();
@@ -115,15 +96,15 @@ fn a_log_comes_back_as_it_was_written() {
 }
 
 #[test]
-fn a_torn_log_keeps_every_message_that_was_acknowledged() {
+fn a_torn_log_keeps_every_acknowledged_message() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
     let mut log = LogWriter::create(&path, &header()).unwrap();
     write_ticks(&mut log, 0..100).unwrap();
-    // The writer is still there, as in a process that a signal is about to end: only what is in the file counts.
-    let mut seen = LogReader::open(&path).unwrap();
-    assert_eq!(seen.by_ref().map(Result::unwrap).count(), 300);
-    assert!(!seen.finished() && seen.totals().is_none());
+    // The writer is not closed, like that of a process that a signal is about to end. Only the file's content counts.
+    let mut reader = LogReader::open(&path).unwrap();
+    assert_eq!(reader.by_ref().map(Result::unwrap).count(), 300);
+    assert!(!reader.finished() && reader.totals().is_none());
     std::mem::forget(log);
 }
 
@@ -137,34 +118,34 @@ fn equal_runs_give_equal_files() {
 }
 
 #[test]
-fn the_size_of_a_log_can_be_foretold() {
+fn the_size_of_a_log_can_be_predicted() {
     let folder = tempfile::tempdir().unwrap();
     let (ticks, long) = (1_000, 11_000);
     let short = write(&folder.path().join("short"), ticks);
     let long_bytes = write(&folder.path().join("long"), long);
     let per_tick = (long_bytes - short) as f64 / (long - ticks) as f64;
-    // But for the digits of the totals.
+    // The numbers of digits in the totals differ.
     assert!((per_tick - bytes_per_tick(1)).abs() < 0.01, "{per_tick}");
-    let foretold = FIXED_BYTES as f64 + long as f64 * bytes_per_tick(1);
-    assert!((foretold / long_bytes as f64 - 1.0).abs() < 0.01, "{foretold} against {long_bytes}");
+    let predicted = FIXED_BYTES as f64 + long as f64 * bytes_per_tick(1);
+    assert!((predicted / long_bytes as f64 - 1.0).abs() < 0.01, "{predicted} against {long_bytes}");
 }
 
 #[test]
-fn a_message_costs_no_allocation() {
+fn writing_a_message_allocates_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = LogWriter::create(&folder.path().join("log.mcap"), &header()).unwrap();
-    // The checksum's batch buffer grows to its size within the first 32 KiB.
+    // The checksum's batch buffer grows to its final size within the first 32 KiB.
     write_ticks(&mut log, 0..200).unwrap();
-    let before = ALLOCATIONS.get();
+    let before = allocations();
     write_ticks(&mut log, 200..1200).unwrap();
     for _ in 0..1000 {
         log.append(&LogRecord::Gap(Gap::default())).unwrap();
     }
     log.flush().unwrap();
-    assert_eq!(ALLOCATIONS.get() - before, 0);
+    assert_eq!(allocations() - before, 0);
 }
 
-/// Runs one of these tests again in a process under a limit on the size of its files, as `ulimit -f` sets it.
+/// Runs one of these tests in a new process under a limit on the size of its files, as `ulimit -f` sets it.
 fn under_a_limit(test: &str, path: &Path) {
     let output = Process::new("sh")
         // Without the trap the kernel ends the process with SIGXFSZ.
@@ -177,16 +158,16 @@ fn under_a_limit(test: &str, path: &Path) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// Sets another limit for this process, bytes; `None` for the most that it may have.
+/// Sets another limit for this process, in bytes; `None` sets the largest that it may have.
 fn limit(bytes: Option<u64>) {
     use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
     let maximum = getrlimit(Resource::Fsize).maximum;
     setrlimit(Resource::Fsize, Rlimit { current: bytes.or(maximum), maximum }).unwrap();
 }
 
-/// A limit is noticed before anything is cut off by it, and the log is closed in the room that was kept for that.
+/// The limit is noticed before it cuts off a write. The log is closed in the space that is reserved for that.
 #[test]
-fn a_log_without_room_is_closed_with_what_it_lacks() {
+fn a_log_without_room_states_what_is_missing() {
     let gap = |count| Gap { channel: 1, first: 0, count, total: count };
     if let Some(path) = std::env::var_os("TECTUM_TEST_LIMITED_LOG") {
         let mut log = LogWriter::create(Path::new(&path), &header()).unwrap();
@@ -202,7 +183,7 @@ fn a_log_without_room_is_closed_with_what_it_lacks() {
     }
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
-    under_a_limit("a_log_without_room_is_closed_with_what_it_lacks", &path);
+    under_a_limit("a_log_without_room_states_what_is_missing", &path);
     let mut log = LogReader::open(&path).unwrap();
     let records: Vec<LogRecord> = log.by_ref().map(Result::unwrap).collect();
     let ticks = records.len() as u64 / 3;
@@ -211,16 +192,16 @@ fn a_log_without_room_is_closed_with_what_it_lacks() {
     assert!(log.metadata()["tectum.missing"]["why"].contains("ulimit -f"));
 }
 
-/// Where the room that was kept is taken away all the same, what was written before stays readable.
+/// When even the reserved space is not available, everything that was written before stays readable.
 #[test]
-fn a_write_that_fails_leaves_a_torn_log() {
+fn a_failed_write_leaves_a_torn_log() {
     if let Some(path) = std::env::var_os("TECTUM_TEST_LIMITED_LOG") {
         let mut log = LogWriter::create(Path::new(&path), &header()).unwrap();
         write_ticks(&mut log, 0..500).unwrap();
         limit(Some(std::fs::metadata(&path).unwrap().len() + 300));
         let error = write_ticks(&mut log, 500..1_000).unwrap_err();
         assert!(error.is_full() && log.broken(), "{error}");
-        // There is room again, but half a message may stand at the end, and nothing is put behind it.
+        // There is space again, but the file may end with half a message, so nothing is appended.
         limit(None);
         assert_eq!(log.flush().unwrap_err().to_string(), error.to_string());
         let again = log.finish(&LogTotals::default()).unwrap_err();
@@ -229,24 +210,24 @@ fn a_write_that_fails_leaves_a_torn_log() {
     }
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
-    under_a_limit("a_write_that_fails_leaves_a_torn_log", &path);
+    under_a_limit("a_failed_write_leaves_a_torn_log", &path);
     let mut log = LogReader::open(&path).unwrap();
     let records = log.by_ref().map(Result::unwrap).count();
-    // When the log was dropped, the rest of the message that was cut off went out.
+    // When the log was dropped, the rest of the message that was cut off was written.
     assert!(records == 1502 && !log.finished(), "{records}");
 }
 
-/// A log for the scripts in `tests/python`, with the arm and the paper's learner as a few plain loops in single
-/// precision: `TECTUM_TEST_LOG=log.mcap cargo test --test log_file -- --ignored a_log_for_python`.
+/// Writes a log for the scripts in `tests/python`. The arm and the paper's learner are a few plain loops in single
+/// precision. `TECTUM_TEST_LOG=log.mcap cargo test --test log_file -- --ignored a_log_for_python` starts it.
 #[test]
-#[ignore = "writes a file for the Python scripts; the path stands in TECTUM_TEST_LOG"]
+#[ignore = "writes a file for the Python scripts; TECTUM_TEST_LOG names its path"]
 fn a_log_for_python() {
     use rand_distr::{Distribution, Normal, Uniform};
     use std::f32::consts::PI;
     let path = std::env::var_os("TECTUM_TEST_LOG").expect("TECTUM_TEST_LOG names the log to write");
     let path = Path::new(&path);
     let mut rng = tectum::seed::stream(1, "python");
-    let (place, draw) = (Uniform::new(-1.0f32, 1.0).unwrap(), Normal::new(0.0f32, 0.003).unwrap());
+    let (uniform, normal) = (Uniform::new(-1.0f32, 1.0).unwrap(), Normal::new(0.0f32, 0.003).unwrap());
     let row = |x: f32, limit: f32| -> Vec<f32> {
         (0..16).map(|i| (-(x + limit - 2.0 * limit * i as f32 / 15.0).powi(2) / 0.5).exp()).collect()
     };
@@ -255,11 +236,11 @@ fn a_log_for_python() {
     let (mut w, mut z) = (vec![[0.0f32; 4]; 320], vec![[0.0f32; 4]; 320]);
     let ticks = 2000;
     for k in 0..ticks {
-        // Now and then a tick is not learned from, as after a late command.
+        // A few ticks are not learned from, as after a late command.
         let cut = k % 97 == 50;
         let learned = k > 0 && !cut;
         if k % 80 == 0 {
-            target = [place.sample(&mut rng), place.sample(&mut rng)];
+            target = [uniform.sample(&mut rng), uniform.sample(&mut rng)];
         }
         if learned {
             for (w, z) in w.iter_mut().zip(&z) {
@@ -282,7 +263,7 @@ fn a_log_for_python() {
         (command.mean, command.drawn, learning.noise) = ([0.0; 8], [0.0; 8], [0.0; 8]);
         let (mut end, mut rates) = ([0.0f32, -1.0], 0.0);
         for d in 0..4 {
-            let noise = draw.sample(&mut rng);
+            let noise = normal.sample(&mut rng);
             let mean = g.iter().zip(&w).map(|(g, w)| g * w[d]).sum::<f32>();
             (command.mean[d], command.drawn[d], learning.noise[d]) = (mean, mean + noise, noise);
             g.iter().zip(&mut z).for_each(|(g, z)| z[d] = 0.9 * z[d] + 0.1 * noise * g);

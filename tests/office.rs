@@ -1,12 +1,16 @@
-//! A simulated day at the office: every learner with every fault, in one process, kept as a table.
+//! Every learning rule under every fault, in one process, recorded in a table.
 //!
-//! The table in `tests/snapshots/office.txt` is what came out, exactly; `TECTUM_BLESS=1 cargo test --test office` writes it
-//! anew. A change of it is a change of what faults do, and is reviewed there.
+//! The results must equal `tests/snapshots/office.txt`. A change of that table is a change of the effect of faults and
+//! must be reviewed there. To write it anew: `TECTUM_BLESS=1 cargo test --test office`.
+
+#[path = "support/snapshot.rs"]
+mod snapshot;
 
 use std::fmt::Write as _;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use snapshot::assert_snapshot;
 use tectum::report::Window;
 use tectum::runtime::{Controller, ControllerReport, PlantReport, PlantSide};
 use tectum::scenario::{Plan, Scenario};
@@ -14,7 +18,7 @@ use tectum::wire::{Command, Learning, Observation, flag};
 
 const TICKS: u64 = 2000;
 
-/// The rules; the last one with few imagined movements, so that debug builds are quick.
+/// The learning rules. The last one has few imagined movements, so that debug builds are quick.
 const RULES: [(&str, &str); 5] = [
     ("paper", "rule = \"paper\""),
     ("baseline", "rule = \"baseline\""),
@@ -23,7 +27,7 @@ const RULES: [(&str, &str); 5] = [
     ("learned-reward", "rule = \"learned-reward\"\n[learner.model]\nmovements = 4\nsteps = 1\nmemory = 64"),
 ];
 
-/// The kinds of fault, each with what else it needs.
+/// The kinds of fault: name, kind, and the other keys that the kind needs.
 const KINDS: [(&str, &str, &str); 7] = [
     ("delay", "delay", "ticks = 3"),
     ("drop", "drop", ""),
@@ -34,14 +38,14 @@ const KINDS: [(&str, &str, &str); 7] = [
     ("huge", "corrupt", "value = \"huge\""),
 ];
 
-/// A cell of the matrix: the rule, the fault, and the plan.
+/// A cell of the matrix of rules and faults.
 struct Cell {
     rule: &'static str,
     fault: String,
     plan: Plan,
 }
 
-/// The arm of `scenarios/paper.toml` under a rule and with more tables behind.
+/// The arm of `scenarios/paper.toml` with this learner and with more tables appended.
 fn plan(learner: &str, more: &str) -> Plan {
     let paper = std::fs::read_to_string("scenarios/paper.toml").unwrap();
     let (head, tail) = paper.split_once("\n[learner]").unwrap();
@@ -72,21 +76,22 @@ fn cells() -> Vec<Cell> {
     cells
 }
 
-/// The run, with what must hold in every tick of it, whatever goes wrong.
+/// Runs a plan and checks in every tick what must hold under every fault.
 fn run(plan: &Plan) -> (PlantReport, ControllerReport) {
     let mut side = PlantSide::new(plan.simulated_plant().unwrap(), plan);
     let mut controller = Controller::new(plan);
     let (mut observation, mut command, mut learning) =
         (Observation::default(), Command::default(), Learning::default());
     for tick in 0..plan.scenario.ticks {
-        let asked = command.drawn;
+        let requested = command.drawn;
         side.observe(tick, 0, 0, &mut observation);
         let flags = observation.header.flags;
         assert!(observation.applied.iter().all(|u| u.abs() <= 0.05), "{observation:?}");
         assert!(observation.inputs.iter().all(|x| x.is_finite()) && observation.reward.is_finite());
-        // Whatever was applied and is not what was asked for is flagged, so that credit goes by it or not at all.
+        // A command that was applied differently from the request is flagged, so that the learner uses the applied one
+        // or does not learn.
         if flags & (flag::FIRST | flag::MISSED | flag::CLAMPED) == 0 {
-            assert_eq!(observation.applied, asked, "tick {tick}, flags {flags:#x}");
+            assert_eq!(observation.applied, requested, "tick {tick}, flags {flags:#x}");
         }
         controller.respond(&observation, &mut command);
         controller.after_command(&observation);
@@ -108,19 +113,20 @@ fn loss(windows: &[Window]) -> f64 {
 }
 
 const HEAD: &str = "\
-A day at the office: the arm of scenarios/paper.toml, seed 3, 2000 ticks, with a chance of 0.05 a tick for one fault.
-A delay, a duplicate and a freeze take 3 ticks. learned-reward imagines few movements, and office.toml has its own faults.
+Every learning rule under every fault: the arm of scenarios/paper.toml, seed 3, 2000 ticks. Each fault has a probability
+of 0.05 a tick; a delay, a duplicate and a freeze last 3 ticks. learned-reward imagines few movements. office.toml has
+faults of its own.
 
-missed: ticks in which the hold policy answered. late: commands after their tick. limited: ticks in which the gate limited.
-bad: commands that were not numbers. unheard: ticks of which the controller heard nothing. stale: observations after their
-tick. blind: observations whose inputs were none. learned: ticks learned from. cuts: of the trace. loss: a tick, over the last
-quarter of the run. cost: ticks that the fault took from the learner, of a hundred, and what it added to the loss.
+missed: ticks without a command, in which the hold policy acted. late: commands that arrived after their tick. limited:
+ticks in which the gate limited the command. bad: commands with a value that is not a number. unheard: ticks whose
+observation did not reach the controller. stale: observations that arrived after their tick. blind: observations without
+valid inputs. learned: ticks that were learned from. cuts: cuts of the trace. loss: mean loss of a tick over the last
+quarter of the run. cost: percentage of ticks that the fault kept from the learner, and its increase of the loss.
 
 ";
 
-#[test]
-fn a_day_at_the_office() {
-    let cells = cells();
+/// Runs all cells on the machine's cores; the results are in the order of the cells.
+fn run_all(cells: &[Cell]) -> Vec<(PlantReport, ControllerReport)> {
     let results: Vec<_> = cells.iter().map(|_| Mutex::new(None)).collect();
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {
@@ -134,9 +140,38 @@ fn a_day_at_the_office() {
             });
         }
     });
-    let mut text = HEAD.to_owned();
-    let _ = writeln!(
-        text,
+    results.into_iter().map(|result| result.into_inner().unwrap().unwrap()).collect()
+}
+
+/// The result of a rule without faults.
+struct CleanRun {
+    learned: u64,
+    loss: f64,
+    weights_hash: String,
+}
+
+/// Checks what must hold for every fault, compared with the same rule without faults.
+fn check(cell: &Cell, p: &PlantReport, c: &ControllerReport, clean: &CleanRun) {
+    if cell.fault == "none" {
+        assert_eq!((p.missed, p.late, c.unheard, c.stale, c.invalid, c.cuts), (0, 0, 0, 0, 0, 0), "{}", cell.rule);
+    } else {
+        assert!(
+            p.missed + p.late + p.clamped + c.stale + c.invalid > 50,
+            "{} {}: the fault had no effect",
+            cell.rule,
+            cell.fault
+        );
+    }
+    // A duplicate is recognised by its tick and has no cost.
+    if cell.fault.ends_with("duplicate") {
+        assert_eq!((c.learned, &c.weights_hash), (clean.learned, &clean.weights_hash), "{} {}", cell.rule, cell.fault);
+    }
+    assert_eq!(c.diverged_at, None, "{} {}", cell.rule, cell.fault);
+}
+
+/// The headings of the table's columns.
+fn headings() -> String {
+    format!(
         "{:<21}{:<25}{:>7}{:>6}{:>8}{:>5}{:>8}{:>6}{:>6}{:>8}{:>6}{:>9}{:>6}{:>9}  weights",
         "rule",
         "fault",
@@ -152,51 +187,44 @@ fn a_day_at_the_office() {
         "loss",
         "cost",
         ""
-    );
-    let mut clean = (0, 0.0, String::new());
-    for (cell, result) in cells.iter().zip(results) {
-        let (p, c) = result.into_inner().unwrap().unwrap();
-        let loss = loss(&c.windows);
+    )
+}
+
+/// A cell's row of the table.
+fn row(cell: &Cell, p: &PlantReport, c: &ControllerReport, clean: &CleanRun) -> String {
+    let loss = loss(&c.windows);
+    let cost = 100.0 * (clean.learned - c.learned.min(clean.learned)) as f64 / clean.learned as f64;
+    format!(
+        "{:<21}{:<25}{:>7}{:>6}{:>8}{:>5}{:>8}{:>6}{:>6}{:>8}{:>6}{loss:>9.4}{cost:>6.1}{:>+9.4}  {}",
+        cell.rule,
+        cell.fault,
+        p.missed,
+        p.late,
+        p.clamped,
+        p.non_finite,
+        c.unheard,
+        c.stale,
+        c.invalid,
+        c.learned,
+        c.cuts,
+        loss - clean.loss,
+        c.weights_hash
+    )
+}
+
+#[test]
+fn every_learner_under_every_fault_gives_the_recorded_table() {
+    let cells = cells();
+    let results = run_all(&cells);
+    let mut text = format!("{HEAD}{}\n", headings());
+    let mut clean = CleanRun { learned: 0, loss: 0.0, weights_hash: String::new() };
+    for (cell, (plant, controller)) in cells.iter().zip(&results) {
         if cell.fault == "none" {
-            clean = (c.learned, loss, c.weights_hash.clone());
-            assert_eq!((p.missed, p.late, c.unheard, c.stale, c.invalid, c.cuts), (0, 0, 0, 0, 0, 0), "{}", cell.rule);
-        } else {
-            assert!(
-                p.missed + p.late + p.clamped + c.stale + c.invalid > 50,
-                "{} {}: nothing went wrong",
-                cell.rule,
-                cell.fault
-            );
+            let (loss, weights_hash) = (loss(&controller.windows), controller.weights_hash.clone());
+            clean = CleanRun { learned: controller.learned, loss, weights_hash };
         }
-        // What comes twice is told by its tick, and costs nothing.
-        if cell.fault.ends_with("duplicate") {
-            assert_eq!((c.learned, &c.weights_hash), (clean.0, &clean.2), "{} {}", cell.rule, cell.fault);
-        }
-        assert_eq!(c.diverged_at, None, "{} {}", cell.rule, cell.fault);
-        let taken = 100.0 * (clean.0 - c.learned.min(clean.0)) as f64 / clean.0 as f64;
-        let _ = writeln!(
-            text,
-            "{:<21}{:<25}{:>7}{:>6}{:>8}{:>5}{:>8}{:>6}{:>6}{:>8}{:>6}{loss:>9.4}{taken:>6.1}{:>+9.4}  {}",
-            cell.rule,
-            cell.fault,
-            p.missed,
-            p.late,
-            p.clamped,
-            p.non_finite,
-            c.unheard,
-            c.stale,
-            c.invalid,
-            c.learned,
-            c.cuts,
-            loss - clean.1,
-            c.weights_hash
-        );
+        check(cell, plant, controller, &clean);
+        let _ = writeln!(text, "{}", row(cell, plant, controller, &clean));
     }
-    let path = "tests/snapshots/office.txt";
-    if std::env::var_os("TECTUM_BLESS").is_some() {
-        std::fs::write(path, &text).unwrap();
-    }
-    let kept = std::fs::read_to_string(path).unwrap_or_default();
-    let changed: Vec<_> = text.lines().zip(kept.lines().chain(std::iter::repeat(""))).filter(|(a, b)| a != b).collect();
-    assert!(changed.is_empty() && kept == text, "{path} is another one; TECTUM_BLESS=1 writes it anew: {changed:#?}");
+    assert_snapshot("tests/snapshots/office.txt", &text);
 }

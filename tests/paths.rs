@@ -1,5 +1,6 @@
-//! Every path of the inner loops gives the same bits: encoder, mean output, and the learning rules with their traces, over
-//! a million random inputs each. A machine with one path only has nothing to compare, and the test says so.
+//! Every SIMD path of the inner loops gives the same bits: encoder, mean output, and the learning rules with their
+//! traces, over a million random inputs each. A machine with only one path has nothing to compare; the test then prints
+//! that it is skipped.
 
 use rand::RngExt as _;
 use tectum::encoder::{Axis, Encoder, Map};
@@ -10,8 +11,8 @@ use tectum::simd::SimdPath;
 
 const MILLION: usize = 1_000_000;
 
-/// The paths besides the first.
-fn others() -> Vec<SimdPath> {
+/// The paths of this machine other than the baseline.
+fn other_paths() -> Vec<SimdPath> {
     let others: Vec<_> = SimdPath::all().skip(1).collect();
     if others.is_empty() {
         println!("skipped: this machine has one path only, {}", SimdPath::BASELINE);
@@ -23,8 +24,8 @@ fn axis(input: usize, units: usize, radius: f64) -> Axis {
     Axis { input, units, min: -1.0, max: 1.5, radius }
 }
 
-/// Some maps: with the paper's rows of 16, with rows of every rest by the lanes' number, with lines that join and that do
-/// not, and with scalars.
+/// Encoders that cover all cases: the paper's rows of 16, rows whose length leaves every remainder modulo the number of
+/// lanes, lines that are joined and lines that are not, and scalar features.
 fn encoders() -> Vec<Encoder> {
     let plane = |slow, fast| Map::Plane(axis(0, slow, 0.5), axis(1, fast, 0.4));
     vec![
@@ -36,7 +37,7 @@ fn encoders() -> Vec<Encoder> {
     ]
 }
 
-/// Mostly around the range; sometimes far outside, and sometimes any bits at all.
+/// A random input: mostly in or near the range, sometimes far outside, and sometimes arbitrary bits.
 fn input(rng: &mut Rng) -> f32 {
     let bits: u32 = rng.random();
     match bits % 16 {
@@ -47,9 +48,9 @@ fn input(rng: &mut Rng) -> f32 {
 }
 
 #[test]
-fn encoders_agree_to_the_bit() {
+fn encoders_agree_bit_for_bit() {
     let mut rng = stream(7, "paths");
-    for path in others() {
+    for path in other_paths() {
         let encoders = encoders();
         let rounds = MILLION / encoders.len();
         for encoder in encoders {
@@ -66,7 +67,7 @@ fn encoders_agree_to_the_bit() {
     }
 }
 
-/// A rule on two paths, side by side.
+/// A learning rule with its policy on two paths.
 struct Pair<R> {
     rules: [R; 2],
     policies: [LinearPolicy; 2],
@@ -79,8 +80,8 @@ impl<R: LearningRule> Pair<R> {
         Self { rules, policies }
     }
 
-    /// Ticks with random features, noise and rewards: after each, what was answered is the same, and so in the end is all
-    /// that was learned.
+    /// Runs ticks with random features, noise and rewards. After each tick the outputs must be equal, and in the end
+    /// the weights and traces.
     fn run(mut self, rng: &mut Rng, len: usize, ticks: usize) {
         let mut features: [Vec<f32>; 2] = [(); 2].map(|()| vec![0.0; len]);
         for tick in 0..ticks {
@@ -98,36 +99,36 @@ impl<R: LearningRule> Pair<R> {
                 next_features: next,
                 next_inputs: &[],
             };
-            let mut answers = [(0.0, [0.0; 8]); 2];
-            for ((rule, policy), answer) in self.rules.iter_mut().zip(&mut self.policies).zip(&mut answers) {
-                answer.0 = rule.learn_and_answer(policy, &tick_of, &mut answer.1);
-                // What comes of one pass is what comes of two.
-                assert_eq!(answer.1.map(f32::to_bits), policy.mean(next).map(f32::to_bits), "{:?}", policy.path());
+            let mut outputs_of = [(0.0, [0.0; 8]); 2];
+            for ((rule, policy), output) in self.rules.iter_mut().zip(&mut self.policies).zip(&mut outputs_of) {
+                output.0 = rule.learn_and_answer(policy, &tick_of, &mut output.1);
+                // A combined pass gives the same as two separate passes.
+                assert_eq!(output.1.map(f32::to_bits), policy.mean(next).map(f32::to_bits), "{:?}", policy.path());
             }
-            let [(step, mean), (other_step, other_mean)] = answers;
+            let [(step, mean), (other_step, other_mean)] = outputs_of;
             assert_eq!((step.to_bits(), mean.map(f32::to_bits)), (other_step.to_bits(), other_mean.map(f32::to_bits)));
             if tick % 1000 == 999 {
                 self.rules.iter_mut().for_each(LearningRule::cut_trace);
             }
         }
-        let [one, other] = &self.policies;
-        assert!(one.norm() > 0.0 && self.rules.iter().all(|rule| !rule.halted()));
-        assert_eq!((one.hash(), one.norm().to_bits()), (other.hash(), other.norm().to_bits()));
-        for slices in one.weights().as_slices().zip(other.weights().as_slices()) {
-            assert_eq!(slices.0, slices.1, "also where no feature is");
+        let [baseline, other] = &self.policies;
+        assert!(baseline.norm() > 0.0 && self.rules.iter().all(|rule| !rule.halted()));
+        assert_eq!((baseline.hash(), baseline.norm().to_bits()), (other.hash(), other.norm().to_bits()));
+        for slices in baseline.weights().as_slices().zip(other.weights().as_slices()) {
+            assert_eq!(slices.0, slices.1, "also in the padding");
         }
         let norms = self.rules.map(|rule| rule.trace_norm().to_bits());
         assert_eq!(norms[0], norms[1]);
     }
 }
 
-/// Sizes with every rest by the lanes' number, and one or two groups of outputs.
+/// Features and outputs: sizes with every remainder modulo the number of lanes, and one or two groups of outputs.
 const SIZES: [(usize, usize); 4] = [(8, 4), (12, 5), (20, 1), (4, 8)];
 
 #[test]
-fn the_papers_rule_agrees_to_the_bit() {
+fn the_papers_rule_agrees_bit_for_bit() {
     let mut rng = stream(8, "paths");
-    for path in others() {
+    for path in other_paths() {
         for (len, outputs) in SIZES {
             let rule = PaperRule::new(len, outputs, 0.9, 0.01);
             Pair::new([rule.clone(), rule], path, len, outputs).run(&mut rng, len, MILLION / SIZES.len());
@@ -136,7 +137,7 @@ fn the_papers_rule_agrees_to_the_bit() {
 }
 
 #[test]
-fn the_actor_critic_agrees_to_the_bit() {
+fn the_actor_critic_agrees_bit_for_bit() {
     let critic = CriticConstants {
         step: 0.05,
         discount: 0.9,
@@ -150,7 +151,7 @@ fn the_actor_critic_agrees_to_the_bit() {
         sigma: 0.06,
     };
     let mut rng = stream(9, "paths");
-    for path in others() {
+    for path in other_paths() {
         for (len, outputs) in SIZES {
             let rule = ActorCritic::new(len, outputs, 0.8, 0.01, critic);
             Pair::new([rule.clone(), rule], path, len, outputs).run(&mut rng, len, MILLION / SIZES.len());

@@ -1,6 +1,7 @@
-//! Python reads our logs unaided, and takes part in runs: plant, viewer and MuJoCo arm of `examples/python`. Ignored by default,
-//! because it needs a Python with the packages of `tests/python/requirements.txt` and `examples/python/requirements.txt`; `.ci/run`
-//! makes one and runs it:
+//! Python reads our logs with public packages only, and takes part in runs with the plant, viewer, tracker and MuJoCo
+//! arm of `examples/python`. The tests are ignored by default, because they need a Python with the packages of
+//! `tests/python/requirements.txt` and `examples/python/requirements.txt`. `.ci/run` installs these and runs the
+//! tests:
 //!
 //! ```text
 //! TECTUM_PYTHON=path/to/python cargo test --locked --test python -- --ignored
@@ -12,26 +13,29 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::{Value, json};
-use support::{Place, TECTUM, assert_no_debris, signal_process};
+use support::{TECTUM, TestFolder, assert_no_debris, read_json, signal_process};
 use tectum::wire::{Command, Control, Header, Learning, Observation, Sample, Status, Vision, flag};
 
 fn python() -> String {
     std::env::var("TECTUM_PYTHON").unwrap_or_else(|_| "python3".to_owned())
 }
 
+/// The path of a script in `tests/python`.
 fn script(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(name);
     path.to_str().unwrap().to_owned()
 }
 
+/// The path of a file in `examples/python`.
 fn example(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/python").join(name);
     path.to_str().unwrap().to_owned()
 }
 
-/// One of the scenarios of `examples/python` with some texts replaced and others behind, so that it runs anywhere.
+/// A scenario of `examples/python` with some texts replaced and `more` appended. Its paths are made absolute, so that
+/// it runs in any folder.
 #[track_caller]
-fn scenario(place: &Place, name: &str, changes: &[(&str, &str)], more: &str) -> String {
+fn scenario(test_folder: &TestFolder, name: &str, changes: &[(&str, &str)], more: &str) -> String {
     let mut text = fs::read_to_string(example(name)).unwrap();
     let python = format!("{:?}", python());
     let folder = format!("\"{}/", example("").trim_end_matches('/'));
@@ -41,41 +45,41 @@ fn scenario(place: &Place, name: &str, changes: &[(&str, &str)], more: &str) -> 
         assert!(text.contains(from), "{name} has no {from}");
         text = text.replacen(from, to, 1);
     }
-    place.file("scenario.toml", text + more).to_str().unwrap().to_owned()
+    test_folder.write_file("scenario.toml", text + more).to_str().unwrap().to_owned()
 }
 
 #[test]
 #[ignore = "needs a Python with the packages of tests/python/requirements.txt, named by TECTUM_PYTHON"]
 fn python_reads_a_whole_log_and_recomputes_its_means() {
     let python = python();
-    let place = Place::new();
-    let scenario = place.arm(&[("every", "1")]);
-    place.run(&[&scenario, "--ticks", "20000", "--seed", "77"]).wait().expect(0);
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[("every", "1")]);
+    test_folder.run(&[&scenario, "--ticks", "20000", "--seed", "77"]).wait().expect(0);
 
-    let checked = place.start(&python, &[&script("check_log.py"), "run/log.mcap"]).wait().expect(0).json();
+    let checked = test_folder.start(&python, &[&script("check_log.py"), "run/log.mcap"]).wait().expect(0).json();
     for topic in ["/observation", "/command", "/learning"] {
         assert_eq!(checked["topics"][topic]["messages"], 20000, "{checked}");
     }
-    // In double precision; the controller's single precision differs by parts in 10^7 of the means.
+    // Python computes in double precision; the controller's single precision differs by parts in 10^7 of the means.
     let means = [&script("recompute_means.py"), "run/log.mcap", "1e-7"];
-    let recomputed = place.start(&python, &means).wait().expect(0).json();
+    let recomputed = test_folder.start(&python, &means).wait().expect(0).json();
     assert!(recomputed["largest_mean"].as_f64().unwrap() > 1e-4, "{recomputed}");
 }
 
-/// The summary is what a torn log lacks, and what tools that seek look for first.
+/// A torn log has no summary, which seeking tools read first. A repair adds it.
 #[test]
 #[ignore = "needs a Python with the packages of tests/python/requirements.txt, named by TECTUM_PYTHON"]
 fn python_reads_a_repaired_log() {
-    let place = Place::new();
-    let scenario = place.arm(&[("every", "1")]);
-    place.run(&[&scenario, "--ticks", "1000"]).wait().expect(0);
-    let whole = fs::read(place.run_folder().join("log.mcap")).unwrap();
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[("every", "1")]);
+    test_folder.run(&[&scenario, "--ticks", "1000"]).wait().expect(0);
+    let whole = fs::read(test_folder.log_path()).unwrap();
     for share in [2, 3, 5, 7] {
-        place.file("torn.mcap", &whole[..whole.len() - whole.len() / share]);
+        test_folder.write_file("torn.mcap", &whole[..whole.len() - whole.len() / share]);
         let repair = ["log", "repair", "torn.mcap", "--out", &format!("{share}.mcap"), "--json"];
-        let done = place.start(TECTUM, &repair).wait().expect(0).json();
+        let done = test_folder.start(TECTUM, &repair).wait().expect(0).json();
         let read = [&script("check_repaired.py"), &format!("{share}.mcap")];
-        let read = place.start(python(), &read.map(String::as_str)).wait().expect(0).json();
+        let read = test_folder.start(python(), &read.map(String::as_str)).wait().expect(0).json();
         assert_eq!(read["messages"], read["stated"], "{read}");
         for (i, topic) in ["/observation", "/command", "/learning"].into_iter().enumerate() {
             assert_eq!(read["messages"][topic], done["mended"]["messages"][i], "{read}");
@@ -89,11 +93,11 @@ fn python_reads_a_repaired_log() {
 #[test]
 #[ignore = "needs a Python with the packages of tests/python/requirements.txt, named by TECTUM_PYTHON"]
 fn python_reads_a_checkpoint() {
-    let place = Place::new();
-    let scenario = place.arm(&[]);
-    let run = place.run(&[&scenario, "--ticks", "3000", "--json"]).wait().expect(0).json();
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[]);
+    let run = test_folder.run(&[&scenario, "--ticks", "3000", "--json"]).wait().expect(0).json();
     let read = [&script("read_checkpoint.py"), "run/checkpoints/3000.controller.safetensors"];
-    let read = place.start(python(), &read).wait().expect(0).json();
+    let read = test_folder.start(python(), &read).wait().expect(0).json();
     assert_eq!(read["weights_hash"], run["weights_hash"], "{read}");
     assert_eq!(read["shape"], serde_json::json!([4, 320]), "{read}");
     assert_eq!(read["facts"]["tick"], 3000, "{read}");
@@ -114,10 +118,10 @@ fn layout<S: Sample>() -> (String, Value) {
 
 #[test]
 #[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
-fn python_has_the_samples_as_they_are() {
-    let place = Place::new();
-    let told = place.start(python(), &[&script("layouts.py"), &example("")]).wait().expect(0).json();
-    let ours = [
+fn the_python_samples_have_the_rust_layout() {
+    let test_folder = TestFolder::new();
+    let python_layouts = test_folder.start(python(), &[&script("layouts.py"), &example("")]).wait().expect(0).json();
+    let rust_layouts = [
         layout::<Header>(),
         layout::<Observation>(),
         layout::<Command>(),
@@ -126,52 +130,52 @@ fn python_has_the_samples_as_they_are() {
         layout::<Control>(),
         layout::<Status>(),
     ];
-    assert_eq!(told, Value::Object(ours.into_iter().collect()));
+    assert_eq!(python_layouts, Value::Object(rust_layouts.into_iter().collect()));
 }
 
-/// The gate in Python with all limits and holds at work, against the one in Rust: `replay` reckons every applied command anew.
+/// Compares the gate in Python, with all limits and the hold policy in use, with the gate in Rust: `replay` computes
+/// every applied command again.
 #[test]
 #[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
-fn a_plant_in_python_is_deterministic_and_its_gate_is_ours() {
+fn a_python_plant_is_deterministic_and_its_gate_equals_the_rust_gate() {
     let gate = "[gate]\nmax_step = 0.11\nramp_ticks = 7\npositions = [[-0.2, 0.3]]\nhold_ticks = 1\ndecay_ticks = 6\n";
     let changes = [("[gate]\n", gate), ("max_command = 1.0", "max_command = 0.3"), ("sigma = 0.05", "sigma = 0.2")];
     let faults = "[[faults.channel]]\nchannel = \"observation\"\nkind = \"drop\"\nprobability = 0.3\n\
                   [[faults.channel]]\nchannel = \"observation\"\nkind = \"delay\"\nprobability = 0.02\nticks = 8\n";
     let run = || {
-        let place = Place::new();
-        let scenario = scenario(&place, "plant.toml", &changes, faults);
-        let summary = place.run(&[&scenario, "--ticks", "1500", "--json"]).wait().expect(0).json();
-        assert_no_debris(&place.run_folder());
-        (place, summary)
+        let test_folder = TestFolder::new();
+        let scenario = scenario(&test_folder, "plant.toml", &changes, faults);
+        let summary = test_folder.run(&[&scenario, "--ticks", "1500", "--json"]).wait().expect(0).json();
+        assert_no_debris(&test_folder.run_folder());
+        (test_folder, summary)
     };
-    let ((place, first), (_, second)) = (run(), run());
+    let ((test_folder, first), (_, second)) = (run(), run());
     assert_eq!(first["weights_hash"], second["weights_hash"], "{first}\n{second}");
     assert_eq!((&first["ticks"], &first["lost"]), (&json!(1500), &json!(0)), "{first}");
     assert!(first["missed"].as_u64().unwrap() > 300, "{first}");
-    let account: Value =
-        serde_json::from_str(&fs::read_to_string(place.run_folder().join("plant.json")).unwrap()).unwrap();
+    let report = read_json(test_folder.run_folder().join("plant.json"));
     for count in ["clamped", "step_limited", "position_limited", "ramped"] {
-        assert!(account[count].as_u64().unwrap() > 5, "nothing was {count}: {account}");
+        assert!(report[count].as_u64().unwrap() > 5, "nothing was {count}: {report}");
     }
-    place.start(TECTUM, &["replay", "run"]).wait().expect(0);
+    test_folder.start(TECTUM, &["replay", "run"]).wait().expect(0);
 }
 
-/// In lockstep nothing may depend on who looks on: a viewer, and one that stands still.
+/// In lockstep no number may depend on viewers, one of which is stopped.
 #[test]
 #[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
 fn viewers_change_nothing() {
     let run = |viewers: usize| {
-        let place = Place::new();
-        let scenario = scenario(&place, "plant.toml", &[], "");
-        let mut run = place.run(&[&scenario, "--ticks", "4000", "--json"]);
-        run.until_ticking();
+        let test_folder = TestFolder::new();
+        let scenario = scenario(&test_folder, "plant.toml", &[], "");
+        let mut run = test_folder.run(&[&scenario, "--ticks", "4000", "--json"]);
+        run.wait_until_ticking();
         let viewer = example("viewer.py");
-        let watch = [&viewer, "--run", "run", "--every", "0.05"];
-        let seen: Vec<_> = (0..viewers)
+        let arguments = [&viewer, "--run", "run", "--every", "0.05"];
+        let started: Vec<_> = (0..viewers)
             .map(|i| {
-                let viewer = place.start(python(), &watch);
+                let viewer = test_folder.start(python(), &arguments);
                 let id = viewer.id();
-                // The first of them never gets further than this.
+                // The first viewer is stopped at once.
                 if i == 0 {
                     signal_process(id, "STOP");
                 }
@@ -179,11 +183,11 @@ fn viewers_change_nothing() {
             })
             .collect();
         let summary = run.wait().expect(0).json();
-        for (i, (id, viewer)) in seen.into_iter().enumerate() {
+        for (i, (id, viewer)) in started.into_iter().enumerate() {
             signal_process(id, "CONT");
-            let end = viewer.wait();
-            // The first is too late for the run, and says so.
-            assert!(i == 0 || end.code == Some(0), "{end:#?}");
+            let outcome = viewer.wait();
+            // The first viewer is too late for the run and may report that.
+            assert!(i == 0 || outcome.code == Some(0), "{outcome:#?}");
         }
         summary
     };
@@ -192,110 +196,111 @@ fn viewers_change_nothing() {
     assert_eq!((&watched["lost"], &watched["missed"]), (&json!(0), &json!(0)), "{watched}");
 }
 
-/// Real time: a viewer sees the plant's ticks, also those of the plant that comes in the place of one that is killed.
+/// In real time a viewer receives the plant's ticks, also those of the plant that replaces a killed one.
 #[test]
 #[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
-fn a_plant_in_python_lives_in_real_time_and_comes_back() {
-    let place = Place::new();
-    let scenario = scenario(&place, "plant.toml", &[("ticks = 2_000", "ticks = 100_000\nperiod_ms = 10")], "");
-    let mut run = place.run(&[&scenario, "--mode", "realtime", "--json"]);
+fn a_python_plant_runs_in_real_time_and_restarts() {
+    let test_folder = TestFolder::new();
+    let scenario = scenario(&test_folder, "plant.toml", &[("ticks = 2_000", "ticks = 100_000\nperiod_ms = 10")], "");
+    let mut run = test_folder.run(&[&scenario, "--mode", "realtime", "--json"]);
     let name = python();
     let name = Path::new(&name).file_name().unwrap().to_str().unwrap();
-    let (run_id, first) = (run.id(), run.member(name));
-    run.until_ticking();
-    let watch = format!("exec {} {} --run run --every 0.05 > seen.txt", python(), example("viewer.py"));
-    let viewer = place.start("/bin/sh", &["-c", &watch]);
-    let seen = place.path().join("seen.txt");
+    let first = run.child_pid(name);
+    run.wait_until_ticking();
+    let command = format!("exec {} {} --run run --every 0.05 > seen.txt", python(), example("viewer.py"));
+    let viewer = test_folder.start("/bin/sh", &["-c", &command]);
+    let seen = test_folder.path().join("seen.txt");
     let lines = || fs::read_to_string(&seen).unwrap_or_default().lines().count();
-    run.until("a viewer that sees", || lines() > 2);
+    run.wait_until("a viewer that sees", || lines() > 2);
     signal_process(first, "KILL");
-    run.until("another plant", || support::children(run_id).iter().any(|(pid, child)| child == name && *pid != first));
+    run.next_child_pid(name, first);
     let before = lines();
-    run.until("a viewer that sees the other plant", || lines() > before + 2);
+    run.wait_until("a viewer that sees the other plant", || lines() > before + 2);
     run.signal("INT");
     let summary = run.wait().expect(130).json();
-    assert_no_debris(&place.run_folder());
+    assert_no_debris(&test_folder.run_folder());
     assert_eq!(summary["restarts"][0]["process"], "plant", "{summary}");
     assert_eq!(summary["lost"], 0, "{summary}");
-    // The ticks in which nobody was there are passed over, and said to be.
+    // The ticks without a plant are skipped and counted as missed.
     assert!(summary["missed"].as_u64().unwrap() > 0, "{summary}");
     viewer.wait().expect(0);
-    place.start(TECTUM, &["log", "info", "run"]).wait().expect(0);
+    test_folder.start(TECTUM, &["log", "info", "run"]).wait().expect(0);
 }
 
-/// Trackers in Python: one is killed, and the next one takes over.
+/// A tracker in Python is killed, and the next one replaces it.
 #[test]
 #[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
-fn a_tracker_in_python_is_what_the_arm_sees_with() {
-    let place = Place::new();
+fn a_python_tracker_gives_the_arm_vision() {
+    let test_folder = TestFolder::new();
     let text = fs::read_to_string("scenarios/servo-vision.toml").unwrap();
     let text = text.replace("\"learned-reward\"", "\"paper\"").replace("= 100.0 ", "= 500.0 ");
-    let scenario = place.file("scenario.toml", text);
-    let mut run = place.run(&[scenario.to_str().unwrap(), "--ticks", "100000"]);
-    let mut witness = None;
-    run.until("a run to look at", || {
-        witness = tectum::runtime::Tracker::join(&place.run_folder()).ok();
-        witness.is_some()
+    let scenario = test_folder.write_file("scenario.toml", text);
+    let mut run = test_folder.run(&[scenario.to_str().unwrap(), "--ticks", "100000"]);
+    let mut observer = None;
+    run.wait_until("a run to join", || {
+        observer = tectum::runtime::Tracker::join(&test_folder.run_folder()).ok();
+        observer.is_some()
     });
-    let witness = witness.unwrap();
-    let until = |run: &mut support::Process, sees: bool| {
-        run.until("an arm that sees, or does not", || {
-            let observation = witness.observation().unwrap();
+    let observer = observer.unwrap();
+    let wait_for_vision = |run: &mut support::Process, sees: bool| {
+        run.wait_until("an arm that sees, or does not", || {
+            let observation = observer.observation().unwrap();
             let aged = |o: &Observation| (0.0..=500.0).contains(&o.measures[5]) && o.header.flags & flag::FIRST == 0;
             observation.is_some_and(|o| aged(&o) == sees)
         });
     };
-    until(&mut run, false);
+    wait_for_vision(&mut run, false);
     let script = example("tracker.py");
-    let track = || place.start(python(), &[&script, "--run", "run"]);
-    let first = track();
-    until(&mut run, true);
+    let start_tracker = || test_folder.start(python(), &[&script, "--run", "run"]);
+    let first = start_tracker();
+    wait_for_vision(&mut run, true);
     signal_process(first.id(), "KILL");
     first.wait();
-    until(&mut run, false);
-    let second = track();
-    until(&mut run, true);
+    wait_for_vision(&mut run, false);
+    let second = start_tracker();
+    wait_for_vision(&mut run, true);
     run.signal("INT");
     run.wait().expect(130);
     second.wait().expect(0);
-    assert_no_debris(&place.run_folder());
+    assert_no_debris(&test_folder.run_folder());
 }
 
 #[test]
 #[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
-fn what_python_cannot_do_it_refuses_in_a_sentence() {
-    let place = Place::new();
+fn what_python_does_not_support_is_refused_in_one_sentence() {
+    let test_folder = TestFolder::new();
     for program in ["plant.py", "viewer.py", "mujoco_arm.py", "tracker.py"] {
-        let end = place.start(python(), &[&example(program), "--run", "nowhere"]).wait().expect(2);
+        let outcome = test_folder.start(python(), &[&example(program), "--run", "nowhere"]).wait().expect(2);
         assert!(
-            end.stderr.lines().count() == 1 && end.stderr.contains("there is no run to join in nowhere"),
-            "{end:#?}"
+            outcome.stderr.lines().count() == 1 && outcome.stderr.contains("there is no run to join in nowhere"),
+            "{outcome:#?}"
         );
     }
     let fault = "[[faults.channel]]\nchannel = \"command\"\nkind = \"drop\"\nprobability = 0.1\n";
-    let end = place.run(&[&scenario(&place, "plant.toml", &[], fault)]).wait().expect(2);
-    assert!(end.stderr.contains("cannot make faults on its commands"), "{end:#?}");
-    // Killed in lockstep it has forgotten who it was; the run ends and says so, and does not go on with other numbers.
-    let place = Place::new();
-    let mut run = place.run(&[&scenario(&place, "plant.toml", &[], ""), "--ticks", "200000"]);
-    let plant = run.member(Path::new(&python()).file_name().unwrap().to_str().unwrap());
-    run.until_ticking();
+    let outcome = test_folder.run(&[&scenario(&test_folder, "plant.toml", &[], fault)]).wait().expect(2);
+    assert!(outcome.stderr.contains("cannot make faults on its commands"), "{outcome:#?}");
+    // A plant that is killed in lockstep loses its state. The run ends with a message and does not continue with other
+    // numbers.
+    let test_folder = TestFolder::new();
+    let mut run = test_folder.run(&[&scenario(&test_folder, "plant.toml", &[], ""), "--ticks", "200000"]);
+    let plant = run.child_pid(Path::new(&python()).file_name().unwrap().to_str().unwrap());
+    run.wait_until_ticking();
     signal_process(plant, "KILL");
-    let end = run.wait().expect(2);
-    assert!(end.stderr.contains("in lockstep it cannot come back"), "{end:#?}");
-    assert_no_debris(&place.run_folder());
+    let outcome = run.wait().expect(2);
+    assert!(outcome.stderr.contains("in lockstep it cannot come back"), "{outcome:#?}");
+    assert_no_debris(&test_folder.run_folder());
 }
 
 #[test]
 #[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
-fn the_mujoco_arm_is_deterministic_and_keeps_time() {
+fn the_mujoco_arm_is_deterministic_and_runs_in_real_time() {
     let run = |arguments: &[&str]| {
-        let place = Place::new();
-        let scenario = scenario(&place, "mujoco.toml", &[], "");
+        let test_folder = TestFolder::new();
+        let scenario = scenario(&test_folder, "mujoco.toml", &[], "");
         let mut all = vec![scenario.as_str(), "--json"];
         all.extend(arguments);
-        let summary = place.run(&all).wait().expect(0).json();
-        assert_no_debris(&place.run_folder());
+        let summary = test_folder.run(&all).wait().expect(0).json();
+        assert_no_debris(&test_folder.run_folder());
         summary
     };
     let (first, second) = (run(&["--ticks", "600"]), run(&["--ticks", "600"]));
@@ -303,11 +308,11 @@ fn the_mujoco_arm_is_deterministic_and_keeps_time() {
     assert_eq!((&first["diverged_at"], &first["lost"]), (&Value::Null, &json!(0)), "{first}");
     let other = run(&["--ticks", "600", "--seed", "2"]);
     assert_ne!(first["weights_hash"], other["weights_hash"]);
-    // Half a minute of its time is enough to see it reach.
+    // Half a minute of simulated time is enough for the arm to improve.
     let loss = |span: &str| first[span]["loss"].as_f64().unwrap();
     assert!(loss("last") < 0.5 * loss("first"), "the arm with mass learns: {first}");
     let real = run(&["--ticks", "40", "--mode", "realtime"]);
-    // On a loaded machine ticks may be passed over; they are counted.
+    // On a loaded machine ticks may be skipped; they are counted.
     let count = |key: &str| real[key].as_u64().unwrap();
     assert_eq!((count("ticks") + count("skipped"), count("lost")), (40, 0), "{real}");
 }

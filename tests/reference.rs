@@ -1,12 +1,13 @@
-//! The learner against double-precision reference runs: given targets, stimuli and noise, the same angles, rewards and
-//! weights. (The encoders have a test of their own, `encoder_reference.rs`.)
+//! Compares the learner with double-precision reference runs: with given targets, stimuli and noise it must reach the
+//! same angles, rewards and weights. (`encoder_reference.rs` tests the encoders.)
 //!
-//! Tolerances. Single precision rounds to 2^-24 = 6e-8 of a value. An angle (up to 3.1 rad) is summed with one rounding
-//! of at most 1.2e-7 a tick; over 400 ticks that is a random walk of 400 such steps, 2.4e-6, and it decides what else is
-//! off: the end-effector (four segments of 0.5 m, so at most twice that, in m) and the reward. They are held to 4e-6 rad,
-//! 8e-6 m and 4e-6 of the reward's size. Commands, below 0.1, are held to 1e-7, misses and the eye's rewards, below 2 and
-//! behind a logarithm, to 1e-6. Weights are sums of some hundred small steps of random sign; they are held to 1e-5 of the
-//! largest weight. What was seen is printed, and is some five to ten times smaller.
+//! Tolerances. Single precision rounds to 2^-24 = 6e-8 of a value. An angle (up to 3.1 rad) is summed with one
+//! rounding of at most 1.2e-7 a tick. Over 400 ticks that is a random walk of 400 such steps, 2.4e-6. This error
+//! determines the errors of the end-effector (four segments of 0.5 m, so at most twice that, in m) and of the reward.
+//! The tolerances are 4e-6 rad, 8e-6 m and 4e-6 of the reward's size. Commands are below 0.1; their tolerance is
+//! 1e-7. Errors and rewards of the eye are below 2 and are computed through a logarithm; their tolerance is 1e-6.
+//! Weights are sums of some hundred small steps of random sign; their tolerance is 1e-5 of the largest weight. The
+//! errors found are printed; they are five to ten times smaller than the tolerances.
 
 use std::path::Path;
 
@@ -34,11 +35,11 @@ fn outputs(value: &Value) -> Outputs {
     outputs
 }
 
-/// The largest error seen, and against what.
+/// The largest error so far.
 #[derive(Default)]
-struct Worst(f64);
+struct LargestError(f64);
 
-impl Worst {
+impl LargestError {
     #[track_caller]
     fn check(&mut self, actual: f32, expected: f64, tolerance: f64, what: &str) {
         let error = (f64::from(actual) - expected).abs();
@@ -47,7 +48,7 @@ impl Worst {
     }
 }
 
-/// Encoder, policy and rule of a scenario.
+/// Encoder, policy and learning rule of a scenario.
 struct Learner {
     encoder: Encoder,
     features: Features,
@@ -69,7 +70,7 @@ impl Learner {
         }
     }
 
-    fn answer(&mut self, inputs: &[f32], noise: &Outputs) -> Outputs {
+    fn command(&mut self, inputs: &[f32], noise: &Outputs) -> Outputs {
         self.encoder.encode(inputs, &mut self.features);
         let mut drawn = self.policy.mean(self.features.as_slice());
         for (u, n) in drawn.iter_mut().zip(noise) {
@@ -86,14 +87,14 @@ impl Learner {
     fn check_weights(&self, expected: &Value) {
         let rows: Vec<Vec<f64>> = expected.as_array().unwrap().iter().map(numbers).collect();
         let largest = rows.iter().flatten().fold(0.0_f64, |m, w| m.max(w.abs()));
-        let mut worst = Worst::default();
+        let mut error = LargestError::default();
         for (output, row) in rows.iter().enumerate() {
             assert_eq!(row.len(), self.policy.features());
             for (feature, &w) in row.iter().enumerate() {
-                worst.check(self.policy.weight(output, feature), w, 1e-5 * largest, "weight");
+                error.check(self.policy.weight(output, feature), w, 1e-5 * largest, "weight");
             }
         }
-        println!("weights: off by at most {:e} of the largest, {largest:e}", worst.0 / largest);
+        println!("weights: off by at most {:e} of the largest, {largest:e}", error.0 / largest);
     }
 }
 
@@ -114,13 +115,14 @@ fn the_arm_learns_as_the_reference_does() {
     }
     let mut arm = Arm::new(scenario.plant.arm.as_ref().unwrap(), 0.05, 1);
     let mut learner = Learner::new(scenario);
-    let (mut angles, mut ends, mut rewards) = (Worst::default(), Worst::default(), Worst::default());
+    let (mut angles, mut ends, mut rewards) =
+        (LargestError::default(), LargestError::default(), LargestError::default());
     let mut inputs = [0.0; 6];
     let noise = run["noise"].as_array().unwrap();
     for (tick, (expected, noise)) in run["ticks"].as_array().unwrap().iter().zip(noise).enumerate() {
         let noise = outputs(noise);
         arm.sense(tick as u64, &mut inputs);
-        let drawn = learner.answer(&inputs, &noise);
+        let drawn = learner.command(&inputs, &noise);
         let outcome = arm.advance(tick as u64, &drawn[..4]);
         learner.learn(&noise, outcome.reward);
         for (theta, expected) in arm.angles().iter().zip(numbers(&expected["theta"])) {
@@ -149,12 +151,13 @@ fn the_eye_learns_as_the_reference_does() {
     table.bonus = run["b"].as_f64().unwrap();
     let mut eye = Eye::new(table, 1);
     let mut learner = Learner::new(scenario);
-    let (mut commands, mut rewards, mut misses) = (Worst::default(), Worst::default(), Worst::default());
+    let (mut commands, mut rewards, mut errors) =
+        (LargestError::default(), LargestError::default(), LargestError::default());
     for (trial, expected) in run["trials"].as_array().unwrap().iter().enumerate() {
         let pair = |key: &str| [0, 1].map(|i| expected[key][i].as_f64().unwrap() as f32);
         let stimulus = Stimulus { position: pair("position"), velocity: pair("velocity") };
         let noise = outputs(&expected["noise"]);
-        let drawn = learner.answer(&eye.see(&stimulus), &noise);
+        let drawn = learner.command(&eye.see(&stimulus), &noise);
         eye.show(stimulus);
         let outcome = eye.advance(trial as u64, &drawn[..4]);
         learner.learn(&noise, outcome.reward);
@@ -162,8 +165,13 @@ fn the_eye_learns_as_the_reference_does() {
             commands.check(*u, expected, 1e-7, &format!("command of trial {trial}"));
         }
         rewards.check(outcome.reward, expected["reward"].as_f64().unwrap(), 1e-6, &format!("reward of trial {trial}"));
-        misses.check(outcome.measures[0], expected["error"].as_f64().unwrap(), 1e-6, &format!("miss of trial {trial}"));
+        errors.check(
+            outcome.measures[0],
+            expected["error"].as_f64().unwrap(),
+            1e-6,
+            &format!("error of trial {trial}"),
+        );
     }
-    println!("commands {:e}, rewards {:e}, misses {:e}", commands.0, rewards.0, misses.0);
+    println!("commands {:e}, rewards {:e}, errors {:e}", commands.0, rewards.0, errors.0);
     learner.check_weights(&run["weights"]);
 }

@@ -1,44 +1,44 @@
-//! A process that is killed comes back, and the run goes on: with the very numbers of an undisturbed one in lockstep, with
-//! missed ticks that nobody learns from in real time.
+//! A killed process is restarted and the run continues. In lockstep the numbers equal those of an undisturbed run. In
+//! real time the missed ticks are not learned from.
 
 mod support;
 
 use std::path::Path;
 
-use support::{Outcome, Place, Process, assert_no_debris, children, signal_process};
+use support::{Process, ProcessOutcome, TestFolder, assert_no_debris, read_json, signal_process};
 
-/// Restarts as quick as they can be.
+/// The quickest possible restarts.
 const QUICK: &str = "\n[restart]\nbackoff_ms = 1\nbackoff_cap_ms = 10\ngive_up_after = 100\nhang_s = 1\n";
-
-fn scenario(place: &Place, name: &str, changes: &[(&str, &str)], restart: &str) -> String {
-    let text = std::fs::read_to_string(format!("scenarios/{name}.toml")).unwrap() + restart;
-    let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
-    for (key, value) in changes {
-        *lines.iter_mut().find(|line| line.split(" = ").next() == Some(key)).unwrap() = format!("{key} = {value}");
-    }
-    place.file("scenario.toml", lines.join("\n")).to_str().unwrap().to_owned()
-}
 
 fn size(log: &Path) -> u64 {
     std::fs::metadata(log).map_or(0, |m| m.len())
 }
 
-/// Sends `signal` to the run's `program`, each time when its log has grown to another of `sizes`.
-fn strike(run: &mut Process, log: &Path, program: &str, signal: &str, sizes: impl Iterator<Item = u64>) {
-    let mut last = 0;
+/// Sends `signal` to the run's `program` each time when the log exceeds the next of `sizes`. Each signal goes to
+/// another process than the one before.
+fn signal_at_sizes(run: &mut Process, log: &Path, program: &str, signal: &str, sizes: impl Iterator<Item = u64>) {
+    let mut pid = 0;
     for bytes in sizes {
-        run.until("a grown log", || size(log) > bytes);
-        let (parent, before) = (run.id(), last);
-        run.until("the process, or its successor", || {
-            let there = children(parent).into_iter().find(|(pid, name)| name == program && *pid != before);
-            last = there.map_or(before, |(pid, _)| pid);
-            last != before
-        });
-        signal_process(last, signal);
+        run.wait_until("a grown log", || size(log) > bytes);
+        pid = run.next_child_pid(program, pid);
+        signal_process(pid, signal);
     }
 }
 
-/// Numbers that grow to `most` by steps of random size, the same ones every time.
+/// A run of a scenario whose `program` is sent a signal at each of these log sizes; returns its outcome.
+fn run_with_signals(
+    test_folder: &TestFolder,
+    scenario: &str,
+    ticks: &str,
+    (program, signal): (&str, &str),
+    sizes: impl Iterator<Item = u64>,
+) -> ProcessOutcome {
+    let mut run = test_folder.run(&[scenario, "--ticks", ticks, "--json"]);
+    signal_at_sizes(&mut run, &test_folder.log_path(), program, signal, sizes);
+    run.wait()
+}
+
+/// Numbers that grow to `most` by steps of pseudo-random size.
 fn random_steps(mut seed: u64, count: u64, most: u64) -> impl Iterator<Item = u64> {
     (0..count).map(move |i| {
         seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -46,133 +46,128 @@ fn random_steps(mut seed: u64, count: u64, most: u64) -> impl Iterator<Item = u6
     })
 }
 
-fn undisturbed(scenario: &str, ticks: &str) -> String {
-    let place = Place::new();
-    let outcome = place.run(&[scenario, "--mode", "in-process", "--ticks", ticks, "--json"]).wait().expect(0);
+/// The weights hash of an undisturbed run.
+fn undisturbed_hash(scenario: &str, ticks: &str) -> String {
+    let test_folder = TestFolder::new();
+    let outcome = test_folder.run(&[scenario, "--mode", "in-process", "--ticks", ticks, "--json"]).wait().expect(0);
     outcome.json()["weights_hash"].as_str().unwrap().to_owned()
 }
 
-fn check(place: &Place, outcome: &Outcome, program: &str, hash: &str) -> usize {
+/// Checks a run whose `program` was killed and returns the number of its restarts.
+fn check(test_folder: &TestFolder, outcome: &ProcessOutcome, program: &str, hash: &str) -> usize {
     let summary = outcome.json();
     assert_eq!(summary["weights_hash"], hash, "{outcome:#?}");
     assert_eq!(summary["lost"], 0, "{outcome:#?}");
-    assert_no_debris(&place.run_folder());
-    let back = summary["restarts"].as_array().unwrap();
-    assert!(back.iter().all(|incident| incident["process"] == program), "{outcome:#?}");
-    back.len()
+    assert_no_debris(&test_folder.run_folder());
+    let restarts = summary["restarts"].as_array().unwrap();
+    assert!(restarts.iter().all(|incident| incident["process"] == program), "{outcome:#?}");
+    restarts.len()
 }
 
 /// I5.
 #[test]
-fn a_controller_killed_twenty_times_learns_what_it_would_have_learned() {
-    let place = Place::new();
-    let scenario = scenario(&place, "paper", &[], QUICK);
-    let hash = undisturbed(&scenario, "200000");
-    let mut run = place.run(&[&scenario, "--ticks", "200000", "--json"]);
-    let log = place.run_folder().join("log.mcap");
-    // One tick in a hundred is written, in 521 bytes.
-    strike(&mut run, &log, "tectum-controller", "KILL", random_steps(5, 20, 800_000));
-    assert_eq!(check(&place, &run.wait().expect(0), "controller", &hash), 20);
+fn a_controller_killed_twenty_times_learns_the_same() {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.scenario("paper", &[], QUICK);
+    let hash = undisturbed_hash(&scenario, "200000");
+    // The log holds one tick in a hundred, in 521 bytes.
+    let (kill, sizes) = (("tectum-controller", "KILL"), random_steps(5, 20, 800_000));
+    let outcome = run_with_signals(&test_folder, &scenario, "200000", kill, sizes).expect(0);
+    assert_eq!(check(&test_folder, &outcome, "controller", &hash), 20);
 }
 
-/// The body is the world, which does not start anew because its driver does.
+/// The plant stands for the physical world, which does not restart with its driver.
 #[test]
-fn a_plant_that_is_killed_goes_on_where_it_was() {
-    let place = Place::new();
-    let scenario = scenario(&place, "paper", &[], QUICK);
-    let hash = undisturbed(&scenario, "100000");
-    let mut run = place.run(&[&scenario, "--ticks", "100000", "--json"]);
-    let log = place.run_folder().join("log.mcap");
-    strike(&mut run, &log, "tectum-simulator", "KILL", random_steps(6, 8, 400_000));
-    assert_eq!(check(&place, &run.wait().expect(0), "plant", &hash), 8);
+fn a_killed_plant_continues_from_its_last_state() {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.scenario("paper", &[], QUICK);
+    let hash = undisturbed_hash(&scenario, "100000");
+    let (kill, sizes) = (("tectum-simulator", "KILL"), random_steps(6, 8, 400_000));
+    let outcome = run_with_signals(&test_folder, &scenario, "100000", kill, sizes).expect(0);
+    assert_eq!(check(&test_folder, &outcome, "plant", &hash), 8);
 }
 
-/// Whatever a rule remembers: models, memories of states, candidates, traces.
+/// All state of a rule survives: models, memories of states, candidates and traces.
 #[test]
-fn every_rule_survives() {
-    // As many ticks as take the rule much longer than a return.
+fn every_learning_rule_survives_kills() {
+    // For each rule so many ticks that they take much longer than a restart.
     for (name, rule, ticks) in [
         ("arm", "learned-reward", 700),
         ("paper", "natural-actor-critic", 20_000),
         ("paper", "actor-critic", 60_000),
         ("paper", "baseline", 60_000),
     ] {
-        let place = Place::new();
-        let scenario = scenario(&place, name, &[("rule", &format!("\"{rule}\"")), ("every", "1")], QUICK);
-        let hash = undisturbed(&scenario, &ticks.to_string());
-        let mut run = place.run(&[&scenario, "--ticks", &ticks.to_string(), "--json"]);
-        let log = place.run_folder().join("log.mcap");
-        strike(&mut run, &log, "tectum-controller", "KILL", random_steps(7, 2, ticks * 521 / 2));
-        assert_eq!(check(&place, &run.wait().expect(0), "controller", &hash), 2, "{rule}");
+        let test_folder = TestFolder::new();
+        let scenario = test_folder.scenario(name, &[("rule", &format!("\"{rule}\"")), ("every", "1")], QUICK);
+        let hash = undisturbed_hash(&scenario, &ticks.to_string());
+        let (kill, sizes) = (("tectum-controller", "KILL"), random_steps(7, 2, ticks * 521 / 2));
+        let outcome = run_with_signals(&test_folder, &scenario, &ticks.to_string(), kill, sizes).expect(0);
+        assert_eq!(check(&test_folder, &outcome, "controller", &hash), 2, "{rule}");
     }
 }
 
-/// The gate's ramp, what a faulty channel has under way: all of it is taken up again.
+/// The state of the gate's ramp and the samples in a faulty channel survive.
 #[test]
-fn faults_and_limits_go_on_as_well() {
+fn faults_and_gate_limits_survive_kills() {
     for (program, role) in [("tectum-controller", "controller"), ("tectum-simulator", "plant")] {
-        let place = Place::new();
-        let scenario = scenario(&place, "office", &[("rule", "\"paper\"")], QUICK);
-        let hash = undisturbed(&scenario, "20000");
-        let mut run = place.run(&[&scenario, "--ticks", "20000", "--json"]);
-        let log = place.run_folder().join("log.mcap");
-        // 521 bytes a tick.
-        strike(&mut run, &log, program, "KILL", random_steps(8, 5, 8_000_000));
-        assert_eq!(check(&place, &run.wait().expect(0), role, &hash), 5, "{program}");
+        let test_folder = TestFolder::new();
+        let scenario = test_folder.scenario("office", &[("rule", "\"paper\"")], QUICK);
+        let hash = undisturbed_hash(&scenario, "20000");
+        // The log grows by 521 bytes a tick.
+        let (kill, sizes) = ((program, "KILL"), random_steps(8, 5, 8_000_000));
+        let outcome = run_with_signals(&test_folder, &scenario, "20000", kill, sizes).expect(0);
+        assert_eq!(check(&test_folder, &outcome, role, &hash), 5, "{program}");
     }
 }
 
 #[test]
-fn a_process_that_hangs_is_killed_and_comes_back() {
-    let place = Place::new();
-    let scenario = scenario(&place, "paper", &[], QUICK);
-    let hash = undisturbed(&scenario, "100000");
-    let mut run = place.run(&[&scenario, "--ticks", "100000", "--json"]);
-    let log = place.run_folder().join("log.mcap");
-    strike(&mut run, &log, "tectum-controller", "STOP", [100_000].into_iter());
-    let outcome = run.wait().expect(0);
-    assert_eq!(check(&place, &outcome, "controller", &hash), 1);
+fn a_hanging_process_is_killed_and_restarted() {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.scenario("paper", &[], QUICK);
+    let hash = undisturbed_hash(&scenario, "100000");
+    let stop = ("tectum-controller", "STOP");
+    let outcome = run_with_signals(&test_folder, &scenario, "100000", stop, [100_000].into_iter()).expect(0);
+    assert_eq!(check(&test_folder, &outcome, "controller", &hash), 1);
     assert!(outcome.stderr.contains("the controller gives no sign of life any more and is killed"), "{outcome:#?}");
 }
 
-/// In real time the ticks without a controller are missed, flagged and not learned from; what was learned stays.
+/// In real time the ticks without a controller are missed, flagged and not learned from. What was learned before stays.
 #[test]
-fn in_real_time_the_run_goes_on_and_says_what_it_missed() {
-    let place = Place::new();
-    let scenario = scenario(&place, "paper", &[("period_ms", "2"), ("every", "1")], QUICK);
-    let mut run = place.run(&[&scenario, "--mode", "realtime", "--ticks", "1500", "--json"]);
-    let log = place.run_folder().join("log.mcap");
-    strike(&mut run, &log, "tectum-controller", "KILL", [100_000, 400_000].into_iter());
+fn in_real_time_a_run_continues_and_counts_missed_ticks() {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.scenario("paper", &[("period_ms", "2"), ("every", "1")], QUICK);
+    let mut run = test_folder.run(&[&scenario, "--mode", "realtime", "--ticks", "1500", "--json"]);
+    let log = test_folder.log_path();
+    signal_at_sizes(&mut run, &log, "tectum-controller", "KILL", [100_000, 400_000].into_iter());
     let outcome = run.wait().expect(0);
     let summary = outcome.json();
     assert_eq!(summary["restarts"].as_array().unwrap().len(), 2, "{outcome:#?}");
     let missed = summary["missed"].as_u64().unwrap();
     assert!(missed >= 2 && summary["ticks"].as_u64() > Some(1400), "{outcome:#?}");
-    let text = std::fs::read_to_string(place.run_folder().join("controller.json")).unwrap();
-    let controller: serde_json::Value = serde_json::from_str(&text).unwrap();
-    let (learned, cuts) = (controller["learned"].as_u64().unwrap(), controller["cuts"].as_u64().unwrap());
-    assert!(cuts >= 2 && learned + missed < 1500, "{text}");
-    assert_no_debris(&place.run_folder());
+    let report = read_json(test_folder.run_folder().join("controller.json"));
+    let (learned, cuts) = (report["learned"].as_u64().unwrap(), report["cuts"].as_u64().unwrap());
+    assert!(cuts >= 2 && learned + missed < 1500, "{report}");
+    assert_no_debris(&test_folder.run_folder());
 }
 
 #[test]
-fn a_process_that_dies_again_and_again_ends_the_run() {
-    let place = Place::new();
+fn too_many_restarts_end_the_run() {
+    let test_folder = TestFolder::new();
     let few = QUICK.replace("give_up_after = 100", "give_up_after = 2");
-    let scenario = scenario(&place, "paper", &[("ticks", "10000000")], &few);
-    let mut run = place.run(&[&scenario, "--json"]);
-    let log = place.run_folder().join("log.mcap");
-    strike(&mut run, &log, "tectum-controller", "KILL", [100_000, 200_000, 300_000].into_iter());
+    let scenario = test_folder.scenario("paper", &[("ticks", "10000000")], &few);
+    let mut run = test_folder.run(&[&scenario, "--json"]);
+    let log = test_folder.log_path();
+    signal_at_sizes(&mut run, &log, "tectum-controller", "KILL", [100_000, 200_000, 300_000].into_iter());
     let outcome = run.wait().expect(4);
     assert_eq!(outcome.json()["restarts"].as_array().unwrap().len(), 2, "{outcome:#?}");
     assert!(outcome.json()["failure"].as_str().unwrap().contains("the controller was killed by signal 9"));
-    assert_no_debris(&place.run_folder());
+    assert_no_debris(&test_folder.run_folder());
 }
 
-/// What a scenario makes happen to processes happens, in the given order, and changes nothing in lockstep.
+/// The process faults of a scenario happen in the given order and change no number in lockstep.
 #[test]
-fn faults_of_processes_happen_at_their_ticks() {
-    let place = Place::new();
+fn process_faults_happen_at_their_ticks() {
+    let test_folder = TestFolder::new();
     let faults = r#"
 [[faults.process]]
 process = "controller"
@@ -200,13 +195,14 @@ process = "plant"
 do = "kill"
 at = [18000]
 "#;
-    let scenario = scenario(&place, "paper", &[], &format!("{QUICK}{faults}"));
-    let hash = undisturbed(&scenario, "30000");
-    let outcome = place.run(&[&scenario, "--ticks", "30000", "--json"]).wait().expect(0);
+    let scenario = test_folder.scenario("paper", &[], &format!("{QUICK}{faults}"));
+    let hash = undisturbed_hash(&scenario, "30000");
+    let outcome = test_folder.run(&[&scenario, "--ticks", "30000", "--json"]).wait().expect(0);
     let summary = outcome.json();
     assert_eq!(summary["weights_hash"], hash, "{outcome:#?}");
-    let back: Vec<_> = summary["restarts"].as_array().unwrap().iter().map(|r| r["process"].as_str().unwrap()).collect();
-    assert_eq!(back, ["controller", "plant", "controller", "controller", "plant"], "{outcome:#?}");
+    let restarts: Vec<_> =
+        summary["restarts"].as_array().unwrap().iter().map(|r| r["process"].as_str().unwrap()).collect();
+    assert_eq!(restarts, ["controller", "plant", "controller", "controller", "plant"], "{outcome:#?}");
     assert!(summary["faults"].as_array().unwrap().len() == 5, "{outcome:#?}");
-    assert_no_debris(&place.run_folder());
+    assert_no_debris(&test_folder.run_folder());
 }

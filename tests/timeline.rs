@@ -1,15 +1,15 @@
-//! One timeline: lockstep, real time and one process give the same numbers (invariants I1 and I2).
+//! Lockstep, real time and a run in one process give the same numbers (invariants I1 and I2).
 
 mod support;
 
 use serde_json::Value;
-use support::{Place, assert_no_debris};
+use support::{TestFolder, assert_no_debris};
 
 fn run(arguments: &[&str]) -> Value {
-    let place = Place::new();
-    let outcome = place.run(&[arguments, &["--json"]].concat()).wait().expect(0);
+    let test_folder = TestFolder::new();
+    let outcome = test_folder.run(&[arguments, &["--json"]].concat()).wait().expect(0);
     if !arguments.contains(&"in-process") {
-        assert_no_debris(&place.run_folder());
+        assert_no_debris(&test_folder.run_folder());
     }
     outcome.json()
 }
@@ -30,9 +30,9 @@ fn lockstep_is_a_function_of_scenario_and_seed() {
     assert_ne!(first["weights_hash"], other["weights_hash"]);
 }
 
-/// I1 for the learner that uses the time after the command has gone out.
+/// I1 for the learner that uses the time after the command was sent.
 #[test]
-fn a_learner_that_thinks_longer_is_on_the_same_timeline() {
+fn lockstep_equals_one_process_for_a_learner_that_works_after_the_command() {
     let arguments = ["arm", "--ticks", "100", "--seed", "77"];
     let first = run(&arguments);
     let single = run(&[&arguments[..], &["--mode", "in-process"]].concat());
@@ -41,33 +41,33 @@ fn a_learner_that_thinks_longer_is_on_the_same_timeline() {
     }
 }
 
-/// I1 for the rules that learn before the command goes out.
+/// I1 for the rules that learn before the command is sent.
 #[test]
-fn every_first_order_rule_is_on_the_same_timeline() {
+fn lockstep_equals_one_process_for_every_first_order_rule() {
     for rule in ["baseline", "actor-critic", "natural-actor-critic"] {
-        let place = Place::new();
+        let test_folder = TestFolder::new();
         let rule = format!("\"{rule}\"");
-        let scenario = place.arm(&[("rule", &rule), ("ticks", "400")]);
+        let scenario = test_folder.arm_scenario(&[("rule", &rule), ("ticks", "400")]);
         let (first, single) = (run(&[&scenario]), run(&[&scenario, "--mode", "in-process"]));
         assert_eq!(first["weights_hash"], single["weights_hash"], "{rule}");
     }
 }
 
-/// The numbers are the same on every machine and in every build profile: pure-Rust mathematics, fixed order of
-/// summation. A change here is a change of what users can reproduce, and belongs into the change log.
+/// The numbers are the same on every machine and in every build profile, because the mathematics are pure Rust and sums
+/// have a fixed order. A change of this hash changes what users can reproduce, and belongs into the change log.
 #[test]
-fn the_numbers_are_pinned() {
+fn the_weights_hash_is_pinned() {
     let summary = run(&["paper", "--ticks", "2000", "--seed", "77", "--mode", "in-process"]);
     assert_eq!(summary["weights_hash"], PINNED);
 }
 
 const PINNED: &str = "9df8dfa9cf01f16f";
 
-/// I2. A stall of the machine makes a miss, and then nothing is promised: the run is repeated.
+/// I2. A stall of the machine causes a missed tick. I2 does not hold then, and the run is repeated.
 #[test]
-fn real_time_without_a_miss_is_lockstep() {
-    let place = Place::new();
-    let scenario = place.arm(&[("period_ms", "10")]);
+fn real_time_without_a_miss_equals_lockstep() {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[("period_ms", "10")]);
     let lockstep = run(&[&scenario, "--ticks", "200"]);
     for _ in 0..5 {
         let real = run(&[&scenario, "--ticks", "200", "--mode", "realtime"]);
@@ -83,25 +83,25 @@ fn real_time_without_a_miss_is_lockstep() {
 }
 
 #[test]
-fn two_runs_at_once_do_not_see_each_other() {
-    let (here, there) = (Place::new(), Place::new());
+fn two_concurrent_runs_are_isolated() {
+    let (first, second) = (TestFolder::new(), TestFolder::new());
     let arguments = |seed| ["paper", "--ticks", "20000", "--json", "--seed", seed];
-    let (a, b) = (here.run(&arguments("77")), there.run(&arguments("78")));
+    let (a, b) = (first.run(&arguments("77")), second.run(&arguments("78")));
     let (a, b) = (a.wait().expect(0).json(), b.wait().expect(0).json());
     let alone = run(&["paper", "--ticks", "20000", "--seed", "78", "--mode", "in-process"]);
     assert_eq!(b["weights_hash"], alone["weights_hash"]);
     assert_ne!(a["weights_hash"], b["weights_hash"]);
 }
 
-/// Lockstep must stay right, and must not starve itself, when all processes share one core.
+/// Lockstep must stay correct and must not starve itself when all processes share one core.
 #[test]
-fn one_core_is_enough() {
+fn lockstep_gives_the_same_on_one_core() {
     use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
     let allowed = sched_getaffinity(None).unwrap();
     let first = (0..CpuSet::MAX_CPU).find(|&cpu| allowed.is_set(cpu)).unwrap();
     let mut one = CpuSet::new();
     one.set(first);
-    // This test's own thread, whose affinity the processes inherit.
+    // The started processes inherit the affinity of this thread.
     sched_setaffinity(None, &one).unwrap();
     let pinned = run(&["paper", "--ticks", "5000", "--seed", "77"]);
     sched_setaffinity(None, &allowed).unwrap();

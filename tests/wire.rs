@@ -1,16 +1,21 @@
-//! What is written for other languages is what the Rust processes have: `docs/tectum.h` and the tables of `docs/wire.md` are made
-//! from the field tables of the samples, and compared with the files. `TECTUM_BLESS=1 cargo test --test wire` writes them anew.
+//! The documentation for other languages matches the Rust processes. The texts of `docs/tectum.h` and of the tables in
+//! `docs/wire.md` are made from the field tables of the samples and compared with the files. To write the files anew:
+//! `TECTUM_BLESS=1 cargo test --test wire`.
+
+#[path = "support/snapshot.rs"]
+mod snapshot;
 
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::Command as Process;
 
+use snapshot::assert_snapshot;
 use tectum::wire::{
     Command, Control, Gap, Header, Learning, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Phase, ProcessState,
     Role, Sample, Status, Vision, flag,
 };
 
-/// What a table needs of a sample.
+/// The parts of a sample that a table shows.
 struct Layout {
     name: &'static str,
     doc: String,
@@ -39,7 +44,7 @@ impl Layout {
     }
 }
 
-/// Documentation without rustdoc's links.
+/// Removes the links of rustdoc.
 fn plain(doc: &str) -> String {
     doc.trim().replace("[`", "`").replace("`]", "`").replace("Phase::", "")
 }
@@ -57,7 +62,7 @@ fn layouts() -> Vec<Layout> {
     ]
 }
 
-/// Name, bit and meaning of every flag, from the source; their values are those of the constants.
+/// Name, bit and meaning of every flag, read from the source. The bits are compared with the constants.
 fn flags() -> Vec<(String, u32, String)> {
     let source = std::fs::read_to_string("src/wire/samples.rs").unwrap();
     let (mut found, mut doc) = (Vec::new(), String::new());
@@ -135,10 +140,10 @@ fn states() -> [(&'static str, u32); 6] {
 }
 
 const HEAD: &str = "\
-/* Samples and boards of a Tectum run, for C and C++. docs/wire.md says how they are used.
+/* Samples and boards of a Tectum run, for C and C++. docs/wire.md describes their use.
  *
- * Made from the field tables of the Rust processes by tests/wire.rs; do not edit. Little endian, IEEE 754, no padding. The string
- * that begins with TECTUM_TYPE_ is the payload's type name, which iceoryx2 compares. */
+ * Made from the field tables of the Rust processes by tests/wire.rs; do not edit. Little endian, IEEE 754, no
+ * padding. The constants that begin with TECTUM_TYPE_ are the payloads' type names, which iceoryx2 compares. */
 #ifndef TECTUM_H
 #define TECTUM_H
 
@@ -156,7 +161,8 @@ const HEAD: &str = "\
 fn comment(text: &mut String, indent: &str, doc: &str) {
     let mut line = format!("{indent}/*");
     for word in doc.split_whitespace() {
-        if line.len() + 1 + word.len() > 120 {
+        // The last line also needs room for the closing mark.
+        if line.len() + 1 + word.len() + " */".len() > 120 {
             let _ = writeln!(text, "{line}");
             line = format!("{indent} *");
         }
@@ -209,7 +215,7 @@ fn header() -> String {
     text
 }
 
-/// The tables of `docs/wire.md`, each under its own mark.
+/// The tables of `docs/wire.md`, each with the name of its mark in the page.
 fn tables() -> Vec<(&'static str, String)> {
     let mut samples = String::new();
     for layout in layouts() {
@@ -239,23 +245,13 @@ fn tables() -> Vec<(&'static str, String)> {
     vec![("samples", samples), ("flags", bits), ("phases", list(&phases())), ("states", list(&states()))]
 }
 
-#[track_caller]
-fn compare(path: &str, text: &str) {
-    if std::env::var_os("TECTUM_BLESS").is_some() {
-        std::fs::write(path, text).unwrap();
-    }
-    let kept = std::fs::read_to_string(path).unwrap_or_default();
-    let changed: Vec<_> = text.lines().zip(kept.lines().chain(std::iter::repeat(""))).filter(|(a, b)| a != b).collect();
-    assert!(kept == text, "{path} is not what the Rust processes have; TECTUM_BLESS=1 writes it anew: {changed:#?}");
+#[test]
+fn the_c_header_matches_the_rust_layout() {
+    assert_snapshot("docs/tectum.h", &header());
 }
 
 #[test]
-fn the_c_header_is_the_rust_layout() {
-    compare("docs/tectum.h", &header());
-}
-
-#[test]
-fn the_tables_of_the_wire_are_the_rust_layout() {
+fn the_wire_tables_match_the_rust_layout() {
     let path = "docs/wire.md";
     let mut text = std::fs::read_to_string(path).unwrap();
     for (name, table) in tables() {
@@ -264,13 +260,13 @@ fn the_tables_of_the_wire_are_the_rust_layout() {
         let (_, tail) = rest.split_once(&close).unwrap_or_else(|| panic!("{path} has no mark {close}"));
         text = format!("{head}{open}{table}{close}{tail}");
     }
-    compare(path, &text);
+    assert_snapshot(path, &text);
 }
 
-/// The compiler's own word for sizes and offsets, in C and C++, as far as there are compilers.
+/// The header's assertions of sizes and offsets hold in C and in C++. A missing compiler is skipped.
 #[test]
-fn compilers_agree() {
-    let place = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+fn c_and_cpp_compilers_confirm_sizes_and_offsets() {
+    let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/tectum.h");
     for (compiler, name, language) in [("cc", "check.c", "-std=c11"), ("c++", "check.cpp", "-std=c++17")] {
         if Process::new(compiler).arg("--version").output().is_err() {
@@ -278,16 +274,16 @@ fn compilers_agree() {
             continue;
         }
         let check = |text: &str| {
-            let source = place.path().join(name);
+            let source = folder.path().join(name);
             std::fs::write(&source, text).unwrap();
             let strict = [language, "-Wall", "-Wextra", "-Werror", "-fsyntax-only"];
             Process::new(compiler).args(strict).arg(&source).output().unwrap()
         };
         let good = format!("#include \"{}\"\nint main(void) {{ return 0; }}\n", path.display());
-        let told = check(&good);
-        assert!(told.status.success(), "{compiler}: {}", String::from_utf8_lossy(&told.stderr));
-        // What is asserted can fail.
+        let output = check(&good);
+        assert!(output.status.success(), "{compiler}: {}", String::from_utf8_lossy(&output.stderr));
+        // The assertions do fail for a wrong size.
         let wrong = check(&format!("{good}TECTUM_ASSERT(sizeof(tectum_observation) == 180);\n"));
-        assert!(!wrong.status.success(), "{compiler} let a wrong size pass");
+        assert!(!wrong.status.success(), "{compiler} accepted a wrong size");
     }
 }

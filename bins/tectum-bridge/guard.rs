@@ -1,8 +1,9 @@
-//! What is left of a bridge that was killed: a process that waits for its end and then turns torque off.
+//! The guard: a process that waits for the end of a bridge and then turns torque off.
 //!
-//! A SIGKILL leaves a program no last word. Dynamixel's bus watchdog then stops the motors after 200 ms, with torque still on; Feetech
-//! has none. So the bridge starts this, which takes the port when the bridge is dead. A successor that has the port by then
-//! keeps it: it turns torque off by itself before it does anything else.
+//! A program cannot react to SIGKILL. Dynamixel's bus watchdog then stops the motors after 200 ms, with torque
+//! still on; Feetech has no watchdog. The bridge therefore starts this process, which opens the port when the
+//! bridge has ended. If a restarted bridge has opened the port first, the guard does nothing: the bridge turns
+//! torque off before anything else.
 
 use std::process::{Command, ExitCode};
 
@@ -10,7 +11,7 @@ use tectum::clock::{ProcessHandle, TerminationSignals, monotonic_ns};
 use tectum::servo::bus::{Bus, BusBudget};
 use tectum::servo::model::Protocol;
 
-/// What the guard is told.
+/// Arguments of the guard.
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
     /// The bridge's process id
@@ -26,7 +27,7 @@ pub struct Arguments {
     ids: Vec<u8>,
 }
 
-/// This program as the guard of this process.
+/// The command that starts this program as the guard of the current process.
 pub fn command(port: &str, protocol: Protocol, baud: u32, ids: &[u8]) -> Command {
     let ids: Vec<_> = ids.iter().map(u8::to_string).collect();
     let mut command = Command::new(std::env::current_exe().unwrap_or_else(|_| "tectum-bridge".into()));
@@ -37,10 +38,10 @@ pub fn command(port: &str, protocol: Protocol, baud: u32, ids: &[u8]) -> Command
 
 /// Waits for the bridge's end, then turns torque off.
 pub fn run(arguments: &Arguments) -> ExitCode {
-    // Taken and never looked at: what ends the bridge must not end its guard.
+    // Signals are received and ignored: a signal that ends the bridge must not end the guard.
     let _signals = TerminationSignals::install();
-    while let Some(life) = ProcessHandle::of(arguments.parent).filter(|life| !life.ended()) {
-        ProcessHandle::await_any(std::iter::once(&life), 60_000_000_000);
+    while let Some(parent) = ProcessHandle::of(arguments.parent).filter(|parent| !parent.ended()) {
+        ProcessHandle::await_any(std::iter::once(&parent), 60_000_000_000);
     }
     let protocol = Protocol::named(&arguments.protocol);
     let budget = BusBudget { read_ns: 20_000_000, write_ns: 20_000_000 };

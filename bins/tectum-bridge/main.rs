@@ -1,4 +1,5 @@
-//! The plant on serial-bus servos; the tools that find, calibrate, move and watch them; and the guard that turns torque off when it was killed.
+//! `tectum-bridge`: the plant on serial-bus servos, the tools that find, calibrate, move and show servos, and
+//! the guard that turns torque off after a bridge was killed.
 
 mod guard;
 mod tools;
@@ -18,12 +19,14 @@ use tectum::servo::bus::{Bus, BusBudget, BusError};
 use tectum::servo::model::Protocol;
 use tectum::wire::Role;
 
-const EXAMPLE: &str = "A run's launcher starts this program by itself, for a scenario with [plant.servos]. In a terminal of its own:\n  \
+const EXAMPLE: &str = "A run's launcher starts this program by itself, for a scenario with [plant.servos]. \
+    In a terminal of its own:\n  \
     tectum run scenarios/servo-emulated.toml --name demo --by-hand plant\n  tectum-bridge --run demo\n\
     There, a and Enter arm it. Without hardware and without a run:\n  \
-    tectum-servo-emulator --protocol feetech --link /tmp/arm &\n  tectum-bridge scan --port /tmp/arm --protocol feetech --baud 1000000\n\
+    tectum-servo-emulator --protocol feetech --link /tmp/arm &\n  \
+    tectum-bridge scan --port /tmp/arm --protocol feetech --baud 1000000\n\
      Angles are measured; the end-effector, and with it the reward, is worked out from them by the model \
-    in [plant.arm]: nobody has seen it.";
+    in [plant.arm]; it is not measured.";
 
 /// The plant on serial-bus servos: read-only until it is armed
 #[derive(Debug, Parser)]
@@ -62,7 +65,7 @@ fn main() -> ExitCode {
             Ok(()) => return ExitCode::SUCCESS,
             Err(error) => (error.to_string(), exit::INPUT),
         },
-        None => match live(&arguments) {
+        None => match run_bridge(&arguments) {
             Ok(()) => return ExitCode::SUCCESS,
             Err(problem) => problem,
         },
@@ -71,10 +74,11 @@ fn main() -> ExitCode {
     ExitCode::from(code)
 }
 
-/// A sentence and an exit code.
+/// A message and an exit code.
 type Problem = (String, u8);
 
-fn live(arguments: &Arguments) -> Result<(), Problem> {
+/// Runs the bridge as the plant of a run.
+fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
     let bad = |text: String| (text, exit::INPUT);
     let own = |error: RuntimeError| (error.to_string(), error.exit_code());
     let Some(run) = &arguments.run else {
@@ -82,44 +86,45 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
     };
     let participant = Participant::take(run, Role::Plant, arguments.scenario.as_deref()).map_err(own)?;
     let joints = joints_of(&participant.plan).map_err(|error| bad(error.to_string()))?;
-    let Some(table) = participant.plan.scenario.plant.servos.clone() else {
+    let Some(config) = participant.plan.scenario.plant.servos.clone() else {
         return Err(bad("the scenario has no [plant.servos]".to_owned()));
     };
     let ids: Vec<u8> = joints.iter().map(|joint| joint.id).collect();
-    // Ended, like the guard, when this function is over: after the bridge, which is dropped within.
-    let (_emulator, port) = match table.port.as_str() {
+    // Emulator and guard end with this function, after the bridge, which `run_plant` drops.
+    let (_emulator, port) = match config.port.as_str() {
         "emulator" => {
-            let (child, port) = emulate(&participant.folder, table.protocol, table.baud, &ids).map_err(bad)?;
+            let (child, port) = start_emulator(&participant.folder, config.protocol, config.baud, &ids).map_err(bad)?;
             (Some(child), port)
         }
         port => (None, port.to_owned()),
     };
-    let bus =
-        open(&port, table.protocol, table.baud, Bridge::budget(&participant.plan)).map_err(|e| bad(e.to_string()))?;
-    let _guard = Helper::start(&mut guard::command(&port, table.protocol, table.baud, &ids)).map_err(bad)?;
+    let bus = open_bus(&port, config.protocol, config.baud, Bridge::budget(&participant.plan))
+        .map_err(|e| bad(e.to_string()))?;
+    let _guard = Helper::start(&mut guard::command(&port, config.protocol, config.baud, &ids)).map_err(bad)?;
     let tell = Box::new(|text: &str| print_error_line(&format!("tectum-bridge: {text}")));
     let mut bridge = Bridge::new(&participant.plan, bus, joints, tell).map_err(|error| bad(error.to_string()))?;
     bridge.write_report_to(participant.folder.join("bridge.json"));
-    if arguments.arm || table.armed {
+    if arguments.arm || config.armed {
         bridge.arm().map_err(|error| bad(format!("not armed: {error}")))?;
     } else {
         print_error_line(
-            "tectum-bridge: read-only; --arm, armed = true under [plant.servos], or a and Enter at its own terminal arm it",
+            "tectum-bridge: read-only; --arm, armed = true under [plant.servos], \
+             or a and Enter at its own terminal arm it",
         );
     }
     if participant.plan.scenario.vision().is_some() {
-        let mut eye = VisionReceiver::open(
+        let mut receiver = VisionReceiver::open(
             &participant.manifest.domain,
             &participant.identity(),
             &participant.plan.scenario.channels,
         )
         .map_err(|error| own(error.into()))?;
-        bridge.look_with(Box::new(move || eye.receive()));
+        bridge.set_vision_source(Box::new(move || receiver.receive()));
         print_error_line(
             "tectum-bridge: target and end-effector come from a tracker; until it is there the arm stands still",
         );
     }
-    listen(&bridge);
+    arm_from_terminal(&bridge);
     let report = run_plant(participant, bridge).map_err(own)?;
     if arguments.json {
         let _ = writeln!(std::io::stdout(), "{}", serde_json::to_string(&report).unwrap_or_default());
@@ -127,33 +132,34 @@ fn live(arguments: &Arguments) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Opens the port. The guard of a bridge that was killed may have it for a moment, while it turns torque off.
-fn open(port: &str, protocol: Protocol, baud: u32, budget: BusBudget) -> Result<Bus, BusError> {
-    let until = monotonic_ns() + 500_000_000;
+/// Opens the port. Retries for half a second, because the guard of a killed bridge may use the port to turn
+/// torque off.
+fn open_bus(port: &str, protocol: Protocol, baud: u32, budget: BusBudget) -> Result<Bus, BusError> {
+    let deadline = monotonic_ns() + 500_000_000;
     loop {
         match Bus::open(port, protocol, baud, budget, Box::new(monotonic_ns)) {
-            Err(BusError::Busy(_)) if monotonic_ns() < until => pause(20_000_000),
+            Err(BusError::Busy(_)) if monotonic_ns() < deadline => pause(20_000_000),
             opened => return opened,
         }
     }
 }
 
-/// At a terminal: a and Enter arm.
-fn listen(bridge: &Bridge) {
+/// Requests arming when the user types a and Enter at the terminal.
+fn arm_from_terminal(bridge: &Bridge) {
     if !std::io::stdin().is_terminal() {
         return;
     }
-    let key = bridge.key();
+    let request = bridge.arm_request();
     std::thread::spawn(move || {
         for line in std::io::stdin().lock().lines().map_while(Result::ok) {
             if line.trim() == "a" {
-                key.store(true, Ordering::Relaxed);
+                request.store(true, Ordering::Relaxed);
             }
         }
     });
 }
 
-/// A process that ends with this one.
+/// A child process that is killed when this value is dropped.
 struct Helper(Child);
 
 impl Helper {
@@ -171,8 +177,8 @@ impl Drop for Helper {
     }
 }
 
-/// Starts the emulated chain of the run's scenario; with the port that leads to it.
-fn emulate(folder: &Path, protocol: Protocol, baud: u32, ids: &[u8]) -> Result<(Helper, String), String> {
+/// Starts the emulated chain of the run's scenario, and returns the process and its port.
+fn start_emulator(folder: &Path, protocol: Protocol, baud: u32, ids: &[u8]) -> Result<(Helper, String), String> {
     let beside = std::env::current_exe().map_err(|error| format!("this program has no place: {error}"))?;
     let link = folder.join(format!("servos.{}", std::process::id()));
     let ids: Vec<_> = ids.iter().map(u8::to_string).collect();
@@ -181,12 +187,12 @@ fn emulate(folder: &Path, protocol: Protocol, baud: u32, ids: &[u8]) -> Result<(
     command.arg("--link").arg(&link).arg("--scenario").arg(folder.join("scenario.toml"));
     command.args(["--parent", &std::process::id().to_string()]);
     let mut child = Helper::start(&mut command)?;
-    let until = monotonic_ns() + 5_000_000_000;
+    let deadline = monotonic_ns() + 5_000_000_000;
     while !link.exists() {
         if let Ok(Some(status)) = child.0.try_wait() {
             return Err(format!("tectum-servo-emulator has ended at once ({status}); start it by hand to see why"));
         }
-        if monotonic_ns() > until {
+        if monotonic_ns() > deadline {
             return Err("tectum-servo-emulator opens no terminal".to_owned());
         }
         pause(2_000_000);

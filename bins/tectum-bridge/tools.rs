@@ -1,4 +1,4 @@
-//! `tectum-bridge scan | calibrate | jog | watch`: the command lines of the tools.
+//! `tectum-bridge scan | calibrate | jog | watch`: command-line interface of the tools.
 
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -9,7 +9,7 @@ use tectum::servo::bus::{Bus, BusBudget};
 use tectum::servo::model::Protocol;
 use tectum::servo::tools::{self, Calibration, Jog, ToolError};
 
-/// What to do with an arm that is no plant yet.
+/// Tools for an arm that is not part of a run.
 #[derive(Debug, Subcommand)]
 pub enum Tool {
     /// Find servos: ids, models, baud rates
@@ -18,20 +18,20 @@ pub enum Tool {
     Calibrate(Calibrate),
     /// Move one joint slowly, then turn its torque off
     Jog(Move),
-    /// Show how the servos are
+    /// Show the state of the servos
     Watch(Watch),
 }
 
-/// Which bus.
+/// The bus of a tool.
 #[derive(Debug, Args)]
-struct Which {
+struct BusArguments {
     /// The serial port
     #[arg(long)]
     port: String,
-    /// What the servos speak
+    /// Protocol of the servos
     #[arg(long, value_parser = Protocol::NAMES)]
     protocol: String,
-    /// Bits a second
+    /// Baud rate
     #[arg(long, default_value_t = 1_000_000)]
     baud: u32,
 }
@@ -46,16 +46,16 @@ pub struct Scan {
     /// The serial port
     #[arg(long)]
     port: String,
-    /// What the servos speak; left out, both are tried
+    /// Protocol of the servos; if omitted, both are tried
     #[arg(long, value_parser = Protocol::NAMES)]
     protocol: Option<String>,
-    /// Bits a second; left out, all that the series knows
+    /// Baud rate; if omitted, all rates of the series
     #[arg(long)]
     baud: Option<u32>,
     /// The highest id to ask
     #[arg(long, default_value_t = 252)]
     max_id: u8,
-    /// One JSON object
+    /// Print one JSON object
     #[arg(long)]
     json: bool,
 }
@@ -63,14 +63,14 @@ pub struct Scan {
 /// `calibrate`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Torque is off all the while. Each step is asked for, done by hand, and ends with Enter; with --json the questions go to
-standard error, and one object with the joints comes at the end.
+Torque is off all the time. Each step is requested, done by hand, and ended with Enter. With --json the requests go to
+standard error, and one object with the joints is printed at the end.
 
 Example:
   tectum-bridge calibrate --port /dev/ttyUSB0 --protocol feetech --ids 1,2,3,4 --out my-arm.toml")]
 pub struct Calibrate {
     #[command(flatten)]
-    which: Which,
+    bus: BusArguments,
     /// The ids, from the base on
     #[arg(long, value_delimiter = ',', required = true)]
     ids: Vec<u8>,
@@ -80,7 +80,7 @@ pub struct Calibrate {
     /// Highest speed of each joint, rad/s
     #[arg(long, default_value_t = 6.0)]
     max_speed: f64,
-    /// Replace a file that is there
+    /// Replace an existing file
     #[arg(long)]
     force: bool,
     /// Print the joints as one JSON object
@@ -97,20 +97,20 @@ Example:
   tectum-bridge jog --port /dev/ttyUSB0 --protocol feetech --id 2 --by -0.3 --calibration my-arm.toml")]
 pub struct Move {
     #[command(flatten)]
-    which: Which,
-    /// The servo
+    bus: BusArguments,
+    /// Id of the servo
     #[arg(long)]
     id: u8,
-    /// By how much, rad
+    /// Angle, rad
     #[arg(long, allow_hyphen_values = true)]
     by: f64,
-    /// How fast, rad/s
+    /// Speed, rad/s
     #[arg(long, default_value_t = 0.5)]
     speed: f64,
-    /// Keeps to the range and direction of this file
+    /// Keep the range and direction of this calibration file
     #[arg(long)]
     calibration: Option<PathBuf>,
-    /// Print how the servo is afterwards as one JSON object
+    /// Print the state of the servo afterwards as one JSON object
     #[arg(long)]
     json: bool,
 }
@@ -124,24 +124,25 @@ Example:
   tectum-bridge watch --port /dev/ttyUSB0 --protocol feetech --ids 1,2,3,4 --once")]
 pub struct Watch {
     #[command(flatten)]
-    which: Which,
+    bus: BusArguments,
     /// The ids
     #[arg(long, value_delimiter = ',', required = true)]
     ids: Vec<u8>,
-    /// Once, not until Ctrl-C
+    /// Print once, instead of until Ctrl-C
     #[arg(long)]
     once: bool,
-    /// One JSON object a line
+    /// Print one JSON object per line
     #[arg(long)]
     json: bool,
 }
 
-fn say(text: &str) -> Result<(), ToolError> {
+/// Prints a line at once.
+fn print_line(text: &str) -> Result<(), ToolError> {
     let mut out = std::io::stdout();
     writeln!(out, "{text}").and_then(|()| out.flush()).map_err(|error| ToolError::Io("standard output".into(), error))
 }
 
-impl Which {
+impl BusArguments {
     fn open(&self) -> Result<Bus, ToolError> {
         let series = Protocol::named(&self.protocol).series();
         if let Err(known) = series.check_baud(self.baud) {
@@ -151,24 +152,25 @@ impl Which {
     }
 }
 
-/// Does it.
+/// Runs a tool.
 ///
 /// # Errors
-/// One sentence for people.
+/// When the tool fails, with a message for the user.
 pub fn run(tool: &Tool) -> Result<(), ToolError> {
     let signals = TerminationSignals::install().map_err(|error| ToolError::Io("signals".into(), error))?;
     let stop = || signals.received() != 0;
     match tool {
         Tool::Scan(scan) => find(scan, &stop),
-        Tool::Calibrate(what) => calibrate(what),
-        Tool::Jog(what) => {
-            let calibration = what.calibration.as_deref().map(Calibration::load).transpose()?;
-            let mut bus = what.which.open()?;
-            let asked = Jog { id: what.id, by: what.by, speed: what.speed, calibration: calibration.as_ref() };
-            let after = tools::jog(&mut bus, asked, pause, stop)?;
-            say(&if what.json { serde_json::json!(after).to_string() } else { after.line() })
+        Tool::Calibrate(arguments) => calibrate(arguments),
+        Tool::Jog(arguments) => {
+            let calibration = arguments.calibration.as_deref().map(Calibration::load).transpose()?;
+            let mut bus = arguments.bus.open()?;
+            let motion =
+                Jog { id: arguments.id, by: arguments.by, speed: arguments.speed, calibration: calibration.as_ref() };
+            let after = tools::jog(&mut bus, motion, pause, stop)?;
+            print_line(&if arguments.json { serde_json::json!(after).to_string() } else { after.line() })
         }
-        Tool::Watch(what) => watch(what, &stop),
+        Tool::Watch(arguments) => watch(arguments, &stop),
     }
 }
 
@@ -178,10 +180,10 @@ fn find(scan: &Scan, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
         None => vec![Protocol::Dynamixel, Protocol::Feetech],
     };
     let mut all = Vec::new();
-    let mut twins = None;
+    let mut duplicate_id = None;
     for series in protocols.iter().map(|protocol| protocol.series()) {
         for &(baud, _) in series.bauds.iter().filter(|(baud, _)| scan.baud.is_none_or(|only| only == *baud)) {
-            // A slow line needs its time besides: some thirty bytes there and back.
+            // At low rates the transmission time matters: about thirty bytes in each direction.
             let wire = 30 * 10 * 1_000_000_000 / u64::from(baud);
             let budget = BusBudget { read_ns: tools::SEARCH.read_ns + 2 * wire, ..tools::SEARCH };
             let mut bus = Bus::open(&scan.port, series.protocol, baud, budget, Box::new(monotonic_ns))?;
@@ -192,54 +194,54 @@ fn find(scan: &Scan, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
                     (false, None) => format!("unknown model {}", found.number.unwrap_or(0)),
                 };
                 if found.garbled {
-                    twins = Some(found.id);
+                    duplicate_id = Some(found.id);
                 }
                 if !scan.json {
-                    say(&format!("{} at {baud} baud: servo {}, {model}", series.name, found.id))?;
+                    print_line(&format!("{} at {baud} baud: servo {}, {model}", series.name, found.id))?;
                 }
                 all.push(serde_json::json!({ "protocol": series.protocol, "baud": baud, "servo": found }));
             }
         }
     }
     if scan.json {
-        say(&serde_json::json!({ "servos": all }).to_string())?;
+        print_line(&serde_json::json!({ "servos": all }).to_string())?;
     }
-    match (twins, all.is_empty()) {
-        (Some(id), _) => Err(ToolError::Twins(id)),
-        (None, true) => Err(ToolError::Nobody(format!(" at {}", scan.port))),
+    match (duplicate_id, all.is_empty()) {
+        (Some(id), _) => Err(ToolError::DuplicateId(id)),
+        (None, true) => Err(ToolError::NoServo(format!(" at {}", scan.port))),
         (None, false) => Ok(()),
     }
 }
 
-fn calibrate(what: &Calibrate) -> Result<(), ToolError> {
-    if !(0.01..=100.0).contains(&what.max_speed) {
-        return Err(ToolError::Refused(format!("--max-speed {}: give 0.01 to 100 rad/s", what.max_speed)));
+fn calibrate(arguments: &Calibrate) -> Result<(), ToolError> {
+    if !(0.01..=100.0).contains(&arguments.max_speed) {
+        return Err(ToolError::Refused(format!("--max-speed {}: give 0.01 to 100 rad/s", arguments.max_speed)));
     }
-    if what.out.exists() && !what.force {
-        let text = format!("{}: the file is there already; give another --out, or --force", what.out.display());
+    if arguments.out.exists() && !arguments.force {
+        let text = format!("{}: the file is there already; give another --out, or --force", arguments.out.display());
         return Err(ToolError::Refused(text));
     }
-    let mut bus = what.which.open()?;
+    let mut bus = arguments.bus.open()?;
     let mut input = std::io::stdin().lock();
     let mut ask: Box<dyn std::io::Write> =
-        if what.json { Box::new(std::io::stderr()) } else { Box::new(std::io::stdout()) };
-    let calibration = tools::calibrate(&mut bus, &what.ids, what.max_speed, &mut input, &mut ask)?;
-    calibration.save(&what.out)?;
-    match what.json {
-        true => say(&serde_json::json!({ "file": what.out, "calibration": calibration }).to_string()),
-        false => say(&format!("written to {}", what.out.display())),
+        if arguments.json { Box::new(std::io::stderr()) } else { Box::new(std::io::stdout()) };
+    let calibration = tools::calibrate(&mut bus, &arguments.ids, arguments.max_speed, &mut input, &mut ask)?;
+    calibration.save(&arguments.out)?;
+    match arguments.json {
+        true => print_line(&serde_json::json!({ "file": arguments.out, "calibration": calibration }).to_string()),
+        false => print_line(&format!("written to {}", arguments.out.display())),
     }
 }
 
-fn watch(what: &Watch, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
-    let mut bus = what.which.open()?;
-    tools::identify(&mut bus, &what.ids)?;
+fn watch(arguments: &Watch, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
+    let mut bus = arguments.bus.open()?;
+    tools::identify(&mut bus, &arguments.ids)?;
     while !stop() {
-        for &id in &what.ids {
-            let look = tools::look(&mut bus, id)?;
-            say(&if what.json { serde_json::json!(look).to_string() } else { look.line() })?;
+        for &id in &arguments.ids {
+            let state = tools::read_state(&mut bus, id)?;
+            print_line(&if arguments.json { serde_json::json!(state).to_string() } else { state.line() })?;
         }
-        if what.once {
+        if arguments.once {
             break;
         }
         pause(200_000_000);

@@ -50,7 +50,7 @@ enum Command {
     Reproduce(reproduce::Arguments),
     /// Analyse the movements in a run's log: isochrony, speed profiles, straightness, settling
     Analyse(analyse::Arguments),
-    /// Make an animated picture of a run from its log: the arm before learning, after ten seconds, and at the end
+    /// Make an animated picture of a run from its log: the arm at first, after ten seconds, and at the end
     Film(film::Arguments),
     /// Compare the learners: how much experience each needs, and what one tick costs
     Compare(compare::Arguments),

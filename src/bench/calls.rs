@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::BenchError;
 use super::context::check_signals;
 use crate::clock::{TerminationSignals, monotonic_ns};
-use crate::study::Spread;
+use crate::stats::Spread;
 
 /// The duration of a batch, about, ns: long against reading the clock, short against a time slice of the scheduler.
 const BATCH_NS: u64 = 100_000;

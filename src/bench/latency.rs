@@ -26,7 +26,8 @@ use super::tick_times::Latencies;
 use super::usage::Usage;
 use super::{BenchError, Transport};
 use crate::clock::TerminationSignals;
-use crate::runtime::{Mode, Percentiles};
+use crate::runtime::Mode;
+use crate::stats::Percentiles;
 
 /// Time from one tick to the next, ns.
 pub(super) const PERIOD_NS: u64 = 50_000_000;

@@ -10,8 +10,8 @@ use super::latency::{Caches, Pace};
 use super::tick_times::{Latencies, SERIES, SeriesPercentiles, hgrm};
 use super::usage::Usage;
 use super::{BenchError, Machine};
-use crate::runtime::Percentiles;
-use crate::study::Spread;
+use crate::stats::Percentiles;
+use crate::stats::Spread;
 
 /// The results of one case.
 #[derive(Debug, Clone, Serialize)]

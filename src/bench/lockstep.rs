@@ -17,7 +17,7 @@ use super::{BenchError, Machine, Transport};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::report::thousands;
 use crate::runtime::{Mode, in_process};
-use crate::study::Spread;
+use crate::stats::Spread;
 use crate::supervise::simulated_plant;
 
 /// The thinned log has one tick in this many, as in the paper's scenario.

@@ -9,7 +9,7 @@
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use crate::log::{Percentiles, histogram};
+use crate::stats::{Percentiles, histogram};
 
 /// The instants of one tick on CLOCK_MONOTONIC, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -10,7 +10,7 @@
 //!
 //! A file is written under another name, synced to the disk, and renamed, so it exists as a whole or not at
 //! all. `check` is a checksum over the facts and all tensors with their names, types and shapes. A file that is
-//! damaged, or that belongs to another role, scenario, schema or build, is refused before any part of it is
+//! damaged, or that belongs to another role, run, scenario, schema or build, is refused before any part of it is
 //! used; the error names the file.
 
 mod error;

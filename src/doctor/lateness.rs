@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::Check;
 use crate::clock::{monotonic_ns, precise_timers, priority_limit, set_fifo_priority, sleep_until};
-use crate::runtime::Percentiles;
+use crate::stats::Percentiles;
 
 /// Period of the wake-ups, ns. Much shorter than a tick, to get many samples.
 const PERIOD_NS: u64 = 5_000_000;

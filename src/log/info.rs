@@ -9,9 +9,10 @@ use serde::Serialize;
 
 use super::{
     CHANNELS, HISTOGRAMS_METADATA, LatencyHistograms, LogClock, LogError, LogRecord, MISSING_METADATA, MessageCounts,
-    Percentiles, RunLog, SegmentEnd, TOTALS_METADATA, in_use,
+    RunLog, SegmentEnd, TOTALS_METADATA, in_use,
 };
 use crate::log::header::flag_words;
+use crate::stats::Percentiles;
 use crate::wire::{Command, Observation, flag};
 
 mod text;

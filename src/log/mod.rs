@@ -47,7 +47,6 @@ mod repair;
 mod segments;
 mod writer;
 
-pub use crate::stats::{Percentiles, histogram};
 pub use csv::{CsvChannel, csv};
 pub use error::LogError;
 pub(crate) use header::flag_words;

@@ -4,10 +4,9 @@
 //! The budget is for reports only and does not influence learning. All memory is allocated at the start. A
 //! lockstep run has no budget.
 
+use crate::stats::{Percentiles, histogram};
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
-
-use super::reports::{Percentiles, histogram};
 
 /// Percentiles of the slack: the time from the end of the controller's work to the next tick, us.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]

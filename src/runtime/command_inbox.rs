@@ -2,8 +2,8 @@
 
 use hdrhistogram::Histogram;
 
-use super::reports::histogram;
 use crate::channel::{ChannelError, Receiver};
+use crate::stats::histogram;
 use crate::wire::Command;
 
 /// The plant's inbox for commands.

@@ -43,7 +43,7 @@ pub use logger::run_logger;
 pub use participant::{EndReason, Mode, Participant, ResumePoint, RunManifest, Session, identity};
 pub use plant::PlantSide;
 pub use plant_loop::run_plant;
-pub use reports::{ControllerReport, LoggerReport, Percentiles, PlantReport};
+pub use reports::{ControllerReport, LoggerReport, PlantReport};
 pub(crate) use reports::{read as read_report, read_realtime, realtime_path, remove_unwritten_reports};
 pub(crate) use statistics::Switch;
 pub use statistics::{RunStatistics, Snapshot};

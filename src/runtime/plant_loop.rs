@@ -9,7 +9,6 @@ use hdrhistogram::Histogram;
 
 use super::command_inbox::CommandInbox;
 use super::peer_monitor::PeerMonitor;
-use super::reports::{Percentiles, histogram};
 use super::stopwatch::Stopwatch;
 use super::{Participant, PlantReport, PlantSide, RuntimeError, Session};
 use crate::channel::{BoardReader, CrashStore, LOG_BUFFER, PlantPorts};
@@ -17,6 +16,7 @@ use crate::checkpoint::{self, CheckpointWriter};
 use crate::clock::{Backoff, TimeSource, WakeReason, pause, precise_timers};
 use crate::plant::Plant;
 use crate::state::{self, Persist, StateVisitor};
+use crate::stats::{Percentiles, histogram};
 use crate::wire::{Observation, Role, Status, flag};
 
 /// Ticks between two checks of the logger's progress. In lockstep the plant never runs ahead of the logger by

@@ -5,21 +5,14 @@ use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{RuntimeError, Snapshot, TickBudget};
 use crate::clock::RealtimeReport;
-pub use crate::log::Percentiles;
 use crate::report::Window;
 use crate::state::{Persist, StateVisitor};
+use crate::stats::Percentiles;
 use crate::wire::Role;
-
-/// A histogram of durations up to a minute, ns, with three significant digits. Longer durations count as a
-/// minute.
-pub(super) fn histogram() -> Histogram<u64> {
-    crate::log::histogram()
-}
 
 /// The plant's report.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]

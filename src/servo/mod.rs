@@ -1,8 +1,9 @@
-//! Serial-bus servos: what a series is like, the host's end of the bus, and a chain of such servos that is emulated from the devices' end.
+//! Serial-bus servos: the plant on servos, the tools for servos, and emulated servos in real time.
 //!
-//! [`model`] says where the registers are and in which units they count; [`bus`] speaks to servos within an instant, [`bridge`] is the plant
-//! that lives on it, and [`tools`] are for an arm that is no plant yet; [`emulator`] is the servos' end of the wire, bytes in at an instant and
-//! bytes out at an instant, with no clock and no files; [`pseudo_terminal`] puts it behind a terminal in real time.
+//! [`bridge`] is a plant whose joints are servos. [`tools`] find, calibrate, move and show the servos of an arm
+//! that is not part of a run. [`pseudo_terminal`] offers an emulated chain as a serial port in real time. The
+//! crate `tectum_servo` has the register models ([`model`]), the bus with deadlines ([`bus`]) and the emulated
+//! chain ([`emulator`]).
 
 pub mod bridge;
 pub mod pseudo_terminal;

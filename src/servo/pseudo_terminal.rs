@@ -1,9 +1,9 @@
-//! The emulated chain behind a pseudo-terminal, in real time: what opens its path finds a serial port with servos at its end.
+//! The emulated chain behind a pseudo-terminal, in real time: for other programs it is a serial port with servos.
 //!
-//! The loop sleeps in `poll` until bytes come or an answer is due, and looks up ten times a second for signals. The terminal is raw, and one
-//! descriptor of its far end stays open, so that hosts may come and go. A real port forgets that a program wanted it for itself (TIOCEXCL)
-//! when the last descriptor is closed, which here never happens: so the emulator takes that mark away, and locks (`flock`) alone keep
-//! others out.
+//! The loop sleeps in `poll` until bytes arrive or an answer is due, and checks for signals ten times a second.
+//! The terminal is in raw mode, and one descriptor of its other end stays open, so that hosts can connect and
+//! disconnect. A real port clears its exclusive mode (TIOCEXCL) when the last descriptor is closed, which never
+//! happens here. The emulator therefore clears it, and only locks (`flock`) keep other programs out.
 
 use std::fs;
 use std::io::{self, Write as _};
@@ -19,36 +19,38 @@ use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 use super::emulator::{EmulatedChain, ServoState};
 use crate::clock::{ProcessHandle, TerminationSignals, monotonic_ns, precise_timers};
 
-/// The longest sleep, ns: signals are looked for as often.
-const NAP: u64 = 100_000_000;
+/// Longest sleep, ns, and so the interval between checks for signals.
+const MAX_SLEEP: u64 = 100_000_000;
 
-/// A pseudo-terminal, and the link to it if one was asked for.
+/// A pseudo-terminal, with an optional symbolic link to it.
 #[derive(Debug)]
 pub struct PseudoTerminal {
+    /// The emulator's end.
     ours: OwnedFd,
+    /// The hosts' end.
     theirs: OwnedFd,
     path: PathBuf,
     link: Option<PathBuf>,
 }
 
-/// What the loop does besides answering.
+/// Options of the emulator's loop.
 #[derive(Debug, Default)]
 pub struct EmulatorTasks {
-    /// Takes commands from standard input: `hand ID STEPS`, `state`.
+    /// Reads commands from standard input: `hand ID STEPS`, `state`.
     pub control: bool,
-    /// Says when a servo's torque goes on or off.
+    /// Prints a line when a servo's torque goes on or off.
     pub trace: bool,
-    /// Says everything as JSON, one object a line.
+    /// Prints JSON, one object per line.
     pub json: bool,
     /// Ends when this process has ended.
     pub parent: Option<ProcessHandle>,
 }
 
 impl PseudoTerminal {
-    /// A new terminal; `link` is a symbolic link to it, which is put in the place of an older link.
+    /// Opens a new terminal. `link` is a symbolic link to it, which replaces an older link.
     ///
     /// # Errors
-    /// When the system has no terminal left, or the link cannot be made; a file that is no link is left alone.
+    /// When no terminal is available, or the link cannot be created; a file that is not a link is not replaced.
     pub fn open(link: Option<&Path>) -> io::Result<Self> {
         let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&ours)?;
@@ -70,7 +72,7 @@ impl PseudoTerminal {
         Ok(Self { ours, theirs, path, link: link.map(Path::to_path_buf) })
     }
 
-    /// What hosts open.
+    /// The path that hosts open.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -88,35 +90,35 @@ impl PseudoTerminal {
         &self,
         mut chain: EmulatedChain,
         signals: &TerminationSignals,
-        duties: &EmulatorTasks,
+        tasks: &EmulatorTasks,
     ) -> io::Result<()> {
         precise_timers();
         let began = monotonic_ns();
         let now = || monotonic_ns() - began;
-        let mut commands = duties.control.then(Vec::new);
+        let mut commands = tasks.control.then(Vec::new);
         let mut torque: Vec<bool> = Vec::new();
         let mut bytes = [0; 4096];
-        while signals.received() == 0 && !duties.parent.as_ref().is_some_and(ProcessHandle::ended) {
+        while signals.received() == 0 && !tasks.parent.as_ref().is_some_and(ProcessHandle::ended) {
             while let Some(answer) = chain.take(now()) {
-                // A host that does not read loses what it is told, as on a wire.
+                // A host that does not read loses the answer, as on a real bus.
                 let _ = rustix::io::write(&self.ours, &answer);
             }
-            if duties.trace {
-                self.trace(&mut chain, now(), &mut torque, duties.json);
+            if tasks.trace {
+                self.trace(&mut chain, now(), &mut torque, tasks.json);
             }
-            let wait = chain.next_answer().map_or(NAP, |due| due.saturating_sub(now()).min(NAP));
+            let wait = chain.next_answer().map_or(MAX_SLEEP, |due| due.saturating_sub(now()).min(MAX_SLEEP));
             let input = std::io::stdin();
             let mut fds = vec![PollFd::new(&self.ours, PollFlags::IN)];
             if commands.is_some() {
                 fds.push(PollFd::from_borrowed_fd(input.as_fd(), PollFlags::IN));
             }
             let limit = Timespec { tv_sec: (wait / 1_000_000_000) as i64, tv_nsec: (wait % 1_000_000_000) as i64 };
-            // A signal ends the wait early, and the loop looks at it.
+            // A signal interrupts the wait; the loop condition checks for it.
             let _ = poll(&mut fds, Some(&limit));
-            let asked = fds.get(1).is_some_and(|fd| !fd.revents().is_empty());
-            let came = !fds[0].revents().is_empty();
+            let has_command = fds.get(1).is_some_and(|fd| !fd.revents().is_empty());
+            let has_bytes = !fds[0].revents().is_empty();
             drop(fds);
-            if came {
+            if has_bytes {
                 match rustix::io::read(&self.ours, &mut bytes) {
                     Ok(n) => chain.receive(now(), self.baud(), &bytes[..n]),
                     Err(rustix::io::Errno::AGAIN | rustix::io::Errno::INTR) => {}
@@ -124,8 +126,8 @@ impl PseudoTerminal {
                 }
             }
             let _ = ioctl_tiocnxcl(&self.theirs);
-            if asked && let Some(line) = commands.as_mut() {
-                let ended = !self.commands(line, &mut chain, now(), duties.json)?;
+            if has_command && let Some(line) = commands.as_mut() {
+                let ended = !self.read_commands(line, &mut chain, now(), tasks.json)?;
                 if ended {
                     commands = None;
                 }
@@ -134,8 +136,8 @@ impl PseudoTerminal {
         Ok(())
     }
 
-    /// Reads what there is on standard input and obeys whole lines; whether more may come.
-    fn commands(&self, line: &mut Vec<u8>, chain: &mut EmulatedChain, now: u64, json: bool) -> io::Result<bool> {
+    /// Reads standard input and executes complete lines. Returns whether there may be more input.
+    fn read_commands(&self, line: &mut Vec<u8>, chain: &mut EmulatedChain, now: u64, json: bool) -> io::Result<bool> {
         let mut bytes = [0; 1024];
         let n = match rustix::io::read(std::io::stdin(), &mut bytes) {
             Ok(n) => n,
@@ -146,17 +148,18 @@ impl PseudoTerminal {
         while let Some(end) = line.iter().position(|&byte| byte == b'\n') {
             let text = String::from_utf8_lossy(&line[..end]).into_owned();
             line.drain(..=end);
-            obey(&text, chain, now, json);
+            execute(&text, chain, now, json);
         }
         Ok(n > 0)
     }
 
+    /// Prints the servos whose torque has changed.
     fn trace(&self, chain: &mut EmulatedChain, now: u64, torque: &mut Vec<bool>, json: bool) {
         let state = chain.state(now);
         let first = torque.is_empty();
         for (i, servo) in state.iter().enumerate() {
             if first || torque[i] != servo.torque {
-                say(std::slice::from_ref(servo), now, json);
+                print_state(std::slice::from_ref(servo), now, json);
             }
         }
         torque.clear();
@@ -166,7 +169,7 @@ impl PseudoTerminal {
 
 impl Drop for PseudoTerminal {
     fn drop(&mut self) {
-        // Only a link of one's own is taken away: a successor may have put its own there.
+        // Only the own link is removed: another emulator may have replaced it.
         if let Some(link) = &self.link
             && fs::read_link(link).is_ok_and(|to| to == self.path)
         {
@@ -175,17 +178,18 @@ impl Drop for PseudoTerminal {
     }
 }
 
-fn obey(text: &str, chain: &mut EmulatedChain, now: u64, json: bool) {
+/// Executes one line of standard input.
+fn execute(text: &str, chain: &mut EmulatedChain, now: u64, json: bool) {
     let words: Vec<_> = text.split_whitespace().collect();
     match words[..] {
         [] => {}
-        ["state"] => say(&chain.state(now), now, json),
+        ["state"] => print_state(&chain.state(now), now, json),
         ["hand", id, steps] => match (id.parse::<u8>(), steps.parse::<f64>()) {
             (Ok(id), Ok(steps)) if steps.is_finite() && steps.abs() < 1e6 => {
-                if !chain.hand(now, id, steps) {
+                if !chain.move_by_hand(now, id, steps) {
                     eprintln!("tectum-servo-emulator: there is no servo {id}");
                 }
-                say(&chain.state(now), now, json);
+                print_state(&chain.state(now), now, json);
             }
             _ => eprintln!("tectum-servo-emulator: \"{text}\": give an id and a position in steps, as in hand 1 2048"),
         },
@@ -193,8 +197,8 @@ fn obey(text: &str, chain: &mut EmulatedChain, now: u64, json: bool) {
     }
 }
 
-/// Says how servos are, on standard output; nobody who listens is no error.
-fn say(servos: &[ServoState], now: u64, json: bool) {
+/// Prints the state of servos on standard output; errors are ignored.
+fn print_state(servos: &[ServoState], now: u64, json: bool) {
     let at = now as f64 / 1e9;
     let mut out = io::stdout().lock();
     if json {

@@ -30,8 +30,8 @@ pub enum FilmError {
     },
     /// Ticks were left out on purpose.
     #[error(
-        "the log {} holds every {every}th tick only, and a film shows all of them; run the scenario again with `every = 1` \
-         under [log]", path.display()
+        "the log {} holds every {every}th tick only, and a film shows all of them; run the scenario again with \
+         `every = 1` under [log]", path.display()
     )]
     Thinned {
         /// The log.
@@ -41,8 +41,8 @@ pub enum FilmError {
     },
     /// The plant is no arm, or one whose ticks are no movement.
     #[error(
-        "the plant of scenario \"{scenario}\" is {plant}, and a film shows an arm that reaches for targets; run a scenario \
-         with [plant.arm] and a closed loop"
+        "the plant of scenario \"{scenario}\" is {plant}, and a film shows an arm that reaches for targets; \
+         run a scenario with [plant.arm] and a closed loop"
     )]
     NoReaches {
         /// The scenario's name.
@@ -121,8 +121,8 @@ impl WrittenFilm {
     }
 }
 
-/// Makes the film of the run whose log lies in `segments`. With `progress`, a line on standard error shows how far it is, if
-/// that is a terminal.
+/// Makes the film of the run whose log lies in `segments`. With `progress`, a line on standard error shows how far it
+/// is, if that is a terminal.
 ///
 /// # Errors
 /// [`FilmError`] if it is no log, is thinned or too short, or its plant is no arm that reaches.
@@ -166,7 +166,7 @@ fn reaching_arm(plan: &Plan) -> Result<&ArmConfig, FilmError> {
         (Some(arm), _) if arm.open_loop => Err(no("an arm in an open loop, where each tick is a trial of its own")),
         (Some(arm), _) => Ok(arm),
         (None, Some(_)) => Err(no("an eye")),
-        (None, None) => Err(no("a program of its own")),
+        (None, None) => Err(no("not one of the simulator's")),
     }
 }
 

@@ -16,6 +16,5 @@ pub mod reproduce;
 mod text;
 mod worker_pool;
 
-pub use crate::stats::Spread;
 pub use error::StudyError;
 pub(crate) use worker_pool::{JobProgress, WorkerPool};

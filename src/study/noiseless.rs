@@ -74,3 +74,40 @@ impl<P: Plant> Rollout<P> {
         self.plant.advance(tick, &applied[..outputs])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::Exploration;
+    use crate::runtime::PlantSide;
+    use crate::scenario::{FaultsConfig, Scenario};
+    use crate::wire::{Command, Observation};
+
+    /// With all limits of the gate, and one command that is not a number.
+    #[test]
+    fn a_rollout_equals_the_plant_of_a_run() {
+        let mut scenario = Scenario::find("office").unwrap();
+        scenario.faults = FaultsConfig::default();
+        let plan = scenario.plan().unwrap();
+        let mut rollout = Rollout::new(plan.simulated_plant().unwrap(), &plan);
+        let mut side = PlantSide::new(plan.simulated_plant().unwrap(), &plan);
+        let mut noise = Exploration::new(1, 0.05, plan.outputs.len());
+        let (mut observation, mut command) = (Observation::default(), Command::default());
+        for tick in 0..400 {
+            side.observe(tick, 0, 0, &mut observation);
+            command.drawn = noise.draw();
+            if tick == 200 {
+                command.drawn[1] = f32::NAN;
+            }
+            side.step(tick, Some(&command));
+            rollout.sense(tick);
+            let outcome = rollout.advance(tick, |inputs| {
+                assert_eq!(inputs, &observation.inputs[..plan.inputs.len()]);
+                command.drawn
+            });
+            side.observe(tick + 1, 0, 0, &mut observation);
+            assert_eq!((outcome.reward, outcome.measures), (observation.reward, observation.measures), "tick {tick}");
+        }
+        assert!(side.report.clamped > 0 && side.report.step_limited > 0 && side.report.non_finite == 1);
+    }
+}

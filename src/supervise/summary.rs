@@ -14,9 +14,10 @@ use crate::clock::RealtimeReport;
 use crate::log;
 use crate::report::{self, RunHistory, Window, thousands};
 use crate::runtime::{
-    ControllerReport, InProcess, LoggerReport, Mode, Percentiles, PlantReport, TickBudget, exit, read_realtime,
-    read_report, remove_unwritten_reports,
+    ControllerReport, InProcess, LoggerReport, Mode, PlantReport, TickBudget, exit, read_realtime, read_report,
+    remove_unwritten_reports,
 };
+use crate::stats::Percentiles;
 use crate::wire::Role;
 
 /// How a run ended.

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Reads a log with nothing but public packages, and says whether it is what it claims to be.
+"""Reads a log with public packages only and checks that it is complete and consistent.
 
     check_log.py LOG
 
-Decodes every message and prints, as JSON, the number of messages per topic, whether ticks run 0, N, 2N .. (N as in the
-run's `every`) and sequence numbers without a gap, the names of metadata and attachments, and everything that is off.
-Ends with 1 if anything is.
+Decodes every message. Prints as JSON the number of messages per topic, whether the ticks are 0, N, 2N .. (N is the
+run's `every`), whether sequence numbers have no gap, the names of metadata and attachments, and all faults found. The
+exit code is 1 if there is a fault.
 """
 import json
 import math
@@ -22,10 +22,10 @@ def main(path):
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         try:
             summary = reader.get_summary()
-        except Exception as error:  # whatever a torn or foreign file makes the package raise
+        except Exception as error:  # a torn or foreign file can make the package raise any exception
             summary = None
             faults.append(f"no summary: {error!r}")
-        if summary is None:  # a torn log: read from the start as far as it goes
+        if summary is None:  # a torn log is read from the start up to where it is torn
             faults.append("the log is torn")
             metadata, attachments = {}, []
         else:
@@ -53,7 +53,7 @@ def main(path):
     for topic in sorted(ticks):
         topics[topic] = {"messages": len(ticks[topic])}
         if topic == "/gap":
-            faults.append("the log says that samples are missing")
+            faults.append("the log states that samples are missing")
             continue
         n = len(ticks[topic])
         topics[topic]["ticks_in_order"] = ticks[topic] == list(range(0, n * every, every))
@@ -63,16 +63,16 @@ def main(path):
             if not topics[topic][key]:
                 faults.append(f"{topic}: not {key}")
         if wrong[topic]:
-            faults.append(f"{topic}: {wrong[topic]} messages disagree with themselves")
+            faults.append(f"{topic}: {wrong[topic]} messages are inconsistent")
     for name in ("observation", "command", "learning"):
         topic = run.get(f"topic.{name}", f"/{name}")
         n = topics.get(topic, {}).get("messages", 0)
         if n == 0 or str(n) != totals.get(f"{name}.written"):
-            faults.append(f"{topic}: {n} messages, and the totals say {totals.get(f'{name}.written')}")
+            faults.append(f"{topic}: {n} messages, but the totals state {totals.get(f'{name}.written')}")
         if totals.get(f"{name}.lost") != "0":
             faults.append(f"{topic}: {totals.get(f'{name}.lost')} lost")
     if totals.get("complete") != "true":
-        faults.append("the run did not come to its end")
+        faults.append("the run is not complete")
     if "scenario.toml" not in attachments:
         faults.append("no scenario")
     keys = {name: sorted(record) for name, record in metadata.items()}

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Reads a repaired log through its summary, as tools do that seek, and prints what is in it as JSON.
+"""Reads a repaired log through its summary, as seeking tools do, and prints its content as JSON.
 
     check_repaired.py LOG
 """
@@ -22,7 +22,8 @@ def main(path):
             last = sample.header.tick
         metadata = {record.name: dict(record.metadata) for record in reader.iter_metadata()}
         attachments = [record.name for record in reader.iter_attachments()]
-    print(json.dumps({"messages": messages, "stated": stated, "last_tick": last, "metadata": metadata, "attachments": attachments}))
+    content = {"messages": messages, "stated": stated, "last_tick": last}
+    print(json.dumps({**content, "metadata": metadata, "attachments": attachments}))
 
 
 if __name__ == "__main__":

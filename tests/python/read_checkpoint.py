@@ -1,4 +1,4 @@
-"""Reads a controller's checkpoint with Python's safetensors and hashes the policy in it, as the log does.
+"""Reads a controller's checkpoint with Python's safetensors and hashes its policy like the log does.
 
     read_checkpoint.py CHECKPOINT    prints one JSON object
 """

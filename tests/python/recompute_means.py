@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Repeats what the controller learned from nothing but its log, with the paper's rule in double precision.
+"""Repeats the controller's learning from its log alone, with the paper's rule in double precision.
 
     recompute_means.py LOG TOLERANCE
 
-For a log of the arm (4 segments, 16 x 16 units for the target, 16 for each angle, radius 0.5 throughout, unit norm) of
-which every tick is written. Prints, as JSON, the number of ticks, the largest absolute difference between the policy's
-means as logged and as computed here, and the largest mean for comparison. Ends with 1 if the difference is above
-TOLERANCE, or not a number.
+The log must be of the arm (4 segments, 16 x 16 units for the target, 16 for each angle, radius 0.5 throughout, unit
+norm) and hold every tick. Prints as JSON the number of ticks, the largest absolute difference between the policy's
+means in the log and those computed here, and the largest mean for comparison. The exit code is 1 if the difference is
+above TOLERANCE, or not a number.
 """
 import json
 import sys
@@ -29,23 +29,29 @@ def features(x):
 
 
 def main(path, tolerance):
-    ticks, worst, most, w, z = {}, 0.0, 0.0, np.zeros((4, 320)), np.zeros((4, 320))
+    ticks, largest_difference, largest_mean = {}, 0.0, 0.0
+    w, z = np.zeros((4, 320)), np.zeros((4, 320))
     with open(path, "rb") as file:
         for _, channel, _, m in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
             if channel.topic != "/gap":
                 ticks.setdefault(m.header.tick, {})[channel.topic] = m
     for k in sorted(ticks):
-        seen, sent, learned = (ticks[k][topic] for topic in ("/observation", "/command", "/learning"))
-        if learned.header.flags & LEARNED:  # with the reward of tick k-1, and the trace up to it
-            w += ALPHA_OVER_VARIANCE * seen.reward * z
-        if learned.header.flags & TRACE_CUT:
+        observation, command, learning = (ticks[k][topic] for topic in ("/observation", "/command", "/learning"))
+        if learning.header.flags & LEARNED:  # with the reward of tick k-1 and the trace up to it
+            w += ALPHA_OVER_VARIANCE * observation.reward * z
+        if learning.header.flags & TRACE_CUT:
             z[:] = 0.0
-        g = features(np.array(seen.inputs))
-        worst = np.maximum(worst, np.abs(w @ g - sent.mean[:4]).max())
-        most = np.maximum(most, np.abs(sent.mean[:4]).max())
-        z = BETA * z + (1 - BETA) * np.outer(learned.noise[:4], g)
-    print(json.dumps({"ticks": len(ticks), "largest_difference": float(worst), "largest_mean": float(most)}))
-    return 0 if ticks and worst <= tolerance else 1
+        g = features(np.array(observation.inputs))
+        largest_difference = np.maximum(largest_difference, np.abs(w @ g - command.mean[:4]).max())
+        largest_mean = np.maximum(largest_mean, np.abs(command.mean[:4]).max())
+        z = BETA * z + (1 - BETA) * np.outer(learning.noise[:4], g)
+    result = {
+        "ticks": len(ticks),
+        "largest_difference": float(largest_difference),
+        "largest_mean": float(largest_mean),
+    }
+    print(json.dumps(result))
+    return 0 if ticks and largest_difference <= tolerance else 1
 
 
 if __name__ == "__main__":

@@ -1,22 +1,22 @@
-//! A log as bytes: where its records and its samples stand.
+//! A log as bytes: the positions of its messages in the file.
 
 use tectum::log::{LogRecord, TOTALS_METADATA};
 use tectum::wire::{Command, Gap, Learning, Observation};
 
-/// A message's place in the file.
+/// A message's position in the file.
 #[derive(Debug, Clone, Copy)]
-pub struct Body {
-    /// Where the sample's bytes begin, behind the four bytes of encapsulation.
-    pub at: usize,
-    /// How many there are.
+pub struct LoggedMessage {
+    /// Where the sample's bytes begin, after the four bytes of encapsulation.
+    pub offset: usize,
+    /// The number of these bytes.
     pub length: usize,
     /// The sample.
     pub sample: LogRecord,
 }
 
-/// All messages' places, and where the last of them ends: cut there, a log is torn and has no checksum.
-pub fn bodies(log: &[u8]) -> (Vec<Body>, usize) {
-    let (mut at, mut bodies) = (8, Vec::new());
+/// The positions of all messages, and the end of the last one: cut there, a log is torn and has no checksum.
+pub fn messages(log: &[u8]) -> (Vec<LoggedMessage>, usize) {
+    let (mut at, mut messages) = (8, Vec::new());
     while at + 9 < log.len() {
         let (opcode, length) = (log[at], u64::from_le_bytes(log[at + 1..at + 9].try_into().unwrap()) as usize);
         let record = &log[at + 9..at + 9 + length];
@@ -31,9 +31,9 @@ pub fn bodies(log: &[u8]) -> (Vec<Body>, usize) {
                     n if n == size_of::<Gap>() => LogRecord::Gap(bytemuck::pod_read_unaligned(body)),
                     n => panic!("a message of {n} bytes"),
                 };
-                bodies.push(Body { at: at + 35, length: body.len(), sample });
+                messages.push(LoggedMessage { offset: at + 35, length: body.len(), sample });
             }
-            0x0C if totals => return (bodies, at),
+            0x0C if totals => return (messages, at),
             _ => {}
         }
         at += 9 + length;

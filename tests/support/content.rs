@@ -1,24 +1,25 @@
-//! A log, read whole.
+//! A log that is read completely.
 
 use std::path::Path;
 
 use tectum::log::{LogReader, LogRecord};
 use tectum::wire::{Command, Gap, Learning, Observation};
 
-/// Everything in a log.
+/// All samples of a log.
 #[derive(Default)]
-pub struct Content {
+pub struct LogContent {
     pub observations: Vec<Observation>,
     pub commands: Vec<Command>,
     pub learnings: Vec<Learning>,
     pub gaps: Vec<Gap>,
-    /// Tick and channel of every sample, in the order of the file.
+    /// Tick and channel of every sample except gaps, in the order of the file.
     pub order: Vec<(u64, u8)>,
 }
 
-pub fn read(path: &Path) -> (LogReader, Content) {
+/// Reads a log to its end.
+pub fn read_log(path: &Path) -> (LogReader, LogContent) {
     let mut reader = LogReader::open(path).unwrap();
-    let mut content = Content::default();
+    let mut content = LogContent::default();
     for record in reader.by_ref() {
         match record.unwrap() {
             LogRecord::Observation(s) => {

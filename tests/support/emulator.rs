@@ -1,46 +1,46 @@
-//! A `tectum-servo-emulator` that is told what to do on standard input and says all as JSON lines.
+//! A `tectum-servo-emulator` that takes commands on standard input and reports in JSON lines.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use serde_json::Value;
 
-use crate::support::Place;
+use crate::support::TestFolder;
 
 pub const EMULATOR: &str = env!("CARGO_BIN_EXE_tectum-servo-emulator");
 
-/// A running emulator; dropped, it is killed.
+/// A running emulator. It is killed when this is dropped.
 pub struct Emulator {
     pub child: Child,
     pub commands: Option<ChildStdin>,
-    pub lines: BufReader<ChildStdout>,
+    pub output: BufReader<ChildStdout>,
 }
 
 impl Emulator {
-    /// Starts one in `place`.
-    pub fn start(place: &Place, arguments: &[&str]) -> Self {
+    /// Starts an emulator in a test folder.
+    pub fn start(test_folder: &TestFolder, arguments: &[&str]) -> Self {
         let mut child = Command::new(EMULATOR)
             .args(["--json", "--control"])
             .args(arguments)
-            .current_dir(place.path())
+            .current_dir(test_folder.path())
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
         let commands = child.stdin.take();
-        let lines = BufReader::new(child.stdout.take().unwrap());
-        Self { child, commands, lines }
+        let output = BufReader::new(child.stdout.take().unwrap());
+        Self { child, commands, output }
     }
 
-    /// The next line that it says.
-    pub fn line(&mut self) -> Value {
+    /// Waits for the next report.
+    pub fn next_report(&mut self) -> Value {
         let mut text = String::new();
-        self.lines.read_line(&mut text).unwrap();
+        self.output.read_line(&mut text).unwrap();
         serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: {text:?}"))
     }
 
-    /// Tells it something.
-    pub fn say(&mut self, command: &str) {
+    /// Sends a command to the emulator.
+    pub fn send_command(&mut self, command: &str) {
         writeln!(self.commands.as_mut().unwrap(), "{command}").unwrap();
     }
 }

@@ -1,18 +1,19 @@
 //! Tectum's numerical core: policies, learning rules, simulated plants and random streams.
 //!
-//! Everything here is pure computation. It knows no clock, no transport and no files, and allocates nothing once built:
-//! time is a tick's number, randomness comes from a named [stream](seed::stream), and the state of every part can be
-//! saved and restored through one list ([`state::Persist`]).
+//! Everything here is pure computation, without clock, transport or files, and without allocation once built.
+//! Time is the number of a tick. Randomness comes from named [streams](seed::stream). The state of every
+//! component can be saved and restored through one trait ([`state::Persist`]).
 //!
-//! | module | what it holds |
+//! | module | content |
 //! |---|---|
 //! | [`policy`] | the linear-Gaussian policy over encoded features, and exploration noise |
-//! | [`learner`] | one file a learning rule, behind [`learner::LearningRule`] |
-//! | [`plant`] | [`plant::Plant`], and the simulated arm and eye |
+//! | [`learner`] | the learning rules, behind the trait [`learner::LearningRule`] |
+//! | [`plant`] | the trait [`plant::Plant`], and the simulated arm and eye |
 //! | [`seed`] | random streams from (seed, name) |
-//! | [`state`] | the list of what a part must remember |
+//! | [`state`] | saving and restoring the state of a component |
+//! | [`angle`] | angles brought into [-pi, pi) |
 //!
-//! The features come from [`tectum_encoder`]. One tick after the other, the paper's rule learns like this:
+//! The features come from [`tectum_encoder`]. One tick of learning with the paper's rule:
 //!
 //! ```
 //! use tectum_core::learner::{LearningRule, PaperRule, Transition};
@@ -31,7 +32,7 @@
 //! let noise = exploration.draw();
 //! let mut command = policy.mean(features.as_slice());
 //! command[0] += noise[0];
-//! // The plant answers: a reward, and where it is now.
+//! // The plant applies the command and returns a reward and the next input.
 //! let reward = -(command[0] - 0.5).powi(2);
 //! encoder.encode(&[0.2], &mut next);
 //! rule.learn(
@@ -51,19 +52,21 @@
 
 #![warn(missing_docs)]
 
+pub mod angle;
 pub mod learner;
 pub mod plant;
 pub mod policy;
 pub mod seed;
+#[doc(hidden)]
 pub mod serde_pairs;
 mod signal;
 pub mod state;
 
 pub use signal::SignalConfig;
 
-/// Most inputs that a learner sees, and that an observation carries.
+/// Maximum number of inputs of a learner, and of an observation.
 pub const MAX_INPUTS: usize = 16;
-/// Most outputs that a policy has, and that a command carries.
+/// Maximum number of outputs of a policy, and of a command.
 pub const MAX_OUTPUTS: usize = 8;
-/// Most measures that a plant gives beside its inputs.
+/// Maximum number of measures that a plant reports besides its inputs.
 pub const MAX_MEASURES: usize = 6;

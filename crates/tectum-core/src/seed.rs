@@ -1,5 +1,5 @@
-//! Random streams: every stream's seed derives from (scenario seed, stream name), so that adding a stream, or drawing
-//! more from one, never shifts another.
+//! Random streams. The seed of every stream is derived from (scenario seed, stream name), so that adding a
+//! stream, or drawing more from one, never changes another.
 
 use std::convert::Infallible;
 
@@ -13,7 +13,7 @@ use crate::state::{Persist, StateVisitor};
 #[derive(Debug, Clone)]
 pub struct Rng {
     generator: Xoshiro256PlusPlus,
-    /// Its four words, unless it was drawn from since they were looked up.
+    /// Cache of its four state words; empty once it was drawn from.
     words: Option<[u64; 4]>,
 }
 
@@ -44,20 +44,21 @@ impl TryRng for Rng {
     }
 }
 
-/// What the generator lets be seen of itself, through serde.
+/// The generator's state as serde exposes it.
 #[derive(serde::Deserialize)]
-struct Inside {
+struct GeneratorState {
     s: [u64; 4],
 }
 
-/// The generator's four words. The way through text takes some 300 ns, no memory, and no code of ours that knows its inside.
+/// The generator's four state words. The conversion through JSON takes about 300 ns, does not allocate, and
+/// needs no code that depends on the generator's private fields.
 fn words(generator: &Xoshiro256PlusPlus) -> [u64; 4] {
     let mut text = [0; 128];
     let mut rest = &mut text[..];
     let written = serde_json::to_writer(&mut rest, generator).is_ok();
     let left = rest.len();
-    let inside: Option<Inside> = serde_json::from_slice(&text[..text.len() - left]).ok().filter(|_| written);
-    inside.map(|inside| inside.s).expect("a generator of four words")
+    let state: Option<GeneratorState> = serde_json::from_slice(&text[..text.len() - left]).ok().filter(|_| written);
+    state.map(|state| state.s).expect("a generator of four words")
 }
 
 impl Persist for Rng {

@@ -1,5 +1,7 @@
-//! Pairs of numbers in configuration files: serde reads an array of two and passes over a third number, which would hide a
-//! mistake. These readers refuse it.
+//! Pairs of numbers in configuration files. Serde's reader of arrays of two ignores a third number, which would
+//! hide a mistake; these readers report it as an error.
+//!
+//! Public only for the scenario files of the `tectum` crate.
 
 use std::fmt;
 
@@ -8,7 +10,7 @@ use serde::{
     de::{Error, IgnoredAny, SeqAccess, Visitor},
 };
 
-/// Two numbers, and no third: serde's own reader of arrays passes over what follows them.
+/// An array of exactly two numbers.
 struct ExactPair([f64; 2]);
 
 impl<'de> Deserialize<'de> for ExactPair {

@@ -1,4 +1,4 @@
-//! Inputs and outputs as they are described: name, unit and range.
+//! Description of inputs and outputs: name, unit and range.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SignalConfig {
-    /// Name, as maps refer to it.
+    /// Name by which maps refer to it.
     pub name: String,
-    /// Unit, for people and logs.
+    /// Unit, for display and logs.
     #[serde(default)]
     pub unit: String,
     /// Lower end of the range, in the unit.

@@ -1,8 +1,23 @@
-//! What a part must remember to go on as if it had never stopped, told once for all purposes.
+//! The state of a component: everything that it needs to continue as if it had never stopped.
 //!
-//! A part with a memory lists its numbers to a [`StateVisitor`], in a fixed order and by name. Who keeps the ledger decides what
-//! that is for: one copies the numbers out, another writes others in. Saving and restoring cannot disagree, because they
-//! are the same list. What a part can work out again from its scenario (constants, scratch memory) is not in it.
+//! A component lists its numbers to a [`StateVisitor`], in a fixed order and by name. The visitor decides what
+//! happens to them: one visitor copies the numbers out, another overwrites them. Saving and restoring cannot
+//! disagree, because both use the same list. Values that can be computed from the scenario (constants, scratch
+//! memory) are not listed.
+//!
+//! ```
+//! use tectum_core::policy::Exploration;
+//! use tectum_core::state::{load, save, size};
+//!
+//! let mut original = Exploration::new(1, 0.1, 4);
+//! original.draw();
+//! let mut bytes = vec![0; size(&mut original)];
+//! save(&mut original, &mut bytes);
+//!
+//! let mut restored = Exploration::new(1, 0.1, 4);
+//! assert!(load(&mut restored, &bytes));
+//! assert_eq!(restored.draw(), original.draw());
+//! ```
 
 use bytemuck::Pod;
 
@@ -29,9 +44,9 @@ impl NumberKind {
     }
 }
 
-/// What a ledger's rows are made of: numbers, or records of one kind of number.
+/// An element of a row: a number, or a record of numbers of one kind.
 pub trait Number: Pod {
-    /// The numbers' type.
+    /// The type of the numbers.
     const KIND: NumberKind;
 }
 
@@ -48,18 +63,19 @@ where
     const KIND: NumberKind = T::KIND;
 }
 
-/// Where numbers are written down, or read from. Rows come in a fixed order; a name that comes again continues its row.
+/// Receives the state of a component, row by row, and may overwrite it. Rows come in a fixed order; a repeated name
+/// continues the row of that name.
 pub trait StateVisitor {
-    /// One row: to be copied from, or written over. `bytes` hold numbers of type `kind` as this machine does.
+    /// One row, which may be read or overwritten. `bytes` hold numbers of type `kind` in the machine's byte order.
     fn row(&mut self, name: &'static str, kind: NumberKind, bytes: &mut [u8]);
 
-    /// How many records the row `name`, which follows, has.
+    /// The number of records in the row `name`, which comes next.
     fn count(&mut self, name: &'static str, count: &mut u64);
 
-    /// The names that follow belong to the part `name`.
+    /// The names that follow belong to the component `name`.
     fn enter(&mut self, _name: &'static str) {}
 
-    /// The part entered last is over.
+    /// Ends the component that was entered last.
     fn leave(&mut self) {}
 }
 
@@ -74,49 +90,49 @@ impl dyn StateVisitor + '_ {
         self.numbers(name, std::slice::from_mut(number));
     }
 
-    /// Plain data, as the 32-bit words that it consists of.
+    /// Plain data, as 32-bit words.
     pub fn words<P: Pod>(&mut self, name: &'static str, data: &mut P) {
         self.row(name, NumberKind::U32, bytemuck::bytes_of_mut(data));
     }
 
-    /// Yes or no.
-    pub fn boolean(&mut self, name: &'static str, yes: &mut bool) {
-        let mut word = u32::from(*yes);
+    /// A boolean, as a `u32`.
+    pub fn boolean(&mut self, name: &'static str, value: &mut bool) {
+        let mut word = u32::from(*value);
         self.number(name, &mut word);
-        *yes = word != 0;
+        *value = word != 0;
     }
 
-    /// A number that may be missing.
+    /// An optional number, as two `u64`: 1 and the number, or 0 and 0.
     pub fn optional(&mut self, name: &'static str, number: &mut Option<u64>) {
         let mut words = number.map_or([0, 0], |n| [1, n]);
         self.number(name, &mut words);
         *number = (words[0] != 0).then_some(words[1]);
     }
 
-    /// A list that grows, of at most `most` records.
-    pub fn list<T: Number>(&mut self, name: &'static str, list: &mut Vec<T>, most: usize) {
+    /// A list of variable length, of at most `max_len` records.
+    pub fn list<T: Number>(&mut self, name: &'static str, list: &mut Vec<T>, max_len: usize) {
         let mut count = list.len() as u64;
         self.count(name, &mut count);
-        // A ledger that was damaged must not make anybody reserve memory without end.
-        list.resize(usize::try_from(count).map_or(most, |count| count.min(most)), T::zeroed());
+        // The limit keeps damaged data from causing a huge allocation.
+        list.resize(usize::try_from(count).map_or(max_len, |count| count.min(max_len)), T::zeroed());
         self.numbers(name, list);
     }
 
-    /// The part `name`, by its own list.
-    pub fn nested(&mut self, name: &'static str, part: &mut dyn Persist) {
+    /// The component `name`, with its own list.
+    pub fn nested(&mut self, name: &'static str, component: &mut dyn Persist) {
         self.enter(name);
-        part.visit_state(self);
+        component.visit_state(self);
         self.leave();
     }
 }
 
-/// A part with a memory.
+/// A component with state.
 pub trait Persist {
-    /// Lists everything that the part must remember.
+    /// Passes all state of the component to `visitor`, in a fixed order.
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor);
 }
 
-/// Counts the bytes that a part needs.
+/// Counts the bytes of a component's state.
 struct SizeCounter(usize);
 
 impl StateVisitor for SizeCounter {
@@ -129,7 +145,7 @@ impl StateVisitor for SizeCounter {
     }
 }
 
-/// Copies a part's numbers out, one row after the other.
+/// Copies the state of a component out, one row after the other.
 struct StateWriter<'a> {
     to: &'a mut [u8],
     at: usize,
@@ -148,7 +164,7 @@ impl StateVisitor for StateWriter<'_> {
     }
 }
 
-/// Copies them in again.
+/// Copies saved state into a component, one row after the other.
 struct StateReader<'a> {
     from: &'a [u8],
     at: usize,
@@ -167,25 +183,26 @@ impl StateVisitor for StateReader<'_> {
     }
 }
 
-/// Bytes that `part` needs now.
-pub fn size(part: &mut dyn Persist) -> usize {
-    let mut measure = SizeCounter(0);
-    part.visit_state(&mut measure);
-    measure.0
+/// The current size of the state of `component`, in bytes.
+pub fn size(component: &mut dyn Persist) -> usize {
+    let mut counter = SizeCounter(0);
+    component.visit_state(&mut counter);
+    counter.0
 }
 
-/// Copies the state of `part` into `to` and returns its size; `None` if there is no room. Allocates nothing.
-pub fn save(part: &mut dyn Persist, to: &mut [u8]) -> Option<usize> {
-    let mut save = StateWriter { to, at: 0 };
-    part.visit_state(&mut save);
-    (save.at <= save.to.len()).then_some(save.at)
+/// Copies the state of `component` into `to` and returns its size, or `None` if `to` is too small. Does not
+/// allocate.
+pub fn save(component: &mut dyn Persist, to: &mut [u8]) -> Option<usize> {
+    let mut writer = StateWriter { to, at: 0 };
+    component.visit_state(&mut writer);
+    (writer.at <= writer.to.len()).then_some(writer.at)
 }
 
-/// Gives `part`, which is made from the same scenario, the state that was saved into `from`. False if `from` is not of the
-/// right size: `part` is then neither old nor new, and of no use.
+/// Restores into `component`, built from the same scenario, the state that was saved in `from`. Returns false
+/// if `from` has the wrong size; `component` is then partly overwritten and must not be used.
 #[must_use]
-pub fn load(part: &mut dyn Persist, from: &[u8]) -> bool {
-    let mut load = StateReader { from, at: 0 };
-    part.visit_state(&mut load);
-    load.at == from.len()
+pub fn load(component: &mut dyn Persist, from: &[u8]) -> bool {
+    let mut reader = StateReader { from, at: 0 };
+    component.visit_state(&mut reader);
+    reader.at == from.len()
 }

@@ -1,28 +1,29 @@
-//! Where features lie in memory: one flat run of `f32`, aligned so that no vector load or store is ever split.
+//! Memory layout of features: one contiguous array of `f32`, aligned so that no vector load or store crosses a
+//! cache line.
 //!
-//! The learner downstream walks over all features once a tick, so what it wants is a plain slice. The kernel wants groups
-//! of sixteen. [`Features`] is both, over memory aligned to a cache line: eight lanes then never straddle two lines.
+//! Policy and learner read all features once a tick and need a plain slice; the kernel needs groups of sixteen.
+//! [`Features`] offers both views of memory that is aligned to cache lines.
 
 use bytemuck::{Pod, Zeroable};
 
 use crate::simd::LANES;
 
-/// Features of a block: what rows of units are padded to.
+/// Number of features in a block: rows of units are padded to a multiple of it.
 pub(super) const BLOCK: usize = 4;
 
-/// A cache line of neighbouring features, or of what is computed for them: twice what is computed at once.
+/// A cache line of neighbouring features, or of intermediate results for them: two vectors of [`LANES`].
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C, align(64))]
 pub(super) struct CacheLine(pub [[f32; LANES]; 2]);
 
-/// Features of a group.
+/// Number of features in a group: one cache line.
 pub(super) const GROUP: usize = 2 * LANES;
 
 /// The features of one tick, in the encoder's padded order.
 ///
-/// Made by [`Encoder::features`](super::Encoder::features), filled by [`Encoder::encode`](super::Encoder::encode).
-/// Pads are exactly 0 in any that an encoder made or filled, so sums over the whole slice are sums over the true
-/// features.
+/// Made by [`Encoder::features`](super::Encoder::features), filled by
+/// [`Encoder::encode`](super::Encoder::encode). The padding is exactly 0 whenever an encoder made or filled the
+/// memory, so sums over the whole slice are sums over the true features.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Features {
     lines: Vec<CacheLine>,
@@ -36,14 +37,14 @@ impl Features {
         Self { lines: vec![CacheLine::zeroed(); len.div_ceil(GROUP)], len }
     }
 
-    /// A copy of `values`, whose number is a multiple of [`BLOCK`].
+    /// A copy of `values`, whose length is a multiple of [`BLOCK`].
     pub(super) fn from_slice(values: &[f32]) -> Self {
         let mut features = Self::zeroed(values.len());
         features.as_mut_slice().copy_from_slice(values);
         features
     }
 
-    /// Number of features with the pads; always a multiple of 4.
+    /// Number of features including padding; always a multiple of 4.
     pub fn len(&self) -> usize {
         self.len
     }
@@ -53,25 +54,25 @@ impl Features {
         self.len == 0
     }
 
-    /// All features, pads included. The slice starts on a 64-byte boundary.
+    /// All features including padding. The slice starts on a 64-byte boundary.
     #[inline]
     pub fn as_slice(&self) -> &[f32] {
         &bytemuck::cast_slice(&self.lines)[..self.len]
     }
 
-    /// All features, to be written. Whoever writes anything else than 0 into a pad undoes the promise made above.
+    /// All features including padding, mutable. Write only 0 to padding: sums over the whole slice rely on it.
     #[inline]
     pub fn as_mut_slice(&mut self) -> &mut [f32] {
         &mut bytemuck::cast_slice_mut(&mut self.lines)[..self.len]
     }
 
-    /// All features in cache lines; the last may be longer than there are features.
+    /// All features in cache lines; the last line may extend beyond the features.
     #[inline]
     pub(super) fn cache_lines(&self) -> &[CacheLine] {
         &self.lines
     }
 
-    /// All features in cache lines, to be written.
+    /// All features in cache lines, mutable.
     #[inline]
     pub(super) fn cache_lines_mut(&mut self) -> &mut [CacheLine] {
         &mut self.lines

@@ -1,18 +1,17 @@
-//! The kernel: features eight at a time, on whatever [`F32x8`] the machine has.
+//! The SIMD kernel: encodes eight features at a time, with any implementation of [`F32x8`].
 //!
-//! Exponentials are computed for *lines* only (96 units for the arm's 320 features). Their sums of squares give the
-//! norm of all features before any of them exists, so the scale is folded into the lines, and the features are written
-//! once and never read again.
+//! Exponentials are computed for *lines* only (96 units for the arm's 320 features). Their sums of squares give
+//! the norm of all features before the features are computed. The scale is therefore folded into the lines, and
+//! each feature is written once and never read again.
 //!
-//! Lines are worked on in passes with short chains of operations, through scratch memory that stays in the
-//! first-level cache, rather than in one pass with a long chain. The processor looks about a hundred waiting
-//! operations ahead; with the whole chain in one loop that is not enough to find independent work, and the arm's
-//! features took a quarter longer. For the same reason a pass takes units in groups of sixteen and advances them side
-//! by side.
+//! The lines are processed in several passes with short chains of dependent operations, through scratch memory
+//! that stays in the first-level cache. A single pass has one long chain. The processor looks about a hundred
+//! operations ahead, which is too few to find independent work in a long chain: a single pass took a quarter
+//! longer for the arm's features. For the same reason a pass works on groups of sixteen units at once.
 //!
-//! There is no fused multiply-add: without the `fma` target feature `mul_add` is a library call per lane, and with it the
-//! bits would depend on the machine. Whatever the width of the lanes, the order in which [`squares`] adds up is the same;
-//! everything else is lane by lane.
+//! Fused multiply-add is not used: without the `fma` target feature `mul_add` is a library call per lane, and
+//! with it the bits would depend on the machine. [`squares`] adds in the same order for every register width;
+//! all other operations are lane by lane.
 
 use glam::Vec4;
 
@@ -21,9 +20,9 @@ use super::features::{BLOCK, CacheLine, Features, GROUP};
 use super::tables::{EncoderTables, UnitGroup};
 use crate::simd::{F32x8, Kernel, LANES};
 
-/// Encodes `inputs` into `out`, by way of `lines`.
+/// Encodes `inputs` into `out`; `lines` is scratch memory for the activations of the lines.
 pub(super) struct Encode<'a> {
-    pub plan: &'a EncoderTables,
+    pub tables: &'a EncoderTables,
     pub inputs: &'a [f32],
     pub lines: &'a mut Features,
     pub out: &'a mut Features,
@@ -34,16 +33,16 @@ impl Kernel for Encode<'_> {
 
     #[inline(always)]
     fn run<L: F32x8>(self) {
-        let Self { plan, inputs, lines, out } = self;
+        let Self { tables, inputs, lines, out } = self;
         let groups = lines.cache_lines_mut();
-        exponents::<L>(inputs, &plan.groups, plan.centres.cache_lines(), plan.floors.cache_lines(), groups);
+        exponents::<L>(inputs, &tables.groups, tables.centres.cache_lines(), tables.floors.cache_lines(), groups);
         activations::<L>(groups);
-        let scale = if plan.normalise { inverse_norm(sum_of_squares::<L>(plan, groups)) } else { 1.0 };
-        expand::<L>(plan, lines.as_slice(), scale, out.as_mut_slice());
+        let scale = if tables.normalise { inverse_norm(sum_of_squares::<L>(tables, groups)) } else { 1.0 };
+        expand::<L>(tables, lines.as_slice(), scale, out.as_mut_slice());
     }
 }
 
-/// First pass: the (negative) binary exponents of all lines' units.
+/// First pass: the negated binary exponents of the units of all lines.
 #[inline(always)]
 fn exponents<L: F32x8>(
     inputs: &[f32],
@@ -66,17 +65,18 @@ fn exponents<L: F32x8>(
 fn activations<L: F32x8>(lines: &mut [CacheLine]) {
     let magic = L::splat(MAGIC);
     for line in lines {
-        // Two chains of operations side by side, or with narrow registers four.
+        // Two independent chains of operations, or four with narrow registers.
         let y = [L::load(&line.0[0]), L::load(&line.0[1])];
         let n = [y[0] + magic, y[1] + magic];
         let p = [power((n[0] - magic) - y[0]), power((n[1] - magic) - y[1])];
-        // `p / 2^n`, where `n` stands in the lowest bits of the sum with `MAGIC`.
+        // `p / 2^n`; `n` is in the lowest bits of the sum with `MAGIC`.
         line.0[0] = p[0].less_exponent::<MANTISSA_BITS>(n[0]).store();
         line.0[1] = p[1].less_exponent::<MANTISSA_BITS>(n[1]).store();
     }
 }
 
-/// `2^g`, by Estrin's scheme: one multiplication more than Horner's, and half its chain.
+/// `2^g` by Estrin's scheme: one multiplication more than Horner's, with half the length of the dependent chain.
+/// The same operations as in [`exp2_negative`](super::exponential::exp2_negative).
 #[inline(always)]
 fn power<L: F32x8>(g: L) -> L {
     let [c0, c1, c2, c3, c4, c5] = POLYNOMIAL;
@@ -85,18 +85,20 @@ fn power<L: F32x8>(g: L) -> L {
     p * g2 + (L::splat(c1) * g + L::splat(c0))
 }
 
-/// Third pass: the sum of squares of all features, in units of [`SUM_SCALE`]. A plane's is the product of its lines'.
+/// Third pass: the sum of squares of all features, times [`SUM_SCALE`]. For a plane it is the product of the
+/// sums of its two lines.
 #[inline(always)]
-fn sum_of_squares<L: F32x8>(plan: &EncoderTables, lines: &[CacheLine]) -> f32 {
+fn sum_of_squares<L: F32x8>(tables: &EncoderTables, lines: &[CacheLine]) -> f32 {
     let mut total = 0.0;
-    for plane in &plan.planes {
+    for plane in &tables.planes {
         let slow = squares::<L>(&lines[plane.slow..plane.fast]) * SUM_SCALE;
         total += slow * squares::<L>(&lines[plane.fast..plane.end]);
     }
-    total + squares::<L>(&lines[plan.lines..]) * SUM_SCALE
+    total + squares::<L>(&lines[tables.lines..]) * SUM_SCALE
 }
 
-/// The sum of squares of some groups: four neighbouring blocks of four, then groups, and the lanes last.
+/// The sum of squares of some groups. The order is fixed: the four blocks of a group, then the groups, then the
+/// lanes.
 #[inline(always)]
 fn squares<L: F32x8>(groups: &[CacheLine]) -> f32 {
     let mut sum = Vec4::ZERO;
@@ -109,10 +111,10 @@ fn squares<L: F32x8>(groups: &[CacheLine]) -> f32 {
     (a + c) + (b + d)
 }
 
-/// Last pass: lines become features.
+/// Last pass: multiplies the lines out to features.
 #[inline(always)]
-fn expand<L: F32x8>(plan: &EncoderTables, lines: &[f32], scale: f32, out: &mut [f32]) {
-    for plane in &plan.planes {
+fn expand<L: F32x8>(tables: &EncoderTables, lines: &[f32], scale: f32, out: &mut [f32]) {
+    for plane in &tables.planes {
         let slow = &lines[plane.slow * GROUP..][..plane.rows];
         let fast = &lines[plane.fast * GROUP..][..plane.stride];
         let out = &mut out[plane.start..][..plane.rows * plane.stride];
@@ -125,12 +127,12 @@ fn expand<L: F32x8>(plan: &EncoderTables, lines: &[f32], scale: f32, out: &mut [
             }
         }
     }
-    for run in &plan.runs {
-        multiply::<L>(&lines[run.from..][..run.len], scale, &mut out[run.to..][..run.len]);
+    for range in &tables.line_ranges {
+        multiply::<L>(&lines[range.from..][..range.len], scale, &mut out[range.to..][..range.len]);
     }
 }
 
-/// `out = line * factor`, whole blocks.
+/// `out = line * factor`, in whole blocks.
 #[inline(always)]
 fn multiply<L: F32x8>(line: &[f32], factor: f32, out: &mut [f32]) {
     let ((line, line_rest), (out, out_rest)) = (line.as_chunks(), out.as_chunks_mut());
@@ -143,12 +145,12 @@ fn multiply<L: F32x8>(line: &[f32], factor: f32, out: &mut [f32]) {
     }
 }
 
-/// A plane whose rows are one group, as with the paper's 16 units: the fast line stays in registers.
+/// A plane whose rows are one group each, as with the paper's 16 units: the fast line stays in registers.
 #[inline(always)]
 fn expand_rows<L: F32x8>(slow: &[f32], fast: &[f32; GROUP], scale: f32, out: &mut [[f32; GROUP]]) {
     let [a, b]: [[f32; LANES]; 2] = bytemuck::cast(*fast);
     let (a, b, scale) = (L::load(&a), L::load(&b), L::splat(scale));
-    // Four rows at a time: the next ones need not wait for the loop.
+    // Four rows per iteration, so that the loop's own instructions cost less.
     let (slow, out) = (slow.as_chunks::<4>(), out.as_chunks_mut::<4>());
     for (slow, out) in slow.0.iter().zip(out.0) {
         for i in 0..4 {

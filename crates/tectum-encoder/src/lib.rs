@@ -1,60 +1,84 @@
-//! Topographic maps: from inputs to features (paper section 3.3).
+//! Topographic maps: encode inputs as features (Daucé & Dutech 2010, section 3.3).
 //!
-//! A controller does not act on raw inputs. Every input, or pair of inputs, is laid out on a map of units with
-//! Gaussian kernels, `exp(-(x - centre)^2 / (2 radius^2))`, and the activations of all maps, concatenated, are the
-//! features that policy and learner see. An [`Encoder`] is built once from [`Map`]s and then fills [`Features`] tick
-//! after tick, knowing neither clock nor file nor transport, and allocating nothing.
+//! The policy does not act on raw inputs. Each input, or each pair of inputs, is encoded by a map of units with
+//! Gaussian kernels, `exp(-(x - centre)^2 / (2 radius^2))`. The activations of all maps, concatenated, are the
+//! features of policy and learner. An [`Encoder`] is built once from [`Map`]s and then fills [`Features`] every
+//! tick. It uses no clock, no files and no transport, and it does not allocate once it is built.
 //!
-//! An encoder may also pass inputs through as they are, *scalars*, behind the maps' features and never normalised: the
-//! paper's "scalar" eye, with which it compares topographic coding (section 4.1), has no maps at all.
+//! ```
+//! use tectum_encoder::{Axis, Encoder, Map};
+//!
+//! // One input between -1 and 1, encoded by five units with centres at -1, -0.5, 0, 0.5 and 1.
+//! let axis = Axis { input: 0, units: 5, min: -1.0, max: 1.0, radius: 0.5 };
+//! let mut encoder = Encoder::new(&[Map::Line(axis)], false);
+//! let mut features = encoder.features();
+//! encoder.encode(&[0.5], &mut features);
+//!
+//! // The unit whose centre equals the input is fully active; its neighbour is one radius away.
+//! let feature = |unit: usize| features.as_slice()[encoder.index(0, 0, unit)];
+//! assert_eq!(feature(3), 1.0);
+//! assert!((feature(4) - (-0.5_f32).exp()).abs() < 1e-6);
+//! ```
+//!
+//! An encoder can also pass inputs through unchanged. These *scalars* follow the features of the maps and are
+//! never normalised. The paper compares topographic coding with a "scalar" eye (section 4.1), which has scalars
+//! and no maps.
 //!
 //! # Layout
 //!
-//! Features lie in memory map after map; in a plane the first axis is slow. Every row along the fast axis is padded
-//! to a multiple of 4 with features that are always exactly 0, so weights and traces laid out alike need no special
-//! case. [`Encoder::positions`] leads from the true order, without pads, to places in memory.
+//! Features are stored map after map; in a plane the first axis is the slow one. Every row along the fast axis
+//! is padded to a multiple of 4 with features that are always exactly 0, so weights and traces with the same
+//! layout need no special case. [`Encoder::positions`] maps the true order, without padding, to positions in
+//! memory.
 //!
 //! # Accuracy
 //!
-//! Against the same formula in double precision at the same `f32` inputs, a feature's absolute error is made of
+//! The absolute error of a feature, compared with the same formula in double precision at the same `f32`
+//! inputs, is the sum of
 //!
-//! - the rounding of scaled input and scaled centre, half a unit in the last place each. In units of `1.18 radius`
-//!   both are up to `r = 0.85 max|x| / radius`, and a kernel's steepest slope is 0.72 there, so this part is at most
-//!   `0.72 r 2^-23`, and grows in proportion to range over radius: 4.6e-7 for the arm's angles (`r = 5.3`);
-//! - the polynomial (9.5e-8), the rounding of the exponent (2e-7 where a feature is 0.4, less elsewhere) and of the
-//!   operations after it, a few 1e-8 of the feature;
-//! - when normalised, the rounding of the norm, another few 1e-8 of the feature, which by then is a good deal below 1.
+//! - the rounding of scaled input and scaled centre, half a unit in the last place each. In units of `1.18
+//!   radius` both are at most `r = 0.85 max|x| / radius`, and the steepest slope of a kernel is 0.72 there.
+//!   This part is therefore at most `0.72 r 2^-23`, proportional to range over radius: 4.6e-7 for the arm's
+//!   angles (`r = 5.3`);
+//! - the error of the polynomial (9.5e-8), the rounding of the exponent (2e-7 where a feature is 0.4, less
+//!   elsewhere) and of the operations after it, a few 1e-8 of the feature;
+//! - with normalisation, the rounding of the norm, another few 1e-8 of the feature, which is then well below 1.
 //!
-//! The arm's and the eye's features stay within 1e-6 by these bounds; tests see at most 4e-7. The first part is of the
-//! size of what rounding an input to `f32` has done before, so a sharper kernel than `f32` inputs can feed is the only
-//! one to suffer.
+//! By these bounds the features of arm and eye are within 1e-6; tests find at most 4e-7. The first part is as
+//! large as the effect of rounding an input to `f32`, so it matters only for kernels too narrow for `f32`
+//! inputs.
 //!
-//! No activation of a line falls below exp(-30), and so no feature of a plane below exp(-60), before normalising: far
-//! from an input the exact value is smaller still, but subnormal numbers would cost the learner's loop up to twice its
-//! time.
+//! Before normalisation no activation of a line is below exp(-30), and no feature of a plane below exp(-60).
+//! The exact value far from an input is smaller, but subnormal numbers would make the learner's loop take up to
+//! twice as long.
 //!
 //! # Two implementations
 //!
-//! [`Encoder::encode`] runs as many lanes at a time as the machine has ([`SimdPath`]); [`Encoder::encode_scalar`] is its twin in
-//! plain `f32`, equal bit for bit on every path. [`naive`] holds plain baselines.
+//! [`Encoder::encode`] uses the widest vectors of the machine ([`SimdPath`]). [`Encoder::encode_scalar`] does
+//! the same operations in plain `f32` and gives the same bits on every path; it is the test oracle. [`naive`]
+//! has plain baselines for benches and tests.
 
 #![warn(missing_docs)]
 
 mod exponential;
 mod features;
 mod kernel;
+#[doc(hidden)]
 pub mod naive;
 mod scalar;
 pub mod simd;
 mod tables;
 
+#[doc(hidden)]
+pub use exponential::exp2_negative;
 use features::BLOCK;
 pub use features::Features;
 use tables::EncoderTables;
 
 pub use simd::SimdPath;
 
-/// One axis of a map: `units` Gaussian kernels, uniformly spaced from `min` to `max`, reading input number `input`.
+/// One axis of a map: `units` Gaussian kernels with centres evenly spaced from `min` to `max`, over input
+/// number `input`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Axis {
     /// Index of the input that the axis encodes.
@@ -81,10 +105,10 @@ pub enum Map {
 /// Encodes inputs into features.
 #[derive(Debug, Clone)]
 pub struct Encoder {
-    plan: EncoderTables,
-    /// Activations of all lines, between the passes; here so that a call allocates nothing.
+    tables: EncoderTables,
+    /// Scratch memory for the activations of all lines, so that encoding does not allocate.
     lines: Features,
-    /// Inputs that are features themselves, behind the maps'.
+    /// Indices of the inputs that are passed through as features, after those of the maps.
     scalars: Vec<usize>,
     path: SimdPath,
 }
@@ -93,58 +117,59 @@ impl Encoder {
     /// An encoder for `maps`, concatenated in this order; with `normalise`, features are scaled to unit Euclidean
     /// norm.
     ///
-    /// The maps are taken as validated: finite numbers, at least 2 units, `radius > 0`, `max > min`.
+    /// The maps must be valid: finite numbers, at least 2 units, `radius > 0`, `max > min`. This is not checked.
     pub fn new(maps: &[Map], normalise: bool) -> Self {
-        let plan = EncoderTables::new(maps, normalise);
-        let lines = plan.centres.clone();
-        Self { plan, lines, scalars: Vec::new(), path: SimdPath::best() }
+        let tables = EncoderTables::new(maps, normalise);
+        let lines = tables.centres.clone();
+        Self { tables, lines, scalars: Vec::new(), path: SimdPath::best() }
     }
 
-    /// The same encoder with the inputs of these numbers as further features, as they are.
+    /// The same encoder with the inputs of these indices passed through as further features.
     pub fn with_scalars(mut self, inputs: &[usize]) -> Self {
         self.scalars = inputs.to_vec();
         self
     }
 
-    /// The same encoder on another path than the machine's best: the same features, bit for bit.
+    /// The same encoder with another SIMD path than the machine's fastest: the same features, bit for bit.
     pub fn on(self, path: SimdPath) -> Self {
         Self { path, ..self }
     }
 
-    /// Number of true features, without pads.
+    /// Number of true features, without padding.
     pub fn units(&self) -> usize {
-        self.plan.places.iter().map(|place| place.rows * place.units).sum::<usize>() + self.scalars.len()
+        self.tables.layouts.iter().map(|layout| layout.rows * layout.units).sum::<usize>() + self.scalars.len()
     }
 
-    /// Length of the features in memory, pads included; a multiple of 4.
+    /// Number of features in memory, including padding; a multiple of 4.
     pub fn len(&self) -> usize {
-        self.plan.len + self.scalars.len().next_multiple_of(BLOCK)
+        self.tables.len + self.scalars.len().next_multiple_of(BLOCK)
     }
 
-    /// Whether there are no features at all, for want of maps and scalars.
+    /// Whether there are no features: neither maps nor scalars.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Place in memory of one unit: of map number `map`, `slow` along the first axis of a plane (0 for a line), `fast`
-    /// along the last axis.
+    /// Position in memory of one unit of map number `map`: unit `slow` along the first axis of a plane (0 for a
+    /// line), unit `fast` along the last axis.
     ///
     /// # Panics
     ///
     /// If there is no such unit.
     pub fn index(&self, map: usize, slow: usize, fast: usize) -> usize {
-        let place = &self.plan.places[map];
-        assert!(slow < place.rows && fast < place.units, "no unit ({slow}, {fast}) in map {map}");
-        place.start + slow * place.stride() + fast
+        let layout = &self.tables.layouts[map];
+        assert!(slow < layout.rows && fast < layout.units, "no unit ({slow}, {fast}) in map {map}");
+        layout.start + slow * layout.stride() + fast
     }
 
-    /// Places in memory of all units, in the true order of the features: what leads from padded to plain and back.
+    /// Positions in memory of all units, in the true order of the features: converts between padded and plain
+    /// order.
     pub fn positions(&self) -> impl Iterator<Item = usize> + '_ {
-        let maps = self.plan.places.iter().flat_map(|place| {
-            (0..place.rows)
-                .flat_map(move |row| (0..place.units).map(move |unit| place.start + row * place.stride() + unit))
+        let maps = self.tables.layouts.iter().flat_map(|layout| {
+            (0..layout.rows)
+                .flat_map(move |row| (0..layout.units).map(move |unit| layout.start + row * layout.stride() + unit))
         });
-        maps.chain(self.plan.len..self.plan.len + self.scalars.len())
+        maps.chain(self.tables.len..self.tables.len + self.scalars.len())
     }
 
     /// Memory for the features of one tick, all 0.
@@ -152,34 +177,36 @@ impl Encoder {
         Features::zeroed(self.len())
     }
 
-    /// Encodes `inputs`, as the maps' axes number them, into `out`. All of it is written, pads (with 0) included.
+    /// Encodes `inputs` into `out`. Axes refer to inputs by index. All of `out` is written, including padding
+    /// (with 0).
     ///
-    /// Inputs are to be finite; however large, they only push all units to the floor. A NaN does the same.
+    /// Inputs should be finite. Very large inputs and NaN give all units their smallest value.
     ///
     /// # Panics
     ///
-    /// If an axis reads an input that is not there, or `out` was made for an encoder of another length.
+    /// If an axis refers to an input that does not exist, or `out` was made for an encoder with another number of
+    /// features.
     pub fn encode(&mut self, inputs: &[f32], out: &mut Features) {
         assert_eq!(out.len(), self.len(), "the features were made for another encoder");
-        let (plan, lines) = (&self.plan, &mut self.lines);
-        self.path.run(kernel::Encode { plan, inputs, lines, out });
+        let (tables, lines) = (&self.tables, &mut self.lines);
+        self.path.run(kernel::Encode { tables, inputs, lines, out });
         self.pass_through(inputs, out);
     }
 
-    /// Encodes with the scalar twin: the same features, bit for bit, and several times slower.
+    /// Encodes with the scalar implementation: the same features, bit for bit, several times slower. For tests.
     ///
     /// # Panics
     ///
     /// As [`encode`](Self::encode).
     pub fn encode_scalar(&mut self, inputs: &[f32], out: &mut Features) {
         assert_eq!(out.len(), self.len(), "the features were made for another encoder");
-        scalar::encode(&self.plan, inputs, &mut self.lines, out);
+        scalar::encode(&self.tables, inputs, &mut self.lines, out);
         self.pass_through(inputs, out);
     }
 
-    /// Writes the scalars and their pads.
+    /// Writes the scalars and their padding.
     fn pass_through(&self, inputs: &[f32], out: &mut Features) {
-        let (scalars, pads) = out.as_mut_slice()[self.plan.len..].split_at_mut(self.scalars.len());
+        let (scalars, pads) = out.as_mut_slice()[self.tables.len..].split_at_mut(self.scalars.len());
         for (out, &input) in scalars.iter_mut().zip(&self.scalars) {
             *out = inputs[input];
         }

@@ -1,18 +1,19 @@
-//! Baselines: the same features written down the plain way, to measure the kernel's speed and its error against.
+//! Plain baselines for benches and tests: straightforward implementations against which the kernel's speed and
+//! error are measured. A run does not use them.
 //!
-//! Nothing in a run uses them. [`reference`](fn@reference) is the definition in double precision; [`NaiveEncoder`] is what
-//! one would write first, one standard `exp` per feature and a second pass for the norm; [`SeparableEncoder`] is what one
-//! would write next, one `exp` per unit of a line. All use the true feature order, without pads.
+//! [`reference`](fn@reference) is the definition in double precision. [`NaiveEncoder`] is the first obvious
+//! implementation: one standard `exp` per feature and a second pass for the norm. [`SeparableEncoder`] is the next
+//! obvious one: one `exp` per unit of a line. All use the true order of the features, without padding.
 
 use super::{Axis, Map};
 
-/// Centres of an axis' units.
+/// Centres of the units of an axis.
 fn centres(axis: &Axis) -> impl Iterator<Item = f64> + '_ {
     let spacing = (axis.max - axis.min) / (axis.units - 1) as f64;
     (0..axis.units).map(move |unit| axis.min + spacing * unit as f64)
 }
 
-/// The features in double precision, straight from the paper's definition.
+/// The features in double precision, by the paper's definition.
 pub fn reference(maps: &[Map], inputs: &[f64], normalise: bool) -> Vec<f64> {
     let line = |axis: &Axis| -> Vec<f64> {
         centres(axis).map(|c| (-(inputs[axis.input] - c).powi(2) / (2.0 * axis.radius * axis.radius)).exp()).collect()
@@ -48,14 +49,14 @@ impl AxisUnits {
         Self { input: axis.input, centres: centres(axis).map(|c| c as f32).collect(), factor: factor as f32 }
     }
 
-    /// Exponents of the units' activations.
+    /// Exponents of the activations of all units.
     fn exponents(&self, inputs: &[f32]) -> impl Iterator<Item = f32> + '_ {
         let x = inputs[self.input];
         self.centres.iter().map(move |c| (x - c) * (x - c) * self.factor)
     }
 }
 
-/// The axes of every map; the second is the fast one of a plane.
+/// The axes of every map; the second one is the fast axis of a plane.
 fn units(maps: &[Map]) -> Vec<(AxisUnits, Option<AxisUnits>)> {
     let units = |map: &Map| match map {
         Map::Line(axis) => (AxisUnits::new(axis), None),
@@ -64,7 +65,7 @@ fn units(maps: &[Map]) -> Vec<(AxisUnits, Option<AxisUnits>)> {
     maps.iter().map(units).collect()
 }
 
-/// Scales to unit Euclidean norm, the plain way.
+/// Scales to unit Euclidean norm.
 fn to_unit_norm(features: &mut [f32]) {
     let norm = features.iter().map(|g| g * g).sum::<f32>().sqrt();
     features.iter_mut().for_each(|g| *g /= norm);
@@ -83,15 +84,15 @@ impl NaiveEncoder {
         Self { maps: units(maps), normalise }
     }
 
-    /// Encodes `inputs` into `out`, which has one place for every feature.
+    /// Encodes `inputs` into `out`, which has one element per feature.
     pub fn encode(&self, inputs: &[f32], out: &mut [f32]) {
-        let mut places = out.iter_mut();
+        let mut rest = out.iter_mut();
         for (first, second) in &self.maps {
             match second {
-                None => first.exponents(inputs).zip(&mut places).for_each(|(e, out)| *out = e.exp()),
+                None => first.exponents(inputs).zip(&mut rest).for_each(|(e, out)| *out = e.exp()),
                 Some(fast) => {
                     for slow in first.exponents(inputs) {
-                        fast.exponents(inputs).zip(&mut places).for_each(|(e, out)| *out = (slow + e).exp());
+                        fast.exponents(inputs).zip(&mut rest).for_each(|(e, out)| *out = (slow + e).exp());
                     }
                 }
             }
@@ -102,7 +103,7 @@ impl NaiveEncoder {
     }
 }
 
-/// The encoder that knows that a plane is the outer product of two lines: one standard `exp` per unit of a line.
+/// An encoder that computes a plane as the outer product of two lines: one standard `exp` per unit of a line.
 #[derive(Debug, Clone)]
 pub struct SeparableEncoder {
     maps: Vec<(AxisUnits, Option<AxisUnits>)>,
@@ -118,13 +119,13 @@ impl SeparableEncoder {
         Self { maps, line: vec![0.0; longest.unwrap_or(0)], normalise }
     }
 
-    /// Encodes `inputs` into `out`, which has one place for every feature.
+    /// Encodes `inputs` into `out`, which has one element per feature.
     pub fn encode(&mut self, inputs: &[f32], out: &mut [f32]) {
-        let mut places = &mut *out;
+        let mut rest = &mut *out;
         for (first, second) in &self.maps {
             let stride = second.as_ref().map_or(1, |fast| fast.centres.len());
-            let (here, rest) = places.split_at_mut(first.centres.len() * stride);
-            places = rest;
+            let (here, after) = rest.split_at_mut(first.centres.len() * stride);
+            rest = after;
             match second {
                 None => first.exponents(inputs).zip(here).for_each(|(e, out)| *out = e.exp()),
                 Some(fast) => {

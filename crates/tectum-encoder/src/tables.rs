@@ -1,18 +1,19 @@
-//! The encoder's tables: everything about the maps that does not depend on the inputs, worked out once.
+//! The encoder's tables: everything that depends on the maps but not on the inputs, computed once.
 //!
-//! The kernel and its scalar twin read the same tables, so what is left to differ between them is arithmetic alone.
-//! All that can be done in double precision is done here and rounded once.
+//! The SIMD kernel and the scalar implementation read the same tables, so that they can differ only in arithmetic.
+//! Constants are computed in double precision and rounded once.
 
 use super::exponential::{FLOOR, VANISH};
 use super::features::{BLOCK, Features, GROUP};
 use super::{Axis, Map};
 
-/// What the kernel has to know about a group of units besides the tables.
+/// The input and the scale of a group of units.
 #[derive(Debug, Clone)]
 pub(super) struct UnitGroup {
     /// Index of the input that the line encodes.
     pub input: usize,
-    /// `sqrt(log2(e) / 2) / radius`: in this unit of length an activation is 2 to the minus square of the distance.
+    /// `sqrt(log2(e) / 2) / radius`. With lengths scaled by it, an activation is 2 to the negative squared
+    /// distance.
     pub scale: f32,
 }
 
@@ -21,11 +22,11 @@ pub(super) struct UnitGroup {
 pub(super) struct PlaneTables {
     /// First group of the slow line in the tables.
     pub slow: usize,
-    /// First group of the fast line, directly after the slow one's last.
+    /// First group of the fast line, directly after the last group of the slow line.
     pub fast: usize,
     /// First group after the plane.
     pub end: usize,
-    /// Units of the slow line: rows in memory.
+    /// Number of units of the slow line, which is the number of rows in memory.
     pub rows: usize,
     /// Padded length of a row in memory.
     pub stride: usize,
@@ -33,25 +34,25 @@ pub(super) struct PlaneTables {
     pub start: usize,
 }
 
-/// Units of lines that are next to each other in the tables and in the features: they are only scaled and copied.
+/// Units of lines that are contiguous both in the tables and in the features: they are scaled and copied together.
 #[derive(Debug, Clone)]
 pub(super) struct CopyRange {
     /// First unit in the tables.
     pub from: usize,
     /// First feature in memory.
     pub to: usize,
-    /// Number of units, pads included.
+    /// Number of units, including padding.
     pub len: usize,
 }
 
-/// Where one map's features are.
+/// Position and shape of one map's features in memory.
 #[derive(Debug, Clone)]
 pub(super) struct MapLayout {
     /// Position of the first feature.
     pub start: usize,
     /// Rows along the slow axis; 1 for a line.
     pub rows: usize,
-    /// Units in a row, without pads.
+    /// Units in a row, without padding.
     pub units: usize,
 }
 
@@ -62,72 +63,72 @@ impl MapLayout {
     }
 }
 
-/// All maps.
+/// The tables of all maps.
 #[derive(Debug, Clone)]
 pub(super) struct EncoderTables {
-    /// The groups of all lines: those of planes first, then those of maps that are lines.
+    /// The groups of all lines: first those of planes, then those of maps that are lines.
     pub groups: Vec<UnitGroup>,
-    /// Centres of the units, group after group, scaled as the inputs will be; infinity in the pads.
+    /// Centres of the units, group after group, scaled like the inputs; infinity for padding.
     pub centres: Features,
-    /// Upper limits of the binary exponents: [`FLOOR`] for a unit, [`VANISH`] for a pad.
+    /// Upper limits of the negated binary exponents: [`FLOOR`] for a unit, [`VANISH`] for padding.
     pub floors: Features,
     /// The planes.
     pub planes: Vec<PlaneTables>,
-    /// The first group that belongs to no plane.
+    /// The first group that does not belong to a plane.
     pub lines: usize,
-    /// The lines.
-    pub runs: Vec<CopyRange>,
-    /// Where the maps' features are, in the order of the maps.
-    pub places: Vec<MapLayout>,
+    /// Where the maps that are lines are, in contiguous ranges.
+    pub line_ranges: Vec<CopyRange>,
+    /// Layout of each map's features, in the order of the maps.
+    pub layouts: Vec<MapLayout>,
     /// Whether the features are scaled to unit Euclidean norm.
     pub normalise: bool,
-    /// Length of the features with the pads.
+    /// Number of features, including padding.
     pub len: usize,
 }
 
 impl EncoderTables {
-    /// Works out the tables.
+    /// Computes the tables.
     pub fn new(maps: &[Map], normalise: bool) -> Self {
         let mut len = 0;
-        let place = |map: &Map| {
+        let layout = |map: &Map| {
             let (rows, units) = match map {
                 Map::Line(axis) => (1, axis.units),
                 Map::Plane(slow, fast) => (slow.units, fast.units),
             };
-            let place = MapLayout { start: len, rows, units };
-            len += rows * place.stride();
-            place
+            let layout = MapLayout { start: len, rows, units };
+            len += rows * layout.stride();
+            layout
         };
-        let places: Vec<MapLayout> = maps.iter().map(place).collect();
+        let layouts: Vec<MapLayout> = maps.iter().map(layout).collect();
 
         let mut tables = TablesBuilder::default();
         let mut planes = Vec::new();
-        for (map, place) in maps.iter().zip(&places) {
+        for (map, layout) in maps.iter().zip(&layouts) {
             if let Map::Plane(slow, fast) = map {
                 let (slow, fast) = (tables.line(slow), tables.line(fast));
-                let (end, rows) = (tables.groups.len(), place.rows);
-                planes.push(PlaneTables { slow, fast, end, rows, stride: place.stride(), start: place.start });
+                let (end, rows) = (tables.groups.len(), layout.rows);
+                planes.push(PlaneTables { slow, fast, end, rows, stride: layout.stride(), start: layout.start });
             }
         }
         let lines = tables.groups.len();
-        let mut runs: Vec<CopyRange> = Vec::new();
-        for (map, place) in maps.iter().zip(&places) {
+        let mut line_ranges: Vec<CopyRange> = Vec::new();
+        for (map, layout) in maps.iter().zip(&layouts) {
             if let Map::Line(axis) = map {
-                let run = CopyRange { from: tables.line(axis) * GROUP, to: place.start, len: place.stride() };
-                match runs.last_mut() {
-                    Some(last) if last.from + last.len == run.from && last.to + last.len == run.to => {
-                        last.len += run.len;
+                let range = CopyRange { from: tables.line(axis) * GROUP, to: layout.start, len: layout.stride() };
+                match line_ranges.last_mut() {
+                    Some(last) if last.from + last.len == range.from && last.to + last.len == range.to => {
+                        last.len += range.len;
                     }
-                    _ => runs.push(run),
+                    _ => line_ranges.push(range),
                 }
             }
         }
         let (centres, floors) = (Features::from_slice(&tables.centres), Features::from_slice(&tables.floors));
-        Self { groups: tables.groups, centres, floors, planes, lines, runs, places, normalise, len }
+        Self { groups: tables.groups, centres, floors, planes, lines, line_ranges, layouts, normalise, len }
     }
 }
 
-/// The tables while they grow.
+/// The tables under construction.
 #[derive(Default)]
 struct TablesBuilder {
     groups: Vec<UnitGroup>,
@@ -139,10 +140,11 @@ impl TablesBuilder {
     /// Adds a line; returns its first group.
     fn line(&mut self, axis: &Axis) -> usize {
         debug_assert!(axis.units >= 2 && axis.radius > 0.0 && axis.max > axis.min, "unchecked axis {axis:?}");
-        // Two limits for absurd radii: a unit that is hit exactly must not become 0 * infinity.
+        // Limits for extreme radii: a unit whose centre equals the input must not become 0 * infinity.
         let scale = ((std::f64::consts::LOG2_E / 2.0).sqrt() / axis.radius) as f32;
         let group = UnitGroup { input: axis.input, scale: scale.clamp(f32::MIN_POSITIVE, f32::MAX) };
-        // By the rounded scale, not the exact one: inputs meet the same, and its error cancels out of the distance.
+        // The rounded scale, not the exact one: inputs are multiplied by the same value, so its error cancels
+        // in the distance.
         let scale = f64::from(group.scale);
         let spacing = (axis.max - axis.min) / (axis.units - 1) as f64;
         self.centres.extend((0..axis.units).map(|unit| ((axis.min + spacing * unit as f64) * scale) as f32));

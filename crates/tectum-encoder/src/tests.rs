@@ -1,5 +1,5 @@
-//! Any maps, any inputs: kernel and twin agree bit for bit, pads are 0, nothing is subnormal, nothing leaves the
-//! error bound.
+//! Property tests over random maps and inputs: the kernel and the scalar implementation agree bit for bit,
+//! padding is 0, no feature is subnormal, and all errors are within the documented bound.
 
 use std::f64::consts::PI;
 
@@ -7,10 +7,10 @@ use proptest::prelude::*;
 
 use super::{Axis, Encoder, Map, naive};
 
-/// Number of inputs that the maps below choose from.
+/// Number of inputs of the random maps.
 const INPUTS: usize = 5;
 
-/// An axis with a radius from a thousandth to a thousand times its spacing.
+/// An axis with a radius between a thousandth and a thousand times its spacing.
 fn axis() -> impl Strategy<Value = Axis> {
     (0..INPUTS, 2usize..=70, -10.0f64..10.0, -2.0f64..2.0, -3.0f64..3.0).prop_map(
         |(input, units, min, width, ratio)| {
@@ -25,13 +25,13 @@ fn map() -> impl Strategy<Value = Map> {
     prop_oneof![axis().prop_map(Map::Line), (axis(), axis()).prop_map(|(slow, fast)| Map::Plane(slow, fast))]
 }
 
-/// Mostly near the ranges above; sometimes far outside, or as large as finite numbers get.
+/// Mostly near the ranges of the axes; sometimes far outside, or any finite number.
 fn input() -> impl Strategy<Value = f32> {
     let finite = any::<f32>().prop_filter("finite", |x| x.is_finite());
     prop_oneof![6 => -20.0f32..20.0, 2 => -1e6f32..1e6, 1 => finite, 1 => Just(1e30f32)]
 }
 
-/// The bound of the module's documentation, for one axis.
+/// The error bound of the crate's documentation, for one axis.
 fn bound(axis: &Axis, x: f64) -> f64 {
     let largest = axis.min.abs().max(axis.max.abs()).max(x.abs().min(1e9)) * 0.85 / axis.radius;
     (0.72 * largest * 2f64.powi(-23)).min(1.0) + 5e-7
@@ -41,24 +41,24 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn kernel_equals_twin(
+    fn the_kernel_equals_the_scalar_implementation(
         maps in prop::collection::vec(map(), 1..6),
         rounds in prop::collection::vec(prop::array::uniform5(input()), 1..4),
         normalise: bool,
     ) {
         let mut encoder = Encoder::new(&maps, normalise);
-        let (mut fast, mut twin) = (encoder.features(), encoder.features());
-        let mut true_place = vec![false; encoder.len()];
-        encoder.positions().for_each(|at| true_place[at] = true);
-        prop_assert_eq!(true_place.iter().filter(|&&unit| unit).count(), encoder.units());
+        let (mut fast, mut scalar) = (encoder.features(), encoder.features());
+        let mut is_unit = vec![false; encoder.len()];
+        encoder.positions().for_each(|at| is_unit[at] = true);
+        prop_assert_eq!(is_unit.iter().filter(|&&unit| unit).count(), encoder.units());
 
         for inputs in rounds {
-            fast.as_mut_slice().fill(f32::NAN); // nothing may be left of what was there
+            fast.as_mut_slice().fill(f32::NAN); // every element must be overwritten
             encoder.encode(&inputs, &mut fast);
-            encoder.encode_scalar(&inputs, &mut twin);
+            encoder.encode_scalar(&inputs, &mut scalar);
             let bits = |features: &[f32]| features.iter().map(|g| g.to_bits()).collect::<Vec<_>>();
-            prop_assert_eq!(bits(fast.as_slice()), bits(twin.as_slice()));
-            for (g, unit) in fast.as_slice().iter().zip(&true_place) {
+            prop_assert_eq!(bits(fast.as_slice()), bits(scalar.as_slice()));
+            for (g, unit) in fast.as_slice().iter().zip(&is_unit) {
                 prop_assert!(if *unit { g.is_normal() && *g > 0.0 } else { g.to_bits() == 0 }, "{}", g);
             }
             if normalise {
@@ -96,7 +96,7 @@ fn line(input: usize, units: usize, radius: f64) -> Axis {
 }
 
 #[test]
-fn rows_are_padded_and_positions_skip_the_pads() {
+fn rows_are_padded_and_positions_skip_the_padding() {
     let maps = [Map::Line(line(0, 5, 0.5)), Map::Plane(line(1, 3, 0.5), line(0, 6, 0.5)), Map::Line(line(1, 4, 0.5))];
     let encoder = Encoder::new(&maps, true);
     assert_eq!((encoder.units(), encoder.len()), (5 + 18 + 4, 8 + 24 + 4));
@@ -109,7 +109,7 @@ fn rows_are_padded_and_positions_skip_the_pads() {
 }
 
 #[test]
-fn a_unit_that_is_hit_answers_with_one() {
+fn a_unit_whose_centre_is_the_input_has_activation_one() {
     for radius in [1e-300, 1e-45, 1e-3, 0.5, 1e3, 1e45, 1e300] {
         let mut encoder = Encoder::new(&[Map::Line(line(0, 3, radius))], false);
         let mut features = encoder.features();
@@ -138,7 +138,7 @@ fn far_inputs_and_nan_give_the_floor() {
 
 #[test]
 fn a_plane_far_outside_still_has_norm_one() {
-    // Squares of exp(-60) are beyond single precision.
+    // Squares of exp(-60) are below the range of single precision.
     let mut encoder = Encoder::new(&[Map::Plane(line(0, 16, 0.5), line(1, 16, 0.5))], true);
     let mut features = encoder.features();
     encoder.encode(&[1e9, -1e9], &mut features);
@@ -163,7 +163,7 @@ fn baselines_agree_with_the_reference() {
 }
 
 #[test]
-fn no_maps_no_features() {
+fn an_encoder_without_maps_has_no_features() {
     let mut encoder = Encoder::new(&[], true);
     let mut features = encoder.features();
     encoder.encode(&[], &mut features);
@@ -171,7 +171,7 @@ fn no_maps_no_features() {
 }
 
 #[test]
-fn scalars_stand_behind_the_maps_as_they_are() {
+fn scalars_follow_the_maps_unchanged() {
     let maps = [Map::Line(line(0, 5, 0.5))];
     let mut encoder = Encoder::new(&maps, true).with_scalars(&[2, 0]);
     let mut features = encoder.features();
@@ -181,8 +181,8 @@ fn scalars_stand_behind_the_maps_as_they_are() {
     assert_eq!((encoder.units(), encoder.len(), order.len()), (7, 12, 7));
     assert_eq!([features.as_slice()[order[5]], features.as_slice()[order[6]]], [-7.5, 0.25]);
     let norm: f32 = order[..5].iter().map(|&at| features.as_slice()[at].powi(2)).sum();
-    assert!((norm - 1.0).abs() < 1e-6, "the maps alone are normalised");
-    // Alone, as for the paper's scalar eye, and with whatever was in memory before.
+    assert!((norm - 1.0).abs() < 1e-6, "only the maps are normalised");
+    // Scalars alone, as for the paper's scalar eye, over memory that was not cleared.
     let mut bare = Encoder::new(&[], true).with_scalars(&[1]);
     let mut features = bare.features();
     features.as_mut_slice().fill(3.0);

@@ -1,13 +1,13 @@
-//! The host's end of the wire: a port of one's own, and instructions that never take longer than they may.
+//! The host's end of the bus: a port in exclusive use, and instructions with deadlines.
 //!
-//! The codec is rustypot's. Around the port stands a `DeadlinePort` one, which gives every instruction an instant by which it is
-//! over, whatever the bus does: nothing, too little, noise, or one byte now and then. What a tick may cost is therefore known:
-//! the two budgets of [`BusBudget`], and no more.
+//! The codec is rustypot's. A `DeadlinePort` wraps the port and ends every instruction by its deadline,
+//! whatever the bus does: silence, incomplete answers, noise, or single bytes. The bus time of a tick is
+//! therefore at most the sum of the two budgets of [`BusBudget`].
 //!
-//! Time is handed in: CLOCK_MONOTONIC on hardware, a stepped clock with the emulated chain in tests.
+//! The clock is an argument: CLOCK_MONOTONIC on hardware, a stepped clock with the emulated chain in tests.
 //!
-//! *USB adapters* pass answers on when their latency timer says so, 16 ms by default with FTDI's. Set it to 1
-//! (`/sys/bus/usb-serial/devices/ttyUSB0/latency_timer`), or no tick of 50 ms has room for a read.
+//! *USB adapters* deliver answers when their latency timer expires, by default 16 ms for FTDI adapters. Set it to 1
+//! (`/sys/bus/usb-serial/devices/ttyUSB0/latency_timer`); otherwise a read does not fit into a tick of 50 ms.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
@@ -20,43 +20,43 @@ use serialport::SerialPort;
 
 use super::model::{Protocol, Register, RegisterBlock, ServoModel, ServoSeries, model};
 
-/// Where the bus takes the time from, ns.
+/// The clock of a bus, ns.
 pub type BusClock = Box<dyn Fn() -> u64 + Send>;
 
-/// What the instructions of a tick may cost at most, ns.
+/// The largest durations of a tick's instructions, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BusBudget {
-    /// A synchronous read with its one repetition.
+    /// A synchronous read, including its one repetition.
     pub read_ns: u64,
     /// A synchronous write.
     pub write_ns: u64,
 }
 
 impl BusBudget {
-    /// Three tenths of the period for reading and one for writing: 15 and 5 of 50 ms.
+    /// Three tenths of the period for reading and one tenth for writing: 15 ms and 5 ms of 50 ms.
     pub fn of(period_ns: u64) -> Self {
         Self { read_ns: period_ns / 10 * 3, write_ns: period_ns / 10 }
     }
 }
 
-/// Why the bus cannot be used, or did not answer.
+/// Errors of the bus.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
-    /// There is no such device.
+    /// The device does not exist.
     #[error("{0}: there is no such port; look at the cable, and at what `ls /dev/ttyUSB* /dev/ttyACM*` says")]
     NoPort(String),
-    /// The operating system does not let this user have it.
+    /// The user may not open the device.
     #[error("{0}: no permission to open the port; join the group that owns it (often: sudo usermod -aG dialout $USER)")]
     Denied(String),
-    /// Another process has it.
+    /// Another process uses the port.
     #[error("{0}: another program has the port; end it first")]
     Busy(String),
-    /// Anything else about the port.
+    /// Any other problem with the port.
     #[error("{0}: the port cannot be used: {1}")]
     Port(String, String),
-    /// An instruction without a proper answer.
+    /// An instruction without a valid answer.
     #[error("{0}")]
-    Silent(String),
+    NoAnswer(String),
 }
 
 /// A bus of servos.
@@ -70,17 +70,17 @@ pub struct Bus {
 /// A servo's answer in a synchronous read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ServoReply {
-    /// The bytes asked for.
+    /// The requested bytes.
     pub bytes: Vec<u8>,
     /// The error byte of its status packet.
     pub error: u8,
 }
 
 impl Bus {
-    /// Opens the port at `path` for this process alone; `clock` tells the time, ns.
+    /// Opens the port at `path` for exclusive use; `clock` returns the time, ns.
     ///
     /// # Errors
-    /// When there is no such port, it is another's, or the operating system refuses it.
+    /// When the port does not exist, another process uses it, or the operating system denies access.
     pub fn open(
         path: &str,
         protocol: Protocol,
@@ -90,7 +90,7 @@ impl Bus {
     ) -> Result<Self, BusError> {
         probe(path)?;
         let opened = serialport::new(path, baud).timeout(Duration::from_nanos(budget.read_ns)).open();
-        // serialport locks the port itself (flock and TIOCEXCL), and frees it with its descriptor.
+        // serialport locks the port itself (flock and TIOCEXCL), and releases it with the descriptor.
         let port = opened.map_err(|error| match error.kind() {
             serialport::ErrorKind::NoDevice if error.description.contains("lock") => BusError::Busy(path.to_owned()),
             serialport::ErrorKind::NoDevice if error.description.contains("busy") => BusError::Busy(path.to_owned()),
@@ -100,45 +100,45 @@ impl Bus {
         Ok(Self::over(port, protocol, budget, clock))
     }
 
-    /// A bus over a port that is open.
+    /// A bus over an open port.
     pub fn over(port: Box<dyn SerialPort>, protocol: Protocol, budget: BusBudget, clock: BusClock) -> Self {
         let handler = match protocol {
             Protocol::Dynamixel => DynamixelProtocolHandler::v2(),
             Protocol::Feetech => DynamixelProtocolHandler::v1(),
         };
-        let port = DeadlinePort { port, clock, until: u64::MAX };
+        let port = DeadlinePort { port, clock, deadline: u64::MAX };
         Self { port, handler, series: protocol.series(), budget }
     }
 
-    /// The series on it.
+    /// The series of the servos on the bus.
     pub fn series(&self) -> &'static ServoSeries {
         self.series
     }
 
-    /// Now, ns.
+    /// The current time of the bus's clock, ns.
     pub fn now(&self) -> u64 {
         (self.port.clock)()
     }
 
-    /// Does `work` with the port, within `budget` ns; with the time that it took.
+    /// Runs `work` with the port, within `budget` ns. Returns its result and duration, ns.
     fn within<T>(
         &mut self,
         budget: u64,
         work: impl FnOnce(&DynamixelProtocolHandler, &mut dyn SerialPort) -> Result<T, Box<dyn std::error::Error>>,
     ) -> (Result<T, BusError>, u64) {
         let began = self.now();
-        self.port.until = began.saturating_add(budget);
-        let result = work(&self.handler, &mut self.port).map_err(|e| BusError::Silent(e.to_string()));
+        self.port.deadline = began.saturating_add(budget);
+        let result = work(&self.handler, &mut self.port).map_err(|e| BusError::NoAnswer(e.to_string()));
         (result, self.now().saturating_sub(began))
     }
 
-    /// Lets what is still on its way arrive, and forgets it: an answer does not say to what it is one, so that a late one would pass
-    /// for that of the next question.
-    fn settle(&mut self) {
-        let until = self.now().saturating_add(SETTLE_NS);
+    /// Reads and drops bytes that are still arriving. An answer does not identify its instruction, so a late
+    /// answer would be taken for that of the next instruction.
+    fn drain(&mut self) {
+        let end = self.now().saturating_add(DRAIN_NS);
         let mut late = [0; 64];
-        while self.now() < until {
-            self.port.until = self.now().saturating_add(QUIET_NS);
+        while self.now() < end {
+            self.port.deadline = self.now().saturating_add(QUIET_NS);
             if !matches!(self.port.read(&mut late), Ok(1..)) {
                 break;
             }
@@ -148,43 +148,43 @@ impl Bus {
     /// Whether servo `id` answers.
     pub fn ping(&mut self, id: u8) -> bool {
         let answer = self.within(self.budget.read_ns, |handler, port| handler.ping(port, id)).0;
-        // rustypot takes a time-out for a no, and anything else for an error.
+        // rustypot returns false after a time-out, and an error for anything else.
         answer.unwrap_or(false)
     }
 
-    /// Asks servo `id` something, once more if need be, each time with half the budget.
-    fn ask<T>(
+    /// Sends an instruction to servo `id`, and repeats it once if it fails, each time with half the budget.
+    fn request<T>(
         &mut self,
         id: u8,
-        question: impl Fn(&DynamixelProtocolHandler, &mut dyn SerialPort) -> Result<T, Box<dyn std::error::Error>>,
+        instruction: impl Fn(&DynamixelProtocolHandler, &mut dyn SerialPort) -> Result<T, Box<dyn std::error::Error>>,
     ) -> Result<T, BusError> {
         let half = self.budget.read_ns / 2;
         let mut last = String::new();
         for _ in 0..2 {
-            match self.within(half, &question).0 {
+            match self.within(half, &instruction).0 {
                 Ok(answer) => return Ok(answer),
                 Err(error) => last = error.to_string(),
             }
-            self.settle();
+            self.drain();
         }
-        Err(BusError::Silent(format!("servo {id} does not answer ({last})")))
+        Err(BusError::NoAnswer(format!("servo {id} does not answer ({last})")))
     }
 
-    /// A register of one servo.
+    /// Reads a register of one servo.
     ///
     /// # Errors
-    /// When no proper answer comes within the budget, also not the second time.
+    /// When both attempts fail to get a valid answer within the budget.
     pub fn read(&mut self, id: u8, register: Register) -> Result<i32, BusError> {
-        self.ask(id, |handler, port| {
+        self.request(id, |handler, port| {
             let bytes = handler.read(port, id, register.address, register.width)?;
             if bytes.len() != usize::from(register.width) {
-                return Err("what came answers something else".into());
+                return Err("the answer has the wrong length".into());
             }
             Ok(register.decode(&bytes))
         })
     }
 
-    /// The model number of one servo, and the model if its series has it.
+    /// The model number of one servo, and the model if it is known.
     ///
     /// # Errors
     /// As for [`Bus::read`].
@@ -194,31 +194,31 @@ impl Bus {
         Ok((number, known))
     }
 
-    /// Sets a register of one servo, and waits for its word that it has done so.
+    /// Writes a register of one servo, and waits for its acknowledgement.
     ///
     /// # Errors
-    /// As for [`Bus::read`]; and where the servo refuses.
+    /// As for [`Bus::read`], and when the servo refuses the value.
     pub fn write(&mut self, id: u8, register: Register, value: i32) -> Result<(), BusError> {
         let data = &register.encode(value)[..usize::from(register.width)];
-        let status = self.ask(id, |handler, port| handler.write_with_error(port, id, register.address, data))?;
-        // Protocol 1.0 tells conditions there, protocol 2.0 a number that says why it refuses.
+        let status = self.request(id, |handler, port| handler.write_with_error(port, id, register.address, data))?;
+        // In protocol 1.0 the error byte has flags; in protocol 2.0 it has the reason of a refusal.
         match status.v2_instruction_error() {
-            why if self.series.protocol == Protocol::Dynamixel && why != 0 => {
-                let text = format!("servo {id} refuses {value} at address {} (error {why})", register.address);
-                Err(BusError::Silent(text))
+            number if self.series.protocol == Protocol::Dynamixel && number != 0 => {
+                let text = format!("servo {id} refuses {value} at address {} (error {number})", register.address);
+                Err(BusError::NoAnswer(text))
             }
             _ => Ok(()),
         }
     }
 
-    /// One synchronous read, once more if need be: the servos' answers in order. With the time that it took, ns.
+    /// A synchronous read, repeated once if it fails. Returns the servos' answers in order, and the duration, ns.
     ///
     /// # Errors
-    /// When one of them does not answer as it should, also not the second time, or the budget is spent.
+    /// When both attempts lack a valid answer of a servo, or exceed the budget.
     pub fn sync_read(&mut self, ids: &[u8], block: RegisterBlock) -> (Result<Vec<ServoReply>, BusError>, u64) {
         let half = self.budget.read_ns / 2;
         let mut spent = 0;
-        let mut failed = BusError::Silent(String::new());
+        let mut failed = BusError::NoAnswer(String::new());
         for _ in 0..2 {
             let (result, took) =
                 self.within(half, |h, port| h.sync_read_with_error(port, ids, block.address, block.length));
@@ -228,22 +228,22 @@ impl Bus {
                     let answers = answers.into_iter();
                     return (Ok(answers.map(|(bytes, e)| ServoReply { bytes, error: e.byte() }).collect()), spent);
                 }
-                Ok(_) => failed = BusError::Silent("an answer is too short".to_owned()),
+                Ok(_) => failed = BusError::NoAnswer("an answer is too short".to_owned()),
                 Err(error) => failed = error,
             }
         }
         (Err(failed), spent)
     }
 
-    /// One synchronous write, which nobody answers. With the time that it took, ns.
+    /// A synchronous write, which servos do not answer. Returns the duration, ns.
     ///
     /// # Errors
-    /// When the port does not take it.
+    /// When writing to the port fails.
     pub fn sync_write(&mut self, ids: &[u8], address: u8, data: &[Vec<u8>]) -> (Result<(), BusError>, u64) {
         self.within(self.budget.write_ns, |h, port| h.sync_write(port, ids, address, data))
     }
 
-    /// The same value for all, or one for each, in one register.
+    /// Writes one register of all servos: `value` is called with the index of each servo.
     ///
     /// # Errors
     /// As for [`Bus::sync_write`].
@@ -253,7 +253,8 @@ impl Bus {
         self.sync_write(ids, register.address, &data).0
     }
 
-    /// Turns torque off, whatever the servos say to it: three times, since nobody answers, and none of them can do harm.
+    /// Turns torque off and ignores errors. The write is repeated three times, since servos do not acknowledge
+    /// it and the repetition is harmless.
     pub fn torque_off(&mut self, ids: &[u8]) {
         for _ in 0..3 {
             let _ = self.sync_set(ids, self.series.torque_enable, |_| 0);
@@ -261,8 +262,8 @@ impl Bus {
     }
 }
 
-/// Whether the port is there, may be opened, and is nobody else's: what serialport would not tell apart. The lock is let go again at once,
-/// since serialport takes one for itself.
+/// Checks that the port exists, may be opened, and is not locked: serialport does not distinguish these errors.
+/// The lock is released at once, because serialport takes its own.
 fn probe(path: &str) -> Result<(), BusError> {
     use std::os::unix::fs::OpenOptionsExt as _;
     let flags = OFlags::NOCTTY | OFlags::NONBLOCK;
@@ -276,39 +277,42 @@ fn probe(path: &str) -> Result<(), BusError> {
     flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(|_| BusError::Busy(path.to_owned()))
 }
 
-/// How long nothing comes before a line counts as quiet, and how long that is waited for at most, ns.
+/// Silence after which the line counts as quiet, ns.
 const QUIET_NS: u64 = 1_000_000;
-const SETTLE_NS: u64 = 3_000_000;
+/// Longest time for draining, ns.
+const DRAIN_NS: u64 = 3_000_000;
 
-/// A port whose reads end at an instant.
+/// A port whose reads and writes end by a deadline.
 struct DeadlinePort {
     port: Box<dyn SerialPort>,
     clock: BusClock,
-    /// ns.
-    until: u64,
+    /// Deadline of the current instruction, ns.
+    deadline: u64,
+}
+
+impl DeadlinePort {
+    /// Sets the time-out of the port to the time until the deadline.
+    fn limit_time(&mut self) -> io::Result<()> {
+        let left = self.deadline.saturating_sub((self.clock)());
+        if left == 0 {
+            return Err(ErrorKind::TimedOut.into());
+        }
+        // Ports round down to milliseconds, and 0 would mean no time-out.
+        let left = left.clamp(1_000_000, 1_000_000_000);
+        self.port.set_timeout(Duration::from_nanos(left)).map_err(io::Error::from)
+    }
 }
 
 impl Read for DeadlinePort {
     fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
-        let left = self.until.saturating_sub((self.clock)());
-        if left == 0 {
-            return Err(ErrorKind::TimedOut.into());
-        }
-        // Ports round down to milliseconds, and 0 would be for ever.
-        let left = left.clamp(1_000_000, 1_000_000_000);
-        self.port.set_timeout(Duration::from_nanos(left)).map_err(io::Error::from)?;
+        self.limit_time()?;
         self.port.read(to)
     }
 }
 
 impl Write for DeadlinePort {
     fn write(&mut self, from: &[u8]) -> io::Result<usize> {
-        let left = self.until.saturating_sub((self.clock)());
-        if left == 0 {
-            return Err(ErrorKind::TimedOut.into());
-        }
-        let left = left.clamp(1_000_000, 1_000_000_000);
-        self.port.set_timeout(Duration::from_nanos(left)).map_err(io::Error::from)?;
+        self.limit_time()?;
         self.port.write(from)
     }
 
@@ -317,8 +321,8 @@ impl Write for DeadlinePort {
     }
 }
 
-/// Hands calls on to the port inside.
-macro_rules! hand_on {
+/// Delegates methods to the inner port.
+macro_rules! delegate {
     ($($name:ident(&self) -> $to:ty;)* @ $($change:ident(&mut self $(, $arg:ident: $kind:ty)?) -> $result:ty;)*) => {
         $(fn $name(&self) -> $to { self.port.$name() })*
         $(fn $change(&mut self $(, $arg: $kind)?) -> $result { self.port.$change($($arg)?) })*
@@ -330,7 +334,7 @@ impl SerialPort for DeadlinePort {
         self.port.clear(buffer)
     }
 
-    hand_on! {
+    delegate! {
         name(&self) -> Option<String>;
         baud_rate(&self) -> serialport::Result<u32>;
         data_bits(&self) -> serialport::Result<serialport::DataBits>;

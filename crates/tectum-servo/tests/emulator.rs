@@ -1,4 +1,4 @@
-//! The emulated servos, spoken to by rustypot as a real chain is, in virtual time.
+//! Tests of the emulated servos in virtual time, with rustypot as the host, as with a real chain.
 
 use std::sync::{Arc, Mutex};
 
@@ -11,7 +11,7 @@ use tectum_servo::model::{Protocol, Register, ServoSeries};
 const SECOND: u64 = 1_000_000_000;
 const BAUD: u32 = 1_000_000;
 
-/// A host, its port, and a look at the chain behind it.
+/// A host, its port, and access to the chain behind it.
 struct Bench {
     host: Host,
     port: EmulatedPort,
@@ -42,7 +42,8 @@ impl Bench {
         register.decode(&bytes)
     }
 
-    fn velocity(&mut self, id: u8) {
+    /// Velocity mode, with torque on.
+    fn start_velocity_mode(&mut self, id: u8) {
         let series = self.series;
         assert_eq!(self.write(id, series.operating_mode, i32::from(series.velocity_mode)), 0);
         assert_eq!(self.write(id, series.torque_enable, 1), 0);
@@ -86,7 +87,7 @@ fn pings_reads_and_writes_are_answered() {
 }
 
 #[test]
-fn nobody_answers_at_another_baud_rate_and_a_new_id_holds_at_once() {
+fn no_servo_answers_at_another_baud_rate_and_a_new_id_applies_at_once() {
     for protocol in BOTH {
         let mut bench = Bench::new(protocol, &[1], &EmulatorConfig::default());
         let mut other = EmulatedPort::new(Arc::clone(&bench.chain), bench.clock.clone(), 57_600);
@@ -99,28 +100,28 @@ fn nobody_answers_at_another_baud_rate_and_a_new_id_holds_at_once() {
 }
 
 #[test]
-fn a_synchronous_write_of_speeds_turns_the_shafts_by_as_much() {
+fn a_synchronous_write_of_speeds_turns_the_shafts_accordingly() {
     for protocol in BOTH {
         let mut bench = Bench::new(protocol, &[1, 2], &EmulatorConfig::default());
         let series = bench.series;
-        bench.velocity(1);
-        bench.velocity(2);
+        bench.start_velocity_mode(1);
+        bench.start_velocity_mode(2);
         let goal = series.goal_velocity;
         let data: Vec<_> = [40, -40].iter().map(|&v| goal.encode(v)[..usize::from(goal.width)].to_vec()).collect();
         bench.host.sync_write(&mut bench.port, &[1, 2], goal.address, &data).unwrap();
         let from = [bench.state(0).position, bench.state(1).position];
         bench.wait(0.5);
-        let way = 0.5 * 40.0 * series.speed_unit / tectum_servo::model::STEP;
+        let expected = 0.5 * 40.0 * series.speed_unit / tectum_servo::model::STEP;
         for (i, sign) in [(0, 1.0), (1, -1.0)] {
             let turned = bench.state(i).position - from[i];
-            assert!((turned - sign * way).abs() < 1.0, "{protocol:?}: {turned} instead of {way}");
+            assert!((turned - sign * expected).abs() < 1.0, "{protocol:?}: {turned} instead of {expected}");
             assert!((bench.read(1 + i as u8, series.velocity) - 40 * sign as i32).abs() <= 1);
         }
     }
 }
 
 #[test]
-fn positions_are_reached_with_the_profile_and_torque_off_leaves_the_shaft_to_the_hand() {
+fn positions_are_reached_with_the_profile_and_without_torque_the_shaft_moves_by_hand() {
     for protocol in BOTH {
         let settings = EmulatorConfig { speed: Some(3.0), acceleration: Some(50.0), ..EmulatorConfig::default() };
         let mut bench = Bench::new(protocol, &[1], &settings);
@@ -132,14 +133,14 @@ fn positions_are_reached_with_the_profile_and_torque_off_leaves_the_shaft_to_the
         bench.wait(1.0);
         assert_eq!(bench.read(1, series.position), 3000);
         let now = bench.clock.now();
-        assert!(bench.chain.lock().unwrap().hand(now, 1, 100.0));
-        assert_eq!(bench.read(1, series.position), 3000, "a motor is stronger than a hand");
+        assert!(bench.chain.lock().unwrap().move_by_hand(now, 1, 100.0));
+        assert_eq!(bench.read(1, series.position), 3000, "with torque the shaft does not move by hand");
         bench.write(1, series.torque_enable, 0);
-        assert!(bench.chain.lock().unwrap().hand(bench.clock.now(), 1, 100.0));
+        assert!(bench.chain.lock().unwrap().move_by_hand(bench.clock.now(), 1, 100.0));
         bench.wait(5.0);
         assert_eq!(bench.read(1, series.position), 100);
         assert!(!bench.state(0).torque);
-        // The old goal is still there.
+        // The old goal is kept.
         bench.write(1, series.torque_enable, 1);
         bench.wait(5.0);
         assert_eq!(bench.read(1, series.position), 3000);
@@ -147,7 +148,7 @@ fn positions_are_reached_with_the_profile_and_torque_off_leaves_the_shaft_to_the
 }
 
 #[test]
-fn dynamixel_refuses_what_the_manual_says_it_does() {
+fn dynamixel_refuses_writes_as_its_manual_says() {
     let mut bench = Bench::new(Protocol::Dynamixel, &[1], &EmulatorConfig::default());
     let series = bench.series;
     let limit = series.velocity_limit.unwrap();
@@ -163,7 +164,7 @@ fn dynamixel_refuses_what_the_manual_says_it_does() {
 }
 
 #[test]
-fn feetech_limits_positions_itself_and_forgets_what_was_written_under_lock() {
+fn feetech_limits_positions_and_loses_values_that_were_written_while_locked() {
     let ends = fault(ServoFaultKind::CableOut, 1, 5.0, 6.0);
     let mut bench = Bench::new(Protocol::Feetech, &[1], &ends);
     let series = bench.series;
@@ -175,25 +176,25 @@ fn feetech_limits_positions_itself_and_forgets_what_was_written_under_lock() {
     bench.write(1, series.goal_position, 100);
     bench.wait(1.0);
     assert_eq!(bench.read(1, series.position), 1000);
-    assert!(bench.state(0).torque, "a goal position turns torque on by itself");
+    assert!(bench.state(0).torque, "a goal position turns torque on");
     bench.clock.step_to(7 * SECOND);
     assert_eq!((bench.read(1, low), bench.read(1, high)), (1000, 4095));
     assert!(!bench.state(0).torque);
 }
 
 #[test]
-fn the_bus_watchdog_stops_a_dynamixel_that_hears_nothing() {
+fn the_bus_watchdog_stops_a_dynamixel_without_instructions() {
     let mut bench = Bench::new(Protocol::Dynamixel, &[1], &EmulatorConfig::default());
     let series = bench.series;
     let watchdog = series.bus_watchdog.unwrap();
-    bench.velocity(1);
+    bench.start_velocity_mode(1);
     bench.write(1, watchdog, 5);
     bench.write(1, series.goal_velocity, 100);
     let from = bench.state(0).position;
     bench.wait(10.0);
     let turned = bench.state(0).position - from;
-    let most = 0.1 * 100.0 * series.speed_unit / tectum_servo::model::STEP;
-    assert!((turned - most).abs() < most * 0.02, "{turned} steps, {most} in 100 ms");
+    let expected = 0.1 * 100.0 * series.speed_unit / tectum_servo::model::STEP;
+    assert!((turned - expected).abs() < expected * 0.02, "{turned} steps, {expected} in 100 ms");
     assert_eq!(bench.read(1, watchdog), 255);
     assert_eq!(bench.write(1, series.goal_velocity, 50), 4);
     bench.write(1, watchdog, 0);
@@ -205,7 +206,7 @@ fn an_overload_turns_torque_off_and_a_dynamixel_needs_a_reboot() {
     for protocol in BOTH {
         let mut bench = Bench::new(protocol, &[1, 2], &fault(ServoFaultKind::Overload, 2, 1.0, 9.0));
         let series = bench.series;
-        bench.velocity(2);
+        bench.start_velocity_mode(2);
         bench.write(2, series.goal_velocity, 30);
         bench.clock.step_to(SECOND * 2);
         assert_eq!(bench.read(2, series.load), 1000);
@@ -225,7 +226,7 @@ fn an_overload_turns_torque_off_and_a_dynamixel_needs_a_reboot() {
 }
 
 #[test]
-fn heat_low_voltage_and_a_loose_cable_are_told_and_felt() {
+fn heat_low_voltage_and_a_loose_cable_are_reported_and_turn_torque_off() {
     for protocol in BOTH {
         let mut bench = Bench::new(protocol, &[1, 2, 3], &fault(ServoFaultKind::Hot, 1, 1.0, 2.0));
         let series = bench.series;
@@ -239,13 +240,13 @@ fn heat_low_voltage_and_a_loose_cable_are_told_and_felt() {
         bench.clock.step_to(SECOND * 3 / 2);
         assert!(bench.read(1, series.voltage) < bench.read(1, series.min_voltage));
         bench.clock.step_to(SECOND * 5 / 2);
-        assert!(!bench.state(0).torque, "it starts anew without torque");
+        assert!(!bench.state(0).torque, "it restarts without torque");
 
         let mut bench = Bench::new(protocol, &[1, 2, 3], &fault(ServoFaultKind::CableOut, 2, 1.0, 2.0));
         bench.write(3, series.torque_enable, 1);
         bench.clock.step_to(SECOND);
-        let there = [1, 2, 3].map(|id| bench.host.ping(&mut bench.port, id).unwrap());
-        assert_eq!(there, [true, false, false]);
+        let answers = [1, 2, 3].map(|id| bench.host.ping(&mut bench.port, id).unwrap());
+        assert_eq!(answers, [true, false, false]);
         bench.clock.step_to(SECOND * 2);
         assert!(bench.host.ping(&mut bench.port, 3).unwrap());
         assert!(!bench.state(2).torque);
@@ -314,7 +315,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn any_bytes_at_any_instant_are_borne(
+    fn any_bytes_at_any_time_leave_a_finite_state(
         pieces in prop::collection::vec((prop::collection::vec(any::<u8>(), 0..40), 0_u64..50_000_000), 0..20),
     ) {
         for protocol in BOTH {
@@ -329,8 +330,8 @@ proptest! {
     }
 
     #[test]
-    fn what_rustypot_writes_is_what_it_reads(values in prop::collection::vec(any::<u32>(), 4)) {
-        // Goal position, profiles and goal speed lie beside each other; whatever bytes they hold must be stuffed and come back.
+    fn values_written_by_rustypot_are_read_back(values in prop::collection::vec(any::<u32>(), 4)) {
+        // Profile registers accept any bytes; those that look like a header must be stuffed and read back.
         let mut bench = Bench::new(Protocol::Dynamixel, &[1], &EmulatorConfig::default());
         for value in values {
             let bytes = (value | 0x00fd_ffff).to_le_bytes();

@@ -1,7 +1,7 @@
 //! The film as SVG text: a dark card with three panels, readable on light and dark pages alike.
 //!
-//! Colours are those of Okabe and Ito, which colour-blind readers can tell apart; target, end-effector and blocked joint
-//! differ in shape too.
+//! Colours are those of Okabe and Ito, which colour-blind readers can tell apart. Target, end-effector and blocked
+//! joint differ in shape too.
 
 use std::fmt::Write as _;
 
@@ -16,7 +16,8 @@ use super::{Film, FilmPanel, centimetres, seconds};
 const DOTS_M: f64 = 0.5;
 
 const STYLE: &str = "\
-text{font-family:system-ui,-apple-system,'Segoe UI',Roboto,'Helvetica Neue',Arial,sans-serif;fill:#e6edf3;font-size:13px}\
+text{font-family:system-ui,-apple-system,'Segoe UI',Roboto,'Helvetica Neue',Arial,sans-serif}\
+text{fill:#e6edf3;font-size:13px}\
 .caption{font-size:18px;font-weight:600}\
 .muted{fill:#9fb0c0}\
 .small{fill:#9fb0c0;font-size:12px}\
@@ -57,7 +58,8 @@ pub(super) fn svg(film: &Film) -> String {
     let mut svg = String::new();
     let _ = write!(
         svg,
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{HEIGHT}\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" \
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{HEIGHT}\" \
+         viewBox=\"0 0 {WIDTH} {HEIGHT}\" \
          role=\"img\">\n<title>{}</title>\n<desc>{}</desc>\n<style>{STYLE}</style>\n<defs>{SHAPES}{}</defs>\n\
          <rect width=\"{WIDTH}\" height=\"{HEIGHT}\" rx=\"12\" fill=\"#0b1016\"/>\n",
         escaped(&title(film)),
@@ -202,7 +204,8 @@ impl PanelPicture<'_> {
         let ends: Vec<Pixel> = (0..=last).filter_map(|tick| pixels(tick).next_back()).collect();
         let [x, y] = self.view.pixel(reach.target);
         let mut text = format!(
-            "<polyline class=\"start\" points=\"{}\"/>\n<circle class=\"target\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"10\"/>\n",
+            "<polyline class=\"start\" points=\"{}\"/>\n\
+             <circle class=\"target\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"10\"/>\n",
             line(0)
         );
         let arm = format!(

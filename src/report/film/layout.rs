@@ -81,7 +81,8 @@ impl CurveAxes {
     /// Axes for reaches of up to `ticks` ticks and distances of up to `farthest` metres.
     pub fn new(ticks: u64, farthest: f64) -> Self {
         let step = 10_f64.powf(farthest.max(1e-6).log10().floor()) / 2.0;
-        Self { ticks: ticks.max(1), top_m: (farthest / step).ceil().max(1.0) * step }
+        // A round distance is its own top, however its quotient is rounded.
+        Self { ticks: ticks.max(1), top_m: (farthest / step - 1e-9).ceil().max(1.0) * step }
     }
 
     /// Where a distance after so many ticks stands in a panel.

@@ -1,10 +1,10 @@
-//! The film of a run: one animated SVG with three reaches of the arm side by side, at the beginning of the run, after ten
-//! seconds, and at the end.
+//! The film of a run: one animated SVG with three reaches of the arm side by side, at the beginning of the run,
+//! after ten seconds, and at the end.
 //!
 //! A [`ReachSelector`] chooses the reaches from all reaches of a run, [`Film`] is what the picture shows, and
-//! [`Film::to_svg`] draws it. The animation is SMIL (`<animate>`), without any script, because code hosts show SVG as an
-//! image and images run no script. A viewer that does not animate shows the last posture and the whole path; so does one
-//! whose user asked for reduced motion. The same film gives the same bytes.
+//! [`Film::to_svg`] draws it. The animation is SMIL (`<animate>`) without any script, because code hosts show SVG
+//! as an image and images run no script. A viewer that does not animate shows the last posture and the whole path.
+//! So does one whose user asked for reduced motion. The same film gives the same bytes.
 
 mod drawing;
 mod keyframes;

@@ -152,8 +152,8 @@ mod tests {
 
     #[test]
     fn the_first_and_typical_early_and_late_ones_are_chosen() {
-        // The early ones are numbers 3 to 5. The last ten are numbers 20 to 29, with errors 9 down to 0: the lower median
-        // is 4, number 25.
+        // The early ones are numbers 3 to 5. The last ten are numbers 20 to 29, with errors 9 down to 0: the lower
+        // median is 4, number 25.
         let selected = select(&[], (0..30).map(|i| 29 - i)).unwrap();
         assert_eq!(from(&selected), [0, 320, 25 * 80]);
         assert_eq!((selected.early_count, selected.late_count, selected.changed), (3, 10, None));
@@ -166,7 +166,7 @@ mod tests {
         // A reach that begins with the change counts, the one before does not.
         let selected = select(&[1600, 800], [50; 20].into_iter().chain([7, 3, 9])).unwrap();
         // Errors 7, 3 and 9: the median is the first.
-        assert_eq!(from(&selected), [0, 240, 1600]);
+        assert_eq!(from(&selected), [0, 320, 1600]);
         assert_eq!((selected.late_count, selected.changed), (3, Some(1600)));
         // The last reach began before the change.
         let selected = select(&[1601], [50; 20].into_iter().chain([7])).unwrap();
@@ -185,7 +185,7 @@ mod tests {
         assert_eq!(select(&[], []), None);
         assert_eq!(select(&[], [1, 2, 3, 4, 5, 6]), None);
         let selected = select(&[], [1, 2, 3, 4, 4, 4, 7]).unwrap();
-        assert_eq!((from(&selected), selected.late_count), ([0, 240, 480], 1));
+        assert_eq!((from(&selected), selected.late_count), ([0, 320, 480], 1));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! What is checked before anything is trusted: that the servos are those of the scenario, and that torque can do no harm.
+//! Checks before torque is turned on: that the servos are those of the scenario, and that torque is safe.
 
 use std::path::Path;
 
@@ -7,63 +7,64 @@ use crate::servo::bus::{Bus, BusError, ServoReply};
 use crate::servo::model::{Protocol, Register, RegisterBlock, STEP, UnknownModel};
 use crate::servo::tools::Calibration;
 
-/// Why the bridge does not start, or is not armed.
+/// Reasons why the bridge does not start or cannot be armed.
 #[derive(Debug, thiserror::Error)]
 pub enum BridgeError {
-    /// The scenario's plant is another one.
+    /// The scenario has no servos.
     #[error("the scenario has no [plant.servos] with a [plant.arm]; add them, or start another plant")]
     NoServos,
-    /// The port.
+    /// An error of the bus.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// Nobody there.
+    /// A servo does not answer.
     #[error("{0}; look at power, cable, baud rate and ids (`tectum-bridge scan`)")]
-    Silent(String),
-    /// Somebody else there.
+    NoAnswer(String),
+    /// A servo is of an unknown model.
     #[error(transparent)]
     Model(#[from] UnknownModel),
-    /// The arm stands where it may not be.
+    /// A joint is outside its range.
     #[error(
-        "servo {id} stands at {angle:.3} rad and its range is {low} to {high} rad; move the arm by hand, or correct zero, direction or range"
+        "servo {id} stands at {angle:.3} rad and its range is {low} to {high} rad; \
+         move the arm by hand, or correct zero, direction or range"
     )]
-    Outside {
+    OutOfRange {
         /// The id.
         id: u8,
-        /// rad.
+        /// Its angle, rad.
         angle: f64,
-        /// rad.
+        /// Lower end of its range, rad.
         low: f64,
-        /// rad.
+        /// Upper end of its range, rad.
         high: f64,
     },
-    /// A servo is in trouble already.
+    /// A servo already reports an error.
     #[error(
         "servo {id} reports an error (bits {bits:#04x}); find its cause, then take its power away and give it again"
     )]
-    Trouble {
+    HardwareError {
         /// The id.
         id: u8,
-        /// Its errors.
+        /// Its error bits.
         bits: i32,
     },
-    /// A setting that was not taken.
+    /// A servo does not keep a setting.
     #[error("servo {id} does not keep {value} at address {address}; it is set to {found}")]
     Setting {
         /// The id.
         id: u8,
-        /// What it should be.
+        /// The written value.
         value: i32,
-        /// Of the register.
+        /// Address of the register.
         address: u8,
-        /// What it is.
+        /// The value that was read back.
         found: i32,
     },
-    /// The file of the joints.
+    /// The calibration file is missing or invalid.
     #[error("calibration {path}: {cause}; make one with `tectum-bridge calibrate`")]
     Calibration {
         /// The file.
         path: String,
-        /// What is wrong.
+        /// The cause.
         cause: String,
     },
 }
@@ -71,7 +72,7 @@ pub enum BridgeError {
 /// The joints of a plan, from the scenario or from the file that it names.
 ///
 /// # Errors
-/// When there are none, or the file's do not fit the arm.
+/// When the plan has no servos, or the joints of the file do not fit the arm.
 pub fn joints_of(plan: &Plan) -> Result<Vec<JointConfig>, BridgeError> {
     let plant = &plan.scenario.plant;
     let (Some(servos), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
@@ -89,11 +90,11 @@ pub fn joints_of(plan: &Plan) -> Result<Vec<JointConfig>, BridgeError> {
     Ok(calibration.joints)
 }
 
-/// Whether all servos are there and what they should be. Changes nothing.
+/// Checks that all servos answer and are of known models. Changes nothing.
 pub(super) fn identify(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), BridgeError> {
     let series = bus.series();
     for joint in joints {
-        let (number, known) = bus.model(joint.id).map_err(|error| BridgeError::Silent(error.to_string()))?;
+        let (number, known) = bus.model(joint.id).map_err(|error| BridgeError::NoAnswer(error.to_string()))?;
         if known.is_none() {
             return Err(UnknownModel { id: joint.id, number, series: series.name }.into());
         }
@@ -101,7 +102,8 @@ pub(super) fn identify(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), Brid
     Ok(())
 }
 
-/// All that must be right before torque: models, errors, posture; then modes and limits, with torque off.
+/// All checks and settings before torque: checks models, errors and posture; then sets modes and limits with
+/// torque off.
 pub(super) fn prepare(
     bus: &mut Bus,
     joints: &[JointConfig],
@@ -112,13 +114,13 @@ pub(super) fn prepare(
     let series = bus.series();
     for (joint, &angle) in joints.iter().zip(motors) {
         let [low, high] = joint.range;
-        // A step to either side is the reading's.
+        // One step to either side is within the resolution of the reading.
         if !joint.is_free() && !(low - STEP..=high + STEP).contains(&angle) {
-            return Err(BridgeError::Outside { id: joint.id, angle, low, high });
+            return Err(BridgeError::OutOfRange { id: joint.id, angle, low, high });
         }
         let bits = bus.read(joint.id, series.hardware_error)?;
         if bits != 0 {
-            return Err(BridgeError::Trouble { id: joint.id, bits });
+            return Err(BridgeError::HardwareError { id: joint.id, bits });
         }
     }
     for joint in joints {
@@ -133,20 +135,21 @@ pub(super) fn prepare(
             set(bus, joint.id, series.profile_velocity, speed)?;
         }
         if series.protocol == Protocol::Feetech {
-            // As fast as it goes: what limits acceleration is the gate.
+            // No limit: the gate limits acceleration.
             set(bus, joint.id, series.profile_acceleration, 0)?;
         }
     }
-    limit(bus, joints)
+    set_position_limits(bus, joints)
 }
 
-/// The positions between which the servos are to stay, steps. With speed goals neither series heeds them, and the bridge alone keeps
-/// the range; they are written all the same, so that whoever moves a servo to a position afterwards stays within it.
-fn limit(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), BridgeError> {
+/// Writes the position limits of the servos, steps. With speed goals both series ignore them, and only the
+/// bridge keeps the range. They are written anyway, so that a later program that uses position goals stays
+/// within the range.
+fn set_position_limits(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), BridgeError> {
     let series = bus.series();
     let ids: Vec<_> = joints.iter().map(|joint| joint.id).collect();
     let registers = [series.min_position, series.max_position];
-    // Neighbours in both series, in one order or the other: one instruction reads both of all servos.
+    // The two registers are adjacent in both series, in one order or the other, so one instruction reads both.
     let block = RegisterBlock {
         address: registers[0].address.min(registers[1].address),
         length: registers[0].width + registers[1].width,
@@ -168,20 +171,22 @@ fn limit(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), BridgeError> {
             bytes
         })
         .collect();
-    // One instruction for all servos, as arming has no more time than a tick; and none where nothing differs, as EEPROM wears out.
-    let other =
+    // One instruction for all servos, because arming must not take longer than a tick. No write if nothing
+    // differs, because EEPROM wears out.
+    let first_difference =
         |answers: &[ServoReply]| answers.iter().zip(&wanted).position(|(answer, wanted)| answer.bytes != *wanted);
-    if other(&bus.sync_read(&ids, block).0?).is_none() {
+    if first_difference(&bus.sync_read(&ids, block).0?).is_none() {
         return Ok(());
     }
     bus.sync_write(&ids, block.address, &wanted).0?;
     let answers = bus.sync_read(&ids, block).0?;
-    let Some(i) = other(&answers) else { return Ok(()) };
+    let Some(i) = first_difference(&answers) else { return Ok(()) };
     let found = block.decode(registers[0], &answers[i].bytes).unwrap_or(0);
     Err(BridgeError::Setting { id: ids[i], value: ends(&joints[i])[0], address: registers[0].address, found })
 }
 
-/// Sets a register that has another value, and looks whether it was taken: EEPROM wears out.
+/// Sets a register and checks that the value was kept. A register that has the value already is not written,
+/// because EEPROM wears out.
 fn set(bus: &mut Bus, id: u8, register: Register, value: i32) -> Result<(), BridgeError> {
     if bus.read(id, register)? == value {
         return Ok(());

@@ -1,22 +1,26 @@
-//! The plant on servos: one synchronous read at a tick's beginning, one synchronous write when its command is there.
+//! The plant on servos: one synchronous read at the beginning of a tick, one synchronous write when its command
+//! arrives.
 //!
-//! *What is real and what is a model.* Angles are measured. The end-effector is where a model of the arm, `[plant.arm]`, has it with
-//! the measured angles; error and reward are reckoned from that, and nobody has seen the end-effector. The model is used for the
-//! reward and the measures alone; targets are drawn as in the simulator. The reward's speed is the
-//! measured one, since a motor lags behind its goal: an ideal chain of servos earns what the simulator earns, to within its resolution.
+//! *Measured and modelled quantities.* Angles are measured. The position of the end-effector is computed from
+//! the measured angles with the model in `[plant.arm]`, and error and reward from that position; the
+//! end-effector itself is not measured. The model is used only for reward and measures; targets are drawn as in
+//! the simulator. The speed in the reward is the measured one, because a motor lags behind its goal. An ideal
+//! chain of servos has the same reward as the simulator, within the resolution of the servos.
 //!
-//! *What is seen.* With `sight = "vision"` target and end-effector, and so error and reward, are what trackers say; the model is left with what
-//! none of them sees, segments that cross. A tracker that says nothing new enough leaves the arm [blind](flag::BLIND): it stands still with torque on
-//! (which does not come on before something is seen), nothing is learned, and it goes on when it sees again.
+//! *Vision.* With `sight = "vision"`, trackers report target and end-effector, and error and reward are
+//! computed from these. The model is then used only for segments that cross. Without a recent sample the arm is
+//! [blind](flag::BLIND): it holds its position with torque on, nothing is learned, and it continues with the
+//! next recent sample. Torque does not come on before the first one.
 //!
-//! *Motors and outputs.* A motor turns a segment against the one before it. With `angles = "absolute"` the inputs are the segments'
-//! directions, running sums of the motors' angles, and a motor's rate is the difference of two outputs. Limits are the motors': when
-//! one of them is asked for more than its `max_speed`, all rates shrink by one factor; one that would leave its `range` goes to its end.
-//! What is left of the command after that is what was applied, and is said so in the observation.
+//! *Motors and outputs.* A motor turns a segment relative to the previous one. With `angles = "absolute"` the
+//! inputs are the directions of the segments, running sums of the motors' angles, and a motor's rate is the
+//! difference of two outputs. Limits apply to motors: if a motor would exceed its `max_speed`, all rates are
+//! scaled by the same factor; a motor that would leave its `range` moves to the end of it. The observation
+//! reports the command after these limits as the applied one.
 //!
-//! *What a tick costs.* Each instruction is bounded by the bus's [`BusBudget`], whatever the bus does. A tick has one read and one write; more only
-//! where a servo reports an error, where torque goes on, and every 20 ticks, when all are asked whether they have it. Both times are
-//! measures: `bus_read_us`, `bus_write_us`.
+//! *Bus time.* Each instruction is limited by the bus's [`BusBudget`], whatever the bus does. A tick has one
+//! read and one write. There are more instructions only when a servo reports an error, when torque comes on,
+//! and every 20 ticks, to check that torque is on. Both durations are measures: `bus_read_us`, `bus_write_us`.
 
 mod chain;
 mod checks;
@@ -35,6 +39,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use hdrhistogram::Histogram;
+use tectum_core::angle::wrap_f64;
 
 use super::bus::{Bus, BusBudget};
 use crate::plant::{Arm, JointState, Outcome, Plant};
@@ -45,192 +50,209 @@ use crate::stats::{Percentiles, histogram};
 use crate::wire::{MAX_MEASURES, MAX_OUTPUTS, Vision, flag};
 use vision::VisionInput;
 
-/// Ticks over which commands grow after torque came on, where the gate has no ramp of its own.
+/// Ticks over which commands grow after torque came on, if the gate has no ramp.
 const RAMP: u32 = 20;
 
-/// Every so many ticks all servos are asked whether they still have torque.
-const TORQUE_EVERY: u64 = 20;
+/// Interval between checks that torque is still on, ticks.
+const TORQUE_CHECK_INTERVAL: u64 = 20;
 
-/// Where samples of trackers come from: the next one that was not taken yet.
+/// The source of trackers' samples: returns the next sample, if there is one.
 pub type VisionSource = Box<dyn FnMut() -> Option<Vision>>;
 
-/// Samples that are taken at a tick, at most: eight trackers' buffers, which is all that can wait.
-const MOST_LOOKS: usize = 32;
+/// Maximum number of samples that are received in a tick: the buffers of eight trackers.
+const MAX_SAMPLES_PER_TICK: usize = 32;
 
-/// The body.
+/// The plant on servos.
 pub struct Bridge {
     bus: Bus,
-    table: ServosConfig,
+    config: ServosConfig,
     joints: Vec<JointConfig>,
     ids: Vec<u8>,
     arm: Arm,
     angles: Angles,
-    collides: bool,
+    counts_collisions: bool,
     /// rad/s for a command of 1.
     gain: f32,
-    /// s.
+    /// Length of a tick, s.
     period: f32,
-    within: u64,
+    /// Time for which the command of a tick is awaited, ns after its beginning.
+    command_within: u64,
     safety: SafetyMachine,
-    /// The largest command of each output, and the ticks over which it is reached after torque came on; ticks since then.
-    most: Outputs,
+    /// Largest command of each output.
+    max_command: Outputs,
+    /// Ticks over which commands grow to the largest one after torque came on.
     ramp: u32,
-    driven: u32,
-    /// What the motors' angles are, rad, and the outputs' angles.
+    /// Ticks since torque came on.
+    torque_ticks: u32,
+    /// Angles of the motors, rad.
     motors: [f64; MAX_OUTPUTS],
+    /// Angles of the outputs, rad.
     theta: Outputs,
+    /// Positions of the motors, steps.
     raw: [i32; MAX_OUTPUTS],
-    blind: bool,
-    /// What trackers see, where they are asked.
-    sight: Option<VisionInput>,
-    eye: Option<VisionSource>,
-    /// What came of the last tick in which something was seen.
-    seen: Outcome,
-    /// Where the motors were when the arm began to stand still.
-    rest: Option<[i32; MAX_OUTPUTS]>,
+    /// Whether the last read failed.
+    read_failed: bool,
+    /// The trackers' samples, if the scenario uses them.
+    vision: Option<VisionInput>,
+    vision_source: Option<VisionSource>,
+    /// The outcome of the last tick with vision.
+    last_outcome: Outcome,
+    /// Positions of the motors when the arm began to hold its position, steps.
+    hold_position: Option<[i32; MAX_OUTPUTS]>,
+    /// Duration of the tick's writes, ns.
     write_ns: u64,
-    /// Set by whoever arms it at the terminal.
-    key: Arc<AtomicBool>,
-    say: Box<dyn FnMut(&str)>,
-    /// The account so far.
+    /// Set to request arming.
+    arm_request: Arc<AtomicBool>,
+    /// Shows a message to the user.
+    notify: Box<dyn FnMut(&str)>,
+    /// Counts so far.
     pub report: BridgeReport,
+    /// Durations of reads and writes, ns.
     times: [Histogram<u64>; 2],
-    /// Where the account goes at the end.
-    account: Option<PathBuf>,
+    /// File for the report at the end.
+    report_path: Option<PathBuf>,
 }
 
 impl Bridge {
-    /// The body of `plan` on `bus`. Reads, and writes one thing: torque off, which a bridge that was killed may have left on. Sentences for people go to `say`.
+    /// The plant of `plan` on `bus`. Turns torque off, which a killed bridge may have left on, and otherwise
+    /// only reads. Messages for the user go to `notify`.
     ///
     /// # Errors
-    /// When the plan has no servos or not those of the bus.
+    /// When the plan has no servos, or the servos of the bus are not those of the plan.
     pub fn new(
         plan: &Plan,
         mut bus: Bus,
         joints: Vec<JointConfig>,
-        say: Box<dyn FnMut(&str)>,
+        notify: Box<dyn FnMut(&str)>,
     ) -> Result<Self, BridgeError> {
         let plant = &plan.scenario.plant;
-        let (Some(table), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
-        // First of all: whoever has this port keeps the guard of a bridge that was killed from it, and may find no whole chain.
+        let (Some(config), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
+        // Before any check: an open port keeps the guard of a killed bridge from turning torque off, and the
+        // checks may fail.
         bus.torque_off(&joints.iter().map(|joint| joint.id).collect::<Vec<_>>());
         checks::identify(&mut bus, &joints)?;
         let period_s = plan.scenario.period_ms / 1000.0;
-        let within = table.command_within_ms.unwrap_or(plan.scenario.period_ms / 2.0);
+        let within_ms = config.command_within_ms.unwrap_or(plan.scenario.period_ms / 2.0);
         let mut bridge = Self {
             ids: joints.iter().map(|joint| joint.id).collect(),
             arm: Arm::new(arm, period_s, plan.scenario.seed),
             angles: arm.angles,
-            collides: arm.reward.collision > 0.0,
+            counts_collisions: arm.reward.collision > 0.0,
             gain: arm.gain as f32,
             period: period_s as f32,
-            within: (within * 1e6) as u64,
-            safety: SafetyMachine::new(table.lost_after),
-            most: std::array::from_fn(|i| plan.scenario.gate.max_command.of(i) as f32),
+            command_within: (within_ms * 1e6) as u64,
+            safety: SafetyMachine::new(config.lost_after),
+            max_command: std::array::from_fn(|i| plan.scenario.gate.max_command.of(i) as f32),
             ramp: match plan.scenario.gate.ramp_ticks {
                 0 => RAMP,
                 ticks => ticks,
             },
-            driven: 0,
+            torque_ticks: 0,
             motors: [0.0; MAX_OUTPUTS],
             theta: [0.0; MAX_OUTPUTS],
             raw: [0; MAX_OUTPUTS],
-            blind: false,
-            sight: (!table.sight.is_model()).then(|| VisionInput::new(table, plan.period_ns)),
-            eye: None,
-            seen: Outcome::default(),
-            rest: None,
+            read_failed: false,
+            vision: (!config.sight.is_model()).then(|| VisionInput::new(config, plan.period_ns)),
+            vision_source: None,
+            last_outcome: Outcome::default(),
+            hold_position: None,
             write_ns: 0,
-            key: Arc::default(),
-            say,
+            arm_request: Arc::default(),
+            notify,
             report: BridgeReport::default(),
             times: [histogram(), histogram()],
-            account: None,
-            table: table.clone(),
+            report_path: None,
+            config: config.clone(),
             joints,
             bus,
         };
-        if bridge.measure().0.is_err() {
-            return Err(BridgeError::Silent("the servos do not answer".to_owned()));
+        if bridge.measure().0.is_none() {
+            return Err(BridgeError::NoAnswer("the servos do not answer".to_owned()));
         }
         bridge.arm.stands(&bridge.theta);
         Ok(bridge)
     }
 
-    /// Hands it the eye with which it sees, where the scenario has `sight = "vision"`. Without one it never sees anything.
-    pub fn look_with(&mut self, eye: VisionSource) {
-        self.eye = Some(eye);
+    /// Sets the source of trackers' samples, for a scenario with `sight = "vision"`. Without a source there is
+    /// no vision.
+    pub fn set_vision_source(&mut self, source: VisionSource) {
+        self.vision_source = Some(source);
     }
 
-    /// The budget of a tick of `plan`.
+    /// The bus budget of a tick of `plan`.
     pub fn budget(plan: &Plan) -> BusBudget {
         BusBudget::of(plan.period_ns)
     }
 
-    /// What arms the bridge when it is set: it looks at it once a tick.
-    pub fn key(&self) -> Arc<AtomicBool> {
-        Arc::clone(&self.key)
+    /// A flag that requests arming. The bridge reads and clears it once per tick.
+    pub fn arm_request(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.arm_request)
     }
 
-    /// Makes the bridge write its report to `path` when it ends.
+    /// Writes the report to `path` when the bridge is dropped.
     pub fn write_report_to(&mut self, path: PathBuf) {
-        self.account = Some(path);
+        self.report_path = Some(path);
     }
 
-    /// Where its safety stands.
+    /// The state of the safety machine.
     pub fn state(&self) -> SafetyState {
         self.safety.state()
     }
 
-    /// Checks all that torque needs, sets modes and limits in the servos, and arms. Torque goes on with the first command.
+    /// Does all checks before torque, sets modes and limits of the servos, and arms. Torque comes on with the
+    /// first command.
     ///
     /// # Errors
-    /// When something speaks against it; then nothing is armed.
+    /// When a check fails; the bridge is then not armed.
     pub fn arm(&mut self) -> Result<(), BridgeError> {
-        if self.measure().0.is_err() {
-            return Err(BridgeError::Silent("the servos do not answer".to_owned()));
+        if self.measure().0.is_none() {
+            return Err(BridgeError::NoAnswer("the servos do not answer".to_owned()));
         }
-        checks::prepare(&mut self.bus, &self.joints, self.table.goal, &self.motors)?;
+        checks::prepare(&mut self.bus, &self.joints, self.config.goal, &self.motors)?;
         self.safety.arm();
         Ok(())
     }
 
-    /// Takes what came from trackers; `tick` begins. No more than a tick can need: who floods the channel does not hold the tick up.
-    fn look(&mut self, tick: u64) {
-        let Some(sight) = &mut self.sight else { return };
+    /// Receives samples of trackers at the beginning of `tick`. Their number is limited, so that a tracker that
+    /// floods the channel does not delay the tick.
+    fn update_vision(&mut self, tick: u64) {
+        let Some(vision) = &mut self.vision else { return };
         let now = self.bus.now();
-        for sample in std::iter::from_fn(|| self.eye.as_mut().and_then(|eye| eye())).take(MOST_LOOKS) {
-            sight.take(&sample, now);
+        let mut next = || self.vision_source.as_mut().and_then(|source| source());
+        for sample in std::iter::from_fn(&mut next).take(MAX_SAMPLES_PER_TICK) {
+            vision.receive(&sample, now);
         }
-        if sight.look(now) {
-            let text = match (sight.sees, sight.aged) {
+        if vision.begin_tick(now) {
+            let text = match (vision.sees, vision.latest_age) {
                 (true, _) => "target and end-effector are seen".to_owned(),
                 (false, age) => format!(
                     "nothing is seen any more: the newest sample of a tracker is {} ms old; the arm stands still",
                     age.unwrap_or_default() / 1_000_000
                 ),
             };
-            (self.say)(&format!("tick {tick}: {text}"));
+            (self.notify)(&format!("tick {tick}: {text}"));
         }
     }
 
-    /// Whether the arm sees, where it needs to.
+    /// Whether there is vision, or none is needed.
     fn sees(&self) -> bool {
-        self.sight.as_ref().is_none_or(|sight| sight.sees)
+        self.vision.as_ref().is_none_or(|vision| vision.sees)
     }
 
-    /// What came of a tick, as trackers see it; when they do not, as of before.
-    fn judged(&mut self, tick: u64, rates: &[f32]) -> Outcome {
-        let Some(sight) = &self.sight else { return self.arm.measured(tick, &self.theta, rates, None) };
-        if sight.sees {
-            self.seen = self.arm.measured(tick, &self.theta, rates, Some(sight.end()));
+    /// The outcome of a tick. With trackers it is computed from their samples, or, without vision, it is that
+    /// of the last tick with vision.
+    fn outcome(&mut self, tick: u64, rates: &[f32]) -> Outcome {
+        let Some(vision) = &self.vision else { return self.arm.measured(tick, &self.theta, rates, None) };
+        if vision.sees {
+            self.last_outcome = self.arm.measured(tick, &self.theta, rates, Some(vision.end()));
         } else {
             self.arm.stands(&self.theta);
         }
-        self.seen
+        self.last_outcome
     }
 
-    fn tell(&mut self, tick: u64, before: SafetyState) {
+    /// Reports a change of the safety state to the user and in the report.
+    fn report_transition(&mut self, tick: u64, before: SafetyState) {
         let state = self.safety.state();
         if state == before {
             return;
@@ -239,15 +261,15 @@ impl Bridge {
             SafetyState::ReadOnly => "read-only".to_owned(),
             SafetyState::Ready => "armed; torque goes on with the next command".to_owned(),
             SafetyState::Driving => "torque is on".to_owned(),
-            SafetyState::Tripped(cause) if cause.passes() => {
+            SafetyState::Tripped(cause) if cause.recovers() => {
                 format!("torque is off: {cause}; it goes on by itself when that is over")
             }
             SafetyState::Tripped(cause) => format!("torque is off: {cause}; arm it again to go on"),
         };
-        (self.say)(&format!("tick {tick}: {text}"));
+        (self.notify)(&format!("tick {tick}: {text}"));
         match state {
             SafetyState::Driving => self.report.armed += 1,
-            // A fault that comes and goes for hours is told at the terminal; the account has its beginning.
+            // Limited, so that a fault that repeats for hours does not fill the memory.
             SafetyState::Tripped(cause) if self.report.events.len() < 1000 => {
                 self.report.events.push(TripEvent { tick, cause })
             }
@@ -255,31 +277,33 @@ impl Bridge {
         }
     }
 
-    /// Brings the first commands after torque came on within a part of the largest one that grows to the whole. The gate's own ramp
-    /// counts from the first command, which may have come long before anybody armed the arm.
-    fn ease(&self, applied: &mut [f32]) -> u32 {
-        if self.driven >= self.ramp {
+    /// Limits the first commands after torque came on to a growing fraction of the largest command. The gate's
+    /// own ramp begins with the first command, which may be long before arming. Returns the flags of what was
+    /// limited.
+    fn limit_to_ramp(&self, applied: &mut [f32]) -> u32 {
+        if self.torque_ticks >= self.ramp {
             return 0;
         }
-        let share = (self.driven + 1) as f32 / (self.ramp + 1) as f32;
+        let fraction = (self.torque_ticks + 1) as f32 / (self.ramp + 1) as f32;
         let mut flags = 0;
-        for (u, most) in applied.iter_mut().zip(self.most) {
-            let eased = u.clamp(-most * share, most * share);
-            if eased != *u {
-                (*u, flags) = (eased, flag::CLAMPED | flag::RAMPED);
+        for (u, max) in applied.iter_mut().zip(self.max_command) {
+            let limited = u.clamp(-max * fraction, max * fraction);
+            if limited != *u {
+                (*u, flags) = (limited, flag::CLAMPED | flag::RAMPED);
             }
         }
         flags
     }
 
-    /// Limits `applied` to what the motors can do; their rates, rad/s, and the flags of what was limited.
-    fn limit(&self, applied: &mut [f32]) -> ([f64; MAX_OUTPUTS], u32) {
+    /// Limits `applied` to the motors' speeds and ranges. Returns the motors' rates, rad/s, and the flags of
+    /// what was limited.
+    fn limit_to_motors(&self, applied: &mut [f32]) -> ([f64; MAX_OUTPUTS], u32) {
         let n = self.ids.len();
-        let (mut asked, mut rates) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
-        for (rate, u) in asked.iter_mut().zip(applied.iter()) {
+        let (mut requested, mut rates) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
+        for (rate, u) in requested.iter_mut().zip(applied.iter()) {
             *rate = f64::from(self.gain * u);
         }
-        chain::motors(self.angles, &asked[..n], &mut rates);
+        chain::motors(self.angles, &requested[..n], &mut rates);
         let (fast, far) = chain::limit(&self.joints, &self.motors[..n], f64::from(self.period), &mut rates);
         if fast || far {
             for (u, rate) in applied.iter_mut().zip(chain::along(self.angles, &rates)) {
@@ -289,133 +313,147 @@ impl Bridge {
         let flags = if fast { flag::CLAMPED } else { 0 } | if far { flag::CLAMPED | flag::POSITION_LIMITED } else { 0 };
         (rates, flags)
     }
+
+    /// Arms the bridge if that was requested. Returns whether it was armed, and so checked, in this tick.
+    fn arm_on_request(&mut self, tick: u64) -> bool {
+        if !self.arm_request.swap(false, Ordering::Relaxed) || self.safety.state() == SafetyState::Driving {
+            return false;
+        }
+        let armed = self.arm();
+        if let Err(error) = &armed {
+            (self.notify)(&format!("tick {tick}: not armed: {error}"));
+        }
+        armed.is_ok()
+    }
+
+    /// Turns torque on, after the checks unless they were done in this tick. After a loss of bus or power, or
+    /// if the arm may have been moved, all checks are repeated. Trips and returns false when that fails.
+    fn start(&mut self, tick: u64, checked: bool) -> bool {
+        let result =
+            if checked { Ok(()) } else { checks::prepare(&mut self.bus, &self.joints, self.config.goal, &self.motors) };
+        if let Err(error) = &result {
+            (self.notify)(&format!("tick {tick}: {error}"));
+        }
+        let cause = match result {
+            Ok(()) => (!self.turn_torque_on()).then_some(TripCause::BusLost),
+            // A servo that does not answer has not refused.
+            Err(BridgeError::NoAnswer(_)) => Some(TripCause::BusLost),
+            Err(_) => Some(TripCause::Refused),
+        };
+        if let Some(cause) = cause {
+            self.safety.trip(cause);
+        }
+        cause.is_none()
+    }
+
+    /// Follows the command: limits it and writes the motors' goals. Returns the flags of what was limited.
+    fn follow(&mut self, applied: &mut [f32], first: bool) -> u32 {
+        self.torque_ticks = if first { 0 } else { self.torque_ticks.saturating_add(1) };
+        let mut flags = self.limit_to_ramp(applied);
+        let (rates, limited) = self.limit_to_motors(applied);
+        flags |= limited;
+        if !self.write_goals(&rates) {
+            self.report.unwritten += 1;
+            self.safety.trip(TripCause::BusLost);
+            applied.fill(0.0);
+            flags |= flag::TRIPPED;
+        }
+        flags
+    }
+
+    /// Keeps torque off, and returns the flag of the reason.
+    fn stay_off(&mut self, applied: &mut [f32]) -> u32 {
+        applied.fill(0.0);
+        if self.safety.state() != SafetyState::ReadOnly {
+            self.turn_torque_off();
+        }
+        if matches!(self.safety.state(), SafetyState::Tripped(_)) { flag::TRIPPED } else { flag::UNARMED }
+    }
 }
 
 impl Plant for Bridge {
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
-        // Before the first tick is over nobody has looked.
+        // In later ticks, `advance` has updated vision already.
         if self.report.ticks == 0 {
-            self.look(tick);
+            self.update_vision(tick);
         }
-        let Some(sight) = &mut self.sight else { return self.arm.sense(tick, inputs) };
-        let (target, fresh) = sight.target().unwrap_or((self.arm.target(), false));
+        let Some(vision) = &mut self.vision else { return self.arm.sense(tick, inputs) };
+        let (target, new_target) = vision.target().unwrap_or((self.arm.target(), false));
         self.arm.sense_seen(tick, target, inputs);
-        fresh
+        new_target
     }
 
     fn command_deadline_ns(&self) -> Option<u64> {
-        Some(self.within)
+        Some(self.command_within)
     }
 
     fn act(&mut self, tick: u64, applied: &mut [f32], flags: u32) -> u32 {
         self.write_ns = 0;
         let before = self.safety.state();
-        let mut prepared = false;
-        if self.key.swap(false, Ordering::Relaxed) && before != SafetyState::Driving {
-            match self.arm() {
-                Ok(()) => prepared = true,
-                Err(error) => (self.say)(&format!("tick {tick}: not armed: {error}")),
-            }
-        }
+        let checked = self.arm_on_request(tick);
         let mut drive = self.safety.command(flags, self.sees());
-        if drive == DriveCommand::Still {
-            self.rest.get_or_insert(self.raw);
+        if drive == DriveCommand::Hold {
+            self.hold_position.get_or_insert(self.raw);
         } else {
-            self.rest = None;
+            self.hold_position = None;
         }
-        // After a loss of the bus or of power, or a while in which somebody may have moved the arm, nothing is taken for granted.
-        if drive == DriveCommand::Rise {
-            let checked = if prepared {
-                Ok(())
-            } else {
-                checks::prepare(&mut self.bus, &self.joints, self.table.goal, &self.motors)
-            };
-            if let Err(error) = &checked {
-                (self.say)(&format!("tick {tick}: {error}"));
-            }
-            let trouble = match checked {
-                Ok(()) => (!self.rise()).then_some(TripCause::BusLost),
-                // Who says nothing refuses nothing.
-                Err(BridgeError::Silent(_)) => Some(TripCause::BusLost),
-                Err(_) => Some(TripCause::Refused),
-            };
-            if let Some(cause) = trouble {
-                self.safety.trip(cause);
-                drive = DriveCommand::Off;
-            }
+        if drive == DriveCommand::Start && !self.start(tick, checked) {
+            drive = DriveCommand::Off;
         }
-        let mut more = 0;
-        match drive {
-            DriveCommand::Off => {
+        let flags = match drive {
+            DriveCommand::Off => self.stay_off(applied),
+            DriveCommand::Hold => {
                 applied.fill(0.0);
-                if self.safety.state() != SafetyState::ReadOnly {
-                    self.off();
-                }
-                more |=
-                    if matches!(self.safety.state(), SafetyState::Tripped(_)) { flag::TRIPPED } else { flag::UNARMED };
+                self.write_goals(&[0.0; MAX_OUTPUTS]);
+                flag::BLIND
             }
-            DriveCommand::Still => {
-                applied.fill(0.0);
-                self.drive(&[0.0; MAX_OUTPUTS]);
-                more |= flag::BLIND;
-            }
-            DriveCommand::Rise | DriveCommand::Go => {
-                self.driven = if drive == DriveCommand::Rise { 0 } else { self.driven.saturating_add(1) };
-                more |= self.ease(applied);
-                let (rates, limited) = self.limit(applied);
-                more |= limited;
-                if !self.drive(&rates) {
-                    self.report.unwritten += 1;
-                    self.safety.trip(TripCause::BusLost);
-                    applied.fill(0.0);
-                    more |= flag::TRIPPED;
-                }
-            }
-        }
-        self.tell(tick, before);
-        more
+            DriveCommand::Start => self.follow(applied, true),
+            DriveCommand::Follow => self.follow(applied, false),
+        };
+        self.report_transition(tick, before);
+        flags
     }
 
     fn advance(&mut self, tick: u64, _applied: &[f32]) -> Outcome {
-        let (before, stood) = (self.safety.state(), self.theta);
-        // How old a picture is counts from here, and not from when the bus has been read.
-        self.look(tick + 1);
-        let (heard, mut took) = self.measure();
-        self.blind = heard.is_err();
-        self.safety.hear(heard.ok());
-        if before == SafetyState::Driving && !self.blind && tick.is_multiple_of(TORQUE_EVERY) {
+        let (before, theta_before) = (self.safety.state(), self.theta);
+        // Before the read, because the age of a sample counts from the beginning of the tick.
+        self.update_vision(tick + 1);
+        let (health, mut took) = self.measure();
+        self.read_failed = health.is_none();
+        self.safety.read_result(health);
+        if before == SafetyState::Driving && !self.read_failed && tick.is_multiple_of(TORQUE_CHECK_INTERVAL) {
             let began = self.bus.now();
             if !self.has_torque() {
-                self.safety.hear(Some(Err(TripCause::TorqueLost)));
+                self.safety.read_result(Some(Err(TripCause::TorqueLost)));
             }
             took += self.bus.now() - began;
         }
         if before == SafetyState::Driving && self.safety.state() != SafetyState::Driving {
-            self.off();
+            self.turn_torque_off();
         }
-        self.tell(tick, before);
+        self.report_transition(tick, before);
         let mut rates = [0.0; MAX_OUTPUTS];
-        for (rate, (now, then)) in rates.iter_mut().zip(self.theta.iter().zip(stood)) {
-            *rate = chain::wrap(f64::from(now - then)) as f32 / self.period;
+        for (rate, (now, then)) in rates.iter_mut().zip(self.theta.iter().zip(theta_before)) {
+            *rate = wrap_f64(f64::from(now - then)) as f32 / self.period;
         }
-        let mut outcome = self.judged(tick, &rates);
-        let first = if self.collides { 4 } else { 3 };
+        let mut outcome = self.outcome(tick, &rates);
+        let first = if self.counts_collisions { 4 } else { 3 };
         outcome.measures[first] = report::microseconds(took);
         outcome.measures[first + 1] = report::microseconds(self.write_ns);
-        if let Some(sight) = &self.sight
+        if let Some(vision) = &self.vision
             && first + 2 < MAX_MEASURES
         {
-            outcome.measures[first + 2] = sight.aged.map_or(-1.0, |ns| ns as f32 / 1e6);
+            outcome.measures[first + 2] = vision.latest_age.map_or(-1.0, |ns| ns as f32 / 1e6);
         }
         self.report.ticks += 1;
-        self.report.blind += u64::from(self.blind);
+        self.report.blind += u64::from(self.read_failed);
         self.times[0].saturating_record(took);
         self.times[1].saturating_record(self.write_ns);
         outcome
     }
 
     fn sensing_flags(&self) -> u32 {
-        if self.blind || !self.sees() { flag::BLIND } else { 0 }
+        if self.read_failed || !self.sees() { flag::BLIND } else { 0 }
     }
 
     fn joints(&self) -> Option<JointState> {
@@ -424,23 +462,23 @@ impl Plant for Bridge {
 }
 
 impl Drop for Bridge {
-    /// However it ends, in order, by an error or in a panic: torque is off.
+    /// Turns torque off, also after an error or a panic, and writes the report.
     fn drop(&mut self) {
         if self.safety.state() != SafetyState::ReadOnly {
             self.bus.torque_off(&self.ids);
         }
-        if let Some(path) = &self.account {
+        if let Some(path) = &self.report_path {
             [self.report.bus_read, self.report.bus_write] =
                 [Percentiles::of(&self.times[0]), Percentiles::of(&self.times[1])];
-            self.report.vision = self.sight.as_ref().map(VisionInput::report);
+            self.report.vision = self.vision.as_ref().map(VisionInput::final_report);
             let text = serde_json::to_string_pretty(&self.report).unwrap_or_default();
-            // The run's own account is not in danger without it.
+            // A missing report does not make the run fail.
             let _ = std::fs::write(path, text);
         }
     }
 }
 
-/// The servos themselves remember where they are.
+/// The state is only that of the task: the servos keep their positions.
 impl Persist for Bridge {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.nested("task", &mut self.arm);

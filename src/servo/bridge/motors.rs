@@ -1,19 +1,19 @@
-//! The motors themselves: what is read of them, and what is written to them.
+//! Reading from and writing to the motors.
 
 use super::{Bridge, TripCause, chain};
 use crate::scenario::ServoGoal;
 use crate::servo::model::{RegisterBlock, STEP, error_bit};
 use crate::wire::MAX_OUTPUTS;
 
-/// Dynamixel's bus watchdog counts in 20 ms; the servo stops when it hears nothing for so long.
+/// Value of Dynamixel's bus watchdog, in units of 20 ms: without instructions for this time the servo stops.
 const WATCHDOG: i32 = 10;
 
 impl Bridge {
-    /// Reads all servos; what they say of themselves, and the time that it took, ns.
-    pub(super) fn measure(&mut self) -> (Result<Result<(), TripCause>, ()>, u64) {
+    /// Reads all servos. Returns their health, or `None` if not all of them answered, and the duration, ns.
+    pub(super) fn measure(&mut self) -> (Option<Result<(), TripCause>>, u64) {
         let (state, series) = (self.bus.series().state, self.bus.series());
         let (answers, took) = self.bus.sync_read(&self.ids, state);
-        let Ok(answers) = answers else { return (Err(()), took) };
+        let Ok(answers) = answers else { return (None, took) };
         let mut health = Ok(());
         for (i, answer) in answers.iter().enumerate() {
             let get = |register| state.decode(register, &answer.bytes).unwrap_or(0);
@@ -21,20 +21,20 @@ impl Bridge {
             let joint = &self.joints[i];
             self.motors[i] = chain::angle(joint, self.raw[i]);
             let volts = f64::from(get(series.voltage)) * 0.1;
-            if f64::from(get(series.temperature)) > self.table.max_temperature {
+            if f64::from(get(series.temperature)) > self.config.max_temperature {
                 health = Err(TripCause::Heat);
-            } else if volts < self.table.min_voltage {
+            } else if volts < self.config.min_voltage {
                 health = Err(TripCause::Voltage);
             } else if answer.error != 0 {
-                health = Err(self.trouble(self.ids[i], answer.error));
+                health = Err(self.error_cause(self.ids[i], answer.error));
             }
         }
         chain::outputs(self.angles, &self.motors[..self.ids.len()], &mut self.theta);
-        (Ok(health), took)
+        (Some(health), took)
     }
 
-    /// What a servo's error means. Dynamixel only says that there is one.
-    fn trouble(&mut self, id: u8, error: u8) -> TripCause {
+    /// The cause of a servo's error. Dynamixel only reports that there is one, so the error register is read.
+    fn error_cause(&mut self, id: u8, error: u8) -> TripCause {
         let register = self.bus.series().hardware_error;
         let bits = self.bus.read(id, register).map_or(error, |bits| bits as u8);
         match bits {
@@ -45,18 +45,18 @@ impl Bridge {
         }
     }
 
-    /// Writes the motors' goals.
-    pub(super) fn drive(&mut self, rates: &[f64; MAX_OUTPUTS]) -> bool {
+    /// Writes the motors' goals for these rates. Returns whether that succeeded.
+    pub(super) fn write_goals(&mut self, rates: &[f64; MAX_OUTPUTS]) -> bool {
         let (series, period) = (self.bus.series(), f64::from(self.period));
-        let goal = match self.table.goal {
+        let goal = match self.config.goal {
             ServoGoal::Speed => series.goal_velocity,
             ServoGoal::Position => series.goal_position,
         };
-        // An arm that stands still stays where it began to, and does not follow what pulls at it.
-        let from = self.rest.unwrap_or(self.raw);
+        // An arm that holds its position keeps the one at which it began to hold, even if it is pulled away.
+        let from = self.hold_position.unwrap_or(self.raw);
         let value = |i: usize| {
             let (joint, rate) = (&self.joints[i], rates[i]);
-            match self.table.goal {
+            match self.config.goal {
                 ServoGoal::Speed => f64::from(joint.direction) * rate / series.speed_unit,
                 ServoGoal::Position => f64::from(from[i]) + f64::from(joint.direction) * rate * period / STEP,
             }
@@ -69,31 +69,33 @@ impl Bridge {
         result.is_ok()
     }
 
-    /// Torque on, at a standstill: the goals first, since a servo goes to an old one when its torque comes on.
-    pub(super) fn rise(&mut self) -> bool {
-        if self.table.goal == ServoGoal::Speed && self.bus.series().bus_watchdog.is_some() {
+    /// Turns torque on at standstill. Goals are written first, because a servo moves to its old goal when
+    /// torque comes on. Returns whether that succeeded.
+    pub(super) fn turn_torque_on(&mut self) -> bool {
+        if self.config.goal == ServoGoal::Speed && self.bus.series().bus_watchdog.is_some() {
             let register = self.bus.series().bus_watchdog.expect("there is one");
-            // One that has bitten takes nothing else before it is cleared.
+            // A watchdog that has stopped the servo refuses goals until it is cleared.
             if self.bus.sync_set(&self.ids, register, |_| 0).is_err()
                 || self.bus.sync_set(&self.ids, register, |_| WATCHDOG).is_err()
             {
                 return false;
             }
         }
-        let still = self.drive(&[0.0; MAX_OUTPUTS]);
+        let written = self.write_goals(&[0.0; MAX_OUTPUTS]);
         let torque = self.bus.series().torque_enable;
-        // Some servos keep a goal only while they have torque: said once more.
-        still && self.bus.sync_set(&self.ids, torque, |_| 1).is_ok() && self.drive(&[0.0; MAX_OUTPUTS])
+        // Some servos keep a goal only while torque is on, so it is written again.
+        written && self.bus.sync_set(&self.ids, torque, |_| 1).is_ok() && self.write_goals(&[0.0; MAX_OUTPUTS])
     }
 
-    pub(super) fn off(&mut self) {
+    /// Turns torque off.
+    pub(super) fn turn_torque_off(&mut self) {
         let began = self.bus.now();
         let torque = self.bus.series().torque_enable;
         let _ = self.bus.sync_set(&self.ids, torque, |_| 0);
         self.write_ns += self.bus.now() - began;
     }
 
-    /// Whether all have torque, where that can be read.
+    /// Whether torque is on in all servos; true if that cannot be read.
     pub(super) fn has_torque(&mut self) -> bool {
         let torque = self.bus.series().torque_enable;
         let block = RegisterBlock { address: torque.address, length: torque.width };

@@ -1,4 +1,4 @@
-//! The bridge's account: what the bus cost, and every time that torque went off.
+//! The bridge's report: duration of bus instructions, and every time that torque went off.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,38 +7,38 @@ use crate::stats::Percentiles;
 use super::safety::TripCause;
 use super::vision::VisionReport;
 
-/// Torque went off.
+/// An event in which torque went off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TripEvent {
-    /// When.
+    /// The tick.
     pub tick: u64,
-    /// Why.
+    /// The cause.
     pub cause: TripCause,
 }
 
-/// What the bridge leaves in the run's folder as `bridge.json`.
+/// The report that the bridge writes to `bridge.json` in the run's folder.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct BridgeReport {
-    /// Ticks lived through.
+    /// Number of ticks.
     pub ticks: u64,
-    /// Reads that not all servos answered.
+    /// Number of ticks in which not all servos answered.
     pub blind: u64,
-    /// Goals that the port did not take.
+    /// Number of ticks whose goals could not be written.
     pub unwritten: u64,
-    /// Times that torque went on.
+    /// Number of times that torque went on.
     pub armed: u64,
-    /// Times that it went off before the end, and why.
+    /// Events in which torque went off before the end.
     pub events: Vec<TripEvent>,
-    /// What a tick's synchronous read takes.
+    /// Duration of a tick's synchronous read, us.
     pub bus_read: Option<Percentiles>,
-    /// What a tick's synchronous write takes.
+    /// Duration of a tick's synchronous write, us.
     pub bus_write: Option<Percentiles>,
-    /// What came from trackers, where the scenario asks for them.
+    /// Report on the trackers, if the scenario uses them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision: Option<VisionReport>,
 }
 
-/// ns as us.
+/// Converts ns to us.
 pub(super) fn microseconds(ns: u64) -> f32 {
     ns as f32 / 1000.0
 }

@@ -1,47 +1,50 @@
-//! When torque may be on: a state machine without bus and clock.
+//! When torque may be on: a state machine, independent of bus and clock.
 //!
 //! ```text
 //! read-only --arm--> ready --command--> driving --cause--> tripped
 //! ```
 //!
-//! Torque is on in *driving* alone. What ends it by itself, and what takes it up again:
+//! Torque is on only in the state *driving*. The causes that turn it off, and the conditions under which it
+//! returns:
 //!
-//! | Cause | Torque is off | Goes on |
+//! | Cause | Torque goes off | Torque returns |
 //! |---|---|---|
-//! | the bus is lost | after `lost_after` ticks without an answer; from the first on the arm is told to stand still | by itself, after [`RECOVERY`] ticks in which all answered, and the checks of arming |
-//! | commands stay away | when the gate's hold and decay are over | by itself, with the next command and the gate's ramp |
-//! | overload, heat, voltage, torque lost | in the tick that says so | when it is armed again |
+//! | bus lost | after `lost_after` ticks without answer | after [`RECOVERY`] ticks with all answers, and checks |
+//! | no commands | after the gate's hold and decay | with the next command and the gate's ramp |
+//! | overload, heat, voltage, torque lost | in the tick that reports it | after it is armed again |
+//!
+//! From the first tick without an answer on, and while nothing is seen, the arm holds its position.
 
 use std::fmt;
 
 use crate::wire::flag;
 
-/// Ticks in a row in which all servos have to answer before a bus that was lost counts as found.
+/// Number of consecutive ticks in which all servos must answer before a lost bus counts as recovered.
 pub const RECOVERY: u32 = 20;
 
-/// Why torque went off.
+/// The cause for which torque went off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TripCause {
-    /// No proper answers any more.
+    /// No valid answers.
     BusLost,
-    /// A servo says that its load is more than it can carry.
+    /// A servo reports an overload.
     Overload,
     /// A servo is too hot.
     Heat,
     /// A servo's voltage is outside its limits.
     Voltage,
-    /// A servo has no torque, and nobody turned it off: it has started anew, or says an error that this program does not know.
+    /// A servo has no torque although it was not turned off: it has restarted, or reports an unknown error.
     TorqueLost,
-    /// Commands stay away.
+    /// No commands arrive.
     CommandsAway,
-    /// The checks before torque failed when it was to go on again.
+    /// The checks before torque failed.
     Refused,
 }
 
 impl TripCause {
-    /// Whether the arm goes on by itself when the cause is gone.
-    pub fn passes(self) -> bool {
+    /// Whether torque returns without arming when the cause ends.
+    pub fn recovers(self) -> bool {
         matches!(self, Self::BusLost | Self::CommandsAway)
     }
 }
@@ -60,10 +63,10 @@ impl fmt::Display for TripCause {
     }
 }
 
-/// Where the machine stands.
+/// States of the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SafetyState {
-    /// Nobody has armed it.
+    /// Not armed.
     ReadOnly,
     /// Armed; torque goes on with the first command.
     Ready,
@@ -73,92 +76,95 @@ pub enum SafetyState {
     Tripped(TripCause),
 }
 
-/// What the body does in a tick.
+/// What the bridge does with the motors in a tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DriveCommand {
-    /// Nothing: torque is off, or goes off now.
+    /// Torque off.
     Off,
-    /// Stand still, with torque.
-    Still,
+    /// Hold the position, with torque.
+    Hold,
     /// Turn torque on, then follow the command.
-    Rise,
+    Start,
     /// Follow the command.
-    Go,
+    Follow,
 }
 
-/// The machine.
+/// The state machine that decides when torque may be on.
 #[derive(Debug, Clone)]
 pub struct SafetyMachine {
     state: SafetyState,
     lost_after: u32,
-    /// Ticks in a row without, and with, an answer of all.
+    /// Consecutive ticks without answers of all servos.
     missed: u32,
-    heard: u32,
+    /// Consecutive ticks with answers of all servos.
+    answered: u32,
 }
 
 impl SafetyMachine {
-    /// Read-only; the bus counts as lost after so many ticks without an answer.
+    /// A machine that is not armed. The bus counts as lost after `lost_after` ticks without an answer.
     pub fn new(lost_after: u32) -> Self {
-        Self { state: SafetyState::ReadOnly, lost_after, missed: 0, heard: 0 }
+        Self { state: SafetyState::ReadOnly, lost_after, missed: 0, answered: 0 }
     }
 
-    /// Where it stands.
+    /// The current state.
     pub fn state(&self) -> SafetyState {
         self.state
     }
 
-    /// Somebody arms it, after the checks.
+    /// Arms it, after the checks.
     pub fn arm(&mut self) {
         if self.state != SafetyState::Driving {
             self.state = SafetyState::Ready;
         }
     }
 
-    /// Torque goes off now.
+    /// Turns torque off for this cause.
     pub fn trip(&mut self, cause: TripCause) {
         if self.state != SafetyState::ReadOnly {
             self.state = SafetyState::Tripped(cause);
         }
     }
 
-    /// What the bus said in this tick: nothing proper, or that all is well, or what is not.
-    pub fn hear(&mut self, heard: Option<Result<(), TripCause>>) {
-        match heard {
+    /// Takes the result of a tick's read: `None` without valid answers, otherwise whether all servos are healthy.
+    pub fn read_result(&mut self, health: Option<Result<(), TripCause>>) {
+        match health {
             None => {
-                (self.heard, self.missed) = (0, self.missed.saturating_add(1));
+                (self.answered, self.missed) = (0, self.missed.saturating_add(1));
                 if self.missed >= self.lost_after && matches!(self.state, SafetyState::Ready | SafetyState::Driving) {
                     self.trip(TripCause::BusLost);
                 }
             }
             Some(Err(cause)) => {
-                (self.heard, self.missed) = (0, 0);
-                // What passes by itself gives way to what does not.
-                if !matches!(self.state, SafetyState::Tripped(before) if !before.passes()) {
+                (self.answered, self.missed) = (0, 0);
+                // A cause that needs arming replaces one that recovers, not the other way round.
+                if !matches!(self.state, SafetyState::Tripped(before) if !before.recovers()) {
                     self.trip(cause);
                 }
             }
             Some(Ok(())) => {
-                (self.heard, self.missed) = (self.heard.saturating_add(1), 0);
-                if self.state == SafetyState::Tripped(TripCause::BusLost) && self.heard >= RECOVERY {
+                (self.answered, self.missed) = (self.answered.saturating_add(1), 0);
+                if self.state == SafetyState::Tripped(TripCause::BusLost) && self.answered >= RECOVERY {
                     self.state = SafetyState::Ready;
                 }
             }
         }
     }
 
-    /// What to do with the command of a tick, of which the gate says `flags`. An arm that does not see (`sees`) stands still, and torque does
-    /// not come on before it does.
+    /// Decides about the command of a tick with the gate's `flags`. Without vision (`sees` is false) the arm
+    /// holds its position, and torque does not come on.
     pub fn command(&mut self, flags: u32, sees: bool) -> DriveCommand {
-        let came = flags & flag::MISSED == 0;
+        let arrived = flags & flag::MISSED == 0;
         if self.state == SafetyState::Driving && flags & flag::STOPPED != 0 {
             self.trip(TripCause::CommandsAway);
         }
         match self.state {
-            SafetyState::Driving if self.missed > 0 || !sees => DriveCommand::Still,
-            SafetyState::Driving => DriveCommand::Go,
-            SafetyState::Ready | SafetyState::Tripped(TripCause::CommandsAway) if came && sees && self.missed == 0 => {
+            SafetyState::Driving if self.missed > 0 || !sees => DriveCommand::Hold,
+            SafetyState::Driving => DriveCommand::Follow,
+            SafetyState::Ready | SafetyState::Tripped(TripCause::CommandsAway)
+                if arrived && sees && self.missed == 0 =>
+            {
                 self.state = SafetyState::Driving;
-                DriveCommand::Rise
+                DriveCommand::Start
             }
             _ => DriveCommand::Off,
         }
@@ -169,77 +175,77 @@ impl SafetyMachine {
 mod tests {
     use super::*;
 
-    const AWAY: u32 = flag::MISSED | flag::STOPPED;
+    const NO_COMMAND: u32 = flag::MISSED | flag::STOPPED;
 
     #[test]
     fn torque_is_on_only_after_arming_and_a_command() {
         let mut safety = SafetyMachine::new(3);
         for _ in 0..10 {
-            safety.hear(Some(Ok(())));
+            safety.read_result(Some(Ok(())));
             assert_eq!(safety.command(0, true), DriveCommand::Off);
         }
         safety.arm();
         assert_eq!(safety.command(flag::MISSED | flag::HELD, true), DriveCommand::Off);
-        assert_eq!(safety.command(0, true), DriveCommand::Rise);
-        assert_eq!(safety.command(0, true), DriveCommand::Go);
+        assert_eq!(safety.command(0, true), DriveCommand::Start);
+        assert_eq!(safety.command(0, true), DriveCommand::Follow);
     }
 
     #[test]
-    fn each_cause_turns_it_off_and_passes_or_does_not() {
+    fn a_servo_error_turns_torque_off_until_it_is_armed_again() {
         for cause in [TripCause::Overload, TripCause::Heat, TripCause::Voltage, TripCause::TorqueLost] {
             let mut safety = SafetyMachine::new(3);
             safety.arm();
-            assert_eq!(safety.command(0, true), DriveCommand::Rise);
-            safety.hear(Some(Err(cause)));
+            assert_eq!(safety.command(0, true), DriveCommand::Start);
+            safety.read_result(Some(Err(cause)));
             for _ in 0..100 {
                 assert_eq!(safety.command(0, true), DriveCommand::Off);
-                safety.hear(Some(Ok(())));
+                safety.read_result(Some(Ok(())));
             }
             assert_eq!(safety.state(), SafetyState::Tripped(cause));
             safety.arm();
-            assert_eq!(safety.command(0, true), DriveCommand::Rise);
+            assert_eq!(safety.command(0, true), DriveCommand::Start);
         }
     }
 
     #[test]
-    fn a_bus_that_is_lost_stands_still_then_off_and_comes_back() {
+    fn a_lost_bus_holds_then_turns_torque_off_and_recovers() {
         let mut safety = SafetyMachine::new(3);
         safety.arm();
         safety.command(0, true);
-        for drive in [DriveCommand::Still, DriveCommand::Still, DriveCommand::Off, DriveCommand::Off] {
-            safety.hear(None);
+        for drive in [DriveCommand::Hold, DriveCommand::Hold, DriveCommand::Off, DriveCommand::Off] {
+            safety.read_result(None);
             assert_eq!(safety.command(0, true), drive);
         }
         for _ in 1..RECOVERY {
-            safety.hear(Some(Ok(())));
+            safety.read_result(Some(Ok(())));
             assert_eq!(safety.command(0, true), DriveCommand::Off);
         }
-        safety.hear(Some(Ok(())));
-        assert_eq!(safety.command(0, true), DriveCommand::Rise);
+        safety.read_result(Some(Ok(())));
+        assert_eq!(safety.command(0, true), DriveCommand::Start);
     }
 
     #[test]
-    fn commands_that_stay_away_and_come_back() {
+    fn missing_commands_turn_torque_off_until_the_next_one() {
         let mut safety = SafetyMachine::new(3);
         safety.arm();
         safety.command(0, true);
-        assert_eq!(safety.command(flag::MISSED | flag::DECAYED, true), DriveCommand::Go);
-        assert_eq!(safety.command(AWAY, true), DriveCommand::Off);
-        assert_eq!(safety.command(AWAY, true), DriveCommand::Off);
-        assert_eq!(safety.command(0, true), DriveCommand::Rise);
+        assert_eq!(safety.command(flag::MISSED | flag::DECAYED, true), DriveCommand::Follow);
+        assert_eq!(safety.command(NO_COMMAND, true), DriveCommand::Off);
+        assert_eq!(safety.command(NO_COMMAND, true), DriveCommand::Off);
+        assert_eq!(safety.command(0, true), DriveCommand::Start);
     }
 
     #[test]
-    fn who_does_not_see_stands_still_and_gets_no_torque() {
+    fn without_vision_the_arm_holds_and_gets_no_torque() {
         let mut safety = SafetyMachine::new(3);
         safety.arm();
         assert_eq!(safety.command(0, false), DriveCommand::Off);
         assert_eq!(safety.state(), SafetyState::Ready);
-        assert_eq!(safety.command(0, true), DriveCommand::Rise);
-        assert_eq!(safety.command(0, false), DriveCommand::Still);
+        assert_eq!(safety.command(0, true), DriveCommand::Start);
+        assert_eq!(safety.command(0, false), DriveCommand::Hold);
         assert_eq!(safety.state(), SafetyState::Driving, "torque stays on");
-        assert_eq!(safety.command(0, true), DriveCommand::Go);
-        // Commands that stay away end it all the same.
-        assert_eq!(safety.command(AWAY, false), DriveCommand::Off);
+        assert_eq!(safety.command(0, true), DriveCommand::Follow);
+        // Missing commands turn torque off also without vision.
+        assert_eq!(safety.command(NO_COMMAND, false), DriveCommand::Off);
     }
 }

@@ -1,7 +1,8 @@
-//! What people do with an arm before it is a plant: find its servos, calibrate it by hand, move one joint, look.
+//! Tools for an arm that is not part of a run: find its servos, calibrate it by hand, move one joint, show its
+//! state.
 //!
-//! Nothing here turns torque on but `jog`, which turns it off again however it ends. Ports and clocks are handed in, so that the same
-//! code runs on hardware, on the emulated chain and in a test.
+//! Only [`jog`] turns torque on, and it always turns it off again. Ports and clocks are arguments, so that the
+//! same code runs on hardware, on the emulated chain and in tests.
 
 mod calibrate;
 mod jog;
@@ -16,35 +17,36 @@ pub use jog::{Jog, jog};
 use super::bus::{Bus, BusBudget, BusError};
 use super::model::{STEP, UnknownModel};
 
-/// What an instruction of a tool may cost, ns: slow adapters hold an answer for 16 ms.
+/// Bus budget of the tools, ns: slow adapters delay an answer by 16 ms.
 pub const BUDGET: BusBudget = BusBudget { read_ns: 50_000_000, write_ns: 20_000_000 };
 
-/// The same where most ids are nobody's, and each costs its whole budget.
+/// Bus budget of [`scan`], where most ids do not answer and each of them takes the whole budget.
 pub const SEARCH: BusBudget = BusBudget { read_ns: 12_000_000, write_ns: 20_000_000 };
 
-/// Why a tool stops.
+/// Reasons why a tool stops.
 #[derive(Debug, thiserror::Error)]
 pub enum ToolError {
-    /// The port, or an instruction without an answer.
+    /// An error of the port, or an instruction without an answer.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// Nobody there.
+    /// No servo answers.
     #[error(
         "no servo answers{0}; look at power and cable, and try other protocols and baud rates (`tectum-bridge scan`)"
     )]
-    Nobody(String),
-    /// Answers that cannot be read.
+    NoServo(String),
+    /// Answers that cannot be decoded.
     #[error(
-        "something answers as servo {0} and cannot be read: most likely two servos have this id; connect them one at a time and give them different ids"
+        "something answers as servo {0} and cannot be read: most likely two servos have this id; \
+         connect them one at a time and give them different ids"
     )]
-    Twins(u8),
-    /// Somebody else there.
+    DuplicateId(u8),
+    /// A servo is of an unknown model.
     #[error(transparent)]
     Model(#[from] UnknownModel),
-    /// What was asked for cannot be done.
+    /// The request cannot be fulfilled.
     #[error("{0}")]
     Refused(String),
-    /// Standard input or output, or a file.
+    /// An error of standard input, standard output or a file.
     #[error("{0}: {1}")]
     Io(String, io::Error),
 }
@@ -54,15 +56,15 @@ pub enum ToolError {
 pub struct FoundServo {
     /// Its id.
     pub id: u8,
-    /// What its model register says; nothing if it cannot be read.
+    /// The model number; `None` if it cannot be read.
     pub number: Option<i32>,
-    /// The model, if it is one of the series.
+    /// The model, if it is known.
     pub model: Option<&'static str>,
-    /// Whether what answers cannot be read, as when two servos have this id.
+    /// Whether the answer cannot be decoded, as when two servos have this id.
     pub garbled: bool,
 }
 
-/// How a servo is.
+/// The state of a servo.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ServoReading {
     /// Its id.
@@ -71,7 +73,7 @@ pub struct ServoReading {
     pub position: i32,
     /// Speed, rad/s.
     pub speed: f64,
-    /// Load, as a share of the most there is.
+    /// Load, as a fraction of the greatest load.
     pub load: f64,
     /// Voltage, V.
     pub voltage: f64,
@@ -79,11 +81,11 @@ pub struct ServoReading {
     pub temperature: i32,
     /// Whether torque is on.
     pub torque: bool,
-    /// Errors, as bits.
+    /// Error bits.
     pub errors: i32,
 }
 
-/// Asks each of `ids` on a bus for its model; who answers.
+/// Asks each of `ids` for its model, and returns the servos that answered.
 pub fn scan(bus: &mut Bus, ids: impl Iterator<Item = u8>, mut stop: impl FnMut() -> bool) -> Vec<FoundServo> {
     let mut found = Vec::new();
     for id in ids {
@@ -102,16 +104,16 @@ pub fn scan(bus: &mut Bus, ids: impl Iterator<Item = u8>, mut stop: impl FnMut()
     found
 }
 
-/// Whether something came that was no answer.
+/// Whether an error means that something answered, but not with a valid packet.
 fn is_garbled(error: &BusError) -> bool {
     let text = error.to_string();
     text.contains("Checksum") || text.contains("Parsing") || text.contains("Incorrect id")
 }
 
-/// Whether `ids` are all there, once each, and of the bus's series.
+/// Checks that all `ids` answer, are given once, and are known models of the bus's series.
 ///
 /// # Errors
-/// In the order of the ids, the first that is not.
+/// For the first id, in the given order, that fails the check.
 pub fn identify(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
     let series = bus.series();
     for (i, &id) in ids.iter().enumerate() {
@@ -120,8 +122,8 @@ pub fn identify(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
         }
         let (number, known) = match bus.model(id) {
             Ok(answer) => answer,
-            Err(error) if is_garbled(&error) => return Err(ToolError::Twins(id)),
-            Err(_) => return Err(ToolError::Nobody(format!(" at id {id}"))),
+            Err(error) if is_garbled(&error) => return Err(ToolError::DuplicateId(id)),
+            Err(_) => return Err(ToolError::NoServo(format!(" at id {id}"))),
         };
         if known.is_none() {
             return Err(UnknownModel { id, number, series: series.name }.into());
@@ -130,11 +132,11 @@ pub fn identify(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
     Ok(())
 }
 
-/// How the servo with this id is.
+/// Reads the state of the servo with this id.
 ///
 /// # Errors
 /// When it does not answer.
-pub fn look(bus: &mut Bus, id: u8) -> Result<ServoReading, ToolError> {
+pub fn read_state(bus: &mut Bus, id: u8) -> Result<ServoReading, ToolError> {
     let series = bus.series();
     let voltage = bus.read(id, series.voltage)?;
     let load = bus.read(id, series.load)?;
@@ -152,22 +154,22 @@ pub fn look(bus: &mut Bus, id: u8) -> Result<ServoReading, ToolError> {
 }
 
 impl ServoReading {
-    /// One line for people.
+    /// The state as one line of text.
     pub fn line(&self) -> String {
         let Self { id, position, speed, load, voltage, temperature, errors, .. } = self;
         let torque = if self.torque { "on" } else { "off" };
         format!(
-            "servo {id:3}  position {position:5}  speed {speed:6.2} rad/s  load {:4.0} %  {voltage:4.1} V  {temperature:3} C  \
-             torque {torque:3}  errors {errors:#04x}",
+            "servo {id:3}  position {position:5}  speed {speed:6.2} rad/s  load {:4.0} %  \
+             {voltage:4.1} V  {temperature:3} C  torque {torque:3}  errors {errors:#04x}",
             load * 100.0
         )
     }
 }
 
-/// Turns torque off and looks whether it is.
+/// Turns torque off and checks that it is off.
 ///
 /// # Errors
-/// When a servo cannot be heard, or keeps its torque.
+/// When a servo does not answer, or keeps its torque.
 pub fn torque_off(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
     bus.torque_off(ids);
     for &id in ids {
@@ -179,16 +181,17 @@ pub fn torque_off(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
     Ok(())
 }
 
-/// The way from `zero` to `at` in steps, the shorter one around the turn.
-fn way(zero: i32, at: i32) -> i32 {
+/// The signed distance from `zero` to `at`, steps, by the shorter way around the turn.
+fn shorter_way(zero: i32, at: i32) -> i32 {
     (at - zero + 2048).rem_euclid(4096) - 2048
 }
 
-/// Steps as rad.
+/// Converts steps to rad.
 fn rad(steps: i32) -> f64 {
     f64::from(steps) * STEP
 }
 
-fn tell(out: &mut dyn Write, text: &str) -> Result<(), ToolError> {
+/// Prints a line at once.
+fn print_line(out: &mut dyn Write, text: &str) -> Result<(), ToolError> {
     writeln!(out, "{text}").and_then(|()| out.flush()).map_err(|error| ToolError::Io("standard output".into(), error))
 }

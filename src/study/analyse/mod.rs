@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-pub(crate) use crate::stats::{Fit, Quartiles};
+use crate::stats::{Fit, Quartiles};
 use cutter::LeftOut;
 pub use error::AnalyseError;
 

@@ -5,9 +5,10 @@ use std::fmt::Write as _;
 use super::{ComparisonResult, DECADES, LEARNERS, LearnerRun, name_of};
 use crate::report::figure::learning::{CurvePoint, LearnerCurve, LearningFigure, LearningPanel, ReferenceLine};
 use crate::report::{figure, thousands};
+use crate::stats::Spread;
+use crate::study::StudyError;
 use crate::study::error::write_file;
 use crate::study::text::csv_cell;
-use crate::study::{Spread, StudyError};
 
 pub(super) fn write(result: &ComparisonResult) -> Result<(), StudyError> {
     let path = |name: &str| result.folder.join(name);

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::run::{LearnerRun, TickCost};
 use super::{LearnerEntry, ReferenceTable};
 use crate::scenario::LearnerConfig;
-use crate::study::Spread;
+use crate::stats::Spread;
 use crate::study::reference::LEVEL;
 
 /// The ticks at which losses are reported.

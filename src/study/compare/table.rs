@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::ComparisonResult;
 use crate::report::thousands;
-use crate::study::Spread;
+use crate::stats::Spread;
 use crate::study::text::cells;
 
 impl ComparisonResult {

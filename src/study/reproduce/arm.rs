@@ -11,8 +11,9 @@ use crate::report::figure::{LossFigure, draw_loss};
 use crate::report::{Reach, Window, columns, thousands};
 use crate::runtime::{RunStatistics, Snapshot, Switch};
 use crate::scenario::{ArmConfig, Plan};
+use crate::stats::Spread;
 use crate::study::text::{cells, csv_cell, push_divergences, push_files, spread_in_words, write_lines};
-use crate::study::{JobProgress, Spread, StudyError};
+use crate::study::{JobProgress, StudyError};
 use crate::supervise::reach;
 
 /// Ticks per row of the table.

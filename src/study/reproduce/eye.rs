@@ -12,8 +12,9 @@ use super::trial_windows::{TrialWindow, TrialWindows, mean};
 use crate::report::figure::{ErrorFigure, ErrorPanel, draw_miss};
 use crate::report::{columns, figures, thousands};
 use crate::scenario::{MapConfig, Plan, Retina, Scenario};
+use crate::stats::Spread;
 use crate::study::text::{push_divergences, push_files, spread_in_words, write_lines};
-use crate::study::{JobProgress, Spread, StudyError};
+use crate::study::{JobProgress, StudyError};
 
 /// Points of a curve.
 const POINTS: u64 = 300;

@@ -20,10 +20,11 @@ use crate::policy::LinearPolicy;
 use crate::report::figure::{PosturesFigure, PosturesRow, SeedPostures, draw_ways};
 use crate::report::{columns, figures, thousands};
 use crate::scenario::Plan;
+use crate::stats::Spread;
 use crate::study::noiseless::{MeanPolicy, Rollout};
 use crate::study::reference::TEST_SEED;
 use crate::study::text::{cells, push_divergences, push_files, spread_in_words, write_lines};
-use crate::study::{JobProgress, Spread, StudyError};
+use crate::study::{JobProgress, StudyError};
 use crate::wire::MAX_INPUTS;
 
 /// The scenarios, with their numbers of segments.

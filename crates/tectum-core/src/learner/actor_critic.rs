@@ -1,8 +1,9 @@
 //! Actor-critic with eligibility traces (Degris, Pilarski & Sutton 2012, *Model-Free Reinforcement Learning with
 //! Continuous Action in Practice*, ACC; algorithm "AC" with constant spread), and its natural gradient.
 //!
-//! A linear critic `V(k) = v . phi_k` stands on maps over pairs of inputs ([`PairFeatures`]) or on the actor's own features, and
-//! on the reward of the tick before, if asked to. Its temporal-difference error takes the reward's place in the paper's rule:
+//! The critic is linear, `V(k) = v . phi_k`. Its features are maps over pairs of inputs ([`PairFeatures`]) or
+//! the actor's own features, and optionally the reward of the previous tick. In the paper's rule, the
+//! temporal-difference error replaces the reward:
 //!
 //! ```text
 //! delta_k = r_k - c . q_k + gamma V(k+1) - V(k)
@@ -10,26 +11,30 @@
 //! z_k     = beta z_{k-1} + n_k h(g_k)^T              W_{k+1} = W_k + (alpha / sigma^2) delta_k z_k
 //! ```
 //!
-//! `c . q`, with `q = n^2 / sigma^2 - 1` for each output, is what the exploration itself costs or earns: the agent knows
-//! its noise, and learns by least mean squares, `c += alpha_c delta q`, how the reward depends on its square. On the arm
-//! that is half of the variance of the temporal-difference error. Since Gaussian noise has no third moment, `E[n q] = 0`: the gradient is the same,
-//! with less noise (a control variate; Greensmith, Bartlett & Baxter 2004).
+//! `c . q`, with `q = n^2 / sigma^2 - 1` for each output, is the effect of the exploration itself on the
+//! reward. The agent knows its noise and learns by least mean squares, `c += alpha_c delta q`, how the reward
+//! depends on the noise's square. On the arm this is half of the variance of the temporal-difference error.
+//! Gaussian noise has no third moment, so `E[n q] = 0`: the gradient is the same, with less noise (a control
+//! variate; Greensmith, Bartlett & Baxter 2004).
 //!
-//! `h` is the identity for the plain rule. For the natural one (Kakade 2001; Bhatnagar et al. 2009) it is the inverse of
-//! the features' second-moment matrix over the input box, worked out when the learner is built ([`NaturalMetric`]): the step then
-//! is as long in the space of commands whatever features overlap.
+//! `h` is the identity for the plain rule. For the natural gradient (Kakade 2001; Bhatnagar et al. 2009) it is
+//! the inverse of the features' second-moment matrix over the input box, computed when the learner is built
+//! ([`NaturalMetric`]). The length of a step in the space of commands then does not depend on how much features
+//! overlap.
 //!
-//! Steps are bounded in the spirit of Elsayed et al. 2024 (*Streaming Deep Reinforcement Learning Finally Works*): an update
-//! must not overshoot what it corrects. `V` at the features in hand moves by no more than the error, and the mean command
-//! at them by no more than half a standard deviation of the noise ([`STRIDE`]), whatever the steps that were asked for. What a
-//! trace answers to features is at most the sum of its parts' lengths times theirs, by Cauchy and Schwarz; that is a
-//! number for each output, which decays as the trace does, and no pass over the features. Features are of one sign and change
-//! slowly, so that it is not much more than what it bounds. An error, besides, counts for no more than some multiple of
-//! the running mean of its size: no single surprise (a joint that blocks, a reward far off) can throw the weights away.
+//! Steps are bounded in the spirit of Elsayed et al. 2024 (*Streaming Deep Reinforcement Learning Finally
+//! Works*): an update must not overshoot the error that it corrects. For any configured step, `V` at the
+//! current features moves by no more than the error, and the mean command at the current features by no more
+//! than half a standard deviation of the noise ([`MAX_MEAN_STEP`]). By Cauchy and Schwarz, the product of a
+//! trace with features is at most the sum of the lengths of the trace's terms, times the length of the
+//! features. This sum is one number per output, which decays like the trace, and needs no pass over the
+//! features. Features have one sign and change slowly, so the bound is tight. In addition, an error is limited
+//! to a multiple of the running mean of its size, so that no single outlier (a joint that blocks, an extreme
+//! reward) can destroy the weights.
 
 use super::CriticConfig;
 use super::critic_kernel::CriticKernel;
-use super::{LearningRule, NaturalMetric, PairFeatures, Transition, dot, sound};
+use super::{LearningRule, NaturalMetric, PairFeatures, Transition, dot, is_safe};
 use crate::MAX_OUTPUTS;
 use crate::policy::{LinearPolicy, Outputs, Tiles, TraceStep};
 use crate::state::{Persist, StateVisitor};
@@ -39,209 +44,218 @@ use tectum_encoder::simd::SimdPath;
 /// Constants of the critic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CriticConstants {
-    /// Its step `alpha_v`.
+    /// Step of the critic, `alpha_v`.
     pub step: f32,
-    /// The discount `gamma` a tick.
+    /// Discount per tick, `gamma`.
     pub discount: f32,
-    /// Decay of its trace, `lambda`.
+    /// Decay of the critic's trace, `lambda`.
     pub decay: f32,
-    /// Factor with which the last reward enters as a feature.
+    /// Factor of the last reward as a feature of the critic; 0 for none.
     pub reward_feature: f32,
-    /// Largest error, in running means of its size.
+    /// Largest error, in multiples of the running mean of its size.
     pub bound: f32,
-    /// Ticks after which the steps of actor and critic are half of what they were at first; infinite for constant steps.
+    /// Ticks after which the steps of actor and critic are half of the initial ones; infinite for constant steps.
     pub half_life: f32,
-    /// Share of the first steps that they never fall below.
+    /// Lower limit of the steps, as a fraction of the initial ones.
     pub floor: f32,
-    /// Ticks over which the actor's step grows to its full size, while the critic learns its first values.
+    /// Ticks over which the actor's step grows to its full size, while the critic learns initial values.
     pub warm_up: f32,
-    /// Step `alpha_c` of what squared noise costs; 0 for never.
+    /// Step of the cost of squared noise, `alpha_c`; 0 to disable it.
     pub noise_step: f32,
     /// Standard deviation of the noise.
     pub sigma: f32,
 }
 
 impl CriticConstants {
-    /// The constants of a table, for noise of standard deviation `sigma`.
-    pub fn of(table: &CriticConfig, sigma: f32) -> Self {
+    /// The constants of a configuration, for noise of standard deviation `sigma`.
+    pub fn of(config: &CriticConfig, sigma: f32) -> Self {
         Self {
-            step: table.step as f32,
-            discount: table.discount as f32,
-            decay: table.decay as f32,
-            reward_feature: table.reward_feature as f32,
-            bound: table.bound as f32,
-            half_life: table.half_life as f32,
-            floor: table.floor as f32,
-            warm_up: table.warm_up as f32,
-            noise_step: table.noise_step as f32,
+            step: config.step as f32,
+            discount: config.discount as f32,
+            decay: config.decay as f32,
+            reward_feature: config.reward_feature as f32,
+            bound: config.bound as f32,
+            half_life: config.half_life as f32,
+            floor: config.floor as f32,
+            warm_up: config.warm_up as f32,
+            noise_step: config.noise_step as f32,
             sigma,
         }
     }
 }
 
-/// Share of the newest error in the running mean of its size.
-const NEWEST: f32 = 1e-3;
+/// Weight of the newest error in the running mean of its size.
+const ERROR_SIZE_RATE: f32 = 1e-3;
 
-/// Largest squared noise that counts as such, in variances, less 1: what is beyond was the gate's doing.
-const LARGEST_SQUARE: f32 = 8.0;
+/// Largest value of `q`: larger squared noise is the effect of the gate, not of exploration.
+const MAX_NOISE_SQUARE: f32 = 8.0;
 
-/// Farthest that one tick may move the mean command at the features in hand, in standard deviations of the noise.
-const STRIDE: f32 = 0.5;
+/// Largest change of the mean command at the current features in one tick, in standard deviations of the noise.
+const MAX_MEAN_STEP: f32 = 0.5;
 
-/// The rule, its critic and both traces.
+/// The actor-critic rule: constants, critic and both traces.
 #[derive(Debug, Clone)]
 pub struct ActorCritic {
     beta: f32,
     rate: f32,
     critic: CriticConstants,
     pairs: Option<PairFeatures>,
-    sees_pairs: bool,
+    /// Whether the critic's features are those of pairs. `pairs` itself is empty during an update.
+    uses_pairs: bool,
     metric: Option<NaturalMetric>,
-    /// What squared noise on each output costs, `c`.
+    /// The cost of squared noise on each output, `c`.
     noise_costs: Outputs,
     outputs: usize,
-    /// In the layout of the policy's weights.
+    /// The actor's trace, in the layout of the policy's weights.
     trace: Tiles,
     values: Features,
     value_trace: Features,
-    /// What the value weights are still to be moved by along their trace: the step of the tick before is taken in the pass
-    /// over the features that the next one needs anyway.
-    due: f32,
-    /// Bounds of what the traces answer to features of length 1: the actor's by output, and the critic's.
-    reach: Outputs,
-    value_reach: f32,
-    /// Weight and trace of the last reward as a feature, and that reward.
-    last: [f32; 3],
+    /// The step of the value weights along their trace that is not applied yet: it is applied in the next tick,
+    /// in the pass over the features that that tick needs anyway.
+    pending_step: f32,
+    /// Upper bounds of the product of the traces with features of length 1: the actor's by output, and the
+    /// critic's.
+    trace_bound: Outputs,
+    value_trace_bound: f32,
+    /// The last reward as a feature of the critic: its weight, its trace, and the reward.
+    reward_input: [f32; 3],
     /// Running mean of the error's size.
-    size: f32,
-    learned: f32,
+    error_size: f32,
+    /// Number of ticks learned from.
+    ticks_learned: f32,
     halted: bool,
 }
 
 impl ActorCritic {
-    /// The rule for a policy of `len` (padded) features and `outputs` outputs, with the actor's trace decay `beta` and
-    /// `rate` = `alpha / sigma^2`.
+    /// The rule for a policy of `len` features, including padding, and `outputs` outputs, with the actor's
+    /// trace decay `beta` and `rate` = `alpha / sigma^2`.
     pub fn new(len: usize, outputs: usize, beta: f32, rate: f32, critic: CriticConstants) -> Self {
         Self {
             beta,
             rate,
             critic,
             pairs: None,
-            sees_pairs: false,
+            uses_pairs: false,
             metric: None,
             noise_costs: [0.0; MAX_OUTPUTS],
             outputs,
             trace: Tiles::zeroed(len, outputs),
             values: Features::zeroed(len),
             value_trace: Features::zeroed(len),
-            due: 0.0,
-            reach: [0.0; MAX_OUTPUTS],
-            value_reach: 0.0,
-            last: [0.0; 3],
-            size: 0.0,
-            learned: 0.0,
+            pending_step: 0.0,
+            trace_bound: [0.0; MAX_OUTPUTS],
+            value_trace_bound: 0.0,
+            reward_input: [0.0; 3],
+            error_size: 0.0,
+            ticks_learned: 0.0,
             halted: false,
         }
     }
 
-    /// The same with a critic that sees `pairs`, and with steps along the natural gradient of `metric`. The metric is one
-    /// of the actor's features, and is the critic's too where it sees those.
+    /// The same rule with a critic over `pairs`, and with steps along the natural gradient of `metric`. The
+    /// metric is that of the actor's features, and also applies to the critic if it has the same features.
     #[must_use]
     pub fn with(mut self, pairs: Option<PairFeatures>, metric: Option<NaturalMetric>) -> Self {
         if let Some(pairs) = &pairs {
             self.values = Features::zeroed(pairs.units());
             self.value_trace = self.values.clone();
         }
-        Self { sees_pairs: pairs.is_some(), pairs, metric, ..self }
+        Self { uses_pairs: pairs.is_some(), pairs, metric, ..self }
     }
 
-    /// The error as far as it may count.
-    fn bounded(&mut self, error: f32) -> f32 {
+    /// Limits the error and updates the running mean of its size.
+    fn bound_error(&mut self, error: f32) -> f32 {
         // The first error sets the scale.
-        let size = if self.learned == 0.0 { error.abs() } else { self.size };
+        let size = if self.ticks_learned == 0.0 { error.abs() } else { self.error_size };
         let bounded = error.clamp(-self.critic.bound * size, self.critic.bound * size);
-        self.size = size + NEWEST * (bounded.abs() - size);
+        self.error_size = size + ERROR_SIZE_RATE * (bounded.abs() - size);
         bounded
     }
 
-    /// How far the squares of `noise` are from their mean, in variances.
-    fn squares(&self, noise: &Outputs) -> Outputs {
+    /// `q` for each output: the squares of `noise` in variances, less their mean of 1.
+    fn noise_squares(&self, noise: &Outputs) -> Outputs {
         let mut squares = [0.0; MAX_OUTPUTS];
         if self.critic.noise_step > 0.0 {
             for (square, n) in squares[..self.outputs].iter_mut().zip(noise) {
                 let standard = n / self.critic.sigma;
-                *square = (standard * standard - 1.0).min(LARGEST_SQUARE);
+                *square = (standard * standard - 1.0).min(MAX_NOISE_SQUARE);
             }
         }
         squares
     }
 
-    /// Takes the critic's step of the tick before, adds `direction` to its trace, and says what `here` and, after `reward`,
-    /// `next` are worth: all in one pass, for there are many features.
-    fn judge(&mut self, path: SimdPath, [here, next]: [&[f32]; 2], direction: &[f32], reward: f32) -> [f32; 2] {
-        let (kept, due) = (self.critic.discount * self.critic.decay, std::mem::take(&mut self.due));
+    /// Applies the critic's step of the previous tick, adds `direction` to its trace, and returns the values of
+    /// `here` and, after `reward`, of `next`: all in one pass, because there are many features.
+    fn evaluate(&mut self, path: SimdPath, [here, next]: [&[f32]; 2], direction: &[f32], reward: f32) -> [f32; 2] {
+        let (decay, step) = (self.critic.discount * self.critic.decay, std::mem::take(&mut self.pending_step));
         let (values, trace) = (self.values.as_mut_slice(), self.value_trace.as_mut_slice());
-        let seen = path.run(CriticKernel { values, trace, here, next, direction, kept, due });
+        let products = path.run(CriticKernel { values, trace, here, next, direction, decay, step });
         let factor = self.critic.reward_feature;
-        let [weight, trace, last] = &mut self.last;
-        *weight += due * *trace;
-        *trace = *trace * kept + factor * *last;
+        let [weight, trace, last] = &mut self.reward_input;
+        *weight += step * *trace;
+        *trace = *trace * decay + factor * *last;
         let rewards = [*last, reward];
         *last = reward;
-        [0, 1].map(|i| seen[i] + *weight * factor * rewards[i])
+        [0, 1].map(|i| products[i] + *weight * factor * rewards[i])
     }
 
-    /// As much of `step` as moves the value of either end of the tick by no more than the error: lengths of what is added
-    /// to the trace and of the features, and the last reward and this one as features.
+    /// Limits `step` so that the value at either end of the tick moves by no more than the error. `added` is
+    /// the length of what is added to the trace, `length` that of the features; `last` and `this` are the
+    /// rewards as features.
     fn critic_step(&mut self, step: f32, [added, length]: [f32; 2], [last, this]: [f32; 2]) -> f32 {
-        self.value_reach = self.value_reach * self.critic.discount * self.critic.decay + whole(added, last);
-        step.min(1.0 / (self.value_reach * whole(length, last.abs().max(this.abs()))))
+        self.value_trace_bound =
+            self.value_trace_bound * self.critic.discount * self.critic.decay + extended_length(added, last);
+        step.min(1.0 / (self.value_trace_bound * extended_length(length, last.abs().max(this.abs()))))
     }
 
-    /// As much of `rate` as moves the mean command at the features in hand by no more than [`STRIDE`].
+    /// Limits `rate` so that the mean command at the current features moves by no more than [`MAX_MEAN_STEP`].
+    /// `added` is the length of what is added to the trace, `length` that of the features.
     fn actor_step(&mut self, rate: f32, [added, length]: [f32; 2], noise: &Outputs) -> f32 {
-        let mut most = 0.0_f32;
-        for (reach, n) in self.reach.iter_mut().zip(noise) {
-            *reach = *reach * self.beta + n.abs() * added;
-            most = most.max(*reach);
+        let mut largest_bound = 0.0_f32;
+        for (bound, n) in self.trace_bound.iter_mut().zip(noise) {
+            *bound = *bound * self.beta + n.abs() * added;
+            largest_bound = largest_bound.max(*bound);
         }
-        let (stride, largest) = (rate.abs() * most * length, STRIDE * self.critic.sigma);
-        if stride > largest { rate * (largest / stride) } else { rate }
+        let (change, limit) = (rate.abs() * largest_bound * length, MAX_MEAN_STEP * self.critic.sigma);
+        if change > limit { rate * (limit / change) } else { rate }
     }
 
+    /// One update with the critic's features `here` and `next`, and the natural direction of the actor's
+    /// features, if any. Returns the factor of the actor's trace, and writes the mean output for the next
+    /// features to `mean`.
     fn learn_from(
         &mut self,
         policy: &mut LinearPolicy,
         tick: &Transition,
         [here, next]: [&[f32]; 2],
-        metric: Option<&[f32]>,
+        natural: Option<&[f32]>,
         mean: &mut Outputs,
     ) -> f32 {
-        let squares = self.squares(tick.noise);
+        let squares = self.noise_squares(tick.noise);
         let cost: f32 = self.noise_costs.iter().zip(squares).map(|(c, q)| c * q).sum();
-        let (direction, features) = (metric.unwrap_or(tick.features), tick.features);
-        let side = length(features);
-        let sides = [metric.map_or(side, length), side];
-        let rewards = [self.last[2], tick.reward].map(|r| r * self.critic.reward_feature);
-        let critics = if self.sees_pairs { here } else { direction };
-        let [here_value, next_value] = self.judge(policy.path(), [here, next], critics, tick.reward);
+        let (direction, features) = (natural.unwrap_or(tick.features), tick.features);
+        let actor_length = length(features);
+        let actor_lengths = [natural.map_or(actor_length, length), actor_length];
+        let rewards = [self.reward_input[2], tick.reward].map(|r| r * self.critic.reward_feature);
+        let critic_direction = if self.uses_pairs { here } else { direction };
+        let [here_value, next_value] = self.evaluate(policy.path(), [here, next], critic_direction, tick.reward);
         let error = tick.reward - cost + self.critic.discount * next_value - here_value;
-        if !sound(error * self.rate, tick.noise) || !sound(error * self.critic.step, tick.noise) {
+        if !is_safe(error * self.rate, tick.noise) || !is_safe(error * self.critic.step, tick.noise) {
             self.halted = true;
             *mean = policy.mean(tick.next_features);
             return 0.0;
         }
-        let error = self.bounded(error);
+        let error = self.bound_error(error);
         for (cost, square) in self.noise_costs.iter_mut().zip(squares) {
             *cost += self.critic.noise_step * error * square;
         }
-        let fade = (1.0 / (1.0 + self.learned / self.critic.half_life)).max(self.critic.floor);
-        let lengths = if self.sees_pairs { [1.0; 2] } else { sides };
-        self.due = self.critic_step(self.critic.step * fade, lengths, rewards) * error;
-        let warm = ((self.learned + 1.0) / self.critic.warm_up.max(1.0)).min(1.0);
-        let rate = self.actor_step(self.rate * warm * fade * error, sides, tick.noise);
+        let fade = (1.0 / (1.0 + self.ticks_learned / self.critic.half_life)).max(self.critic.floor);
+        let critic_lengths = if self.uses_pairs { [1.0; 2] } else { actor_lengths };
+        self.pending_step = self.critic_step(self.critic.step * fade, critic_lengths, rewards) * error;
+        let warm = ((self.ticks_learned + 1.0) / self.critic.warm_up.max(1.0)).min(1.0);
+        let rate = self.actor_step(self.rate * warm * fade * error, actor_lengths, tick.noise);
         let step = TraceStep { features: direction, gain: tick.noise, decay: self.beta, rate };
-        self.learned += 1.0;
+        self.ticks_learned += 1.0;
         policy.step_and_answer(&mut self.trace, step, tick.next_features, mean);
         rate
     }
@@ -257,31 +271,31 @@ impl LearningRule for ActorCritic {
             *mean = policy.mean(tick.next_features);
             return 0.0;
         }
-        // Taken out for as long as their features are lent to the rest.
+        // Moved out of `self` while their features are borrowed.
         let (mut pairs, mut metric) = (self.pairs.take(), self.metric.take());
         if let Some(metric) = &mut metric {
             metric.apply(tick.features);
         }
-        let seen = match &mut pairs {
-            Some(pairs) => pairs.see(tick.inputs, tick.next_inputs),
+        let critic_features = match &mut pairs {
+            Some(pairs) => pairs.encode_pair(tick.inputs, tick.next_inputs),
             None => [tick.features, tick.next_features],
         };
-        let learned = self.learn_from(policy, tick, seen, metric.as_ref().map(NaturalMetric::result), mean);
+        let rate = self.learn_from(policy, tick, critic_features, metric.as_ref().map(NaturalMetric::result), mean);
         (self.pairs, self.metric) = (pairs, metric);
-        learned
+        rate
     }
 
     fn cut_trace(&mut self) {
         self.trace.clear();
-        let due = std::mem::take(&mut self.due);
+        let step = std::mem::take(&mut self.pending_step);
         for (v, e) in self.values.as_mut_slice().iter_mut().zip(self.value_trace.as_mut_slice()) {
-            *v += *e * due;
+            *v += *e * step;
             *e = 0.0;
         }
-        self.last[0] += due * self.last[1];
-        self.last[1] = 0.0;
-        self.reach = [0.0; MAX_OUTPUTS];
-        self.value_reach = 0.0;
+        self.reward_input[0] += step * self.reward_input[1];
+        self.reward_input[1] = 0.0;
+        self.trace_bound = [0.0; MAX_OUTPUTS];
+        self.value_trace_bound = 0.0;
     }
 
     fn trace_norm(&self) -> f32 {
@@ -294,24 +308,24 @@ impl LearningRule for ActorCritic {
 }
 
 impl Persist for ActorCritic {
-    /// What the pairs have seen last is not in it: they look again.
+    /// The features of pairs are not part of the state: they are encoded again.
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.numbers("noise_costs", &mut self.noise_costs);
         visitor.nested("trace", &mut self.trace);
         visitor.numbers("values", self.values.as_mut_slice());
         visitor.numbers("value_trace", self.value_trace.as_mut_slice());
-        visitor.number("due", &mut self.due);
-        visitor.numbers("reach", &mut self.reach);
-        visitor.number("value_reach", &mut self.value_reach);
-        visitor.numbers("last", &mut self.last);
-        visitor.number("size", &mut self.size);
-        visitor.number("learned", &mut self.learned);
+        visitor.number("due", &mut self.pending_step);
+        visitor.numbers("reach", &mut self.trace_bound);
+        visitor.number("value_reach", &mut self.value_trace_bound);
+        visitor.numbers("last", &mut self.reward_input);
+        visitor.number("size", &mut self.error_size);
+        visitor.number("learned", &mut self.ticks_learned);
         visitor.boolean("halted", &mut self.halted);
     }
 }
 
-/// Length of features with one more.
-fn whole(length: f32, more: f32) -> f32 {
+/// Euclidean length of features of length `length` with one more feature `more`.
+fn extended_length(length: f32, more: f32) -> f32 {
     (length * length + more * more).sqrt()
 }
 
@@ -341,17 +355,17 @@ mod tests {
         Transition { features, inputs: &[], noise, applied: noise, reward, next_features, next_inputs: &[] }
     }
 
-    /// All value weights, once the step that is due has been taken.
+    /// All value weights, including the pending step.
     fn values(rule: &mut ActorCritic) -> Vec<f32> {
-        let mut taken = rule.clone();
-        taken.cut_trace();
-        taken.values.as_slice().to_vec()
+        let mut updated = rule.clone();
+        updated.cut_trace();
+        updated.values.as_slice().to_vec()
     }
 
     #[test]
-    fn two_ticks_are_the_equations() {
+    fn two_ticks_follow_the_equations() {
         let mut policy = LinearPolicy::new(4, (0..4).collect(), 4);
-        // Steps that no bound meets.
+        // Steps that no bound limits.
         let critic = CriticConstants { step: 0.25, sigma: 10.0, ..CRITIC };
         let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, critic);
         let mut noise = [0.0; 8];
@@ -370,7 +384,7 @@ mod tests {
             assert!((now[i] - (before + 0.25 * delta * trace[i])).abs() < 1e-6);
         }
         rule.cut_trace();
-        assert!((rule.last[0] - 0.25 * delta * 0.25 * -2.0).abs() < 1e-6);
+        assert!((rule.reward_input[0] - 0.25 * delta * 0.25 * -2.0).abs() < 1e-6);
         let expected = -0.1 + 0.1 * delta * (0.8 * 0.5 * 1.0);
         assert!((policy.weight(0, 0) - expected).abs() < 1e-6);
     }
@@ -393,19 +407,19 @@ mod tests {
                 for (after, before) in policy.mean(here).iter().zip(before) {
                     longest = longest.max((after - before).abs());
                 }
-                // The last reward is a feature too, and may have its share of the error.
+                // The last reward is a feature too, and may account for part of the error.
                 let moved = dot(&values(&mut rule), here) - value;
-                let weight = rule.last[0].abs() * 0.25 * 2e4;
+                let weight = rule.reward_input[0].abs() * 0.25 * 2e4;
                 assert!(moved.abs() <= known.abs() + weight + 1e-3, "{k}: {moved} {known}");
             }
-            // In single precision, about weights that are of the order of 1.
-            assert!(longest <= STRIDE * 0.2 * 1.001 && longest > 0.5 * STRIDE * 0.2, "{longest}");
+            // Single precision, with weights of the order of 1.
+            assert!(longest <= MAX_MEAN_STEP * 0.2 * 1.001 && longest > 0.5 * MAX_MEAN_STEP * 0.2, "{longest}");
             assert!(!rule.halted());
         }
     }
 
     #[test]
-    fn what_squared_noise_costs_is_learned_and_taken_out() {
+    fn the_cost_of_squared_noise_is_learned_and_subtracted() {
         let mut policy = LinearPolicy::new(4, (0..4).collect(), 2);
         let critic = CriticConstants { noise_step: 0.05, sigma: 0.5, bound: 1e6, ..CRITIC };
         let mut rule = ActorCritic::new(4, 2, 0.0, 0.0, critic);
@@ -415,18 +429,18 @@ mod tests {
             let reward = -0.1 - 0.3 * noise[0] * noise[0];
             rule.learn(&mut policy, &tick(&[1.0, 0.0, 0.0, 0.0], &noise, reward, &[1.0, 0.0, 0.0, 0.0]));
         }
-        // 0.3 sigma^2 on the first output, nothing on the second, nor on outputs that are not there.
+        // 0.3 sigma^2 on the first output, nothing on the second or on unused outputs.
         assert!((rule.noise_costs[0] + 0.075).abs() < 0.01, "{:?}", rule.noise_costs);
         assert!(rule.noise_costs[1].abs() < 0.01 && rule.noise_costs[2..] == [0.0; 6], "{:?}", rule.noise_costs);
-        assert!(rule.size < 0.03, "{}", rule.size);
+        assert!(rule.error_size < 0.03, "{}", rule.error_size);
     }
 
     #[test]
-    fn a_surprise_counts_for_no_more_than_the_bound() {
+    fn an_outlier_is_limited_to_the_bound() {
         let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC);
-        assert_eq!(rule.bounded(-0.5), -0.5);
-        rule.learned = 1.0;
-        assert_eq!(rule.bounded(-100.0), -1.5);
+        assert_eq!(rule.bound_error(-0.5), -0.5);
+        rule.ticks_learned = 1.0;
+        assert_eq!(rule.bound_error(-100.0), -1.5);
     }
 
     #[test]

@@ -6,18 +6,20 @@
 //! b_{k+1} = b_k + (r_k - b_k) / min(k + 1, N)
 //! ```
 //!
-//! The mean is taken before the reward of the tick enters it, so that the gradient stays unbiased. Until N ticks have
-//! been it is the plain mean, after that it forgets with the time constant N.
+//! `b_k` does not yet contain the reward of tick k, so that the gradient stays unbiased. `b` is the plain mean
+//! of the first N rewards and then an exponential mean with the time constant N.
 
 use super::{LearningRule, PaperRule, Transition};
 use crate::policy::{LinearPolicy, Outputs};
 use crate::state::{Persist, StateVisitor};
 
-/// The rule and its mean.
+/// The paper's rule with a running mean of the reward.
 #[derive(Debug, Clone)]
 pub struct BaselineRule {
     rule: PaperRule,
+    /// Time constant N.
     ticks: f32,
+    /// Number of rewards in the mean, at most N.
     seen: f32,
     mean: f32,
 }
@@ -28,9 +30,9 @@ impl BaselineRule {
         Self { rule, ticks: ticks.max(1.0), seen: 0.0, mean: 0.0 }
     }
 
-    /// What the reward was less of its mean so far; the mean then takes it in.
+    /// The reward less the mean of the earlier ones; then adds the reward to the mean.
     fn advantage(&mut self, reward: f32) -> f32 {
-        // The first reward is its own mean: there is nothing to compare it with.
+        // The first reward has no mean to be compared with.
         let advantage = if self.seen == 0.0 { 0.0 } else { reward - self.mean };
         self.seen = (self.seen + 1.0).min(self.ticks);
         self.mean += (reward - self.mean) / self.seen;
@@ -75,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_mean_is_plain_at_first_and_then_forgets() {
+    fn the_mean_is_plain_at_first_and_then_exponential() {
         let mut rule = BaselineRule::new(PaperRule::new(4, 4, 0.0, 1.0), 2.0);
         let advantages = [-1.0, -2.0, -4.0, -4.0].map(|r| rule.advantage(r));
         // Means before each reward: none, -1, -1.5, -2.75.

@@ -1,14 +1,15 @@
-//! `[learner]` as it stands in its file: the rules, their constants, and the preset of each.
+//! `[learner]`: the configuration of the learning rules, and the preset of each rule.
 
 use serde::{Deserialize, Serialize};
 
-/// `[learner]`: the rule and its constants. What a file leaves out is as in the rule's [preset](LearnerConfig::preset).
+/// `[learner]`: the rule and its constants. Omitted keys have the values of the rule's
+/// [preset](LearnerConfig::preset).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LearnerConfig {
     /// The learning rule.
     pub rule: Rule,
-    /// Decay of the eligibility trace a tick, in [0, 1).
+    /// Decay of the eligibility trace per tick, in [0, 1).
     pub beta: f64,
     /// The step `alpha / sigma^2`.
     pub alpha_over_variance: f64,
@@ -18,8 +19,8 @@ pub struct LearnerConfig {
     /// Rules `actor-critic` and `natural-actor-critic`: the critic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub critic: Option<CriticConfig>,
-    /// Rule `learned-reward`: the model, and how the policy is improved through it. `beta` and `alpha_over_variance` are
-    /// of no use to this rule.
+    /// Rule `learned-reward`: the model, and how the policy is improved with it. This rule does not use `beta` and
+    /// `alpha_over_variance`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<ModelConfig>,
 }
@@ -30,13 +31,13 @@ pub struct LearnerConfig {
 pub enum Rule {
     /// Daucé & Dutech 2010, section 3.2.
     Paper,
-    /// The same with the reward less its running mean.
+    /// The paper's rule with the reward less its running mean.
     Baseline,
     /// Actor-critic with eligibility traces.
     ActorCritic,
-    /// Its natural gradient.
+    /// Actor-critic along the natural gradient.
     NaturalActorCritic,
-    /// The policy is improved through a learned model of the reward.
+    /// Policy improvement through a learned model of the reward.
     LearnedReward,
 }
 
@@ -48,7 +49,7 @@ pub struct BaselineConfig {
     pub ticks: f64,
 }
 
-/// What a critic's features are.
+/// The features of a critic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CriticFeatures {
@@ -58,31 +59,32 @@ pub enum CriticFeatures {
     Policy,
 }
 
-/// `[learner.critic]`: the linear critic and the size of steps.
+/// `[learner.critic]`: the linear critic and the step sizes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CriticConfig {
-    /// What the critic sees.
+    /// The critic's features.
     pub sees: CriticFeatures,
-    /// Step of the critic's weights; where it would overshoot the error, less is taken.
+    /// Step of the critic's weights; reduced where it would overshoot the error.
     pub step: f64,
-    /// Discount of later rewards a tick, in [0, 1).
+    /// Discount of later rewards per tick, in [0, 1).
     pub discount: f64,
     /// Decay of the critic's eligibility trace, in [0, 1].
     pub decay: f64,
-    /// Factor with which the last reward is a feature of the critic.
+    /// Factor of the last reward as a feature of the critic; 0 for none.
     pub reward_feature: f64,
-    /// Largest temporal-difference error, in running means of its size.
+    /// Largest temporal-difference error, in multiples of the running mean of its size.
     pub bound: f64,
-    /// Ticks after which the steps of critic and actor are half of the first ones.
+    /// Ticks after which the steps of critic and actor are half of the initial ones.
     pub half_life: f64,
-    /// Share of the first steps that they never fall below; 1 for constant steps.
+    /// Lower limit of the steps, as a fraction of the initial ones; 1 for constant steps.
     pub floor: f64,
     /// Ticks over which the actor's step grows to its full size.
     pub warm_up: f64,
-    /// Step with which it is learned what the square of the exploration noise costs; 0 for not at all.
+    /// Step with which the cost of squared exploration noise is learned; 0 to disable it.
     pub noise_step: f64,
-    /// Natural gradient: what is added to the diagonal of the features' second-moment matrix, in its mean eigenvalues.
+    /// Natural gradient: value added to the diagonal of the features' second-moment matrix, in multiples of its
+    /// mean eigenvalue.
     pub regularisation: f64,
 }
 
@@ -90,48 +92,50 @@ pub struct CriticConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ModelConfig {
-    /// What the model of the reward is made of.
+    /// Basis functions of the reward model.
     pub basis: ModelBasis,
-    /// Prior standard deviation of the model's weights of first order.
+    /// Prior standard deviation of the model's first-order weights.
     pub spread: f64,
-    /// Factor on it for every order above the first (basis `smooth`).
+    /// Factor of the prior standard deviation for every order above the first (basis `smooth`).
     pub smoothness: f64,
-    /// Standard deviation of the reward about the model.
+    /// Standard deviation of the difference between reward and model.
     pub reward_noise: f64,
-    /// Names of the inputs that the commands move; left out, the last ones, as many as there are outputs.
+    /// Names of the inputs that the commands move; if omitted, the last inputs, one per output.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub moved: Vec<String>,
-    /// First tick after which the policy is improved.
+    /// Number of ticks before the policy is first improved.
     pub start: u64,
-    /// Imagined movements for one step.
+    /// Number of rollouts (imagined movements) for one step.
     pub movements: usize,
-    /// Ticks of each.
+    /// Length of a rollout, ticks.
     pub horizon: usize,
-    /// How many times its last tick counts.
+    /// Weight of the last tick of a rollout.
     pub last_counts: f64,
-    /// Share of the movements towards a place that is drawn anew; the others go on towards where they went.
+    /// Fraction of the rollouts with a newly drawn target; the others have the target of a remembered tick.
     pub imagined: f64,
-    /// Share of the movements that start from anywhere in the box of inputs,
+    /// Fraction of the rollouts that start from a state drawn from the whole input box.
     pub anywhere: f64,
-    /// and of those that go on from where the policy's last imagined one ended; the others start from where the body was.
+    /// Fraction of the rollouts that continue where the policy's previous rollout ended. The remaining ones
+    /// start from a remembered state.
     pub onward: f64,
-    /// Ticks of the past that are remembered to start from.
+    /// Number of past ticks that are remembered as start states.
     pub memory: usize,
-    /// Steps a tick.
+    /// Steps per tick.
     pub steps: usize,
-    /// Size of the first steps, in units of a weight (Adam).
+    /// Initial step size, in units of a weight (Adam).
     pub step: f64,
-    /// What is added to the variance of the directions in which a line of kernels varies, in units of the mean one, before
-    /// they are scaled to be stepped along alike.
+    /// Whitening: value added to the variances of a line's kernels along their principal directions, in
+    /// multiples of the mean variance.
     pub ridge: f64,
-    /// Ticks after which it is half of that.
+    /// Ticks after which the step size is half of the initial one.
     pub half_life: f64,
-    /// Share of the first size that it never falls below.
+    /// Lower limit of the step size, as a fraction of the initial one.
     pub floor: f64,
-    /// Ticks after which a policy that starts from nothing is tried beside the one in use, and again; 0 for never.
+    /// Ticks after which the challenger, a second policy that starts from small random weights, is restarted; 0
+    /// for no challenger.
     pub challenge: u64,
-    /// Once the world has stayed the same for `n` times so many ticks, only every `n`-th tick is worked in, at last every
-    /// 256th. A reward or a movement that was not expected ends the rest at once.
+    /// After `n` times this number of ticks without a change of the world, the rule works only in every `n`-th
+    /// tick, down to every 256th. An unexpected reward or movement ends this at once.
     pub rest: u64,
 }
 
@@ -154,22 +158,24 @@ impl ModelBasis {
         }
     }
 
-    /// Whether the functions of a single input are in the model besides the pairs'; kernels sum to nearly one, so that
-    /// pairs of them say what a single one could.
+    /// Whether the model has functions of single inputs besides those of pairs. Kernels sum to nearly one, so
+    /// pairs of them can represent any function of a single input.
     pub fn has_singles(self) -> bool {
         self == Self::Smooth
     }
 }
 
 impl LearnerConfig {
-    /// The rule as we would use it on the arm.
+    /// The recommended configuration of a rule, tuned on the arm.
     pub fn preset(rule: Rule) -> Self {
-        let table = Self { rule, ..Self::default() };
+        let config = Self { rule, ..Self::default() };
         match rule {
-            Rule::Paper | Rule::Baseline => table,
-            // Without bounds on updates this would be too long for some seeds. 2 learns faster at first, and ends with more loss.
-            Rule::ActorCritic => Self { beta: 0.6, alpha_over_variance: 1.0, ..table },
-            // Its metric makes the critic fast on the policy's own features, and its long steps have to fade.
+            Rule::Paper | Rule::Baseline => config,
+            // Without bounds on updates this step would be too large for some seeds. A step of 2 learns faster
+            // at first, and ends with a higher loss.
+            Rule::ActorCritic => Self { beta: 0.6, alpha_over_variance: 1.0, ..config },
+            // With the metric the critic learns fast on the policy's own features, and the large steps have to
+            // decay.
             Rule::NaturalActorCritic => Self {
                 beta: 0.72,
                 alpha_over_variance: 3.0,
@@ -181,14 +187,14 @@ impl LearnerConfig {
                     noise_step: 0.0,
                     ..CriticConfig::default()
                 }),
-                ..table
+                ..config
             },
-            Rule::LearnedReward => table,
+            Rule::LearnedReward => config,
         }
         .resolved()
     }
 
-    /// The same with the tables that its rule needs.
+    /// The same configuration with the sections that its rule needs.
     pub fn resolved(mut self) -> Self {
         match self.rule {
             Rule::Paper => {}

@@ -1,9 +1,9 @@
-//! Every rule against a numerical gradient: on a small world whose expected reward is known, the mean of many updates from
-//! the same weights points along it.
+//! Every rule against a numerical gradient: in a small task with a known expected reward, the mean of many
+//! updates from the same weights points along the gradient.
 //!
-//! The world: a context `g` out of three, overlapping; a command `u` of two outputs; the reward `-|u - t|^2` at once and
-//! `-|u - s|^2` a tick later, `t` and `s` being the context's. What is done in the second tick counts for nothing. A rule
-//! with trace decay `beta` follows `J = E[r_0 + beta r_1]`.
+//! The task: one of three overlapping contexts `g`, a command `u` with two outputs, the reward `-|u - t|^2` at
+//! once and `-|u - s|^2` a tick later, where `t` and `s` depend on the context. The command of the second tick
+//! has no effect. A rule with trace decay `beta` follows `J = E[r_0 + beta r_1]`.
 
 use super::*;
 use crate::policy::Exploration;
@@ -16,7 +16,7 @@ const LATER: [[f32; 2]; 3] = [[-0.6, 0.4], [0.7, 0.1], [0.2, -0.8]];
 const BETA: f32 = 0.6;
 const SIGMA: f32 = 0.3;
 const EPISODES: usize = 60_000;
-/// Of rewards, so that a rule without a baseline has something to do with.
+/// Offset of rewards, so that a baseline matters.
 const OFFSET: f32 = 0.3;
 
 type Weights = [[f64; 4]; 2];
@@ -25,7 +25,7 @@ fn reward(u: [f64; 2], target: [f32; 2]) -> f64 {
     f64::from(OFFSET) - (0..2).map(|i| (u[i] - f64::from(target[i])).powi(2)).sum::<f64>()
 }
 
-/// `J` for weights `w`, without the constant that noise takes.
+/// `J` for weights `w`, without the constant cost of the noise.
 fn expected(w: &Weights) -> f64 {
     let mean = |g: &[f32; 4]| [0, 1].map(|i| (0..4).map(|k| w[i][k] * f64::from(g[k])).sum::<f64>());
     let contexts = CONTEXTS.iter().zip(NOW.iter().zip(LATER));
@@ -47,17 +47,17 @@ fn numerical(w: &Weights) -> Weights {
     gradient
 }
 
-/// What `rule`, told to step by next to nothing, adds to the weights 0 over all episodes.
+/// The sum of all updates of `rule`, which has a tiny step size, from weights 0.
 fn update(rule: &mut dyn LearningRule) -> Weights {
     let mut policy = LinearPolicy::new(4, (0..4).collect(), 2);
     let mut exploration = Exploration::new(5, SIGMA, 2);
     for episode in 0..EPISODES {
         let context = episode % 3;
-        let done = exploration.draw();
-        let at = |target: [f32; 2]| reward([f64::from(done[0]), f64::from(done[1])], target) as f32;
+        let command = exploration.draw();
+        let at = |target: [f32; 2]| reward([f64::from(command[0]), f64::from(command[1])], target) as f32;
         let next = &CONTEXTS[(episode + 1) % 3];
         let ticks = [
-            (&CONTEXTS[context], done, at(NOW[context]), &WAIT),
+            (&CONTEXTS[context], command, at(NOW[context]), &WAIT),
             (&WAIT, exploration.draw(), at(LATER[context]), next),
         ];
         for (features, noise, reward, next_features) in ticks {
@@ -69,11 +69,11 @@ fn update(rule: &mut dyn LearningRule) -> Weights {
         }
         rule.cut_trace();
     }
-    assert!(policy.norm() < 1e-2, "the weights stayed where the gradient is taken: {}", policy.norm());
+    assert!(policy.norm() < 1e-2, "the weights are too far from 0, where the gradient is taken: {}", policy.norm());
     [0, 1].map(|i| std::array::from_fn(|k| f64::from(policy.weight(i, k))))
 }
 
-/// Cosine of the angle between two directions, over what contexts can move: features 0 to 2.
+/// Cosine of the angle between two directions, over features 0 to 2, which the contexts use.
 fn cosine(a: &Weights, b: &Weights) -> f64 {
     let product = |a: &Weights, b: &Weights| {
         (0..2).flat_map(|i| (0..3).map(move |k| (i, k))).map(|(i, k)| a[i][k] * b[i][k]).sum::<f64>()
@@ -127,7 +127,7 @@ fn the_natural_rule_follows_the_gradient_times_the_inverse_of_the_moments() {
     let metric = NaturalMetric::from_moments(moments.clone(), len, len, share);
     let update = update(&mut actor_critic().with(None, Some(metric)));
     let gradient = numerical(&[[0.0; 4]; 2]);
-    // The metric taken off again: (M + ridge) times the update.
+    // Without the metric: (M + ridge) times the update.
     let undone = update.map(|row| {
         std::array::from_fn(|k| ridge * row[k] + (0..len).map(|j| moments[k * len + j] * row[j]).sum::<f64>())
     });

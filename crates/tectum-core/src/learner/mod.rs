@@ -1,22 +1,23 @@
-//! Learning rules: from what was done and what came of it to new weights.
+//! Learning rules: update the weights of a policy from commands and rewards.
 //!
-//! A rule sees what the agent sees: inputs and their features, the exploration and the command that were applied, the
-//! reward. It is told when a tick is not to be learned from; why is the runtime's business. Each rule stands in its own
-//! file with its source, behind one small face, [`LearningRule`]; [`Learner`] is the one that a scenario names.
+//! A rule receives what the agent observes: inputs and their features, the applied noise and command, and the
+//! reward. The runtime decides which ticks are learned from, and cuts the trace after the others. Each rule has
+//! its own file and implements the trait [`LearningRule`]; [`Learner`] is the rule that a scenario names.
 //!
 //! | rule | file | source |
 //! |---|---|---|
 //! | `paper` | `paper.rs` | Daucé & Dutech 2010, section 3.2 |
-//! | `baseline` | `baseline.rs` | Williams 1992: the same, reward less its running mean |
-//! | `actor-critic` | `actor_critic.rs`, `pairs.rs` | Degris, Pilarski & Sutton 2012; bounded steps: Elsayed et al. 2024 |
-//! | `natural-actor-critic` | `actor_critic.rs`, `metric.rs` | Kakade 2001; Bhatnagar et al. 2009 |
-//! | `learned-reward` | `learned_reward/` | model-based value gradients: Heess et al. 2015, Deisenroth & Rasmussen 2011 |
+//! | `baseline` | `baseline.rs` | Williams 1992: the paper's rule with the reward less its running mean |
+//! | `actor-critic` | `actor_critic.rs`, `pair_features.rs` | Degris et al. 2012; bounded steps: Elsayed et al. 2024 |
+//! | `natural-actor-critic` | `actor_critic.rs`, `natural_metric.rs` | Kakade 2001; Bhatnagar et al. 2009 |
+//! | `learned-reward` | `learned_reward/` | value gradients: Heess et al. 2015, Deisenroth & Rasmussen 2011 |
 
 mod actor_critic;
 mod baseline;
 mod config;
 mod critic_kernel;
 mod learned_reward;
+#[doc(hidden)]
 pub mod naive;
 mod natural_metric;
 mod pair_features;
@@ -36,8 +37,8 @@ use crate::SignalConfig;
 use crate::policy::{LinearPolicy, Outputs};
 use crate::state::{Persist, StateVisitor};
 
-/// What a learner is built for: the signals that it sees and sets, the policy's features, and its own settings. All numbers
-/// are taken as validated.
+/// Everything that a learner is built from: its inputs and outputs, the policy's features, and the rule's
+/// configuration. All numbers must be valid; this is not checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LearnerSpec {
     /// The inputs, in order; at most [`MAX_INPUTS`](crate::MAX_INPUTS).
@@ -56,57 +57,58 @@ pub struct LearnerSpec {
     pub learner: LearnerConfig,
 }
 
-/// One tick that may be learned from, with the inputs that followed it.
+/// One tick that is learned from, with the inputs of the next tick.
 #[derive(Debug, Clone, Copy)]
 pub struct Transition<'a> {
-    /// The features that the policy answered, in the encoder's padded layout.
+    /// The features from which the command was computed, in the encoder's padded layout.
     pub features: &'a [f32],
-    /// The inputs behind them.
+    /// The inputs of these features.
     pub inputs: &'a [f32],
-    /// What the applied command differed from the policy's mean by, or what stands for it where the noise is not Gaussian:
-    /// `sigma^2` times its score ([`Exploration::score`](crate::policy::Exploration::score)).
+    /// The applied command less the policy's mean, or, if the noise is not Gaussian, `sigma^2` times its score
+    /// ([`Exploration::score`](crate::policy::Exploration::score)).
     pub noise: &'a Outputs,
     /// The command that was applied.
     pub applied: &'a Outputs,
-    /// What came of it.
+    /// The reward of the tick.
     pub reward: f32,
-    /// The features of the tick after.
+    /// The features of the next tick.
     pub next_features: &'a [f32],
-    /// The inputs of the tick after.
+    /// The inputs of the next tick.
     pub next_inputs: &'a [f32],
 }
 
-/// What every learning rule can do. Nothing in it allocates, and what it does is a function of the ticks it was given and
-/// of the run's seed alone.
+/// A learning rule. Its methods do not allocate, and its results depend only on the ticks that it received and
+/// on the run's seed.
 pub trait LearningRule {
-    /// Learns from one tick, before the next command goes out: the cheap part. Returns the factor with which the trace
-    /// was added to the weights, or for a rule without a trace the size of its last step.
+    /// Learns from one tick, before the next command is sent, so it has to be fast. Returns the factor with
+    /// which the trace was added to the weights, or, for a rule without a trace, the size of its last step.
     fn learn(&mut self, policy: &mut LinearPolicy, tick: &Transition) -> f32;
 
-    /// [`learn`](Self::learn), and then into `mean` the policy's mean output for the features of the tick after: the same
-    /// numbers, to the bit, where a rule knows how to come by both in one pass.
+    /// [`learn`](Self::learn), and then writes the policy's mean output for the features of the next tick to
+    /// `mean`. A rule may do both in one pass; the results are the same, bit for bit.
     fn learn_and_answer(&mut self, policy: &mut LinearPolicy, tick: &Transition, mean: &mut Outputs) -> f32 {
         let step = self.learn(policy, tick);
         *mean = policy.mean(tick.next_features);
         step
     }
 
-    /// Uses the time after the command has gone out: the dear part. Called once a tick, learned from or not.
+    /// Does expensive work after the command was sent. Called once per tick, whether or not the tick was
+    /// learned from.
     fn improve(&mut self, _policy: &mut LinearPolicy) {}
 
-    /// Forgets what was done: after a tick in which something else happened than the policy asked for, no credit
-    /// crosses over.
+    /// Clears the trace, so that no later reward is credited to earlier commands. Called after a tick whose
+    /// applied command was not the policy's.
     fn cut_trace(&mut self);
 
-    /// Euclidean norm of the trace; for a rule without one, of what stands in its place in the log.
+    /// Euclidean norm of the trace; for a rule without a trace, the number that the log has in its place.
     fn trace_norm(&self) -> f32;
 
-    /// Whether the rule met a number that is not finite, or is about to be none. It has then stopped learning, for good,
-    /// and what it has learned stands.
+    /// Whether the rule has stopped learning for good, because a number was not finite or too large. The
+    /// weights keep their last values.
     fn halted(&self) -> bool;
 }
 
-/// The rule of a scenario.
+/// The learning rule that a scenario configures.
 #[derive(Debug, Clone)]
 pub enum Learner {
     /// The paper's rule.
@@ -120,23 +122,23 @@ pub enum Learner {
 }
 
 impl Learner {
-    /// The learner that `spec` names, for features of `encoder`.
+    /// The learner that `spec` configures, for features of `encoder`.
     pub fn of(spec: &LearnerSpec, encoder: &Encoder) -> Self {
-        let (table, len, outputs) = (&spec.learner, encoder.len(), spec.outputs);
-        let paper = || PaperRule::new(len, outputs, table.beta as f32, table.alpha_over_variance as f32);
+        let (config, len, outputs) = (&spec.learner, encoder.len(), spec.outputs);
+        let paper = || PaperRule::new(len, outputs, config.beta as f32, config.alpha_over_variance as f32);
         let actor_critic = |metric| {
-            let critic = table.critic.clone().unwrap_or_default();
+            let critic = config.critic.clone().unwrap_or_default();
             let pairs = (critic.sees == CriticFeatures::Pairs).then(|| PairFeatures::of(&spec.inputs));
-            let (beta, step, sigma) = (table.beta, table.alpha_over_variance, spec.sigma);
+            let (beta, step, sigma) = (config.beta, config.alpha_over_variance, spec.sigma);
             Self::ActorCritic(Box::new(
                 ActorCritic::new(len, outputs, beta as f32, step as f32, CriticConstants::of(&critic, sigma as f32))
                     .with(pairs, metric),
             ))
         };
-        match table.rule {
+        match config.rule {
             Rule::Paper => Self::Paper(paper()),
             Rule::Baseline => {
-                Self::Baseline(BaselineRule::new(paper(), table.baseline.clone().unwrap_or_default().ticks as f32))
+                Self::Baseline(BaselineRule::new(paper(), config.baseline.clone().unwrap_or_default().ticks as f32))
             }
             Rule::ActorCritic => actor_critic(None),
             Rule::NaturalActorCritic => actor_critic(Some(NaturalMetric::of(spec, encoder))),
@@ -170,7 +172,7 @@ impl LearningRule for Learner {
 
     fn learn_and_answer(&mut self, policy: &mut LinearPolicy, tick: &Transition, mean: &mut Outputs) -> f32 {
         match self {
-            // By name, so that what is called in every tick of the fastest rule can be inlined.
+            // A direct call, so that it can be inlined: this is the fastest rule.
             Self::Paper(rule) => rule.learn_and_answer(policy, tick, mean),
             _ => self.rule_mut().learn_and_answer(policy, tick, mean),
         }
@@ -204,14 +206,15 @@ impl Persist for Learner {
     }
 }
 
-/// Beyond this a number is on its way to infinity: no command, reward or step in use comes near it.
-const HUGE: f32 = 1e15;
+/// Numbers of this magnitude show divergence: no command, reward or step in normal use comes near it.
+const DIVERGED: f32 = 1e15;
 
-/// Whether the weights may be changed by `step` times a trace of `noise`: both are numbers and far from overflow, so that
-/// no product of the two, nor a sum of such, can be infinite. Weights that grow without limit show in the mean command,
-/// and thereby in the noise (what was applied is within limits), long before they are no numbers.
-fn sound(step: f32, noise: &Outputs) -> bool {
-    step.abs() < HUGE && noise.iter().all(|n| n.abs() < HUGE)
+/// Whether `step` times a trace of `noise` can be added to the weights. Both must be finite and far from
+/// overflow, so that no product of the two and no sum of such products is infinite. Weights that grow without
+/// limit first enlarge the mean command, and so the noise, since the applied command is limited: they are
+/// detected long before they overflow.
+fn is_safe(step: f32, noise: &Outputs) -> bool {
+    step.abs() < DIVERGED && noise.iter().all(|n| n.abs() < DIVERGED)
 }
 
 /// `to += factor * from`.
@@ -221,7 +224,7 @@ fn add(to: &mut [f32], from: &[f32], factor: f32) {
     }
 }
 
-/// The sum of products, in a fixed order.
+/// The scalar product, summed in a fixed order.
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let (a, b) = (a.as_chunks::<16>(), b.as_chunks::<16>());
     let mut sums = [0.0; 16];

@@ -1,6 +1,7 @@
-//! The paper's rule written down the plain way, to measure the speed of the one in use against. Nothing in a run uses it.
+//! A plain baseline for benches and tests: the paper's rule as straightforward loops, against which the speed
+//! and the results of [`PaperRule`](super::PaperRule) are measured. A run does not use it.
 
-/// The rule and its policy as matrices, output by output, in three loops: trace, weights, mean output.
+/// The rule and its policy as plain matrices, with one loop each for trace, weights and mean output.
 #[derive(Debug, Clone)]
 pub struct NaivePaperRule {
     beta: f32,
@@ -10,7 +11,7 @@ pub struct NaivePaperRule {
 }
 
 impl NaivePaperRule {
-    /// For `len` features and `outputs` outputs, with trace decay `beta` and `rate` = `alpha / sigma^2`.
+    /// The rule for `len` features and `outputs` outputs, with trace decay `beta` and `rate` = `alpha / sigma^2`.
     pub fn new(len: usize, outputs: usize, beta: f32, rate: f32) -> Self {
         let zeros = vec![vec![0.0; len]; outputs];
         Self { beta, rate, weights: zeros.clone(), trace: zeros }
@@ -30,7 +31,7 @@ impl NaivePaperRule {
         }
     }
 
-    /// The mean output, for up to eight outputs.
+    /// The mean output, for at most eight outputs.
     pub fn mean(&self, features: &[f32]) -> [f32; 8] {
         let mut mean = [0.0; 8];
         for (mean, weights) in mean.iter_mut().zip(&self.weights) {
@@ -47,7 +48,7 @@ mod tests {
     use crate::policy::LinearPolicy;
 
     #[test]
-    fn the_textbook_learns_what_the_rule_does() {
+    fn the_baseline_learns_the_same_as_the_rule() {
         let (mut plain, mut rule) = (NaivePaperRule::new(20, 5, 0.9, 0.1), PaperRule::new(20, 5, 0.9, 0.1));
         let mut policy = LinearPolicy::new(20, (0..20).collect(), 5);
         for tick in 0..50 {

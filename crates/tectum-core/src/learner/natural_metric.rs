@@ -1,10 +1,10 @@
 //! The natural gradient's metric for a linear-Gaussian policy (Kakade 2001, *A Natural Policy Gradient*).
 //!
-//! The Fisher information of `u = W g + noise` is the features' second-moment matrix, for each output alike:
-//! `F = E[g g^T] / sigma^2`. The expectation is taken over inputs drawn uniformly from the input box, once, when the
-//! learner is built: which states a policy will visit is not known, and a constant metric cannot become singular. It is
-//! regularised by a share of its mean eigenvalue, and scaled so that directions that carry nothing are stepped along as
-//! far as the plain rule would.
+//! The Fisher information of `u = W g + noise` is the features' second-moment matrix, for each output alike: `F
+//! = E[g g^T] / sigma^2`. The expectation is over inputs drawn uniformly from the input box, and is computed
+//! once, when the learner is built: the states that a policy will visit are not known, and a constant metric
+//! cannot become singular. A fraction of the mean eigenvalue is added to the diagonal. The inverse is scaled so
+//! that a step along a direction without variance is as long as that of the plain rule.
 
 use rand::RngExt as _;
 
@@ -13,19 +13,19 @@ use super::dot;
 use crate::seed::stream;
 use tectum_encoder::Encoder;
 
-/// Draws from the input box.
+/// Number of inputs drawn from the input box.
 const DRAWS: usize = 4000;
 
 /// Multiplies features by the inverse of their regularised second-moment matrix.
 #[derive(Debug, Clone)]
 pub struct NaturalMetric {
-    /// Row by row, in the padded layout.
+    /// The matrix, row by row, in the padded layout.
     inverse: Vec<f32>,
     result: Vec<f32>,
 }
 
 impl NaturalMetric {
-    /// The metric of `plan`'s input box, for features of `encoder`.
+    /// The metric over the input box of `spec`, for features of `encoder`.
     pub fn of(spec: &LearnerSpec, encoder: &Encoder) -> Self {
         let mut encoder = encoder.clone();
         let (len, units) = (encoder.len(), encoder.units());
@@ -59,20 +59,20 @@ impl NaturalMetric {
         Self { inverse: inverse.iter().map(|&m| m as f32).collect(), result: vec![0.0; len] }
     }
 
-    /// Multiplies.
+    /// Computes the product with `features`; [`result`](Self::result) returns it.
     pub fn apply(&mut self, features: &[f32]) {
         for (result, row) in self.result.iter_mut().zip(self.inverse.chunks_exact(features.len())) {
             *result = dot(row, features);
         }
     }
 
-    /// The product that was formed last.
+    /// The latest product.
     pub fn result(&self) -> &[f32] {
         &self.result
     }
 }
 
-/// The inverse of a symmetric positive definite matrix, by Gauss-Jordan elimination: no pivoting is needed.
+/// The inverse of a symmetric positive definite matrix, by Gauss-Jordan elimination, which needs no pivoting here.
 fn inverse(mut a: Vec<f64>, n: usize) -> Vec<f64> {
     let mut inverse = vec![0.0; n * n];
     inverse.iter_mut().step_by(n + 1).for_each(|d| *d = 1.0);
@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_metric_undoes_the_moments() {
+    fn the_metric_inverts_the_moments() {
         // Two features that overlap, and a pad.
         let moments = vec![2.0, 1.0, 0.0, 1.0, 2.0, 0.0, 0.0, 0.0, 0.0];
         let mut metric = NaturalMetric::from_moments(moments, 3, 2, 0.5);

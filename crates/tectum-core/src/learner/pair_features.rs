@@ -1,33 +1,35 @@
-//! What the critic sees of the inputs: a topographic map over each pair of them.
+//! Features of the critic: a topographic map over each pair of inputs.
 //!
-//! A reward that depends on a distance depends on inputs together: on where the target is *and* how a joint stands. The
-//! policy's own maps show each joint alone, and a value that is linear in them must take the rest for noise, which then
-//! reaches the policy through every temporal-difference error. Small maps over all pairs (as in the learned-reward rule)
-//! show most of it: on the arm, and without the last reward as a feature, the error shrinks to a third.
+//! A reward for a distance depends on several inputs together, such as the position of the target *and* the
+//! angle of a joint. The policy's own maps encode each joint alone. A value that is linear in them treats the
+//! rest as noise, which enters the policy through every temporal-difference error. Small maps over all pairs
+//! (as in the learned-reward rule) represent most of the dependence: on the arm, without the last reward as a
+//! feature, the error shrinks to a third.
 
 use crate::MAX_INPUTS;
 use crate::SignalConfig;
 use tectum_encoder::{Axis, Encoder, Features, Map};
 
-/// Units of a map along an input; the radius is their spacing.
+/// Number of units of a map along an input; the radius is their spacing.
 const UNITS: usize = 8;
 
-/// The maps, and the features of the last two ticks.
+/// The maps over pairs of inputs, and the features of two consecutive ticks.
 #[derive(Debug, Clone)]
 pub struct PairFeatures {
-    /// A line over each input. The maps are their outer products: fifteen pairs of the arm's six inputs share six lines.
+    /// One line for each input. The maps are outer products of lines: the fifteen pairs of the arm's six inputs
+    /// share six lines.
     encoder: Encoder,
     lines: Features,
     inputs: usize,
-    /// Features of the tick that is learned from, and of the tick after; of unit norm.
+    /// Features of the tick that is learned from, and of the next tick; of unit norm.
     here: Vec<f32>,
     next: Vec<f32>,
-    /// The inputs that `next` was made of.
-    seen: [f32; MAX_INPUTS],
+    /// The inputs of `next`.
+    next_inputs: [f32; MAX_INPUTS],
 }
 
 impl PairFeatures {
-    /// The maps over the input box of `plan`; over the only input, where there is one.
+    /// The maps over all pairs of `signals`, or one line if there is only one input.
     pub fn of(signals: &[SignalConfig]) -> Self {
         let line = |input: usize| {
             let (min, max) = (signals[input].min, signals[input].max);
@@ -37,7 +39,7 @@ impl PairFeatures {
         let encoder = Encoder::new(&(0..inputs).map(line).collect::<Vec<_>>(), false);
         let features = vec![0.0; if inputs == 1 { UNITS } else { inputs * (inputs - 1) / 2 * UNITS * UNITS }];
         let lines = encoder.features();
-        Self { encoder, lines, inputs, here: features.clone(), next: features, seen: [f32::NAN; MAX_INPUTS] }
+        Self { encoder, lines, inputs, here: features.clone(), next: features, next_inputs: [f32::NAN; MAX_INPUTS] }
     }
 
     /// Number of features.
@@ -58,11 +60,12 @@ impl PairFeatures {
             self.next.iter_mut().zip(&lines[0]).for_each(|(out, a)| *out = a * scale);
             return;
         }
-        // A pair's squares sum up to the product of its lines'. In double precision, for inputs far outside of the box.
-        let (mut sum, mut before) = (0.0, 0.0);
+        // The sum of squares of a pair is the product of those of its lines. In double precision, for inputs
+        // far outside the box.
+        let (mut sum, mut earlier) = (0.0, 0.0);
         for square in &squares[..self.inputs] {
-            sum += before * square;
-            before += square;
+            sum += earlier * square;
+            earlier += square;
         }
         let scale = (1.0 / sum.sqrt()) as f32;
         let mut rows = self.next.as_chunks_mut::<UNITS>().0.iter_mut();
@@ -76,15 +79,15 @@ impl PairFeatures {
         }
     }
 
-    /// Features of both ends of a tick. The tick after is the next one to be learned from, as a rule, and then is not
-    /// encoded twice.
-    pub fn see(&mut self, inputs: &[f32], next_inputs: &[f32]) -> [&[f32]; 2] {
-        if self.seen[..self.inputs] != *inputs {
+    /// Features of a tick and of the next one. If the ticks of two calls are consecutive, the shared one is not
+    /// encoded again.
+    pub fn encode_pair(&mut self, inputs: &[f32], next_inputs: &[f32]) -> [&[f32]; 2] {
+        if self.next_inputs[..self.inputs] != *inputs {
             self.encode(inputs);
         }
         std::mem::swap(&mut self.here, &mut self.next);
         self.encode(next_inputs);
-        self.seen[..self.inputs].copy_from_slice(next_inputs);
+        self.next_inputs[..self.inputs].copy_from_slice(next_inputs);
         [&self.here, &self.next]
     }
 }
@@ -95,14 +98,14 @@ mod tests {
     use crate::learner::test_specs::arm;
 
     #[test]
-    fn ticks_in_a_row_and_ticks_apart_look_the_same() {
+    fn consecutive_and_separate_ticks_have_the_same_features() {
         let signals = arm().inputs;
-        let (mut row, mut apart) = (PairFeatures::of(&signals), PairFeatures::of(&signals));
+        let (mut consecutive, mut separate) = (PairFeatures::of(&signals), PairFeatures::of(&signals));
         let (a, b, c) = ([0.1; 6], [0.2; 6], [-0.3; 6]);
-        row.see(&a, &b);
-        apart.see(&c, &a);
-        assert_eq!(row.see(&b, &c), apart.see(&b, &c));
-        assert_eq!(row.units(), 15 * 64);
+        consecutive.encode_pair(&a, &b);
+        separate.encode_pair(&c, &a);
+        assert_eq!(consecutive.encode_pair(&b, &c), separate.encode_pair(&b, &c));
+        assert_eq!(consecutive.units(), 15 * 64);
     }
 
     #[test]
@@ -116,10 +119,10 @@ mod tests {
         let mut planes = Encoder::new(&maps, true);
         let mut expected = planes.features();
         let mut pairs = PairFeatures::of(&signals);
-        // The last is so far outside that no kernel is left but its floor.
+        // The last inputs are so far outside that all kernels have their smallest value.
         for inputs in [[0.1, -0.4, 0.3, 2.0, -1.0, 0.0], [0.9, 1.1, -3.0, 3.0, 1.0, -2.0], [1e6; 6]] {
             planes.encode(&inputs, &mut expected);
-            for (got, expected) in pairs.see(&[0.0; 6], &inputs)[1].iter().zip(expected.as_slice()) {
+            for (got, expected) in pairs.encode_pair(&[0.0; 6], &inputs)[1].iter().zip(expected.as_slice()) {
                 assert!((got - expected).abs() < 1e-6, "{got} {expected}");
             }
         }

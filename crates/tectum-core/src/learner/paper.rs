@@ -1,20 +1,20 @@
 //! The paper's rule: policy gradient with an eligibility trace (Daucé & Dutech 2010, section 3.2, step 3).
 //!
-//! With the noise `n_k = u_k - W g_k` that was applied in tick k and the reward `r_k` that came of it,
+//! With the noise `n_k = u_k - W g_k` that was applied in tick k and the reward `r_k` of that tick,
 //!
 //! ```text
 //! z_k     = beta z_{k-1} + (1 - beta) n_k g_k^T
 //! W_{k+1} = W_k + (alpha / sigma^2) r_k z_k
 //! ```
 //!
-//! The trace is kept in units of noise: the paper's `Sigma^-1` is inside `alpha / sigma^2`, which is also how the paper
-//! states its step. `beta = 0` is the open-loop rule.
+//! The trace is in units of noise: the paper's `Sigma^-1` is part of `alpha / sigma^2`, which is also how the
+//! paper states its step. `beta = 0` is the open-loop rule.
 
-use super::{LearningRule, Transition, sound};
+use super::{LearningRule, Transition, is_safe};
 use crate::policy::{LinearPolicy, Outputs, Tiles, TraceStep};
 use crate::state::{Persist, StateVisitor};
 
-/// The rule, its constants and its trace.
+/// The paper's rule: constants and trace.
 #[derive(Debug, Clone)]
 pub struct PaperRule {
     beta: f32,
@@ -25,14 +25,14 @@ pub struct PaperRule {
 }
 
 impl PaperRule {
-    /// The rule for a policy of `len` (padded) features and `outputs` outputs, with trace decay `beta` in [0, 1) and
-    /// `rate` = `alpha / sigma^2`.
+    /// The rule for a policy of `len` features, including padding, and `outputs` outputs, with trace decay
+    /// `beta` in [0, 1) and `rate` = `alpha / sigma^2`.
     pub fn new(len: usize, outputs: usize, beta: f32, rate: f32) -> Self {
         Self { beta, rate, trace: Tiles::zeroed(len, outputs), halted: false }
     }
 
-    /// Learns from one tick: `features` and `noise` are those of the tick that earned `reward`. Returns the factor with
-    /// which the trace was added to the weights, `rate * reward`; 0 from the first number on that is not sound.
+    /// Learns from one tick, with its features, noise and reward. Returns the factor with which the trace was
+    /// added to the weights, `rate * reward`; 0 once a number was not finite or too large.
     pub fn step(&mut self, policy: &mut LinearPolicy, features: &[f32], noise: &Outputs, reward: f32) -> f32 {
         let (rate, gain) = self.prepare(noise, reward);
         if !self.halted {
@@ -41,7 +41,7 @@ impl PaperRule {
         rate
     }
 
-    /// [`step`](Self::step), and then into `mean` the mean output for the features `next`.
+    /// [`step`](Self::step), and then writes the mean output for the features `next` to `mean`.
     #[inline]
     pub fn step_and_answer(
         &mut self,
@@ -61,10 +61,10 @@ impl PaperRule {
         rate
     }
 
-    /// The factors with which the trace enters the weights, and the features the trace.
+    /// The factor of the trace in the weights, and the factor of the features in the trace for each output.
     fn prepare(&mut self, noise: &Outputs, reward: f32) -> (f32, Outputs) {
         let rate = self.rate * reward;
-        self.halted = self.halted || !sound(rate, noise);
+        self.halted = self.halted || !is_safe(rate, noise);
         (if self.halted { 0.0 } else { rate }, noise.map(|n| n * (1.0 - self.beta)))
     }
 }
@@ -105,7 +105,7 @@ mod tests {
     const NOISE: Outputs = [0.5, -0.25, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
 
     #[test]
-    fn one_tick_is_the_equation() {
+    fn one_tick_follows_the_equation() {
         let mut policy = LinearPolicy::new(4, (0..4).collect(), 4);
         let mut rule = PaperRule::new(4, 4, 0.75, 0.1);
         let g = [1.0, 0.5, 0.0, 0.25];
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_that_is_not_sound_stops_learning() {
+    fn a_number_that_is_not_finite_or_too_large_stops_learning() {
         for (reward, noise) in [(f32::INFINITY, 0.1), (f32::NAN, 0.1), (-1.0, f32::INFINITY), (1e30, 0.1), (-1.0, 1e30)]
         {
             let mut policy = LinearPolicy::new(4, (0..4).collect(), 4);

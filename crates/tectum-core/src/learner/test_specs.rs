@@ -1,4 +1,4 @@
-//! The paper's arm as a learner sees it, for this crate's tests: what `scenarios/arm.toml` resolves to.
+//! A learner specification for this crate's tests: the paper's arm, with the values of `scenarios/arm.toml`.
 
 use std::f64::consts::PI;
 

@@ -1,5 +1,6 @@
-//! The saccading eye of the paper's open-loop task (section 4.1): one tick is one trial. A target is seen at a position
-//! with a velocity, the eye is pushed up, down, left and right, and the reward is what the miss looks like afterwards.
+//! The saccading eye of the paper's open-loop task (section 4.1). Each tick is one trial: a target appears with
+//! a position and a velocity, four commands push the eye up, down, left and right, and the reward depends on
+//! the remaining distance.
 
 use rand_distr::{Distribution, StandardNormal};
 
@@ -9,12 +10,12 @@ use crate::plant::{EyeConfig, Retina};
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
 
-/// A target's position and its velocity a second.
+/// Position and velocity of a target.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Stimulus {
     /// Position, x and y.
     pub position: [f32; 2],
-    /// Velocity, x and y, a second.
+    /// Velocity, x and y, per second.
     pub velocity: [f32; 2],
 }
 
@@ -40,13 +41,13 @@ fn eccentricity(rho: f32, distortion: f32) -> f32 {
 }
 
 impl Eye {
-    /// The eye of a validated table; stimuli come from the run's stream `targets`.
-    pub fn new(table: &EyeConfig, seed: u64) -> Self {
+    /// The eye of a validated configuration; stimuli come from the run's stream `targets`.
+    pub fn new(config: &EyeConfig, seed: u64) -> Self {
         Self {
-            retina: table.retina,
-            distortion: table.distortion as f32,
-            spread: table.spread as f32,
-            bonus: table.bonus as f32,
+            retina: config.retina,
+            distortion: config.distortion as f32,
+            spread: config.spread as f32,
+            bonus: config.bonus as f32,
             rng: stream(seed, "targets"),
             stimulus: Stimulus::default(),
         }
@@ -62,7 +63,7 @@ impl Eye {
         [a, b, c, d]
     }
 
-    /// Shows a given stimulus instead of a drawn one, until the next is drawn.
+    /// Replaces the current stimulus until the next one is drawn.
     pub fn show(&mut self, stimulus: Stimulus) {
         self.stimulus = stimulus;
     }
@@ -74,7 +75,7 @@ impl Eye {
 }
 
 impl Plant for Eye {
-    /// Inputs: what the retina reports of a new stimulus.
+    /// Inputs: a new stimulus as the retina reports it.
     fn sense(&mut self, _tick: u64, inputs: &mut [f32]) -> bool {
         let position = [self.normal(), self.normal()];
         let velocity = [self.normal(), self.normal()];
@@ -83,7 +84,7 @@ impl Plant for Eye {
         true
     }
 
-    /// Commands push up, down, left and right. Measure: the miss one second later.
+    /// Commands push up, down, left and right. Measure: the distance from the target one second later.
     fn advance(&mut self, _tick: u64, applied: &[f32]) -> Outcome {
         let Stimulus { position: p, velocity: v } = self.stimulus;
         let movement = [applied[3] - applied[2], applied[0] - applied[1]];

@@ -1,8 +1,8 @@
-//! `[plant.eye]`: the settings of the saccading eye.
+//! `[plant.eye]`: the configuration of the saccading eye.
 
 use serde::{Deserialize, Serialize};
 
-/// `[plant.eye]`: the saccades of section 4.1, one tick one saccade.
+/// `[plant.eye]`: the saccades of section 4.1; each tick is one saccade.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EyeConfig {
@@ -16,7 +16,7 @@ pub struct EyeConfig {
     pub bonus: f64,
 }
 
-/// What the retina reports.
+/// Coordinates in which the retina reports position and velocity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Retina {

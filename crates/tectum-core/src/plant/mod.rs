@@ -1,7 +1,7 @@
-//! Plants: the bodies and tasks that a controller learns on, as pure computation.
+//! Plants: the controlled systems and their tasks, as pure computation.
 //!
-//! A plant knows no clock, no transport and no limits: it is told the command that the gate let through, moves by one
-//! period, and says what came of it. Time is the tick's number.
+//! A plant uses no clock and no transport, and does not limit commands. It receives the command after the gate has
+//! limited it, advances by one period, and returns the outcome. Time is the number of the tick.
 
 mod arm;
 mod eye;
@@ -17,61 +17,65 @@ use crate::MAX_MEASURES;
 use crate::policy::Outputs;
 use crate::state::{Persist, StateVisitor};
 
-/// What came of one tick.
+/// The outcome of one tick: reward and measures.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Outcome {
     /// The reward of the tick.
     pub reward: f32,
-    /// What an outside observer measured, in the scenario's order.
+    /// Quantities for log and report that the learner does not see, in the scenario's order.
     pub measures: [f32; MAX_MEASURES],
 }
 
-/// A plant's joints at the beginning of a tick, for the gate's limits of position: one for each output, in their order.
+/// A plant's joints at the beginning of a tick, for the gate's position limits: one joint per output, in their
+/// order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointState {
-    /// Where they are, rad, as measured.
+    /// Measured angle of each joint, rad.
     pub position: Outputs,
-    /// How far a command of 1 moves each in one tick, rad; negative where it turns the other way.
+    /// How far a command of 1 moves each joint in one tick, rad; negative where it turns in the other direction.
     pub travel: Outputs,
 }
 
-/// Anything that can be controlled.
+/// A system that can be controlled.
 ///
-/// A plant lists to its ledger ([`Persist`]) what it must know to go on after its process was killed: a simulated body all
-/// of its state, one of hardware next to nothing, since the body itself remembers.
+/// A plant lists ([`Persist`]) the state that it needs to continue after its process was killed. A simulated
+/// plant lists all of its state. A plant on hardware lists almost nothing, since the hardware keeps its own
+/// state.
 pub trait Plant: Persist {
-    /// Senses at the beginning of `tick`: writes the inputs in the scenario's order and units, and says whether a new
-    /// target (or trial) begins. Ticks only grow, but may jump when the plant was late.
+    /// Senses at the beginning of `tick`: writes the inputs in the scenario's order and units. Returns whether
+    /// a new target (or trial) begins. Ticks increase, and may skip numbers when the plant was late.
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool;
 
-    /// Lives through `tick` with the command that the gate let through, and says what came of it.
+    /// Advances through `tick` with the command as the gate limited it, and returns the outcome.
     fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome;
 
-    /// For a body of hardware, where the command of a tick acts during that tick: until when, ns after the tick's beginning, a
-    /// command is waited for. `None`, as for all that is simulated: the tick is lived through when it is over.
+    /// For a plant on hardware, where the command of a tick acts during that tick: how long the plant's loop
+    /// waits for the command, ns after the beginning of the tick. `None` for a simulated plant, which advances
+    /// when the tick is over.
     fn command_deadline_ns(&self) -> Option<u64> {
         None
     }
 
-    /// For a body that acts at once: passes the command of `tick` on, as the gate let it through. What the body itself limits is
-    /// changed in `applied`, and said with bits of the flag words of an observation. [`Plant::advance`] follows when the tick is over.
+    /// For a plant that acts during the tick: applies the command of `tick`, as the gate limited it. If the
+    /// plant limits the command further, it changes `applied` and returns the flags of an observation that say
+    /// so. [`Plant::advance`] follows when the tick is over.
     fn act(&mut self, _tick: u64, _applied: &mut [f32], _flags: u32) -> u32 {
         0
     }
 
-    /// Flags of what was sensed last, beside those of the gate.
+    /// Flags about the latest sensing, in addition to those of the gate.
     fn sensing_flags(&self) -> u32 {
         0
     }
 
-    /// The joints as they are, if the outputs move joints; asked before a tick is lived through. Without them there can be no
-    /// limits of position (`positions` under `[gate]`).
+    /// The joints, if the outputs move joints; called before [`Plant::advance`]. The gate's position limits
+    /// (`positions` under `[gate]`) need them.
     fn joints(&self) -> Option<JointState> {
         None
     }
 }
 
-/// The bodies of the simulator.
+/// The simulated plants.
 #[derive(Debug, Clone)]
 pub enum SimulatedPlant {
     /// The planar arm.
@@ -81,12 +85,12 @@ pub enum SimulatedPlant {
 }
 
 impl SimulatedPlant {
-    /// The plant that a scenario configures, for a tick of `period_s` seconds and the run's `seed`; `None` without
-    /// either, when the plant is another program's.
+    /// The plant that a scenario configures, for ticks of `period_s` seconds and the run's `seed`. `None` if
+    /// neither is configured, because another program is the plant.
     pub fn new(arm: Option<&ArmConfig>, eye: Option<&EyeConfig>, period_s: f64, seed: u64) -> Option<Self> {
         match (arm, eye) {
-            (Some(table), _) => Some(Self::Arm(Box::new(Arm::new(table, period_s, seed)))),
-            (None, Some(table)) => Some(Self::Eye(Eye::new(table, seed))),
+            (Some(config), _) => Some(Self::Arm(Box::new(Arm::new(config, period_s, seed)))),
+            (None, Some(config)) => Some(Self::Eye(Eye::new(config, seed))),
             (None, None) => None,
         }
     }

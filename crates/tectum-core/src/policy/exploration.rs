@@ -1,11 +1,12 @@
 //! Exploration noise: its distributions, and their scores.
 //!
-//! A policy-gradient rule needs of the noise `n` only its score, the slope of its log-density: `n / sigma^2` for the normal
-//! distribution, which is why the paper's rules multiply noise by features. For the Laplace distribution, of density
-//! `exp(-|n| / b) / 2b` and standard deviation `sigma = b sqrt 2`, it is `sign(n) / b`: a large deviation says no more than
-//! a small one, which is the L1 norm in the place of the L2 norm (paper section 5). Rules are handed `sigma^2` times the
-//! score, `n` or `sigma sqrt 2 sign(n)`, so that `alpha / sigma^2` keeps its meaning: both have the mean square `sigma^2`,
-//! and give the gradient of the expected reward times `sigma^2`.
+//! A policy-gradient rule needs only the score of the noise `n`, the negative slope of its log-density. For the
+//! normal distribution the score is `n / sigma^2`, which is why the paper's rules multiply noise by features.
+//! For the Laplace distribution, with density `exp(-|n| / b) / 2b` and standard deviation `sigma = b sqrt 2`,
+//! it is `sign(n) / b`: a large deviation counts no more than a small one, which corresponds to the L1 norm
+//! instead of the L2 norm (paper section 5). Rules receive `sigma^2` times the score, `n` or `sigma sqrt 2
+//! sign(n)`, so that `alpha / sigma^2` keeps its meaning: both have the mean square `sigma^2` and give the
+//! gradient of the expected reward times `sigma^2`.
 
 use std::f32::consts::SQRT_2;
 
@@ -18,7 +19,7 @@ use crate::policy::Noise;
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
 
-/// Noise of one standard deviation on every output, from the run's stream `exploration`.
+/// A source of noise with the same standard deviation on every output, from the run's stream `exploration`.
 #[derive(Debug, Clone)]
 pub struct Exploration {
     sigma: f32,
@@ -33,7 +34,7 @@ impl Exploration {
         Self { sigma, noise: Noise::Gaussian, outputs, rng: stream(seed, "exploration") }
     }
 
-    /// The same with another distribution of the same standard deviation.
+    /// The same source with another distribution of the same standard deviation.
     pub fn distributed(self, noise: Noise) -> Self {
         Self { noise, ..self }
     }
@@ -41,7 +42,7 @@ impl Exploration {
     /// Draws the noise of one tick.
     #[inline]
     pub fn draw(&mut self) -> Outputs {
-        // Worked on in a copy, which stays in registers.
+        // A local copy stays in registers.
         let mut rng = self.rng.clone();
         let mut noise = [0.0; MAX_OUTPUTS];
         for n in &mut noise[..self.outputs] {
@@ -55,7 +56,8 @@ impl Exploration {
         noise
     }
 
-    /// `sigma^2` times the score of `noise`: what the learning rules multiply by the features. No noise has no score.
+    /// `sigma^2` times the score of `noise`, which the learning rules multiply by the features. The score of 0
+    /// is 0.
     #[inline]
     pub fn score(&self, noise: &Outputs) -> Outputs {
         match self.noise {
@@ -71,8 +73,8 @@ impl Persist for Exploration {
     }
 }
 
-/// A draw from the Laplace distribution of standard deviation 1, by inversion: an exponential deviate with a sign. 53 bits
-/// make a number in (0, 1), whose logarithm is finite; another bit is the sign.
+/// A draw from the Laplace distribution of standard deviation 1, by inversion: an exponential deviate with a
+/// random sign. 53 bits give a number in (0, 1), whose logarithm is finite; another bit gives the sign.
 fn laplace(rng: &mut Rng) -> f64 {
     let bits = rng.next_u64();
     let uniform = ((bits >> 11) as f64 + 0.5) / (1_u64 << 53) as f64;
@@ -84,11 +86,11 @@ fn laplace(rng: &mut Rng) -> f64 {
 mod tests {
     use super::*;
 
-    /// Both distributions, and the mean of the fourth power in standard deviations: 3 and 6.
+    /// Both distributions, with the mean of the fourth power in units of `sigma^4`: 3 and 6.
     const SHAPES: [(Noise, f64); 2] = [(Noise::Gaussian, 3.0), (Noise::Laplace, 6.0)];
 
     #[test]
-    fn the_noise_has_the_asked_for_spread_and_shape_on_the_outputs_in_use() {
+    fn the_noise_has_the_given_moments_on_the_outputs_in_use() {
         for (noise, fourth) in SHAPES {
             let mut exploration = Exploration::new(3, 0.5, 3).distributed(noise);
             let n = 200_000;
@@ -101,7 +103,7 @@ mod tests {
             }
             for (i, [mean, square, cube, fourth_power]) in powers.into_iter().enumerate() {
                 let used = if i < 3 { 1.0 } else { 0.0 };
-                // Five standard errors of the widest.
+                // Five standard errors of the wider distribution.
                 assert!(mean.abs() < 0.012 && (square - used).abs() < 0.03, "{noise:?} {i}: {mean} {square}");
                 assert!(
                     cube.abs() < 0.35 && (fourth_power - used * fourth).abs() < 0.6,
@@ -112,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_score_is_the_slope_of_the_log_density() {
+    fn a_score_is_the_negative_slope_of_the_log_density() {
         let sigma = 0.5_f32;
         let density = |noise: Noise, n: f64| match noise {
             Noise::Gaussian => -n * n / (2.0 * 0.25),
@@ -127,13 +129,14 @@ mod tests {
                 let slope = (density(noise, n + 1e-6) - density(noise, n - 1e-6)) / 2e-6;
                 assert!((f64::from(score) + 0.25 * slope).abs() < 1e-5, "{noise:?} at {n}: {score}");
             }
-            assert_eq!(score[3..], [0.0; 5], "outputs that are not in use");
+            assert_eq!(score[3..], [0.0; 5], "unused outputs");
         }
     }
 
-    /// What makes a score one: the mean of score times reward is the slope of the mean reward, times `sigma^2`.
+    /// The defining property of a score: the mean of score times reward is the slope of the mean reward, times
+    /// `sigma^2`.
     #[test]
-    fn scores_find_the_slope_of_the_mean_reward() {
+    fn scores_estimate_the_slope_of_the_mean_reward() {
         for (noise, _) in SHAPES {
             let mut exploration = Exploration::new(5, 0.5, 1).distributed(noise);
             let (n, mut slope) = (400_000, 0.0_f64);

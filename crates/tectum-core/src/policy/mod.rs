@@ -1,7 +1,8 @@
-//! The linear-Gaussian policy `u = W g + noise`, `noise ~ N(0, sigma^2 I)` (paper section 3.2, equations 3 to 6); the noise
-//! may have another distribution of the same spread ([`Exploration`]).
+//! The linear-Gaussian policy `u = W g + noise`, `noise ~ N(0, sigma^2 I)` (paper section 3.2, equations 3 to
+//! 6). The noise may have another distribution with the same standard deviation ([`Exploration`]).
 //!
-//! Weights lie in [`Tiles`] of four outputs by eight features, so that one pass over the features serves all outputs.
+//! Weights are stored in [`Tiles`] of four outputs by eight features, so that one pass over the features serves all
+//! outputs.
 
 mod exploration;
 mod noise;
@@ -18,28 +19,29 @@ use crate::state::{Persist, StateVisitor};
 use tectum_encoder::simd::SimdPath;
 use tiles::{MeanKernel, ROWS, StepKernel};
 
-/// One value for each output that a command can carry; those beyond the plant's stay 0.
+/// One value for each output that a command can carry; values beyond the plant's outputs stay 0.
 pub type Outputs = [f32; MAX_OUTPUTS];
 
 /// The weights of a linear policy over encoded features.
 #[derive(Debug, Clone)]
 pub struct LinearPolicy {
-    /// Features are in the encoder's (padded) layout.
+    /// By output and by feature, in the encoder's padded layout.
     weights: Tiles,
-    /// Where the true features stand in the padded layout.
+    /// Positions of the true features in the padded layout.
     order: Vec<usize>,
     outputs: usize,
     path: SimdPath,
 }
 
 impl LinearPolicy {
-    /// All-zero weights from `len` (padded) features, of which the true ones stand at `order`, to `outputs` outputs.
+    /// All-zero weights from `len` features, including padding, to `outputs` outputs. The true features are at the
+    /// positions `order`.
     pub fn new(len: usize, order: Vec<usize>, outputs: usize) -> Self {
         debug_assert!((1..=MAX_OUTPUTS).contains(&outputs));
         Self { weights: Tiles::zeroed(len, outputs), order, outputs, path: SimdPath::best() }
     }
 
-    /// The same policy on another path than the machine's best: the same numbers, bit for bit.
+    /// The same policy with another SIMD path than the machine's fastest: the same numbers, bit for bit.
     pub fn on(self, path: SimdPath) -> Self {
         Self { path, ..self }
     }
@@ -58,37 +60,38 @@ impl LinearPolicy {
         mean
     }
 
-    /// Takes a step along `trace`, which is of the size of this policy.
+    /// Updates `trace`, which has the size of this policy, and adds it to the weights.
     pub fn step(&mut self, trace: &mut Tiles, step: TraceStep) {
         self.advance::<false>(trace, step, &[], &mut [0.0; MAX_OUTPUTS]);
     }
 
-    /// The same, and the mean output for the features `next` afterwards: [`mean`](Self::mean), to the bit, in the same pass.
+    /// [`step`](Self::step), and in the same pass the mean output for the features `next` with the new weights:
+    /// the bits of [`mean`](Self::mean).
     #[inline]
     pub fn step_and_answer(&mut self, trace: &mut Tiles, step: TraceStep, next: &[f32], mean: &mut Outputs) {
         self.advance::<true>(trace, step, next, mean);
     }
 
     #[inline(always)]
-    fn advance<const ANSWER: bool>(&mut self, trace: &mut Tiles, step: TraceStep, next: &[f32], mean: &mut Outputs) {
+    fn advance<const WITH_MEAN: bool>(&mut self, trace: &mut Tiles, step: TraceStep, next: &[f32], mean: &mut Outputs) {
         let groups = self.weights.groups.iter_mut().zip(&mut trace.groups).zip(step.gain.chunks(ROWS));
         for (((weights, trace), gain), mean) in groups.zip(mean.as_chunks_mut::<ROWS>().0) {
             let step = TraceStep { gain, ..step };
-            self.path.run(StepKernel::<ANSWER> { weights, trace, step, next, mean });
+            self.path.run(StepKernel::<WITH_MEAN> { weights, trace, step, next, mean });
         }
     }
 
-    /// The weights, by output and by a feature's place in the encoder's layout.
+    /// The weights, by output and by position of the feature in the encoder's layout.
     pub fn weights(&self) -> &Tiles {
         &self.weights
     }
 
-    /// The same, to be written.
+    /// The weights, mutable.
     pub fn weights_mut(&mut self) -> &mut Tiles {
         &mut self.weights
     }
 
-    /// The path that the policy is worked on with.
+    /// The SIMD path of the policy's computations.
     pub fn path(&self) -> SimdPath {
         self.path
     }
@@ -108,8 +111,8 @@ impl LinearPolicy {
         self.weights.norm_on(self.path)
     }
 
-    /// XXH3-64 of the weights as little-endian f32, row by row: all features of the first output, then of the second,
-    /// without padding. Two runs with equal hashes have learned the same, bit for bit.
+    /// XXH3-64 of the weights as little-endian f32, row by row: all features of the first output, then of the
+    /// second, without padding. Two runs with equal hashes have learned the same, bit for bit.
     pub fn hash(&self) -> u64 {
         let mut hash = Xxh3::new();
         for output in 0..self.outputs {
@@ -142,7 +145,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_mean_is_the_textbook_sum(
+        fn the_mean_is_the_plain_sum(
             len in 1_usize..40,
             outputs in 1_usize..=8,
             values in proptest::collection::vec(-1.0_f32..1.0, 320),

@@ -1,7 +1,8 @@
-//! Eight lanes in one of AVX2's registers.
+//! Eight lanes in one AVX2 register.
 //!
-//! Plain arrays would need no `unsafe`, but what the compiler makes of them is left to chance: of the encoder's loop over
-//! groups of units it made scattered scalar code. The intrinsics are single operations, each rounded on its own.
+//! Plain arrays would need no `unsafe`, but the compiler does not reliably vectorise them: it compiled the
+//! encoder's loop over groups of units to scalar code. Each intrinsic is a single operation that is rounded on
+//! its own.
 
 use std::arch::x86_64::{
     __m256, _mm256_add_ps, _mm256_castps_si256, _mm256_castps256_ps128, _mm256_castsi256_ps, _mm256_extractf128_ps,
@@ -13,18 +14,18 @@ use glam::Vec4;
 
 use super::{F32x8, Kernel, LANES};
 
-/// Eight lanes. Nothing but [`run`] makes one, and what it calls.
+/// Eight lanes. Only [`run`] and the kernels that it calls make values of this type.
 #[derive(Clone, Copy)]
 struct Avx2F32x8(__m256);
 
-/// Runs `pass`, compiled for AVX2. To call this on a machine without AVX2 is undefined behaviour.
+/// Runs `kernel`, compiled for AVX2. Calling this on a machine without AVX2 is undefined behaviour.
 #[target_feature(enable = "avx2")]
-pub(super) fn run<P: Kernel>(pass: P) -> P::Output {
-    pass.run::<Avx2F32x8>()
+pub(super) fn run<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Avx2F32x8>()
 }
 
-// SAFETY (of every block below): an operation on `Avx2F32x8` is reached through `run` alone, whose callers have made sure that
-// the machine has AVX2. None of them touches memory.
+// SAFETY (of every block below): operations on `Avx2F32x8` are reached only through `run`, whose callers have
+// detected AVX2 on this machine. None of them accesses memory.
 
 impl Add for Avx2F32x8 {
     type Output = Self;
@@ -93,7 +94,7 @@ impl F32x8 for Avx2F32x8 {
 
     #[inline(always)]
     fn totals([a, b, c, d]: [Self; 4]) -> [f32; 4] {
-        // Pairs of neighbours, pairs of pairs, and then the halves.
+        // Adds neighbours, then pairs of neighbours, then the two halves.
         // SAFETY: see above.
         let [low, high] = Self(unsafe {
             let (ab, cd) = (_mm256_hadd_ps(a.0, b.0), _mm256_hadd_ps(c.0, d.0));

@@ -1,14 +1,17 @@
-//! Eight lanes of `f32`, and the instructions that work on them: what the inner loops of encoder, policy and learning
-//! rules are written in.
+//! Vectors of eight `f32` for the inner loops of encoder, policy and learning rules, and the choice of
+//! instruction set.
 //!
-//! A program built for plain x86-64 may use SSE2 only, four lanes at a time, although nearly every machine has AVX2 and
-//! eight. So a loop is written once, as a `Kernel` over any `F32x8`, and compiled twice: with two of glam's `Vec4` for
-//! every machine (SSE2, NEON, plain code), and with AVX2's registers. Which one runs is a [`SimdPath`], chosen when an encoder
-//! or a policy is built.
+//! A program built for plain x86-64 may use only SSE2, with four lanes, although nearly every machine has AVX2,
+//! with eight. A loop is therefore written once, as a [`Kernel`] over any [`F32x8`], and compiled twice: with
+//! two of glam's `Vec4` for every machine (SSE2, NEON, scalar code), and with AVX2 registers. A [`SimdPath`]
+//! selects one of them when an encoder or a policy is built.
 //!
-//! All paths give the same bits. Every operation is done lane by lane and rounded on its own, none is fused (AVX2 does not
-//! entail FMA, and it is not enabled), and sums over features keep eight partial sums, one a lane, whatever the registers'
-//! width; how these are added up at the end is written out.
+//! All paths give the same bits. Every operation is lane by lane and rounded on its own. None is fused: AVX2
+//! does not imply FMA, and FMA is not enabled. Sums over features keep eight partial sums, one per lane, for
+//! any register width, and are added in a fixed order at the end.
+//!
+//! Users need [`SimdPath`] alone. [`Kernel`], [`F32x8`] and [`filled`] are public because the policy and the
+//! learning rules, in another crate, are written with them.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -22,25 +25,27 @@ use glam::Vec4;
 /// Number of lanes.
 pub const LANES: usize = 8;
 
-/// Eight numbers that are worked on side by side.
+/// Eight `f32` lanes. Every operation is lane by lane.
 pub trait F32x8: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> {
     /// The same number in all lanes.
     fn splat(x: f32) -> Self;
-    /// The numbers of an array.
+    /// Loads eight numbers.
     fn load(from: &[f32; LANES]) -> Self;
-    /// The other way round.
+    /// Stores eight numbers.
     fn store(self) -> [f32; LANES];
-    /// The smaller one of each two; of a NaN on the left side, the right one.
+    /// The smaller of each two lanes; if the left one is NaN, the right one.
     fn min(self, other: Self) -> Self;
-    /// The bits of each lane, less the lowest bits of `shifted`'s, which are moved up by `BITS` first.
+    /// Subtracts, as integers, the bits of `shifted` moved left by `BITS` from the bits of each lane: divides
+    /// by a power of two whose exponent is in the lowest bits of `shifted`.
     fn less_exponent<const BITS: i32>(self, shifted: Self) -> Self;
-    /// The lower and the upper four.
+    /// The lower and the upper four lanes.
     fn halves(self) -> [Vec4; 2];
-    /// The sums of the lanes of four, neighbours first: `((a + b) + (c + d)) + ((e + f) + (g + h))`.
+    /// The sum over the lanes of each of four vectors, neighbours first: `((a + b) + (c + d)) + ((e + f) + (g +
+    /// h))`.
     fn totals(of: [Self; 4]) -> [f32; 4];
 }
 
-/// For every machine: glam's four lanes, twice.
+/// The implementation for every machine: two of glam's vectors of four lanes.
 #[derive(Clone, Copy)]
 struct GlamF32x8(Vec4, Vec4);
 
@@ -93,7 +98,7 @@ impl F32x8 for GlamF32x8 {
 
     #[inline(always)]
     fn less_exponent<const BITS: i32>(self, shifted: Self) -> Self {
-        // On arrays, because glam has no integer lanes: the compiler makes a shift and a subtraction of four lanes of it.
+        // On arrays, because glam has no integer lanes; the compiler turns it into one shift and one subtraction.
         let less = |p: Vec4, n: Vec4| {
             let (p, n) = (p.to_array(), n.to_array());
             Vec4::from_array(from_fn(|i| f32::from_bits(p[i].to_bits().wrapping_sub(n[i].to_bits() << BITS))))
@@ -117,17 +122,20 @@ impl F32x8 for GlamF32x8 {
     }
 }
 
-/// A loop over lanes, with all that it works on. `run` and what it calls must be `#[inline(always)]`, and must not hand lanes
-/// to closures (`map`, `from_fn`): what is not inlined into the function that names the instructions is compiled without
-/// them, and calls one function for every operation, which takes ten times longer. `tests/instructions.rs` would show it.
+/// A loop over lanes, together with its arguments; [`SimdPath::run`] runs it.
+///
+/// `run` and every function that it calls must be `#[inline(always)]`, and must not pass lanes to closures
+/// (`map`, `from_fn`). Code that is not inlined into the function with the `target_feature` attribute is
+/// compiled without these instructions and calls a function for every operation, which takes ten times longer.
+/// It is still correct; the test `tests/instructions.rs` detects it.
 pub trait Kernel {
-    /// What comes of it.
+    /// The result.
     type Output;
-    /// Runs it.
+    /// Runs the loop with vectors of type `L`.
     fn run<L: F32x8>(self) -> Self::Output;
 }
 
-/// The instructions that a loop is run with. A path exists only on machines that have its instructions.
+/// An instruction set for [`Kernel`]s. A value exists only on machines that have these instructions.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct SimdPath(Kind);
 
@@ -139,10 +147,10 @@ enum Kind {
 }
 
 impl SimdPath {
-    /// The path of every machine: what the program was compiled for, four lanes at a time.
+    /// The path of every machine: the instruction set of the build, with four lanes at a time.
     pub const BASELINE: Self = Self(Kind::Baseline);
 
-    /// AVX2, if this machine has it.
+    /// The AVX2 path, if this machine has AVX2.
     pub fn avx2() -> Option<Self> {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
@@ -161,14 +169,14 @@ impl SimdPath {
         std::iter::once(Self::BASELINE).chain(Self::avx2())
     }
 
-    /// Runs a pass with these instructions.
+    /// Runs a kernel with these instructions.
     #[inline]
-    pub fn run<P: Kernel>(self, pass: P) -> P::Output {
+    pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
-            Kind::Baseline => pass.run::<GlamF32x8>(),
-            // SAFETY: this kind is made in `avx2` alone, after the processor was found to have AVX2.
+            Kind::Baseline => kernel.run::<GlamF32x8>(),
+            // SAFETY: only `SimdPath::avx2` makes this kind, after it has detected AVX2.
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => unsafe { avx2::run(pass) },
+            Kind::Avx2 => unsafe { avx2::run(kernel) },
         }
     }
 }
@@ -190,7 +198,7 @@ impl fmt::Debug for SimdPath {
     }
 }
 
-/// What does not fill the lanes any more, with zeros behind it.
+/// Fewer than eight remaining numbers, followed by zeros.
 #[inline(always)]
 pub fn filled(rest: &[f32]) -> [f32; LANES] {
     let mut lanes = [0.0; LANES];

@@ -1,49 +1,50 @@
-//! The devices' end of both protocols: bytes to instructions, answers to bytes.
+//! The servos' end of both protocols: parses instructions and encodes answers.
 //!
-//! Dynamixel 2.0: `FF FF FD 00 id length(2) instruction parameters crc(2)`, with an `FD` stuffed in after every `FF FF FD` of the body;
-//! <https://emanual.robotis.com/docs/en/dxl/protocol2/>. Feetech: `FF FF id length instruction parameters checksum`, where the checksum is
-//! the complement of the sum from the id on. Bytes that make no packet are passed over one by one, as a servo does that waits for a header.
+//! Dynamixel 2.0: `FF FF FD 00 id length(2) instruction parameters crc(2)`, with an `FD` stuffed in after every
+//! `FF FF FD` of the body; <https://emanual.robotis.com/docs/en/dxl/protocol2/>. Feetech: `FF FF id length
+//! instruction parameters checksum`, where the checksum is the complement of the sum from the id on. Bytes that
+//! do not belong to a packet are skipped one by one, as by a servo that waits for a header.
 
 use crate::model::Protocol;
 
-/// The id that all servos listen to.
+/// The broadcast id, which addresses all servos.
 pub const BROADCAST: u8 = 0xfe;
 
-/// The longest packet that a servo takes; whatever says that it is longer is no packet.
-const LONGEST: usize = 512;
+/// Longest packet that a servo accepts; a header with a greater length is not a packet.
+const MAX_LENGTH: usize = 512;
 
-/// What a host asks.
+/// An instruction packet of the host.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Request {
-    /// To which servo; [`BROADCAST`] for all.
+    /// The addressed servo; [`BROADCAST`] for all.
     pub id: u8,
-    /// What to do, see [`instruction`].
+    /// The number of the instruction, see [`instruction`].
     pub instruction: u8,
     /// The instruction's parameters, without stuffing.
     pub parameters: Vec<u8>,
-    /// Whether the checksum fits.
-    pub sound: bool,
+    /// Whether the checksum is correct.
+    pub checksum_ok: bool,
 }
 
-/// Instructions. They have the same numbers in both protocols.
+/// Numbers of the instructions, which are the same in both protocols.
 pub mod instruction {
-    /// Are you there?
+    /// Ping.
     pub const PING: u8 = 0x01;
     /// Read registers.
     pub const READ: u8 = 0x02;
     /// Write registers.
     pub const WRITE: u8 = 0x03;
-    /// Start anew.
+    /// Reboot.
     pub const REBOOT: u8 = 0x08;
     /// Read the same registers of several servos.
     pub const SYNC_READ: u8 = 0x82;
     /// Write the same registers of several servos.
     pub const SYNC_WRITE: u8 = 0x83;
-    /// What an answer of protocol 2.0 has in an instruction's place.
+    /// Status packet: the number that an answer of protocol 2.0 has in place of an instruction.
     pub const STATUS: u8 = 0x55;
 }
 
-/// Collects bytes until they are a request.
+/// Collects bytes and parses them into requests.
 #[derive(Debug, Clone)]
 pub struct RequestParser {
     protocol: Protocol,
@@ -51,22 +52,22 @@ pub struct RequestParser {
 }
 
 impl RequestParser {
-    /// One that has seen nothing.
+    /// A parser without bytes.
     pub fn new(protocol: Protocol) -> Self {
         Self { protocol, bytes: Vec::new() }
     }
 
-    /// Takes bytes in.
+    /// Adds bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// Forgets a packet that has only begun.
+    /// Drops an incomplete packet.
     pub fn clear(&mut self) {
         self.bytes.clear();
     }
 
-    /// The next request, if it is whole. Bytes that belong to none are dropped on the way to it.
+    /// The next complete request. Bytes before it that do not belong to a request are dropped.
     pub fn next_request(&mut self) -> Option<Request> {
         loop {
             let request = match self.protocol {
@@ -78,10 +79,10 @@ impl RequestParser {
                     self.bytes.drain(..length);
                     return Some(request);
                 }
-                ParseResult::Waste(length) => {
+                ParseResult::Skip(length) => {
                     self.bytes.drain(..length);
                 }
-                ParseResult::Part => return None,
+                ParseResult::Incomplete => return None,
             }
         }
     }
@@ -90,46 +91,50 @@ impl RequestParser {
 enum ParseResult {
     /// A request of so many bytes.
     Request(usize, Request),
-    /// So many bytes that begin no packet.
-    Waste(usize),
-    /// What may still become one.
-    Part,
+    /// Number of bytes that do not begin a packet.
+    Skip(usize),
+    /// An incomplete packet.
+    Incomplete,
 }
 
 fn dynamixel(bytes: &[u8]) -> ParseResult {
     const HEADER: [u8; 4] = [0xff, 0xff, 0xfd, 0x00];
-    if bytes.iter().zip(HEADER).any(|(&is, ought)| is != ought) {
-        return ParseResult::Waste(1);
+    if bytes.iter().zip(HEADER).any(|(&byte, expected)| byte != expected) {
+        return ParseResult::Skip(1);
     }
-    let Some(&[_, _, _, _, id, low, high]) = bytes.get(..7) else { return ParseResult::Part };
+    let Some(&[_, _, _, _, id, low, high]) = bytes.get(..7) else { return ParseResult::Incomplete };
     let length = usize::from(u16::from_le_bytes([low, high]));
-    if !(3..=LONGEST).contains(&length) || id > BROADCAST || id == 0xfd {
-        return ParseResult::Waste(1);
+    if !(3..=MAX_LENGTH).contains(&length) || id > BROADCAST || id == 0xfd {
+        return ParseResult::Skip(1);
     }
-    let Some(packet) = bytes.get(..7 + length) else { return ParseResult::Part };
+    let Some(packet) = bytes.get(..7 + length) else { return ParseResult::Incomplete };
     let (body, sum) = packet.split_at(packet.len() - 2);
     let request = Request {
         id,
         instruction: packet[7],
         parameters: unstuffed(&body[8..]),
-        sound: crc(body).to_le_bytes() == sum,
+        checksum_ok: crc(body).to_le_bytes() == sum,
     };
     ParseResult::Request(packet.len(), request)
 }
 
 fn feetech(bytes: &[u8]) -> ParseResult {
     if bytes.iter().take(2).any(|&byte| byte != 0xff) {
-        return ParseResult::Waste(1);
+        return ParseResult::Skip(1);
     }
-    let Some(&[_, _, id, length]) = bytes.get(..4) else { return ParseResult::Part };
-    // A third FF is a header that begins one byte later: there is no such id.
+    let Some(&[_, _, id, length]) = bytes.get(..4) else { return ParseResult::Incomplete };
+    // A third FF is not an id: the header begins one byte later.
     if id > BROADCAST || length < 2 {
-        return ParseResult::Waste(1);
+        return ParseResult::Skip(1);
     }
-    let Some(packet) = bytes.get(..4 + usize::from(length)) else { return ParseResult::Part };
+    let Some(packet) = bytes.get(..4 + usize::from(length)) else { return ParseResult::Incomplete };
     let (body, sum) = packet.split_at(packet.len() - 1);
-    let request =
-        Request { id, instruction: packet[4], parameters: body[5..].to_vec(), sound: checksum(&body[2..]) == sum[0] };
+    let request = Request {
+        id,
+        instruction: packet[4],
+        parameters: body[5..].to_vec(),
+        checksum_ok: checksum(&body[2..]) == sum[0],
+    };
     ParseResult::Request(packet.len(), request)
 }
 
@@ -156,7 +161,7 @@ pub fn status(protocol: Protocol, id: u8, error: u8, parameters: &[u8]) -> Vec<u
     }
 }
 
-/// `body` with an `FD` after every `FF FF FD`.
+/// `body` with an `FD` inserted after every `FF FF FD`.
 fn stuffed(body: &[u8]) -> Vec<u8> {
     let mut out = Vec::with_capacity(body.len() + 2);
     let mut since = 0;
@@ -170,7 +175,7 @@ fn stuffed(body: &[u8]) -> Vec<u8> {
     out
 }
 
-/// `body` without what was stuffed in.
+/// `body` without the inserted bytes.
 fn unstuffed(body: &[u8]) -> Vec<u8> {
     let mut out: Vec<u8> = Vec::with_capacity(body.len());
     let mut since = 0;
@@ -212,31 +217,33 @@ mod tests {
     }
 
     #[test]
-    fn the_manuals_examples() {
+    fn the_examples_of_the_manuals_are_parsed_and_encoded() {
         let ping = [0xff, 0xff, 0xfd, 0, 1, 3, 0, 1, 0x19, 0x4e];
-        let request = Request { id: 1, instruction: instruction::PING, parameters: vec![], sound: true };
+        let request = Request { id: 1, instruction: instruction::PING, parameters: vec![], checksum_ok: true };
         assert_eq!(all(Protocol::Dynamixel, &ping), [request]);
         let answer = [0xff, 0xff, 0xfd, 0, 1, 8, 0, 0x55, 0, 0xa6, 0, 0, 0, 0x8c, 0xc0];
         assert_eq!(status(Protocol::Dynamixel, 1, 0, &[0xa6, 0, 0, 0]), answer);
         let ping = [0xff, 0xff, 1, 2, 1, 0xfb];
-        let request = Request { id: 1, instruction: instruction::PING, parameters: vec![], sound: true };
+        let request = Request { id: 1, instruction: instruction::PING, parameters: vec![], checksum_ok: true };
         assert_eq!(all(Protocol::Feetech, &ping), [request]);
         assert_eq!(status(Protocol::Feetech, 1, 0, &[0x20]), [0xff, 0xff, 1, 3, 0, 0x20, 0xdb]);
     }
 
     #[test]
-    fn a_packet_is_found_behind_waste_and_a_broken_one() {
+    fn a_packet_is_found_after_noise_and_a_broken_packet() {
         let good = [0xff, 0xff, 1, 2, 1, 0xfb];
         let mut bytes = vec![0, 0xff, 7, 0xff];
         bytes.extend([0xff, 0xff, 2, 2, 1, 0]);
         bytes.extend(good);
         let found = all(Protocol::Feetech, &bytes);
-        assert_eq!(found.iter().map(|request| request.sound).collect::<Vec<_>>(), [false, true]);
+        assert_eq!(found.iter().map(|request| request.checksum_ok).collect::<Vec<_>>(), [false, true]);
     }
 
     proptest! {
         #[test]
-        fn any_bytes_in_any_pieces_are_taken(bytes in prop::collection::vec(any::<u8>(), 0..600), cut in 1_usize..50) {
+        fn requests_do_not_depend_on_how_bytes_are_split(
+            bytes in prop::collection::vec(any::<u8>(), 0..600), cut in 1_usize..50,
+        ) {
             for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
                 let mut parser = RequestParser::new(protocol);
                 let mut found = Vec::new();
@@ -249,10 +256,12 @@ mod tests {
         }
 
         #[test]
-        fn stuffing_is_undone(body in prop::collection::vec(prop_oneof![Just(0xff_u8), Just(0xfd), any::<u8>()], 0..64)) {
+        fn unstuffing_inverts_stuffing(
+            body in prop::collection::vec(prop_oneof![Just(0xff_u8), Just(0xfd), any::<u8>()], 0..64),
+        ) {
             let wire = stuffed(&body);
             prop_assert_eq!(unstuffed(&wire), body);
-            // What is on the wire never looks like a header.
+            // A stuffed body never contains a header.
             prop_assert!(!wire.windows(4).any(|four| four == [0xff, 0xff, 0xfd, 0x00]));
         }
     }

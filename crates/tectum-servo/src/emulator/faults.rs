@@ -1,4 +1,5 @@
-//! What goes wrong and when: a function of the seed, the fault's place in the list, the servo and the instant.
+//! Fault injection. Whether a fault occurs is a function of the seed, the fault's index in the list, the servo
+//! and the time.
 
 use xxhash_rust::xxh3::xxh3_64_with_seed;
 
@@ -13,69 +14,71 @@ pub struct ChainFaults {
     seed: u64,
 }
 
-/// What befalls one answer.
+/// Faults of one answer.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ReplyFault {
-    /// It does not come.
+    /// It is not sent.
     pub lost: bool,
     /// Its checksum is wrong.
-    pub broken: bool,
+    pub bad_checksum: bool,
     /// It has another id.
-    pub stranger: bool,
-    /// It comes so much later, ns.
-    pub late: u64,
+    pub wrong_id: bool,
+    /// Additional delay, ns.
+    pub delay_ns: u64,
 }
 
 impl ChainFaults {
-    /// These faults, with the draws of `seed`.
+    /// The faults of a configuration, with random draws from `seed`.
     pub fn new(list: &[ServoFault], seed: u64) -> Self {
         Self { list: list.to_vec(), seed }
     }
 
-    /// The first instant after `now` at which what lasts may begin or end.
-    pub fn next_edge(&self, now: u64) -> u64 {
-        let lasting = self.list.iter().filter(|fault| fault.kind.lasts());
-        let edges = lasting.flat_map(|fault| {
+    /// The first time after `now` at which a fault of a servo may begin or end, ns.
+    pub fn next_change(&self, now: u64) -> u64 {
+        let of_servos = self.list.iter().filter(|fault| fault.kind.affects_servo());
+        let times = of_servos.flat_map(|fault| {
             let second = fault.probability.map(|_| (now / SECOND + 1) * SECOND);
             [fault.from_s.map(ns), fault.until_s.map(ns), second].into_iter().flatten()
         });
-        edges.filter(|&edge| edge > now).min().unwrap_or(u64::MAX)
+        times.filter(|&time| time > now).min().unwrap_or(u64::MAX)
     }
 
-    /// Whether `kind`, which lasts, befalls the servo with this id at `now`.
-    pub fn holds(&self, kind: ServoFaultKind, id: u8, now: u64) -> bool {
+    /// Whether a servo fault of this kind affects servo `id` at `now`.
+    pub fn is_active(&self, kind: ServoFaultKind, id: u8, now: u64) -> bool {
         self.matching(id, now).any(|(i, fault)| fault.kind == kind && self.draw(i, fault, id, now / SECOND))
     }
 
-    /// What befalls answer number `answer` of the servo with this id, at `now`.
-    pub fn mishap(&self, id: u8, now: u64, answer: u64) -> ReplyFault {
-        let mut mishap = ReplyFault::default();
-        for (i, fault) in self.matching(id, now).filter(|(_, fault)| !fault.kind.lasts()) {
+    /// The faults of answer number `answer`, sent by servo `id` at `now`.
+    pub fn reply_fault(&self, id: u8, now: u64, answer: u64) -> ReplyFault {
+        let mut reply = ReplyFault::default();
+        for (i, fault) in self.matching(id, now).filter(|(_, fault)| !fault.kind.affects_servo()) {
             if self.draw(i, fault, id, answer) {
                 match fault.kind {
-                    ServoFaultKind::NoReply => mishap.lost = true,
-                    ServoFaultKind::BadChecksum => mishap.broken = true,
-                    ServoFaultKind::WrongId => mishap.stranger = true,
-                    ServoFaultKind::Slow => mishap.late += (fault.delay_ms.unwrap_or(20.0) * 1e6) as u64,
+                    ServoFaultKind::NoReply => reply.lost = true,
+                    ServoFaultKind::BadChecksum => reply.bad_checksum = true,
+                    ServoFaultKind::WrongId => reply.wrong_id = true,
+                    ServoFaultKind::Slow => reply.delay_ns += (fault.delay_ms.unwrap_or(20.0) * 1e6) as u64,
                     _ => {}
                 }
             }
         }
-        mishap
+        reply
     }
 
+    /// The faults whose servo and time window match, with their index.
     fn matching(&self, id: u8, now: u64) -> impl Iterator<Item = (usize, &ServoFault)> {
         self.list.iter().enumerate().filter(move |(_, fault)| {
-            let begun = fault.from_s.is_none_or(|from| now >= ns(from));
-            let over = fault.until_s.is_some_and(|until| now >= ns(until));
-            begun && !over && fault.servo.is_none_or(|servo| servo == id)
+            let started = fault.from_s.is_none_or(|from| now >= ns(from));
+            let ended = fault.until_s.is_some_and(|until| now >= ns(until));
+            started && !ended && fault.servo.is_none_or(|servo| servo == id)
         })
     }
 
-    fn draw(&self, place: usize, fault: &ServoFault, id: u8, number: u64) -> bool {
+    /// Whether the fault at `index` occurs in answer or second `number` of servo `id`.
+    fn draw(&self, index: usize, fault: &ServoFault, id: u8, number: u64) -> bool {
         let Some(probability) = fault.probability else { return true };
         let mut key = [0; 17];
-        key[..8].copy_from_slice(&(place as u64).to_le_bytes());
+        key[..8].copy_from_slice(&(index as u64).to_le_bytes());
         key[8..16].copy_from_slice(&number.to_le_bytes());
         key[16] = id;
         let drawn = xxh3_64_with_seed(&key, self.seed) >> 11;
@@ -96,25 +99,25 @@ mod tests {
     }
 
     #[test]
-    fn a_window_begins_and_ends_where_it_says() {
+    fn a_fault_is_active_within_its_window() {
         let faults = ChainFaults::new(&[fault(ServoFaultKind::Hot), fault(ServoFaultKind::Slow)], 1);
-        assert_eq!(faults.next_edge(0), SECOND);
-        assert_eq!(faults.next_edge(SECOND), 2 * SECOND);
-        assert_eq!(faults.next_edge(2 * SECOND), u64::MAX);
-        assert!(!faults.holds(ServoFaultKind::Hot, 2, SECOND - 1));
-        assert!(faults.holds(ServoFaultKind::Hot, 2, SECOND));
-        assert!(!faults.holds(ServoFaultKind::Hot, 1, SECOND));
-        assert!(!faults.holds(ServoFaultKind::Hot, 2, 2 * SECOND));
-        assert_eq!(faults.mishap(2, SECOND, 7).late, 20_000_000);
-        assert_eq!(faults.mishap(3, SECOND, 7), ReplyFault::default());
+        assert_eq!(faults.next_change(0), SECOND);
+        assert_eq!(faults.next_change(SECOND), 2 * SECOND);
+        assert_eq!(faults.next_change(2 * SECOND), u64::MAX);
+        assert!(!faults.is_active(ServoFaultKind::Hot, 2, SECOND - 1));
+        assert!(faults.is_active(ServoFaultKind::Hot, 2, SECOND));
+        assert!(!faults.is_active(ServoFaultKind::Hot, 1, SECOND));
+        assert!(!faults.is_active(ServoFaultKind::Hot, 2, 2 * SECOND));
+        assert_eq!(faults.reply_fault(2, SECOND, 7).delay_ns, 20_000_000);
+        assert_eq!(faults.reply_fault(3, SECOND, 7), ReplyFault::default());
     }
 
     #[test]
-    fn a_probability_is_kept_and_drawn_anew_for_every_answer() {
+    fn a_probability_applies_to_every_answer_independently() {
         let fault = ServoFault { probability: Some(0.25), ..fault(ServoFaultKind::NoReply) };
         let count = |seed| {
             let faults = ChainFaults::new(std::slice::from_ref(&fault), seed);
-            (0..10_000).filter(|&n| faults.mishap(2, SECOND, n).lost).count()
+            (0..10_000).filter(|&n| faults.reply_fault(2, SECOND, n).lost).count()
         };
         assert!((2300..2700).contains(&count(1)), "{}", count(1));
         assert_ne!(count(1), count(2));

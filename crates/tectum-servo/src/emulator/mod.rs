@@ -1,21 +1,24 @@
-//! An emulated chain of serial-bus servos: bytes in at an instant, bytes out at an instant.
+//! An emulated chain of serial-bus servos: timed bytes in, timed bytes out.
 //!
-//! Pure: no clock, no files, no threads. What comes out is a function of seed, settings, and the bytes with their instants. [`EmulatedPort`] puts
-//! it behind `serialport`'s trait with a stepped clock; `tectum-servo-emulator` puts it behind a terminal in real time.
+//! Pure computation, without clock, files or threads: the output is a function of seed, configuration, and the
+//! received bytes with their times. [`EmulatedPort`] offers it as `serialport`'s trait with a stepped clock;
+//! `tectum-servo-emulator` offers it as a pseudo-terminal in real time.
 //!
-//! *As the real ones*: packets, checksums, stuffing, error bytes; control tables with what is EEPROM and what refuses writes; the time
-//! that bytes take on the wire, the return delay; answers to a synchronous read one after the other, where those behind one that is missing
-//! stay silent; two servos with one id that talk at once; a wrong baud rate, at which nobody answers; speed and acceleration from registers;
-//! Dynamixel's bus watchdog and its errors that hold until a reboot; a start without torque after a loss of power.
+//! *Like real servos*: packets, checksums, stuffing and error bytes; control tables with EEPROM and read-only
+//! registers; transmission time and return delay; sequential answers to a synchronous read, where the servos
+//! after a missing answer do not answer; two servos with one id that answer at the same time; no answers at a
+//! wrong baud rate; speed and acceleration from registers; Dynamixel's bus watchdog and its errors that last
+//! until a reboot; torque off after a loss of power.
 //!
-//! *Where the makers are not clear the worse is taken*: goals are kept while torque is off, so that turning it on moves the shaft to an
-//! old goal; with Feetech a goal position turns torque on by itself.
+//! *Where the manuals are unclear, the worse behaviour is emulated*: goals are kept while torque is off, so
+//! that turning it on moves the shaft to an old goal; with Feetech, writing a goal position turns torque on.
 //!
-//! *Not emulated*: mass, gravity and friction (without torque a shaft stays where it is); the controllers' gains; current and PWM modes; homing
-//! offsets, drive mode, indirect addresses; register writes that wait for an action; bulk and fast reads; Feetech's step mode, its
-//! middle position by writing 128 to torque, and the residual torque after an overload (it is turned off whole).
+//! *Not emulated*: mass, gravity and friction (without torque a shaft does not move); controller gains; current
+//! and PWM modes; homing offsets, drive mode and indirect addresses; registered writes; bulk and fast reads;
+//! Feetech's step mode, setting the middle position by writing 128 to torque, and the residual torque after an
+//! overload (torque is turned off completely).
 
-pub mod codec;
+mod codec;
 mod config;
 mod faults;
 mod motion;
@@ -34,13 +37,13 @@ use crate::model::{MODELS, Protocol, ServoModel};
 use codec::{BROADCAST, Request, RequestParser, instruction};
 use faults::ChainFaults;
 use servo::{EmulatedServo, ServoFaultState};
-use table::refusal;
+use table::instruction_error;
 use tectum_core::seed::{self, Rng};
 
-/// After so long a silence a packet that has only begun is forgotten, ns.
-const SILENCE: u64 = 20_000_000;
+/// Silence after which an incomplete packet is dropped, ns.
+const PACKET_TIMEOUT: u64 = 20_000_000;
 
-/// Between the answers to a broadcast ping, ns.
+/// Time between the answers to a broadcast ping, ns.
 const PING_SLOT: u64 = 3_000_000;
 
 /// A chain of emulated servos on one wire.
@@ -52,43 +55,45 @@ pub struct EmulatedChain {
     faults: ChainFaults,
     rng: Rng,
     parser: RequestParser,
-    /// Until when the chain has lived, ns.
+    /// Time up to which the chain was simulated, ns.
     now: u64,
-    /// When the last byte came in, and when the last one has left the wire, ns.
+    /// Time of the last received byte, ns.
     received: u64,
+    /// Time from which on the wire is free, ns.
     wire_free: u64,
-    /// Answers, each with the instant at which its last byte is out.
+    /// Answers, each with the time at which its last byte is sent, ns.
     answers: VecDeque<(u64, Vec<u8>)>,
-    count: u64,
+    /// Number of answers so far, the key of their faults.
+    answer_count: u64,
 }
 
-/// How a servo is, for whoever looks at the emulator and not at the bus.
+/// The true state of an emulated servo, independent of the bus.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct ServoState {
     /// Its id.
     pub id: u8,
-    /// Where its shaft is, steps.
+    /// Position of its shaft, steps.
     pub position: f64,
-    /// How fast it turns, steps/s.
+    /// Speed of its shaft, steps/s.
     pub speed: f64,
-    /// Whether the motor holds or moves it.
+    /// Whether torque is on.
     pub torque: bool,
-    /// Its errors' bits.
+    /// Its error bits.
     pub errors: u8,
 }
 
 impl EmulatedChain {
-    /// Servos with these ids, in the order in which they hang on the wire, all in their middle position; ids that stand twice make
-    /// two servos that talk at once. They listen at `baud`.
+    /// Servos with these ids, in their order on the wire, all in their middle position, with the baud rate
+    /// `baud`. A repeated id gives two servos that answer at the same time.
     pub fn new(protocol: Protocol, ids: &[u8], baud: u32, settings: &EmulatorConfig, seed: u64) -> Self {
         let named = settings.model.as_ref().and_then(|name| MODELS.iter().find(|model| model.name == name));
-        let usual = MODELS.iter().find(|model| model.protocol == protocol);
+        let default = MODELS.iter().find(|model| model.protocol == protocol);
         let model: &ServoModel =
-            named.filter(|model| model.protocol == protocol).or(usual).expect("a model of each protocol");
+            named.filter(|model| model.protocol == protocol).or(default).expect("a model of each protocol");
         Self::of(model, ids, baud, settings, seed)
     }
 
-    /// The same of any model, with the control table of its protocol's series.
+    /// A chain of servos of any model, with the control table of its protocol's series.
     pub fn of(model: &ServoModel, ids: &[u8], baud: u32, settings: &EmulatorConfig, seed: u64) -> Self {
         let protocol = model.protocol;
         let servos = ids.iter().map(|&id| EmulatedServo::new(model, id, baud, 2048.0, settings)).collect();
@@ -105,13 +110,14 @@ impl EmulatedChain {
             received: 0,
             wire_free: 0,
             answers: VecDeque::new(),
-            count: 0,
+            answer_count: 0,
         }
     }
 
-    /// Takes what a host sends at `now` with `baud` (0: whatever the servos listen at). Instants never go back; the emulator starts at 0.
+    /// Receives bytes that a host sends at `now` with `baud` (0: the servos' own rate). Times never decrease;
+    /// the emulator starts at 0.
     pub fn receive(&mut self, now: u64, baud: u32, bytes: &[u8]) {
-        if now.saturating_sub(self.received) > SILENCE {
+        if now.saturating_sub(self.received) > PACKET_TIMEOUT {
             self.parser.clear();
         }
         self.received = now;
@@ -121,113 +127,106 @@ impl EmulatedChain {
         self.parser.push(bytes);
         while let Some(request) = self.parser.next_request() {
             let at = self.wire_free.max(self.now);
-            self.live(at);
-            self.obey(&request, at, baud, baud_in_use);
+            self.advance_to(at);
+            self.execute(&request, at, baud, baud_in_use);
         }
     }
 
-    /// The instant at which the next answer is out, if one is under way.
+    /// The time at which the next answer is sent completely, if there is one, ns.
     pub fn next_answer(&self) -> Option<u64> {
         self.answers.front().map(|(due, _)| *due)
     }
 
-    /// The bytes of the next answer that is out by `now`.
+    /// The bytes of the next answer that is sent completely by `now`.
     pub fn take(&mut self, now: u64) -> Option<Vec<u8>> {
         let due = self.next_answer()?;
         if due <= now { self.answers.pop_front().map(|(_, bytes)| bytes) } else { None }
     }
 
-    /// Lets time pass until `now` without an instruction.
-    pub fn live(&mut self, now: u64) {
+    /// Simulates the servos until `now`, without an instruction.
+    pub fn advance_to(&mut self, now: u64) {
         while self.now < now {
-            let until = self.faults.next_edge(self.now).min(now);
+            let until = self.faults.next_change(self.now).min(now);
             self.advance_servos(until);
             self.now = until;
         }
         self.advance_servos(self.now);
     }
 
-    /// Moves the shaft of the servo with this id to `at` steps as a hand does; a servo with torque is stronger. Whether there is such a servo.
-    pub fn hand(&mut self, now: u64, id: u8, at: f64) -> bool {
-        self.live(now.max(self.now));
+    /// Moves the shaft of servo `id` to `at` steps by hand; a servo with torque does not move. Returns whether
+    /// the servo exists.
+    pub fn move_by_hand(&mut self, now: u64, id: u8, at: f64) -> bool {
+        self.advance_to(now.max(self.now));
         let mut found = false;
         for servo in self.servos.iter_mut().filter(|servo| servo.id() == id) {
-            servo.hand(at);
+            servo.move_by_hand(at);
             found = true;
         }
         found
     }
 
-    /// How all servos are at `now`, in the order of the wire.
+    /// The state of all servos at `now`, in their order on the wire.
     pub fn state(&mut self, now: u64) -> Vec<ServoState> {
-        self.live(now.max(self.now));
+        self.advance_to(now.max(self.now));
         let state = |servo: &EmulatedServo| ServoState {
             id: servo.id(),
             position: servo.shaft.at,
             speed: servo.shaft.speed,
-            torque: servo.driven(),
+            torque: servo.has_torque(),
             errors: servo.table.get(servo.table.series.hardware_error) as u8,
         };
         self.servos.iter().map(state).collect()
     }
 
     fn advance_servos(&mut self, until: u64) {
-        // What befalls a servo up to `until` is what began at the edge before.
+        // Faults change only at `next_change`, so those at `self.now` hold until `until`.
         let mut off = false;
         for servo in &mut self.servos {
             let (id, now, faults) = (servo.id(), self.now, &self.faults);
-            off |= faults.holds(ServoFaultKind::CableOut, id, now);
-            let plight = ServoFaultState {
+            off |= faults.is_active(ServoFaultKind::CableOut, id, now);
+            let state = ServoFaultState {
                 off,
-                held: faults.holds(ServoFaultKind::Overload, id, now),
-                low: faults.holds(ServoFaultKind::BrownOut, id, now),
-                hot: faults.holds(ServoFaultKind::Hot, id, now),
+                held: faults.is_active(ServoFaultKind::Overload, id, now),
+                low_voltage: faults.is_active(ServoFaultKind::BrownOut, id, now),
+                hot: faults.is_active(ServoFaultKind::Hot, id, now),
             };
-            servo.advance(until, plight);
+            servo.advance(until, state);
         }
     }
 
-    fn obey(&mut self, request: &Request, at: u64, baud: u32, wire_baud: u32) {
-        let tuned = |servo: &EmulatedServo| servo.hears() && (baud == 0 || servo.table.baud() == baud);
+    /// Executes a request that was received completely at `at`.
+    fn execute(&mut self, request: &Request, at: u64, baud: u32, wire_baud: u32) {
+        let tuned = |servo: &EmulatedServo| servo.is_powered() && (baud == 0 || servo.table.baud() == baud);
         let listening: Vec<usize> = (0..self.servos.len()).filter(|&i| tuned(&self.servos[i])).collect();
-        if !request.sound {
-            // Nobody knows whom a broken packet was for. Dynamixel says so if the id is its own.
+        if !request.checksum_ok {
+            // A Dynamixel reports a wrong checksum if the id is its own; a Feetech ignores the packet.
             if self.protocol == Protocol::Dynamixel {
                 let own = listening.iter().copied().filter(|&i| self.servos[i].id() == request.id).collect();
-                self.answer(own, at, wire_baud, refusal::CRC, |_, _| Vec::new());
+                self.answer(own, at, wire_baud, instruction_error::CRC, |_, _| Vec::new());
             }
             return;
         }
         for &i in &listening {
-            self.servos[i].hear(at);
+            self.servos[i].note_instruction(at);
         }
         let all = request.id == BROADCAST;
         let addressed: Vec<usize> =
             listening.iter().copied().filter(|&i| all || self.servos[i].id() == request.id).collect();
         match request.instruction {
-            instruction::PING if all => {
-                let mut slot = at;
-                for (i, id) in self.by_id(&addressed) {
-                    let twins = self.twins(&listening, id);
-                    if twins.first() == Some(&i) {
-                        self.answer(twins, slot, wire_baud, 0, ping);
-                    }
-                    slot += PING_SLOT;
-                }
-            }
+            instruction::PING if all => self.broadcast_ping(&listening, &addressed, at, wire_baud),
             instruction::PING => self.answer(addressed, at, wire_baud, 0, ping),
-            instruction::READ if !all => match self.span(&request.parameters) {
+            instruction::READ if !all => match self.read_range(&request.parameters) {
                 Some((address, length, _)) => self.read(addressed, at, wire_baud, address, length),
-                None => self.answer(addressed, at, wire_baud, refusal::LENGTH, |_, _| Vec::new()),
+                None => self.answer(addressed, at, wire_baud, instruction_error::LENGTH, |_, _| Vec::new()),
             },
             instruction::WRITE => {
-                let (address, data) = self.target(&request.parameters);
+                let (address, data) = self.write_target(&request.parameters);
                 let results: Vec<_> = addressed.iter().map(|&i| self.write(i, address, data)).collect();
                 if !all {
                     let error = results.iter().copied().find(|&error| error != 0).unwrap_or(0);
                     self.answer_as(addressed, request.id, at, wire_baud, error);
                 }
-                self.live(at);
+                self.advance_to(at);
             }
             instruction::REBOOT => {
                 for &i in &addressed {
@@ -239,14 +238,26 @@ impl EmulatedChain {
             }
             instruction::SYNC_READ if all => self.sync_read(&listening, at, wire_baud, &request.parameters),
             instruction::SYNC_WRITE if all => self.sync_write(&listening, at, &request.parameters),
-            _ if !all => self.answer(addressed, at, wire_baud, refusal::INSTRUCTION, |_, _| Vec::new()),
+            _ if !all => self.answer(addressed, at, wire_baud, instruction_error::INSTRUCTION, |_, _| Vec::new()),
             _ => {}
+        }
+    }
+
+    /// Answers a broadcast ping: one slot per servo, in the order of ids; servos with the same id answer together.
+    fn broadcast_ping(&mut self, listening: &[usize], addressed: &[usize], at: u64, baud: u32) {
+        let mut slot = at;
+        for (i, id) in self.by_id(addressed) {
+            let same_id = self.with_id(listening, id);
+            if same_id.first() == Some(&i) {
+                self.answer(same_id, slot, baud, 0, ping);
+            }
+            slot += PING_SLOT;
         }
     }
 
     fn read(&mut self, servos: Vec<usize>, at: u64, baud: u32, address: u16, length: u16) {
         if servos.iter().any(|&i| self.servos[i].table.read(address, length).is_none()) {
-            return self.answer(servos, at, baud, refusal::RANGE, |_, _| Vec::new());
+            return self.answer(servos, at, baud, instruction_error::RANGE, |_, _| Vec::new());
         }
         self.answer(servos, at, baud, 0, move |servo, rng| {
             servo.measured(rng).read(address, length).map(<[u8]>::to_vec).unwrap_or_default()
@@ -254,14 +265,14 @@ impl EmulatedChain {
     }
 
     fn sync_read(&mut self, listening: &[usize], at: u64, baud: u32, parameters: &[u8]) {
-        let Some((address, length, ids)) = self.span(parameters) else { return };
+        let Some((address, length, ids)) = self.read_range(parameters) else { return };
         let ids = ids.to_vec();
         let mut slot = at;
         for id in ids {
-            let twins = self.twins(listening, id);
+            let same_id = self.with_id(listening, id);
             let before = self.answers.len();
-            self.read(twins, slot, baud, address, length);
-            // The next one waits for the answer before its own; without it, it stays silent.
+            self.read(same_id, slot, baud, address, length);
+            // Each servo waits for the answer of the previous one, and does not answer without it.
             if self.answers.len() == before {
                 return;
             }
@@ -270,25 +281,25 @@ impl EmulatedChain {
     }
 
     fn sync_write(&mut self, listening: &[usize], at: u64, parameters: &[u8]) {
-        let (address, length, rest) = match self.span(parameters) {
-            Some(span) if span.1 > 0 => span,
+        let (address, length, rest) = match self.read_range(parameters) {
+            Some(range) if range.1 > 0 => range,
             _ => return,
         };
         let rest = rest.to_vec();
         for entry in rest.chunks_exact(usize::from(length) + 1) {
-            for i in self.twins(listening, entry[0]) {
+            for i in self.with_id(listening, entry[0]) {
                 self.write(i, address, &entry[1..]);
             }
         }
-        self.live(at);
+        self.advance_to(at);
     }
 
     fn write(&mut self, i: usize, address: u16, data: &[u8]) -> u8 {
         self.servos[i].write(address, data).err().unwrap_or(0)
     }
 
-    /// Address, length and what follows.
-    fn span<'a>(&self, parameters: &'a [u8]) -> Option<(u16, u16, &'a [u8])> {
+    /// Address, length and the remaining parameters.
+    fn read_range<'a>(&self, parameters: &'a [u8]) -> Option<(u16, u16, &'a [u8])> {
         match (self.protocol, parameters) {
             (Protocol::Dynamixel, &[a, b, c, d, ref rest @ ..]) => {
                 Some((u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]), rest))
@@ -301,7 +312,7 @@ impl EmulatedChain {
     }
 
     /// Address and data of a write.
-    fn target<'a>(&self, parameters: &'a [u8]) -> (u16, &'a [u8]) {
+    fn write_target<'a>(&self, parameters: &'a [u8]) -> (u16, &'a [u8]) {
         match (self.protocol, parameters) {
             (Protocol::Dynamixel, &[a, b, ref data @ ..]) => (u16::from_le_bytes([a, b]), data),
             (Protocol::Feetech, &[address, ref data @ ..]) => (u16::from(address), data),
@@ -309,10 +320,12 @@ impl EmulatedChain {
         }
     }
 
-    fn twins(&self, listening: &[usize], id: u8) -> Vec<usize> {
+    /// Those of the `listening` servos that have this id.
+    fn with_id(&self, listening: &[usize], id: u8) -> Vec<usize> {
         listening.iter().copied().filter(|&i| self.servos[i].id() == id).collect()
     }
 
+    /// `servos` with their ids, in the order of ids.
     fn by_id(&self, servos: &[usize]) -> Vec<(usize, u8)> {
         let mut all: Vec<_> = servos.iter().map(|&i| (i, self.servos[i].id())).collect();
         all.sort_by_key(|&(i, id)| (id, i));
@@ -320,8 +333,8 @@ impl EmulatedChain {
     }
 
     fn answer_as(&mut self, servos: Vec<usize>, id: u8, at: u64, baud: u32, error: u8) {
-        // A write may just have changed the id: the answer still has the one that was asked.
-        self.put(servos, Some(id), at, baud, error, |_, _| Vec::new());
+        // A write may have changed the id: the answer still has the addressed one.
+        self.send(servos, Some(id), at, baud, error, |_, _| Vec::new());
     }
 
     fn answer(
@@ -330,46 +343,46 @@ impl EmulatedChain {
         at: u64,
         baud: u32,
         error: u8,
-        say: impl Fn(&mut EmulatedServo, &mut Rng) -> Vec<u8>,
+        parameters: impl Fn(&mut EmulatedServo, &mut Rng) -> Vec<u8>,
     ) {
-        self.put(servos, None, at, baud, error, say);
+        self.send(servos, None, at, baud, error, parameters);
     }
 
-    /// Puts an answer on the wire: of one servo, or of several with one id that talk at once.
-    fn put(
+    /// Sends an answer: of one servo, or of several with the same id at the same time.
+    fn send(
         &mut self,
         servos: Vec<usize>,
         id: Option<u8>,
         at: u64,
         baud: u32,
         error: u8,
-        say: impl Fn(&mut EmulatedServo, &mut Rng) -> Vec<u8>,
+        parameters: impl Fn(&mut EmulatedServo, &mut Rng) -> Vec<u8>,
     ) {
         let mut wire: Option<(u64, Vec<u8>)> = None;
         let error = if self.protocol == Protocol::Dynamixel { error } else { 0 };
         for i in servos {
             let (settings, rng, servo) = (&self.settings, &mut self.rng, &mut self.servos[i]);
-            let parameters = say(servo, rng);
+            let parameters = parameters(servo, rng);
             let id = id.unwrap_or_else(|| servo.id());
-            self.count += 1;
-            let mishap = self.faults.mishap(id, at, self.count);
+            self.answer_count += 1;
+            let fault = self.faults.reply_fault(id, at, self.answer_count);
             let jitter = if settings.jitter_us > 0.0 { rng.random::<f64>() * settings.jitter_us } else { 0.0 };
-            if mishap.lost {
+            if fault.lost {
                 continue;
             }
-            let said = if mishap.stranger { id.wrapping_add(1) % BROADCAST } else { id };
-            let mut bytes = codec::status(self.protocol, said, error | servo.alert(), &parameters);
-            if mishap.broken
+            let sent_id = if fault.wrong_id { id.wrapping_add(1) % BROADCAST } else { id };
+            let mut bytes = codec::status(self.protocol, sent_id, error | servo.alert(), &parameters);
+            if fault.bad_checksum
                 && let Some(last) = bytes.last_mut()
             {
                 *last ^= 0x55;
             }
             let delay = servo.table.get(servo.table.series.return_delay).max(0) as u64 * 2_000;
-            let delay = delay + ((settings.latency_us + jitter) * 1e3) as u64 + mishap.late;
+            let delay = delay + ((settings.latency_us + jitter) * 1e3) as u64 + fault.delay_ns;
             let due = at + delay + wire_ns(bytes.len(), baud);
             wire = Some(match wire {
                 None => (due, bytes),
-                Some((other, said)) => (due.max(other), collision(said, &bytes)),
+                Some((other_due, other)) => (due.max(other_due), collision(other, &bytes)),
             });
         }
         if let Some((due, bytes)) = wire {
@@ -380,7 +393,7 @@ impl EmulatedChain {
     }
 }
 
-/// What a ping is answered with: model and firmware in protocol 2.0, nothing with Feetech.
+/// The parameters of an answer to a ping: model and firmware in protocol 2.0, none with Feetech.
 fn ping(servo: &mut EmulatedServo, _: &mut Rng) -> Vec<u8> {
     match servo.table.series.protocol {
         Protocol::Dynamixel => {
@@ -392,7 +405,8 @@ fn ping(servo: &mut EmulatedServo, _: &mut Rng) -> Vec<u8> {
     }
 }
 
-/// Two that talk at once: the line is low where either pulls it down, and since their clocks are not one the last bytes never fit.
+/// Two answers at the same time: the line is low where either servo pulls it down. Their clocks differ, so that
+/// the checksum is always wrong.
 fn collision(mut one: Vec<u8>, other: &[u8]) -> Vec<u8> {
     for (byte, pulled) in one.iter_mut().zip(other) {
         *byte &= pulled;
@@ -403,7 +417,7 @@ fn collision(mut one: Vec<u8>, other: &[u8]) -> Vec<u8> {
     one
 }
 
-/// How long `bytes` bytes take on the wire at `baud`, ns: ten bits each.
+/// Transmission time of `bytes` bytes at `baud`, ns: ten bits each.
 fn wire_ns(bytes: usize, baud: u32) -> u64 {
     bytes as u64 * 10 * 1_000_000_000 / u64::from(baud.max(1))
 }

@@ -1,28 +1,29 @@
-//! How a servo's shaft moves: towards a speed or a position, with finite speed and acceleration, exactly where that can be said in closed
-//! form and in steps of a millisecond where it cannot (towards a position with finite acceleration).
+//! Motion of a servo's shaft towards a speed or a position, with limited speed and acceleration. It is computed
+//! in closed form where possible, and in steps of a millisecond otherwise (towards a position with limited
+//! acceleration).
 //!
-//! There is no mass and no gravity: without torque a shaft stays where it is.
+//! There is no mass and no gravity: without torque a shaft does not move.
 
-/// Longest step where a motion is stepped, s.
+/// Longest step of a stepped motion, s.
 const STEP_S: f64 = 0.001;
 
-/// What the motor is after.
+/// The goal of the motor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MotorGoal {
-    /// Nothing: no torque, or held fast. It stands at once.
+    /// No motion: no torque, or held fixed. The shaft stops at once.
     Rest,
     /// A speed, steps/s.
     Speed(f64),
-    /// A position, steps, not faster than `speed` in steps/s.
+    /// A position, with limited speed.
     Position {
-        /// Where to, steps.
+        /// The position, steps.
         at: f64,
-        /// How fast at most, steps/s; may be infinite.
+        /// Greatest speed, steps/s; may be infinite.
         speed: f64,
     },
 }
 
-/// Where a shaft is and how fast it turns.
+/// Position and speed of a shaft.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shaft {
     /// Position, steps, counted over turns.
@@ -32,22 +33,23 @@ pub struct Shaft {
 }
 
 impl Shaft {
-    /// Lets `seconds` pass with an acceleration of at most `acceleration` steps/s^2, which may be infinite.
-    pub fn advance(&mut self, aim: MotorGoal, acceleration: f64, seconds: f64) {
+    /// Advances by `seconds` towards `goal`, with an acceleration of at most `acceleration` steps/s^2, which
+    /// may be infinite.
+    pub fn advance(&mut self, goal: MotorGoal, acceleration: f64, seconds: f64) {
         if seconds <= 0.0 {
             return;
         }
-        match aim {
+        match goal {
             MotorGoal::Rest => self.speed = 0.0,
-            MotorGoal::Speed(goal) => self.towards_speed(goal, acceleration, seconds),
+            MotorGoal::Speed(speed) => self.towards_speed(speed, acceleration, seconds),
             MotorGoal::Position { at, speed } if acceleration.is_infinite() => {
-                let way = at - self.at;
+                let distance = at - self.at;
                 let reach = speed * seconds;
-                if way.abs() <= reach {
+                if distance.abs() <= reach {
                     (self.at, self.speed) = (at, 0.0);
                 } else {
-                    self.speed = speed.copysign(way);
-                    self.at += reach.copysign(way);
+                    self.speed = speed.copysign(distance);
+                    self.at += reach.copysign(distance);
                 }
             }
             MotorGoal::Position { at, .. } if self.at == at && self.speed == 0.0 => {}
@@ -69,13 +71,13 @@ impl Shaft {
         self.speed = reached;
     }
 
-    /// One short step towards a position, slow enough to be able to stop there.
-    fn step(&mut self, goal: f64, most: f64, acceleration: f64, h: f64) {
-        let way = goal - self.at;
-        // Half a step's change: exactly what can still be braked in whole steps.
+    /// One short step towards a position, at a speed from which the shaft can stop there.
+    fn step(&mut self, goal: f64, max_speed: f64, acceleration: f64, h: f64) {
+        let distance = goal - self.at;
+        // The correction by half a step makes braking in whole steps exact.
         let half = 0.5 * acceleration * h;
-        let stoppable = (half * half + 2.0 * acceleration * way.abs()).sqrt() - half;
-        let wanted = stoppable.min(most).min(way.abs() / h).copysign(way);
+        let stoppable = (half * half + 2.0 * acceleration * distance.abs()).sqrt() - half;
+        let wanted = stoppable.min(max_speed).min(distance.abs() / h).copysign(distance);
         let change = (wanted - self.speed).clamp(-acceleration * h, acceleration * h);
         self.speed += change;
         self.at += self.speed * h;
@@ -116,7 +118,7 @@ mod tests {
         }
 
         #[test]
-        fn how_time_is_cut_does_not_matter_to_speeds(goal in -5000.0_f64..5000.0, cut in 0.001_f64..0.999) {
+        fn speed_goals_do_not_depend_on_how_time_is_split(goal in -5000.0_f64..5000.0, cut in 0.001_f64..0.999) {
             let start = Shaft { at: 3.0, speed: 250.0 };
             let (mut whole, mut parts) = (start, start);
             whole.advance(MotorGoal::Speed(goal), 3000.0, 1.0);

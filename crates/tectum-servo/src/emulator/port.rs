@@ -1,4 +1,5 @@
-//! The emulated chain as a serial port in virtual time: reads step the clock to the next answer or by the time-out, and nobody sleeps.
+//! The emulated chain as a serial port in virtual time: a read steps the clock to the next answer or by the
+//! time-out, without sleeping.
 
 use std::io::{self, Read, Write};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,35 +10,36 @@ use serialport::{ClearBuffer, DataBits, FlowControl, Parity, Result, SerialPort,
 
 use super::EmulatedChain;
 
-/// A clock that stands still until somebody steps it; clones are the same clock.
+/// A clock that advances only when it is stepped. Clones share the same time.
 #[derive(Debug, Clone, Default)]
 pub struct SteppedClock(Arc<AtomicU64>);
 
 impl SteppedClock {
-    /// The instant, ns.
+    /// The current time, ns.
     pub fn now(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// Steps to `instant`, ns; never back.
-    pub fn step_to(&self, instant: u64) {
-        self.0.fetch_max(instant, Ordering::Relaxed);
+    /// Steps forward to `time`, ns; an earlier time has no effect.
+    pub fn step_to(&self, time: u64) {
+        self.0.fetch_max(time, Ordering::Relaxed);
     }
 }
 
-/// A serial port with an emulated chain at its end.
+/// A serial port that is connected to an emulated chain.
 #[derive(Debug, Clone)]
 pub struct EmulatedPort {
     chain: Arc<Mutex<EmulatedChain>>,
     clock: SteppedClock,
     baud: u32,
     timeout: Duration,
-    /// What has come and was not read.
+    /// Received bytes that were not read yet.
     ready: Arc<Mutex<Vec<u8>>>,
 }
 
 impl EmulatedPort {
-    /// A port to `chain` at `baud`, in the time of `clock`. The chain may be looked at and taken by the hand through its own handle.
+    /// A port to `chain` at `baud`, with the time of `clock`. The caller's own handle of the chain gives access
+    /// to its state.
     pub fn new(chain: Arc<Mutex<EmulatedChain>>, clock: SteppedClock, baud: u32) -> Self {
         Self { chain, clock, baud, timeout: Duration::from_millis(10), ready: Arc::default() }
     }
@@ -51,7 +53,7 @@ impl EmulatedPort {
     }
 }
 
-/// A lock whose owner panicked holds what it held: a test that fails elsewhere should say so itself.
+/// Locks also after a panic of another owner, so that a failing test reports its own error.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }

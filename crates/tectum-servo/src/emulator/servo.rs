@@ -1,4 +1,4 @@
-//! One servo of the chain: registers, shaft, protections.
+//! One emulated servo: registers, shaft, watchdog and protections.
 
 use rand_distr::{Distribution as _, StandardNormal};
 
@@ -8,18 +8,18 @@ use super::table::ControlTable;
 use crate::model::{Protocol, STEP, ServoModel, error_bit};
 use tectum_core::seed::Rng;
 
-/// How long an overload is borne before the protection trips, where no register says it, ns.
-const PATIENCE: u64 = 2_000_000_000;
+/// Duration of an overload before the protection trips, where no register specifies it, ns.
+const OVERLOAD_TIME: u64 = 2_000_000_000;
 
-/// What befalls a servo at the moment.
+/// Faults that affect a servo.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ServoFaultState {
     /// No power and no signals.
     pub off: bool,
-    /// Held fast.
+    /// The joint is held fixed.
     pub held: bool,
     /// Voltage below the limit.
-    pub low: bool,
+    pub low_voltage: bool,
     /// Temperature above the limit.
     pub hot: bool,
 }
@@ -31,15 +31,15 @@ pub struct EmulatedServo {
     pub table: ControlTable,
     /// Its shaft.
     pub shaft: Shaft,
-    plight: ServoFaultState,
-    /// Until when it has lived, ns.
+    faults: ServoFaultState,
+    /// Time up to which it was simulated, ns.
     now: u64,
-    /// Since when it strains against what holds it, ns.
-    straining: Option<u64>,
-    /// Whether an error has turned it off until it starts anew (Dynamixel).
+    /// Start of the current overload, ns.
+    overload_since: Option<u64>,
+    /// Whether an error has turned torque off until a restart (Dynamixel).
     failed: bool,
-    /// When it last heard an instruction, ns.
-    heard: u64,
+    /// Time of the last instruction on the bus, ns.
+    last_instruction: u64,
     voltage: i32,
     speed: f64,
     acceleration: f64,
@@ -47,7 +47,7 @@ pub struct EmulatedServo {
 }
 
 impl EmulatedServo {
-    /// A servo of `model` with this id, standing at `at` steps.
+    /// A servo of `model` with this id, at position `at`, steps.
     pub fn new(model: &ServoModel, id: u8, baud: u32, at: f64, settings: &EmulatorConfig) -> Self {
         let table = ControlTable::new(model, id, baud);
         let small = model.protocol == Protocol::Dynamixel && table.get(table.series.max_voltage) == 70;
@@ -56,11 +56,11 @@ impl EmulatedServo {
         let mut servo = Self {
             table,
             shaft: Shaft { at, speed: 0.0 },
-            plight: ServoFaultState::default(),
+            faults: ServoFaultState::default(),
             now: 0,
-            straining: None,
+            overload_since: None,
             failed: false,
-            heard: 0,
+            last_instruction: 0,
             voltage,
             speed: steps(settings.speed),
             acceleration: steps(settings.acceleration),
@@ -75,62 +75,63 @@ impl EmulatedServo {
         self.table.get(self.table.series.id) as u8
     }
 
-    /// Whether it has power and hears.
-    pub fn hears(&self) -> bool {
-        !self.plight.off
+    /// Whether it has power and signals.
+    pub fn is_powered(&self) -> bool {
+        !self.faults.off
     }
 
-    /// Notes that an instruction was heard on the bus at `now`.
-    pub fn hear(&mut self, now: u64) {
-        self.heard = self.heard.max(now);
+    /// Restarts the bus watchdog: there was an instruction on the bus at `now`.
+    pub fn note_instruction(&mut self, now: u64) {
+        self.last_instruction = self.last_instruction.max(now);
     }
 
-    /// Starts anew: registers outside the EEPROM are what they are after power-up, torque is off, the goal is the posture.
+    /// Restarts: registers outside the EEPROM have their initial values, torque is off, the goal is the current
+    /// position.
     pub fn power_up(&mut self) {
         self.table.lose_power();
         self.failed = false;
-        self.straining = None;
+        self.overload_since = None;
         self.shaft = Shaft { at: self.shaft.at.rem_euclid(4096.0), speed: 0.0 };
         self.table.set(self.table.series.goal_position, self.shaft.at as i32);
-        self.heard = self.now;
+        self.last_instruction = self.now;
     }
 
-    /// Moves the shaft as a hand does. With torque on the motor is stronger and nothing happens.
-    pub fn hand(&mut self, at: f64) {
-        if !self.driven() {
+    /// Moves the shaft by hand. With torque on, nothing happens.
+    pub fn move_by_hand(&mut self, at: f64) {
+        if !self.has_torque() {
             self.shaft = Shaft { at, speed: 0.0 };
             self.wrap();
         }
     }
 
-    /// Lets time pass until `now`, in `plight`.
-    pub fn advance(&mut self, now: u64, plight: ServoFaultState) {
-        if plight != self.plight {
-            let returned = (self.plight.off && !plight.off) || (self.plight.low && !plight.low);
-            self.plight = plight;
-            if returned {
+    /// Simulates until `now`, with these faults.
+    pub fn advance(&mut self, now: u64, faults: ServoFaultState) {
+        if faults != self.faults {
+            let power_returned = (self.faults.off && !faults.off) || (self.faults.low_voltage && !faults.low_voltage);
+            self.faults = faults;
+            if power_returned {
                 self.power_up();
             }
         }
-        self.look_after_itself();
+        self.check_protections();
         while self.now < now {
-            let events = [self.watchdog_bites(), self.protection_trips(), Some(now)];
+            let events = [self.watchdog_deadline(), self.overload_deadline(), Some(now)];
             let next = events.into_iter().flatten().filter(|&at| at > self.now).min().unwrap_or(now).min(now);
             let seconds = (next - self.now) as f64 / 1e9;
             let acceleration = self.acceleration_limit();
-            self.shaft.advance(self.aim(), acceleration, seconds);
+            self.shaft.advance(self.goal(), acceleration, seconds);
             self.wrap();
             self.now = next;
-            self.look_after_itself();
+            self.check_protections();
         }
     }
 
-    /// Whether the motor holds or moves the shaft.
-    pub fn driven(&self) -> bool {
-        self.table.torque() && !self.plight.off
+    /// Whether torque is on and the servo has power.
+    pub fn has_torque(&self) -> bool {
+        self.table.torque() && !self.faults.off
     }
 
-    /// Writes as a host asks for it.
+    /// Executes a write of the host.
     ///
     /// # Errors
     /// Protocol 2.0's error number.
@@ -145,16 +146,16 @@ impl EmulatedServo {
             self.table.set(series.goal_velocity, 0);
         }
         let goal_written = (address..address + bytes.len() as u16).contains(&goal);
-        if series.protocol == Protocol::Feetech && goal_written && self.positions() && self.errors() == 0 {
+        if series.protocol == Protocol::Feetech && goal_written && self.in_position_mode() && self.errors() == 0 {
             self.table.set(series.torque_enable, 1);
         }
-        if !self.driven() {
-            self.straining = None;
+        if !self.has_torque() {
+            self.overload_since = None;
         }
         Ok(())
     }
 
-    /// The registers with what is measured now in them.
+    /// The registers, updated with the current measurements.
     pub fn measured(&mut self, rng: &mut Rng) -> &ControlTable {
         let series = self.table.series;
         let noise: f64 = if self.noise > 0.0 { StandardNormal.sample(rng) } else { 0.0 };
@@ -171,15 +172,15 @@ impl EmulatedServo {
             (series.velocity, speed),
             (series.load, load),
             (series.moving, i32::from(speed != 0)),
-            (series.voltage, if self.plight.low { low } else { self.voltage }),
-            (series.temperature, if self.plight.hot { hot } else { 32 }),
+            (series.voltage, if self.faults.low_voltage { low } else { self.voltage }),
+            (series.temperature, if self.faults.hot { hot } else { 32 }),
         ] {
             self.table.set(register, value);
         }
         &self.table
     }
 
-    /// The error byte's part that says how the servo is.
+    /// The part of the error byte that reports the servo's condition.
     pub fn alert(&self) -> u8 {
         match self.table.series.protocol {
             Protocol::Dynamixel if self.errors() != 0 => 0x80,
@@ -192,7 +193,7 @@ impl EmulatedServo {
         self.table.get(self.table.series.hardware_error) as u8
     }
 
-    fn positions(&self) -> bool {
+    fn in_position_mode(&self) -> bool {
         let mode = self.table.get(self.table.series.operating_mode);
         match self.table.series.protocol {
             Protocol::Dynamixel => matches!(mode, 3..=5),
@@ -200,24 +201,24 @@ impl EmulatedServo {
         }
     }
 
-    /// What the registers ask for.
-    fn wish(&self) -> MotorGoal {
+    /// The goal in the registers.
+    fn requested_goal(&self) -> MotorGoal {
         let series = self.table.series;
         let unit = series.speed_unit / STEP;
         let speed = |raw: i32| f64::from(raw) * unit;
-        if !self.driven() {
+        if !self.has_torque() {
             return MotorGoal::Rest;
         }
-        if self.positions() {
+        if self.in_position_mode() {
             let mut at = self.table.get(series.goal_position);
             let (low, high) = (self.table.get(series.min_position), self.table.get(series.max_position));
             if series.protocol == Protocol::Feetech && low < high {
                 at = at.clamp(low, high);
             }
-            let most = self.table.get(series.profile_velocity).abs();
-            let most = if most == 0 { f64::INFINITY } else { speed(most) };
+            let profile = self.table.get(series.profile_velocity).abs();
+            let profile = if profile == 0 { f64::INFINITY } else { speed(profile) };
             let limit = series.velocity_limit.map_or(f64::INFINITY, |limit| speed(self.table.get(limit)));
-            return MotorGoal::Position { at: f64::from(at), speed: most.min(limit).min(self.speed) };
+            return MotorGoal::Position { at: f64::from(at), speed: profile.min(limit).min(self.speed) };
         }
         if self.table.get(series.operating_mode) == i32::from(series.velocity_mode) {
             return MotorGoal::Speed(speed(self.table.get(series.goal_velocity)).clamp(-self.speed, self.speed));
@@ -225,30 +226,31 @@ impl EmulatedServo {
         MotorGoal::Rest
     }
 
-    fn aim(&self) -> MotorGoal {
-        if self.plight.held { MotorGoal::Rest } else { self.wish() }
+    /// The goal of the shaft, which rests while it is held fixed.
+    fn goal(&self) -> MotorGoal {
+        if self.faults.held { MotorGoal::Rest } else { self.requested_goal() }
     }
 
-    /// How hard the motor strains against what holds it: 1, -1, or 0.
-    fn strain(&self) -> i32 {
-        if !self.plight.held {
+    /// Direction in which the motor pushes while the joint is held fixed: 1, -1, or 0.
+    fn blocked_direction(&self) -> i32 {
+        if !self.faults.held {
             return 0;
         }
-        match self.wish() {
+        match self.requested_goal() {
             MotorGoal::Rest => 0,
             MotorGoal::Speed(speed) => i32::from(speed > 0.0) - i32::from(speed < 0.0),
             MotorGoal::Position { at, .. } => {
-                let way = at - self.shaft.at;
-                i32::from(way > 1.0) - i32::from(way < -1.0)
+                let distance = at - self.shaft.at;
+                i32::from(distance > 1.0) - i32::from(distance < -1.0)
             }
         }
     }
 
-    /// Load in units of 0.1 %: all there is when held fast, a twentieth while it turns.
+    /// Load in units of 0.1 %: 100 % while the joint is held fixed, 5 % while it turns.
     fn load(&self) -> i32 {
-        match self.strain() {
-            0 if self.driven() && self.shaft.speed != 0.0 => 50 * if self.shaft.speed > 0.0 { 1 } else { -1 },
-            strain => 1000 * strain,
+        match self.blocked_direction() {
+            0 if self.has_torque() && self.shaft.speed != 0.0 => 50 * if self.shaft.speed > 0.0 { 1 } else { -1 },
+            direction => 1000 * direction,
         }
     }
 
@@ -258,57 +260,59 @@ impl EmulatedServo {
         if profile > 0.0 { profile.min(self.acceleration) } else { self.acceleration }
     }
 
-    /// Feetech's positions are those within a turn.
+    /// Feetech positions are within one turn.
     fn wrap(&mut self) {
         if self.table.series.protocol == Protocol::Feetech && !(0.0..4096.0).contains(&self.shaft.at) {
             self.shaft.at = self.shaft.at.rem_euclid(4096.0);
         }
     }
 
-    fn watchdog_bites(&self) -> Option<u64> {
+    /// When the bus watchdog stops the servo, ns.
+    fn watchdog_deadline(&self) -> Option<u64> {
         let wait = self.table.get(self.table.series.bus_watchdog?);
-        (self.driven() && (1..=127).contains(&wait)).then(|| self.heard + wait as u64 * 20_000_000)
+        (self.has_torque() && (1..=127).contains(&wait)).then(|| self.last_instruction + wait as u64 * 20_000_000)
     }
 
-    fn protection_trips(&self) -> Option<u64> {
-        let patience = match self.table.series.protocol {
-            Protocol::Dynamixel => PATIENCE,
+    /// When the overload protection trips, ns.
+    fn overload_deadline(&self) -> Option<u64> {
+        let duration = match self.table.series.protocol {
+            Protocol::Dynamixel => OVERLOAD_TIME,
             Protocol::Feetech => u64::from(self.table.read(35, 1)?[0]) * 10_000_000,
         };
-        self.straining.map(|since| since + patience)
+        self.overload_since.map(|since| since + duration)
     }
 
-    /// Watchdog and protections, at `self.now`.
-    fn look_after_itself(&mut self) {
+    /// Applies watchdog and protections at `self.now`.
+    fn check_protections(&mut self) {
         let series = self.table.series;
         if let Some(watchdog) = series.bus_watchdog
-            && self.watchdog_bites().is_some_and(|at| self.now >= at)
+            && self.watchdog_deadline().is_some_and(|at| self.now >= at)
         {
             self.table.set(watchdog, 255);
             self.table.set(series.goal_velocity, 0);
             self.table.set(series.goal_position, self.shaft.at.round() as i32);
             self.shaft.speed = 0.0;
         }
-        if self.strain() == 0 {
-            self.straining = None;
-        } else if self.straining.is_none() {
-            self.straining = Some(self.now);
+        if self.blocked_direction() == 0 {
+            self.overload_since = None;
+        } else if self.overload_since.is_none() {
+            self.overload_since = Some(self.now);
         }
-        let overloaded = self.protection_trips().is_some_and(|at| self.now >= at);
+        let overloaded = self.overload_deadline().is_some_and(|at| self.now >= at);
         let bits = [
             (overloaded, error_bit::OVERLOAD),
-            (self.plight.hot, error_bit::HEAT),
-            (self.plight.low, error_bit::VOLTAGE),
+            (self.faults.hot, error_bit::HEAT),
+            (self.faults.low_voltage, error_bit::VOLTAGE),
         ];
-        let now = bits.iter().filter(|(holds, _)| *holds).fold(0, |all, (_, bit)| all | bit);
-        // A Dynamixel keeps its errors until it starts anew; a Feetech forgets heat and voltage when they are over, and an overload when
-        // nothing holds it any more.
+        let current = bits.iter().filter(|(active, _)| *active).fold(0, |all, (_, bit)| all | bit);
+        // A Dynamixel keeps its errors until a restart. A Feetech clears heat and voltage errors when their
+        // cause ends, and an overload when the joint is no longer held.
         let kept = match series.protocol {
             Protocol::Dynamixel => self.errors(),
-            Protocol::Feetech if self.plight.held => self.errors() & error_bit::OVERLOAD,
+            Protocol::Feetech if self.faults.held => self.errors() & error_bit::OVERLOAD,
             Protocol::Feetech => 0,
         };
-        let errors = now | kept;
+        let errors = current | kept;
         if errors != self.errors() {
             self.table.set(series.hardware_error, i32::from(errors));
         }
@@ -316,7 +320,7 @@ impl EmulatedServo {
             self.failed = series.protocol == Protocol::Dynamixel;
             self.table.set(series.torque_enable, 0);
             self.shaft.speed = 0.0;
-            self.straining = None;
+            self.overload_since = None;
         }
     }
 }

@@ -1,14 +1,14 @@
-//! What a series of servos is like: registers, units, signs, models.
+//! Series of servos: registers, units, signs, models.
 //!
-//! Two series are known: Dynamixel X (XL330, XC330, XL430, XC430, XM430, XH430, XM540, XH540; protocol 2.0) and Feetech's STS3215 with
-//! its kin (the SO-100 and SO-101 arms). Addresses and widths are those of the makers' manuals
-//! (<https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/>, `xl430-w250`, `xm430-w350`; Feetech's memory table of the STS series),
-//! and a test holds every one of them to rustypot's tables.
+//! Two series are supported: Dynamixel X (XL330, XC330, XL430, XC430, XM430, XH430, XM540, XH540; protocol 2.0)
+//! and Feetech STS (STS3215 and similar models, as in the SO-100 and SO-101 arms). Addresses and widths are
+//! those of the manufacturers' manuals (<https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/>, `xl430-w250`,
+//! `xm430-w350`; Feetech's memory table of the STS series), and a test compares them with rustypot's tables.
 //!
-//! *Positions* count 4096 a turn in both series. *Signs*: Dynamixel has two's complement; Feetech has a magnitude with a
-//! sign bit of its own, bit 15 for positions and speeds, bit 10 for the load.
-//! *EEPROM*: Dynamixel refuses writes below address 64 (access error) while torque is on. Feetech takes them at any time; they outlive a
-//! loss of power only if `lock` is 0.
+//! *Positions* have 4096 steps per turn in both series. *Signs*: Dynamixel uses two's complement; Feetech uses
+//! a magnitude with a sign bit, bit 15 for positions and speeds, bit 10 for the load. *EEPROM*: Dynamixel
+//! refuses writes below address 64 (access error) while torque is on. Feetech accepts them at any time; the
+//! values survive a loss of power only if `lock` is 0.
 
 mod models;
 mod register;
@@ -20,13 +20,13 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-/// Positions a turn, of both series.
+/// Steps of position per turn, in both series.
 pub const STEPS_PER_TURN: i32 = 4096;
 
 /// One step of position, rad.
 pub const STEP: f64 = TAU / STEPS_PER_TURN as f64;
 
-/// What the servos of a bus speak.
+/// The protocol of the servos on a bus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Protocol {
@@ -36,12 +36,12 @@ pub enum Protocol {
     Feetech,
 }
 
-/// The registers of a series and the units in which they count.
+/// A series of servos: registers, units and modes.
 #[derive(Debug, Clone, Copy)]
 pub struct ServoSeries {
-    /// The protocol that it speaks.
+    /// Its protocol.
     pub protocol: Protocol,
-    /// As users call it.
+    /// Name for messages.
     pub name: &'static str,
     /// Model number, read only.
     pub model: Register,
@@ -49,7 +49,7 @@ pub struct ServoSeries {
     pub id: Register,
     /// Baud rate, as an index into [`ServoSeries::bauds`]. EEPROM.
     pub baud: Register,
-    /// How long an answer waits, in units of 2 us. EEPROM.
+    /// Return delay of answers, in units of 2 us. EEPROM.
     pub return_delay: Register,
     /// Position or velocity, see [`ServoSeries::position_mode`]. EEPROM.
     pub operating_mode: Register,
@@ -61,7 +61,7 @@ pub struct ServoSeries {
     pub min_voltage: Register,
     /// Limit of speed, in units of speed, where there is one. EEPROM.
     pub velocity_limit: Option<Register>,
-    /// Lowest goal position, steps. EEPROM. In velocity mode neither series heeds it.
+    /// Lowest goal position, steps. EEPROM. Both series ignore it in velocity mode.
     pub min_position: Register,
     /// Highest goal position, steps. EEPROM.
     pub max_position: Register,
@@ -69,21 +69,22 @@ pub struct ServoSeries {
     pub shutdown: Register,
     /// Torque: 1 on, 0 off.
     pub torque_enable: Register,
-    /// Errors that hold: bit 0 voltage, bit 2 heat, bit 5 overload in both series.
+    /// Active errors: bit 0 voltage, bit 2 heat, bit 5 overload in both series.
     pub hardware_error: Register,
-    /// Stops the servo when no instruction comes for so many times 20 ms; 0 is off, 255 says that it has bitten. Dynamixel alone.
+    /// Bus watchdog: stops the servo when there is no instruction for this many times 20 ms; 0 disables it, 255
+    /// means that it has stopped the servo. Only Dynamixel.
     pub bus_watchdog: Option<Register>,
     /// Goal speed in velocity mode.
     pub goal_velocity: Register,
-    /// Acceleration of motions; 0 is as fast as it goes.
+    /// Acceleration of motions; 0 for no limit.
     pub profile_acceleration: Register,
-    /// Speed of motions in position mode; 0 is as fast as it goes. With Feetech this is the goal speed's register.
+    /// Speed of motions in position mode; 0 for no limit. With Feetech it is the register of the goal speed.
     pub profile_velocity: Register,
     /// Goal position in position mode.
     pub goal_position: Register,
-    /// EEPROM lock: 0 open, 1 locked. Feetech alone.
+    /// EEPROM lock: 0 open, 1 locked. Only Feetech.
     pub lock: Option<Register>,
-    /// Present load, 0.1 % of the most (current where the model measures it).
+    /// Present load, in 0.1 % of the greatest load (current, if the model measures it).
     pub load: Register,
     /// Present speed.
     pub velocity: Register,
@@ -93,11 +94,11 @@ pub struct ServoSeries {
     pub voltage: Register,
     /// Present temperature, degrees Celsius.
     pub temperature: Register,
-    /// 1 while it moves.
+    /// 1 while the shaft moves.
     pub moving: Register,
-    /// Position, speed and load: what a tick reads.
+    /// Block with position, speed and load.
     pub motion: RegisterBlock,
-    /// [`ServoSeries::motion`] with voltage and temperature.
+    /// [`ServoSeries::motion`] with voltage and temperature, which the bridge reads in every tick.
     pub state: RegisterBlock,
     /// One unit of speed, rad/s.
     pub speed_unit: f64,
@@ -107,13 +108,13 @@ pub struct ServoSeries {
     pub position_mode: u8,
     /// The operating mode in which goals are speeds.
     pub velocity_mode: u8,
-    /// Baud rates with their index.
+    /// Baud rates with their register values.
     pub bauds: &'static [(u32, u8)],
-    /// Baud rate of a servo as it leaves the factory.
+    /// Baud rate of the factory settings.
     pub factory_baud: u32,
     /// Highest id.
     pub max_id: u8,
-    /// Addresses that are EEPROM: the first, and the first after them.
+    /// EEPROM addresses: the first one, and the first one after them.
     pub eeprom: (u8, u8),
 }
 
@@ -121,13 +122,14 @@ pub struct ServoSeries {
 pub mod error_bit {
     /// Voltage outside its limits.
     pub const VOLTAGE: u8 = 1 << 0;
-    /// Too hot.
+    /// Temperature above its limit.
     pub const HEAT: u8 = 1 << 2;
-    /// A load that the servo cannot carry for long.
+    /// Load above what the servo can sustain.
     pub const OVERLOAD: u8 = 1 << 5;
 }
 
-/// Dynamixel X: protocol 2.0. A unit of speed is 0.229 rpm, one of acceleration 214.577 revolutions a minute squared.
+/// Dynamixel X: protocol 2.0. The unit of speed is 0.229 rpm, that of acceleration 214.577 revolutions per
+/// minute squared.
 pub const DYNAMIXEL_X: ServoSeries = ServoSeries {
     protocol: Protocol::Dynamixel,
     name: "Dynamixel X",
@@ -169,7 +171,8 @@ pub const DYNAMIXEL_X: ServoSeries = ServoSeries {
     eeprom: (0, 64),
 };
 
-/// Feetech STS3215 and its kin. A unit of speed is a step a second, one of acceleration a hundred steps a second squared.
+/// Feetech STS3215 and similar models. The unit of speed is one step per second, that of acceleration a hundred
+/// steps per second squared.
 pub const FEETECH_STS: ServoSeries = ServoSeries {
     protocol: Protocol::Feetech,
     name: "Feetech STS",
@@ -221,20 +224,20 @@ pub const FEETECH_STS: ServoSeries = ServoSeries {
 };
 
 impl Protocol {
-    /// The names by which files and command lines call them.
+    /// The names in files and on command lines.
     pub const NAMES: [&'static str; 2] = ["dynamixel", "feetech"];
 
-    /// The name of this one.
+    /// The name of this protocol.
     pub fn name(self) -> &'static str {
         Self::NAMES[self as usize]
     }
 
-    /// The one of this name; a name that there is not reads as the first, since command lines take [`NAMES`](Self::NAMES) alone.
+    /// The protocol with this name. Unknown names give Dynamixel; command lines accept only [`NAMES`](Self::NAMES).
     pub fn named(name: &str) -> Self {
         if name == Self::Feetech.name() { Self::Feetech } else { Self::Dynamixel }
     }
 
-    /// The series that speaks it.
+    /// The series with this protocol.
     pub fn series(self) -> &'static ServoSeries {
         match self {
             Protocol::Dynamixel => &DYNAMIXEL_X,
@@ -244,10 +247,10 @@ impl Protocol {
 }
 
 impl ServoSeries {
-    /// Whether it knows a baud rate; if not, those that it knows, as a list for people.
+    /// Checks that the series supports a baud rate.
     ///
     /// # Errors
-    /// The list.
+    /// The list of supported rates, for a message.
     pub fn check_baud(&self, baud: u32) -> Result<(), String> {
         if self.bauds.iter().any(|&(known, _)| known == baud) {
             return Ok(());

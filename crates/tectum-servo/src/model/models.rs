@@ -1,29 +1,30 @@
-//! The models of both series, by the numbers in their model registers.
+//! The known models of both series, by the number in the model register.
 
 use super::Protocol;
 
-/// A servo of a model that its series has not.
+/// A servo reports a model number that is not known for its series.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "servo {id} says that it is model {number}, which is none of the {series} that this program knows; give another protocol, or id"
+    "servo {id} says that it is model {number}, which is none of the {series} that this program knows; \
+     give another protocol, or id"
 )]
 pub struct UnknownModel {
     /// The id.
     pub id: u8,
-    /// What it says.
+    /// The reported model number.
     pub number: i32,
-    /// The series.
+    /// Name of the series.
     pub series: &'static str,
 }
 
 /// A model of a series.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ServoModel {
-    /// As its maker writes it.
+    /// The manufacturer's name for it.
     pub name: &'static str,
-    /// What its model register says.
+    /// The value of its model register.
     pub number: u16,
-    /// What it speaks.
+    /// Its protocol.
     pub protocol: Protocol,
 }
 
@@ -35,7 +36,7 @@ const fn feetech(name: &'static str, number: u16) -> ServoModel {
     ServoModel { name, number, protocol: Protocol::Feetech }
 }
 
-/// The models whose control table is that of their series.
+/// The known models. Their control tables are those of their series.
 pub const MODELS: [ServoModel; 21] = [
     dynamixel("XL330-M288", 1200),
     dynamixel("XL330-M077", 1190),
@@ -60,7 +61,7 @@ pub const MODELS: [ServoModel; 21] = [
     feetech("SM8512BL", 11272),
 ];
 
-/// The model with this number among those that speak `protocol`.
+/// The model with this number, if it is known for `protocol`.
 pub fn model(protocol: Protocol, number: u16) -> Option<&'static ServoModel> {
     MODELS.iter().find(|model| model.protocol == protocol && model.number == number)
 }

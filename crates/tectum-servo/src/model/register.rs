@@ -1,24 +1,24 @@
-//! Registers of a control table: where they stand, and how they carry a number.
+//! Registers of a control table: address, width and number format.
 
-/// How a register carries a sign.
+/// The format of signed numbers in a register.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SignEncoding {
-    /// None: all bits count.
+    /// No sign: all bits are the magnitude.
     Unsigned,
     /// Two's complement over the register's width.
     TwosComplement,
-    /// A magnitude, and this bit for the sign.
+    /// A magnitude, and this bit as the sign.
     Magnitude(u8),
 }
 
 /// A register of the control table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Register {
-    /// Address of its first byte; the lowest byte comes first in both series.
+    /// Address of its first byte; numbers are little-endian in both series.
     pub address: u8,
     /// Width, bytes: 1, 2 or 4.
     pub width: u8,
-    /// How it carries a sign.
+    /// Its format of signed numbers.
     pub sign: SignEncoding,
 }
 
@@ -31,18 +31,18 @@ impl Register {
         Self::new(address, width, SignEncoding::Unsigned)
     }
 
-    /// The register's bytes for `value`; only the first [`Register::width`] of them count. A value that does not fit is cut to the largest one
-    /// that does.
+    /// The register's bytes for `value`; only the first [`Register::width`] bytes are used. A value that does
+    /// not fit is limited to the nearest one that does.
     pub fn encode(self, value: i32) -> [u8; 4] {
         let bits = u32::from(self.width) * 8;
         let raw = match self.sign {
             SignEncoding::Unsigned => {
-                let most = if bits == 32 { i64::from(u32::MAX) } else { (1_i64 << bits) - 1 };
-                i64::from(value).clamp(0, most) as u32
+                let max = if bits == 32 { i64::from(u32::MAX) } else { (1_i64 << bits) - 1 };
+                i64::from(value).clamp(0, max) as u32
             }
             SignEncoding::TwosComplement => {
-                let most = (1_i64 << (bits - 1)) - 1;
-                i64::from(value).clamp(-most - 1, most) as u32
+                let max = (1_i64 << (bits - 1)) - 1;
+                i64::from(value).clamp(-max - 1, max) as u32
             }
             SignEncoding::Magnitude(bit) => {
                 let magnitude = value.unsigned_abs().min((1 << bit) - 1);
@@ -52,8 +52,8 @@ impl Register {
         raw.to_le_bytes()
     }
 
-    /// What the register's bytes say; bytes that are missing count as zero, those beyond its width are left alone. An unsigned register of
-    /// four bytes stops at `i32::MAX`.
+    /// The value of the register's bytes. Missing bytes count as zero, and bytes beyond the width are ignored.
+    /// An unsigned register of four bytes is limited to `i32::MAX`.
     pub fn decode(self, bytes: &[u8]) -> i32 {
         let mut raw = [0; 4];
         let width = usize::from(self.width).min(bytes.len());
@@ -73,7 +73,7 @@ impl Register {
     }
 }
 
-/// A stretch of registers that one instruction reads.
+/// A contiguous block of registers, read with one instruction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RegisterBlock {
     /// Address of its first byte.
@@ -83,13 +83,13 @@ pub struct RegisterBlock {
 }
 
 impl RegisterBlock {
-    /// Puts `value` where `register`, which lies in this block, has it in the block's bytes.
+    /// Writes the value of `register`, which is within this block, to the block's bytes.
     pub fn encode(self, register: Register, value: i32, bytes: &mut [u8]) {
         let (from, width) = (usize::from(register.address - self.address), usize::from(register.width));
         bytes[from..from + width].copy_from_slice(&register.encode(value)[..width]);
     }
 
-    /// What `register` says in the bytes of this block, or nothing if it does not lie in it.
+    /// The value of `register` in the bytes of this block; `None` if it is not within the block.
     pub fn decode(self, register: Register, bytes: &[u8]) -> Option<i32> {
         let from = usize::from(register.address.checked_sub(self.address)?);
         let slice = bytes.get(from..from + usize::from(register.width))?;

@@ -1,10 +1,12 @@
+//! The registers against rustypot's tables, and number formats against the manuals.
+
 use super::*;
 use proptest::prelude::*;
 use rustypot::servo::dynamixel::{xl330, xl430};
 use rustypot::servo::feetech::sts3215;
 use rustypot::servo::{Encoding, RegisterInfo};
 
-fn names(series: &ServoSeries) -> Vec<(&'static str, Register)> {
+fn named_registers(series: &ServoSeries) -> Vec<(&'static str, Register)> {
     let mut all = vec![
         ("model_number", series.model),
         ("id", series.id),
@@ -49,8 +51,8 @@ fn names(series: &ServoSeries) -> Vec<(&'static str, Register)> {
     all
 }
 
-fn agree(series: &ServoSeries, find: impl Fn(&str) -> Option<RegisterInfo>, signs: bool) {
-    for (name, ours) in names(series) {
+fn assert_agreement(series: &ServoSeries, find: impl Fn(&str) -> Option<RegisterInfo>, signs: bool) {
+    for (name, ours) in named_registers(series) {
         let theirs = find(name).unwrap_or_else(|| panic!("rustypot has no {name}"));
         assert_eq!((ours.address, ours.width), (theirs.addr, theirs.size), "{}: {name}", series.name);
         let sign = match theirs.encoding {
@@ -58,7 +60,8 @@ fn agree(series: &ServoSeries, find: impl Fn(&str) -> Option<RegisterInfo>, sign
             Encoding::SignMagnitude { sign_bit } => SignEncoding::Magnitude(sign_bit),
             _ => SignEncoding::Unsigned,
         };
-        // The XL330's limits are declared with a sign in rustypot and without one for the XL430; they are never negative.
+        // rustypot declares the limits of the XL330 as signed and those of the XL430 as unsigned; they are
+        // never negative.
         if signs && !name.ends_with("_limit") {
             assert_eq!(ours.sign, sign, "{}: {name}", series.name);
         }
@@ -66,10 +69,10 @@ fn agree(series: &ServoSeries, find: impl Fn(&str) -> Option<RegisterInfo>, sign
 }
 
 #[test]
-fn registers_are_rustypots() {
-    agree(&DYNAMIXEL_X, xl330::register, true);
-    agree(&DYNAMIXEL_X, xl430::register, true);
-    agree(&FEETECH_STS, sts3215::register, true);
+fn registers_agree_with_rustypot() {
+    assert_agreement(&DYNAMIXEL_X, xl330::register, true);
+    assert_agreement(&DYNAMIXEL_X, xl430::register, true);
+    assert_agreement(&FEETECH_STS, sts3215::register, true);
     for (series, info) in [(&DYNAMIXEL_X, xl330::INFO), (&DYNAMIXEL_X, xl430::INFO), (&FEETECH_STS, sts3215::INFO)] {
         assert_eq!(info.resolution, Some(4096));
         assert_eq!(info.baudrates, series.bauds, "{}", series.name);
@@ -85,7 +88,7 @@ fn registers_are_rustypots() {
 }
 
 #[test]
-fn what_a_tick_reads_lies_in_one_block() {
+fn the_registers_of_a_tick_are_in_one_block() {
     for series in [&DYNAMIXEL_X, &FEETECH_STS] {
         let bytes = [0; 32];
         for register in [series.position, series.velocity, series.load] {
@@ -101,7 +104,7 @@ fn what_a_tick_reads_lies_in_one_block() {
 }
 
 #[test]
-fn signs_are_the_makers() {
+fn signs_follow_the_manuals() {
     let position = FEETECH_STS.position;
     assert_eq!(position.encode(-100)[..2], [100, 0x80]);
     assert_eq!(position.decode(&[100, 0x80]), -100);
@@ -113,9 +116,9 @@ fn signs_are_the_makers() {
 
 proptest! {
     #[test]
-    fn a_value_that_fits_comes_back(value in -1023_i32..1024) {
+    fn a_value_that_fits_is_restored(value in -1023_i32..1024) {
         for series in [&DYNAMIXEL_X, &FEETECH_STS] {
-            for (_, register) in names(series) {
+            for (_, register) in named_registers(series) {
                 let fits = match register.sign {
                     SignEncoding::Unsigned => value >= 0 && (register.width > 1 || value < 256),
                     _ => register.width > 1,

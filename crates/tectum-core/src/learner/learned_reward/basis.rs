@@ -1,23 +1,26 @@
-//! One-dimensional bases over the inputs, from whose products the reward model is built.
+//! One-dimensional bases over the inputs; the reward model consists of their products.
 //!
-//! Two families. The Gaussian one is the paper's: a row of kernels whose radius is their spacing. The smooth one is a
-//! Fourier series over an input that wraps round and Legendre polynomials over one that does not (Konidaris, Osentoski &
-//! Thomas 2011, *Value Function Approximation in Reinforcement Learning using the Fourier Basis*). Each function has a
-//! prior spread; in the smooth family it falls with the order, which is what lets a few ticks at a few targets speak for
-//! the whole box: of all rewards that fit, the smoothest is believed.
+//! There are two families. The Gaussian one is the paper's: a row of kernels whose radius is their spacing. The
+//! smooth one is a Fourier series over an input that wraps and Legendre polynomials over an input that does not
+//! (Konidaris, Osentoski & Thomas 2011, *Value Function Approximation in Reinforcement Learning using the
+//! Fourier Basis*). Each function has a prior standard deviation. In the smooth family it decreases with the
+//! order, so that the model prefers the smoothest reward that fits the data, and a few ticks at a few targets
+//! determine it over the whole input box.
 
 use std::f32::consts::{LOG2_E, PI};
+
+use tectum_encoder::exp2_negative;
 
 use crate::SignalConfig;
 use crate::learner::ModelBasis;
 
-/// A row of Gaussian kernels, the values and slopes of which are computed together.
+/// A row of Gaussian kernels, whose values and slopes are computed together.
 #[derive(Debug, Clone)]
 pub(super) struct KernelRow {
     pub units: usize,
     centres: Vec<f32>,
-    /// One over the squared radius.
-    steep: f32,
+    /// `1 / radius^2`.
+    precision: f32,
 }
 
 impl KernelRow {
@@ -25,49 +28,39 @@ impl KernelRow {
     pub fn new(units: usize, min: f64, max: f64, radius: f64) -> Self {
         let spacing = (max - min) / (units - 1) as f64;
         let centres = (0..units).map(|i| (min + spacing * i as f64) as f32).collect();
-        Self { units, centres, steep: (1.0 / (radius * radius)) as f32 }
+        Self { units, centres, precision: (1.0 / (radius * radius)) as f32 }
     }
 
     /// The kernels' values and their slopes at `x`.
     pub fn eval(&self, x: f32, values: &mut [f32], slopes: &mut [f32]) {
         let (values, slopes) = (&mut values[..self.units], &mut slopes[..self.units]);
-        let (steep, sharp) = (self.steep, 0.5 * LOG2_E * self.steep);
+        let (precision, exponent_scale) = (self.precision, 0.5 * LOG2_E * self.precision);
         for ((value, slope), centre) in values.iter_mut().zip(slopes).zip(&self.centres) {
             let distance = centre - x;
-            let v = exp2_negative(sharp * distance * distance);
+            let v = exp2_negative(exponent_scale * distance * distance, MAX_EXPONENT);
             *value = v;
-            *slope = steep * distance * v;
+            *slope = precision * distance * v;
         }
     }
 }
 
-/// `2^-y` for `y >= 0`, to 1e-7, never less than `2^-43`: no library's exponential, so the same on every machine.
-#[inline(always)]
-fn exp2_negative(y: f32) -> f32 {
-    /// `1.5 * 2^23`: adding it rounds to the nearest integer and leaves that in the lowest bits.
-    const MAGIC: f32 = 12_582_912.0;
-    let y = if y < 43.0 { y } else { 43.0 };
-    let n = y + MAGIC;
-    let g = y - (n - MAGIC);
-    let g2 = g * g;
-    let p = ((-0.001_323_709_6 * g + 0.009_671_954) * g2 + (-0.055_508_06 * g + 0.240_222_35)) * g2
-        + (-0.693_146_94 * g + 1.0);
-    f32::from_bits(p.to_bits().wrapping_sub(n.to_bits() << 23))
-}
+/// No kernel is below 2 to minus this, so that none is subnormal.
+const MAX_EXPONENT: f32 = 43.0;
 
 /// A basis over one input.
 #[derive(Debug, Clone)]
 pub(super) enum Basis {
-    /// The paper's kernels.
+    /// Gaussian kernels.
     Kernels(KernelRow),
-    /// `cos x, sin x, cos 2x, ..` up to the order, and `(x / pi)^2`, which a series of waves would need many terms for.
+    /// `cos x, sin x, cos 2x, ..` up to the order, and `(x / pi)^2`, for which a Fourier series would need many
+    /// terms.
     Waves(usize),
     /// Legendre polynomials from the first order on, over a range scaled to [-1, 1].
     Polynomials { order: usize, centre: f32, half: f32 },
 }
 
 impl Basis {
-    /// The basis over `signal`: of `size` kernels, or of order `size`.
+    /// The basis over `signal`, with `size` kernels or of order `size`.
     pub fn of(family: ModelBasis, size: usize, signal: &SignalConfig) -> Self {
         let (min, max) = (signal.min, signal.max);
         match family {
@@ -89,7 +82,8 @@ impl Basis {
         }
     }
 
-    /// The prior standard deviation of function `i`'s weight, with `smoothness` for every order above the first.
+    /// The prior standard deviation of the weight of function `i`, with a factor `smoothness` per order above
+    /// the first.
     pub fn spread(&self, i: usize, smoothness: f64) -> f64 {
         match self {
             Self::Kernels(_) => 1.0,
@@ -117,7 +111,7 @@ impl Basis {
             }
             Self::Polynomials { order, centre, half } => {
                 let z = (x - centre) / half;
-                // Bonnet's recursion, and the one for the derivatives: P'(n+1) = P'(n-1) + (2n + 1) P(n).
+                // Bonnet's recursion, and for the derivatives P'(n+1) = P'(n-1) + (2n + 1) P(n).
                 let (mut p, mut slope) = ([1.0, z], [0.0, 1.0]);
                 for i in 0..*order {
                     (values[i], slopes[i]) = (p[1], slope[1] / half);
@@ -130,7 +124,7 @@ impl Basis {
     }
 }
 
-/// Whether an input comes round: an angle over a full turn.
+/// Whether an input wraps: an angle with a range of a full turn.
 pub(super) fn wraps(signal: &SignalConfig) -> bool {
     signal.unit == "rad" && ((signal.max - signal.min) / std::f64::consts::TAU - 1.0).abs() < 1e-6
 }
@@ -140,7 +134,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slopes_are_the_numerical_ones() {
+    fn slopes_match_numerical_ones() {
         let bases = [
             Basis::Kernels(KernelRow::new(8, -3.0, 3.0, 0.9)),
             Basis::Waves(3),
@@ -162,9 +156,9 @@ mod tests {
     }
 
     #[test]
-    fn the_exponential_is_one() {
+    fn the_exponential_is_accurate() {
         for y in [0.0, 0.3, 1.5, 20.0, 42.0_f32] {
-            assert!((exp2_negative(y) / (-y).exp2() - 1.0).abs() < 1e-6);
+            assert!((exp2_negative(y, MAX_EXPONENT) / (-y).exp2() - 1.0).abs() < 1e-6);
         }
     }
 }

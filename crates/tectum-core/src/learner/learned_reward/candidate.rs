@@ -1,4 +1,5 @@
-//! A policy's weights while it is rehearsed: with the slope along them, and Adam (Kingma & Ba 2015) to descend it.
+//! A candidate policy: weights, the slope of the cost of rollouts along them, and Adam (Kingma & Ba 2015) to
+//! descend it.
 
 use rand::RngExt as _;
 
@@ -8,109 +9,110 @@ use crate::policy::LinearPolicy;
 use crate::seed::Rng;
 use crate::state::{Persist, StateVisitor};
 
-/// Adam's decays, and what keeps its quotient finite.
+/// Adam's decays of mean and square, and the constant that keeps its quotient finite.
 const DECAYS: [f32; 2] = [0.9, 0.999];
 const TINY: f32 = 1e-8;
-/// Largest weight at birth: outputs that answer alike must not stay alike.
-const UNEQUAL: f32 = 5e-3;
+/// Largest initial weight. Initial weights are random, because outputs with equal weights would stay equal.
+const INITIAL_WEIGHT: f32 = 5e-3;
 
-/// A policy in rehearsal.
+/// A candidate policy, improved by rollouts.
 #[derive(Debug, Clone)]
 pub(super) struct CandidatePolicy {
-    /// By sight: output by output, feature by feature.
+    /// By feature group, output by output, feature by feature.
     pub weights: [Vec<f32>; 2],
-    /// The slope of the imagined cost along them, summed up since the last step, and that cost.
+    /// Slope of the rollouts' cost along the weights, summed since the last step, and the cost, summed since
+    /// the last tick.
     pub slope: [Vec<f32>; 2],
     pub cost: f32,
-    /// Where its last imagined movements ended.
-    pub ends: Vec<[f32; MAX_INPUTS]>,
-    /// Adam's moments, and what is left of their start at 0.
+    /// The states in which its latest rollouts ended.
+    pub end_states: Vec<[f32; MAX_INPUTS]>,
+    /// Adam's moments, and the powers of its decays that correct their start at 0.
     means: [Vec<f32>; 2],
     squares: [Vec<f32>; 2],
-    starts: [f32; 2],
-    /// Ticks since it was born or the world changed.
+    decay_powers: [f32; 2],
+    /// Ticks since its weights were reset or the world changed.
     pub age: u64,
-    /// Running mean of the cost of a movement.
+    /// Running mean of the cost of a rollout.
     pub mean_cost: f32,
 }
 
-/// Share of the newest tick in the running mean of the cost.
-const NEWEST: f32 = 0.02;
+/// Weight of the newest tick in the running mean of the cost.
+const COST_RATE: f32 = 0.02;
 
 impl CandidatePolicy {
     /// All weights 0.
-    pub fn new(sights: &[MapFeatures; 2], outputs: usize, movements: usize) -> Self {
-        let zeros = || [vec![0.0; sights[0].len() * outputs], vec![0.0; sights[1].len() * outputs]];
+    pub fn new(groups: &[MapFeatures; 2], outputs: usize, movements: usize) -> Self {
+        let zeros = || [vec![0.0; groups[0].len() * outputs], vec![0.0; groups[1].len() * outputs]];
         Self {
             weights: zeros(),
             slope: zeros(),
             cost: 0.0,
-            ends: vec![[0.0; MAX_INPUTS]; movements],
+            end_states: vec![[0.0; MAX_INPUTS]; movements],
             means: zeros(),
             squares: zeros(),
-            starts: [1.0; 2],
+            decay_powers: [1.0; 2],
             age: 0,
             mean_cost: 0.0,
         }
     }
 
-    /// Starts again from small random weights.
-    pub fn be_born(&mut self, rng: &mut Rng) {
+    /// Restarts from small random weights.
+    pub fn reset(&mut self, rng: &mut Rng) {
         for w in self.weights.iter_mut().flatten() {
-            *w = UNEQUAL * (2.0 * rng.random::<f32>() - 1.0);
+            *w = INITIAL_WEIGHT * (2.0 * rng.random::<f32>() - 1.0);
         }
         for values in self.means.iter_mut().chain(&mut self.squares).chain(&mut self.slope) {
             values.fill(0.0);
         }
-        (self.starts, self.age, self.cost, self.mean_cost) = ([1.0; 2], 0, 0.0, 0.0);
+        (self.decay_powers, self.age, self.cost, self.mean_cost) = ([1.0; 2], 0, 0.0, 0.0);
     }
 
-    /// Becomes what `other` is, without allocating.
-    pub fn become_like(&mut self, other: &Self) {
-        for sight in 0..2 {
-            self.weights[sight].copy_from_slice(&other.weights[sight]);
-            self.means[sight].copy_from_slice(&other.means[sight]);
-            self.squares[sight].copy_from_slice(&other.squares[sight]);
+    /// Copies `other`, without allocating.
+    pub fn copy_from(&mut self, other: &Self) {
+        for group in 0..2 {
+            self.weights[group].copy_from_slice(&other.weights[group]);
+            self.means[group].copy_from_slice(&other.means[group]);
+            self.squares[group].copy_from_slice(&other.squares[group]);
         }
-        self.ends.copy_from_slice(&other.ends);
-        (self.starts, self.age, self.mean_cost) = (other.starts, other.age, other.mean_cost);
+        self.end_states.copy_from_slice(&other.end_states);
+        (self.decay_powers, self.age, self.mean_cost) = (other.decay_powers, other.age, other.mean_cost);
     }
 
-    /// Takes over the weights of `policy`.
-    pub fn take(&mut self, policy: &LinearPolicy, sights: &[MapFeatures; 2]) {
-        for (sight, weights) in sights.iter().zip(&mut self.weights) {
-            for (output, row) in weights.chunks_exact_mut(sight.len().max(1)).enumerate() {
-                for (to, &at) in row.iter_mut().zip(&sight.positions) {
+    /// Copies the weights of `policy`.
+    pub fn load_policy(&mut self, policy: &LinearPolicy, groups: &[MapFeatures; 2]) {
+        for (group, weights) in groups.iter().zip(&mut self.weights) {
+            for (output, row) in weights.chunks_exact_mut(group.len().max(1)).enumerate() {
+                for (to, &at) in row.iter_mut().zip(&group.positions) {
                     *to = policy.weights().get(output, at);
                 }
             }
         }
     }
 
-    /// Gives the weights to `policy`.
-    pub fn give(&self, policy: &mut LinearPolicy, sights: &[MapFeatures; 2]) {
-        for (sight, weights) in sights.iter().zip(&self.weights) {
-            for (output, row) in weights.chunks_exact(sight.len().max(1)).enumerate() {
-                for (from, &at) in row.iter().zip(&sight.positions) {
+    /// Copies the weights to `policy`.
+    pub fn store_policy(&self, policy: &mut LinearPolicy, groups: &[MapFeatures; 2]) {
+        for (group, weights) in groups.iter().zip(&self.weights) {
+            for (output, row) in weights.chunks_exact(group.len().max(1)).enumerate() {
+                for (from, &at) in row.iter().zip(&group.positions) {
                     *policy.weights_mut().get_mut(output, at) = *from;
                 }
             }
         }
     }
 
-    /// Takes the cost since the last call, of `movements` movements, into the running mean.
-    pub fn settle(&mut self, movements: usize) {
-        let cost = self.cost / movements as f32;
+    /// Ends a tick: adds the cost of its `rollouts` rollouts to the running mean.
+    pub fn finish_tick(&mut self, rollouts: usize) {
+        let cost = self.cost / rollouts as f32;
         if cost.is_finite() {
-            self.mean_cost += if self.mean_cost == 0.0 { cost } else { NEWEST * (cost - self.mean_cost) };
+            self.mean_cost += if self.mean_cost == 0.0 { cost } else { COST_RATE * (cost - self.mean_cost) };
         }
         self.cost = 0.0;
         self.age += 1;
     }
 
-    /// One step of size `step` down the slope that was summed up over `ticks` imagined ticks. Returns the norm of the
-    /// mean slope; one that is not finite is dropped and changes nothing.
-    pub fn descend(&mut self, sights: &mut [MapFeatures; 2], ticks: usize, step: f32) -> f32 {
+    /// One step of size `step` down the slope that was summed over `ticks` ticks of rollouts. Returns the norm
+    /// of the mean slope. If it is not finite, the slope is dropped and the weights do not change.
+    pub fn descend(&mut self, groups: &mut [MapFeatures; 2], ticks: usize, step: f32) -> f32 {
         let squares: f32 = self.slope.iter().flatten().map(|s| s * s).sum();
         let norm = squares.sqrt() / ticks as f32;
         if !norm.is_finite() {
@@ -119,22 +121,22 @@ impl CandidatePolicy {
         }
         let share = 1.0 / (ticks as f32 * norm.max(1.0));
         let [b1, b2] = DECAYS;
-        self.starts[0] *= b1;
-        self.starts[1] *= b2;
-        let (c1, c2) = (1.0 / (1.0 - self.starts[0]), 1.0 / (1.0 - self.starts[1]));
-        for (i, sight) in sights.iter_mut().enumerate() {
-            let n = sight.len().max(1);
+        self.decay_powers[0] *= b1;
+        self.decay_powers[1] *= b2;
+        let (c1, c2) = (1.0 / (1.0 - self.decay_powers[0]), 1.0 / (1.0 - self.decay_powers[1]));
+        for (i, group) in groups.iter_mut().enumerate() {
+            let n = group.len().max(1);
             let rows = self.weights[i].chunks_exact_mut(n).zip(self.slope[i].chunks_exact_mut(n));
             let moments = self.means[i].chunks_exact_mut(n).zip(self.squares[i].chunks_exact_mut(n));
             for ((weights, slopes), (means, squares)) in rows.zip(moments) {
-                sight.whiten(slopes);
+                group.whiten(slopes);
                 for ((slope, mean), square) in slopes.iter_mut().zip(means).zip(squares) {
                     let s = *slope * share;
                     *mean = *mean * b1 + s * (1.0 - b1);
                     *square = *square * b2 + s * s * (1.0 - b2);
                     *slope = *mean * (step * c1) / ((*square * c2).sqrt() + TINY);
                 }
-                sight.unwhiten(slopes);
+                group.unwhiten(slopes);
                 for (w, step) in weights.iter_mut().zip(slopes) {
                     *w -= *step;
                     *step = 0.0;
@@ -146,16 +148,16 @@ impl CandidatePolicy {
 }
 
 impl Persist for CandidatePolicy {
-    /// At the end of a tick the slope is used up.
+    /// The slope is not part of the state: at the end of a tick it is 0.
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
-        for sight in 0..2 {
-            visitor.numbers("weights", &mut self.weights[sight]);
-            visitor.numbers("means", &mut self.means[sight]);
-            visitor.numbers("squares", &mut self.squares[sight]);
+        for group in 0..2 {
+            visitor.numbers("weights", &mut self.weights[group]);
+            visitor.numbers("means", &mut self.means[group]);
+            visitor.numbers("squares", &mut self.squares[group]);
         }
         visitor.number("cost", &mut self.cost);
-        visitor.numbers("ends", &mut self.ends);
-        visitor.numbers("starts", &mut self.starts);
+        visitor.numbers("ends", &mut self.end_states);
+        visitor.numbers("starts", &mut self.decay_powers);
         visitor.number("age", &mut self.age);
         visitor.number("mean_cost", &mut self.mean_cost);
     }

@@ -1,20 +1,24 @@
-//! The learned-reward rule: learn what the reward depends on, and improve the policy through that.
+//! The learned-reward rule: model-based learning. It learns a model of the reward and improves the policy with it.
 //!
-//! The agent sees only inputs, reward and its own commands. From these it learns, one tick at a time, a model of the reward
-//! (`reward.rs`) and one of how its commands move its inputs (`movement.rs`). After each command has gone out it imagines
-//! movements from states it has been in to places anywhere in the box of inputs, and descends the imagined cost along the
-//! weights of the policy (`rehearsal.rs`), which is the paper's `u = W g + noise` still. Sources: value gradients (Heess et
-//! al. 2015, *Learning Continuous Control Policies by Stochastic Value Gradients*), model-based policy search (Deisenroth &
-//! Rasmussen 2011, *PILCO*), Dyna's use of the time between actions (Sutton 1990), Adam (Kingma & Ba 2015).
+//! The agent observes only inputs, reward and its own commands. From these it learns, tick by tick, a model of
+//! the reward (`reward_model.rs`) and a model of the effect of commands on inputs (`movement_model.rs`). After
+//! each command was sent, it simulates movements (rollouts) from states it has been in to targets anywhere in
+//! the input box, and descends the cost of the rollouts along the weights of the policy (`rollouts.rs`). The
+//! policy is the paper's `u = W g + noise`. Sources: value gradients (Heess et al. 2015, *Learning Continuous
+//! Control Policies by Stochastic Value Gradients*), model-based policy search (Deisenroth & Rasmussen 2011,
+//! *PILCO*), Dyna's use of the time between actions (Sutton 1990), Adam (Kingma & Ba 2015).
 //!
-//! Descent may end in a minimum that is not the best: an arm can reach in more than one way. So the policy, the champion,
-//! has a challenger, which starts from nothing every so often and is rehearsed on the same movements; when it costs less it
-//! takes over. After a change of the body it is usually a challenger that finds the new way. Each starts its imagined
-//! movements mostly from where its own last ones ended: from the postures in which the champion left the body, the champion's
-//! way is the best for anybody, and every challenger would end as its copy.
+//! Descent may end in a local minimum, since an arm can reach a target in more than one way. The policy in use,
+//! the *champion*, therefore has a *challenger*: a second candidate that restarts regularly from small random
+//! weights, and is improved with rollouts to the same targets. When its cost is lower, it replaces the
+//! champion. After a change of the plant, usually a challenger finds the new solution. Each candidate starts
+//! most rollouts where its own last ones ended. If all rollouts started from the postures that the champion
+//! reaches, the champion's solution would be the best for every candidate, and every challenger would become
+//! its copy.
 //!
-//! Inputs that no command moves (the target) hold within an imagined movement. That places are imagined which were never
-//! shown is what makes it fast: at the second target the model has seen two, the policy has rehearsed hundreds.
+//! Inputs that no command moves (the target) are constant within a rollout. Rollouts to targets that never
+//! appeared are what makes this rule fast: at the second target the model has data from two targets, and the
+//! policy has been improved on hundreds.
 
 mod basis;
 mod candidate;
@@ -29,6 +33,7 @@ use rand::RngExt as _;
 use super::{LearnerSpec, ModelConfig};
 use super::{LearningRule, Transition, add};
 use crate::MAX_INPUTS;
+use crate::angle::wrap;
 use crate::policy::{LinearPolicy, Outputs};
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
@@ -36,200 +41,210 @@ use candidate::CandidatePolicy;
 use map_features::MapFeatures;
 use movement_model::MovementModel;
 use reward_model::RewardModel;
-use rollouts::{Rollouts, wrap};
+use rollouts::Rollouts;
 use tectum_encoder::Encoder;
 
-/// Ticks since a change of the world that are enough to start imagined movements from: these lead on to more.
-const FEW: u64 = 20;
-/// A challenger takes over when its mean cost is below this share of the champion's,
-const BETTER: f32 = 0.995;
-/// and not before this age, in ticks.
-const GROWN: u64 = 200;
-/// Ticks after which the models are good enough to send one.
-const SURE: u64 = 100;
-/// Of a world that stays the same, one tick in so many is enough.
-const SELDOM: u64 = 256;
+/// Rollouts start from states since the last change of the world, but from at least this number of the latest
+/// states.
+const MIN_START_STATES: u64 = 20;
+/// A challenger replaces the champion when its mean cost is below this fraction of the champion's,
+const REPLACEMENT_RATIO: f32 = 0.995;
+/// and not before this age, ticks.
+const MIN_CHALLENGER_AGE: u64 = 200;
+/// Ticks after which the models are good enough for a challenger.
+const CHALLENGER_START: u64 = 100;
+/// Longest interval between ticks in which the rule works, while the world does not change.
+const MAX_WORK_INTERVAL: u64 = 256;
 
-/// A tick to be learned from when there is time.
+/// A tick that is learned from after the command was sent.
 #[derive(Debug, Clone, Default)]
 struct PendingTransition {
-    /// Still inputs of the tick, moved ones after it.
+    /// Fixed inputs of the tick, moved inputs after it.
     inputs: [f32; MAX_INPUTS],
     /// All inputs of the tick.
     before: [f32; MAX_INPUTS],
-    /// How the moved ones changed.
+    /// Changes of the moved inputs.
     changes: [f32; MAX_INPUTS],
     applied: Outputs,
     reward: f32,
 }
 
-/// The rule, its models and its memory.
+/// The learned-reward rule: models, candidate policies and remembered states.
 #[derive(Debug, Clone)]
 pub struct LearnedReward {
-    table: ModelConfig,
-    /// The inputs in the model's order: still ones first, then the moved ones.
+    config: ModelConfig,
+    /// The inputs in the model's order: first the fixed ones, then the moved ones.
     inputs: Vec<usize>,
-    /// Their ranges.
-    box_: Vec<[f32; 2]>,
+    /// Ranges of the inputs, in the model's order.
+    ranges: Vec<[f32; 2]>,
+    /// Which of the moved inputs wrap.
     wraps: Vec<bool>,
     reward: RewardModel,
     movement: MovementModel,
-    rehearsal: Rollouts,
-    /// The policy, and one that starts from nothing every so often and may do better.
+    rollouts: Rollouts,
+    /// The policy in use, and one that restarts regularly from small random weights and may become better.
     champion: CandidatePolicy,
     challenger: CandidatePolicy,
-    /// States in the model's order, a ring.
+    /// Ring of past states, in the model's order.
     memory: Vec<[f32; MAX_INPUTS]>,
+    /// Number of states that were ever put into the ring.
     remembered: u64,
-    /// Ticks since the world seemed to change.
-    unchanged: u64,
+    /// Ticks since the last detected change of the world.
+    unchanged_ticks: u64,
     rng: Rng,
-    waiting: Option<PendingTransition>,
+    pending: Option<PendingTransition>,
     slope_norm: f32,
     halted: bool,
 }
 
 impl LearnedReward {
-    /// The rule of `plan`, for a policy on features of `encoder`.
+    /// The rule that `spec` configures, for a policy over features of `encoder`.
     pub fn of(spec: &LearnerSpec, encoder: &Encoder) -> Self {
-        let table = spec.learner.model.clone().unwrap_or_default();
+        let config = spec.learner.model.clone().unwrap_or_default();
         let (count, outputs) = (spec.inputs.len(), spec.outputs);
         let moves = |i: usize| {
-            if table.moved.is_empty() { i + outputs >= count } else { table.moved.contains(&spec.inputs[i].name) }
+            if config.moved.is_empty() { i + outputs >= count } else { config.moved.contains(&spec.inputs[i].name) }
         };
         let mut inputs: Vec<_> = (0..count).filter(|&i| !moves(i)).collect();
-        let still = inputs.len();
+        let fixed = inputs.len();
         inputs.extend((0..count).filter(|&i| moves(i)));
         let mut rank = vec![0; count];
-        inputs.iter().enumerate().for_each(|(place, &input)| rank[input] = place);
+        inputs.iter().enumerate().for_each(|(at, &input)| rank[input] = at);
 
         let signals: Vec<_> = inputs.iter().map(|&i| spec.inputs[i].clone()).collect();
-        let reward = RewardModel::new(&table, &signals, still);
-        let wraps: Vec<_> = signals[still..].iter().map(basis::wraps).collect();
-        let sights = MapFeatures::of(&spec.maps, encoder, &rank, still, table.ridge);
-        let rehearsal =
-            Rollouts::new(sights, &reward, wraps.clone(), spec.normalise, table.horizon, table.last_counts as f32);
+        let reward = RewardModel::new(&config, &signals, fixed);
+        let wraps: Vec<_> = signals[fixed..].iter().map(basis::wraps).collect();
+        let groups = MapFeatures::of(&spec.maps, encoder, &rank, fixed, config.ridge);
+        let rollouts =
+            Rollouts::new(groups, &reward, wraps.clone(), spec.normalise, config.horizon, config.last_counts as f32);
         Self {
             inputs,
-            box_: signals.iter().map(|s| [s.min as f32, s.max as f32]).collect(),
+            ranges: signals.iter().map(|s| [s.min as f32, s.max as f32]).collect(),
             movement: MovementModel::new(outputs, wraps.len(), spec.sigma),
             wraps,
             reward,
-            champion: CandidatePolicy::new(&rehearsal.sights, outputs, table.movements),
-            challenger: CandidatePolicy::new(&rehearsal.sights, outputs, table.movements),
-            rehearsal,
-            memory: vec![[0.0; MAX_INPUTS]; table.memory],
+            champion: CandidatePolicy::new(&rollouts.feature_groups, outputs, config.movements),
+            challenger: CandidatePolicy::new(&rollouts.feature_groups, outputs, config.movements),
+            rollouts,
+            memory: vec![[0.0; MAX_INPUTS]; config.memory],
             remembered: 0,
-            unchanged: 0,
+            unchanged_ticks: 0,
             rng: stream(spec.seed, "rehearsal"),
-            waiting: None,
+            pending: None,
             slope_norm: 0.0,
             halted: false,
-            table,
+            config,
         }
     }
 
     /// Number of features of the reward model.
-    pub fn model_size(&self) -> usize {
+    #[cfg(test)]
+    fn model_size(&self) -> usize {
         self.reward.len()
     }
 
-    /// A state that was, with the place to go to there.
-    fn recall(&mut self) -> [f32; MAX_INPUTS] {
-        // What was before a change of the world is no place to start from, once there is enough since.
-        let window = self.unchanged.max(FEW).min(self.remembered).min(self.memory.len() as u64);
+    /// Draws a remembered state, with its target.
+    fn sample_memory(&mut self) -> [f32; MAX_INPUTS] {
+        // States from before a change of the world are used only until there are enough later ones.
+        let window = self.unchanged_ticks.max(MIN_START_STATES).min(self.remembered).min(self.memory.len() as u64);
         let tick = self.remembered - 1 - self.rng.random_range(0..window);
         self.memory[(tick % self.memory.len() as u64) as usize]
     }
 
-    /// The size of a step at an age.
-    fn step(&self, age: u64) -> f32 {
-        let fade = 1.0 / (1.0 + age as f64 / self.table.half_life);
-        (self.table.step * fade.max(self.table.floor)) as f32
+    /// The step size of a candidate of this age.
+    fn step_size(&self, age: u64) -> f32 {
+        let fade = 1.0 / (1.0 + age as f64 / self.config.half_life);
+        (self.config.step * fade.max(self.config.floor)) as f32
     }
 
-    /// A state anywhere in the box of inputs.
-    fn anywhere(&mut self) -> [f32; MAX_INPUTS] {
+    /// Draws a state from the whole input box.
+    fn sample_box(&mut self) -> [f32; MAX_INPUTS] {
         let mut state = [0.0; MAX_INPUTS];
-        for (x, [low, high]) in state.iter_mut().zip(&self.box_) {
+        for (x, [low, high]) in state.iter_mut().zip(&self.ranges) {
             *x = low + (high - low) * self.rng.random::<f32>();
         }
         state
     }
 
-    /// Rehearses both candidates towards the same places, one step each.
-    fn rehearse(&mut self, rivals: bool) {
-        let (count, still) = (self.inputs.len(), self.inputs.len() - self.wraps.len());
-        for movement in 0..self.table.movements {
-            let (recalled, mut drawn) = (self.recall(), self.anywhere());
-            // What no command moves any more stands where it stands.
+    /// Improves the champion, and with `with_challenger` the challenger, by one step each. The rollouts of both
+    /// candidates have the same targets.
+    fn improve_candidates(&mut self, with_challenger: bool) {
+        let (count, fixed) = (self.inputs.len(), self.inputs.len() - self.wraps.len());
+        for rollout in 0..self.config.movements {
+            let (recalled, mut drawn) = (self.sample_memory(), self.sample_box());
+            // Inputs that no command moves any more keep their values.
             for i in (0..self.wraps.len()).filter(|&i| !self.movement.moves(i)) {
-                drawn[still + i] = recalled[still + i];
+                drawn[fixed + i] = recalled[fixed + i];
             }
-            let [imagined, from] = [(); 2].map(|()| self.rng.random::<f64>());
-            let place = if imagined < self.table.imagined { &drawn } else { &recalled };
-            for candidate in [&mut self.champion, &mut self.challenger].into_iter().take(1 + usize::from(rivals)) {
-                // Where it came to itself, where the body has been, or anywhere.
-                let mut state = if from < self.table.anywhere {
+            let [target_draw, start_draw] = [(); 2].map(|()| self.rng.random::<f64>());
+            let target = if target_draw < self.config.imagined { &drawn } else { &recalled };
+            let candidates = [&mut self.champion, &mut self.challenger];
+            for candidate in candidates.into_iter().take(1 + usize::from(with_challenger)) {
+                let mut state = if start_draw < self.config.anywhere {
                     drawn
-                } else if from < self.table.anywhere + self.table.onward && candidate.age > 0 {
-                    candidate.ends[movement]
+                } else if start_draw < self.config.anywhere + self.config.onward && candidate.age > 0 {
+                    candidate.end_states[rollout]
                 } else {
                     recalled
                 };
-                state[..still].copy_from_slice(&place[..still]);
+                state[..fixed].copy_from_slice(&target[..fixed]);
                 let inputs = &state[..count];
-                let end = self.rehearsal.imagine(candidate, &mut self.reward, &self.movement, inputs);
-                // Where a movement went beyond all numbers nobody goes on.
-                candidate.ends[movement] = if end.iter().all(|x| x.is_finite()) { end } else { recalled };
+                let end = self.rollouts.simulate(candidate, &mut self.reward, &self.movement, inputs);
+                // A rollout that diverged is not continued.
+                candidate.end_states[rollout] = if end.iter().all(|x| x.is_finite()) { end } else { recalled };
             }
         }
-        let ticks = self.table.movements * self.table.horizon;
-        let steps = [&self.champion, &self.challenger].map(|c| self.step(c.age));
-        let sights = &mut self.rehearsal.sights;
-        // A model that is wrong for some ticks, of a body that has just surprised, can imagine movements without bound. Such a step is
-        // dropped: the model will be better soon.
-        let norm = self.champion.descend(sights, ticks, steps[0]);
+        self.descend(with_challenger);
+    }
+
+    /// One step of the candidates down the slopes of their rollouts.
+    fn descend(&mut self, with_challenger: bool) {
+        let ticks = self.config.movements * self.config.horizon;
+        let steps = [&self.champion, &self.challenger].map(|c| self.step_size(c.age));
+        let groups = &mut self.rollouts.feature_groups;
+        // Just after a change of the plant the models can be wrong for some ticks, and rollouts can diverge.
+        // Such a step is dropped, because the models improve soon.
+        let norm = self.champion.descend(groups, ticks, steps[0]);
         if norm.is_finite() {
             self.slope_norm = norm;
         }
-        if rivals && !self.challenger.descend(sights, ticks, steps[1]).is_finite() {
-            self.renew();
+        if with_challenger && !self.challenger.descend(groups, ticks, steps[1]).is_finite() {
+            self.restart_challenger();
         }
     }
 
-    /// Whether this tick is one to work in: every one, until the world has stayed the same for long.
-    fn due(&self) -> bool {
-        let seldom = (self.unchanged / self.table.rest).clamp(1, SELDOM);
-        self.remembered.is_multiple_of(seldom)
+    /// Whether the rule works in this tick: in every tick, unless the world has not changed for long.
+    fn is_work_tick(&self) -> bool {
+        let interval = (self.unchanged_ticks / self.config.rest).clamp(1, MAX_WORK_INTERVAL);
+        self.remembered.is_multiple_of(interval)
     }
 
-    /// Sends a new challenger.
-    fn renew(&mut self) {
-        self.challenger.be_born(&mut self.rng);
+    /// Starts a new challenger.
+    fn restart_challenger(&mut self) {
+        self.challenger.reset(&mut self.rng);
     }
 
-    /// Takes in the tick that waits to be learned from.
-    fn absorb(&mut self) {
-        let Some(PendingTransition { inputs, before, changes, applied, reward }) = self.waiting.take() else { return };
+    /// Learns from the pending tick.
+    fn learn_pending(&mut self) {
+        let Some(PendingTransition { inputs, before, changes, applied, reward }) = self.pending.take() else { return };
         let (count, moved) = (self.inputs.len(), self.wraps.len());
-        let other_body = self.movement.learn(&applied, &changes[..moved]);
-        // A body that moves otherwise than it was asked to earns a reward that says nothing about asking.
-        let changed = if other_body {
+        let plant_changed = self.movement.learn(&applied, &changes[..moved]);
+        // If the movement was not the commanded one, the reward says nothing about the command.
+        let changed = if plant_changed {
             Some(false)
         } else {
-            self.reward.learn(&inputs[..count], &changes[..moved], reward, self.due())
+            self.reward.learn(&inputs[..count], &changes[..moved], reward, self.is_work_tick())
         };
         let at = self.remembered as usize % self.memory.len();
         self.memory[at] = before;
         self.remembered += 1;
         self.halted = changed.is_none();
-        self.unchanged += 1;
-        if changed == Some(true) || other_body {
-            self.unchanged = 0;
+        self.unchanged_ticks += 1;
+        if changed == Some(true) || plant_changed {
+            self.unchanged_ticks = 0;
             self.champion.age = 0;
             self.champion.mean_cost = 0.0;
-            self.renew();
+            self.restart_challenger();
         }
     }
 }
@@ -239,55 +254,56 @@ impl LearningRule for LearnedReward {
         if self.halted {
             return 0.0;
         }
-        let still = self.inputs.len() - self.wraps.len();
+        let fixed = self.inputs.len() - self.wraps.len();
         let (mut before, mut after) = ([0.0; MAX_INPUTS], [0.0; MAX_INPUTS]);
         let mut changes = [0.0; MAX_INPUTS];
-        for (place, &input) in self.inputs.iter().enumerate() {
-            before[place] = tick.inputs[input];
-            // The reward was for the place shown then, and for where the movement led.
-            after[place] = if place < still { tick.inputs[input] } else { tick.next_inputs[input] };
+        for (at, &input) in self.inputs.iter().enumerate() {
+            before[at] = tick.inputs[input];
+            // The reward depends on the fixed inputs (the target) of this tick and on the moved inputs after it.
+            after[at] = if at < fixed { tick.inputs[input] } else { tick.next_inputs[input] };
         }
         for (i, &wraps) in self.wraps.iter().enumerate() {
-            let change = after[still + i] - before[still + i];
+            let change = after[fixed + i] - before[fixed + i];
             changes[i] = if wraps { wrap(change) } else { change };
         }
-        self.waiting =
+        self.pending =
             Some(PendingTransition { inputs: after, before, changes, applied: *tick.applied, reward: tick.reward });
-        self.step(self.champion.age)
+        self.step_size(self.champion.age)
     }
 
     fn improve(&mut self, policy: &mut LinearPolicy) {
-        self.absorb();
-        if self.halted || self.remembered < self.table.start || !self.movement.ready() || !self.due() {
+        self.learn_pending();
+        if self.halted || self.remembered < self.config.start || !self.movement.ready() || !self.is_work_tick() {
             return;
         }
-        let rivals = self.table.challenge > 0 && self.remembered > SURE;
-        if rivals && (self.challenger.age == 0 || self.challenger.age > self.table.challenge) {
-            self.renew();
+        let with_challenger = self.config.challenge > 0 && self.remembered > CHALLENGER_START;
+        if with_challenger && (self.challenger.age == 0 || self.challenger.age > self.config.challenge) {
+            self.restart_challenger();
         }
-        self.reward.freeze();
-        self.champion.take(policy, &self.rehearsal.sights);
-        for _ in 0..self.table.steps {
+        self.reward.prepare_rollouts();
+        self.champion.load_policy(policy, &self.rollouts.feature_groups);
+        for _ in 0..self.config.steps {
             if !self.halted {
-                self.rehearse(rivals);
+                self.improve_candidates(with_challenger);
             }
         }
-        let movements = self.table.steps * self.table.movements;
-        self.champion.settle(movements);
-        if rivals {
-            self.challenger.settle(movements);
-            if self.challenger.age > GROWN && self.challenger.mean_cost < BETTER * self.champion.mean_cost {
-                self.champion.become_like(&self.challenger);
-                self.renew();
+        let rollouts = self.config.steps * self.config.movements;
+        self.champion.finish_tick(rollouts);
+        if with_challenger {
+            self.challenger.finish_tick(rollouts);
+            let (cost, champion_cost) = (self.challenger.mean_cost, self.champion.mean_cost);
+            if self.challenger.age > MIN_CHALLENGER_AGE && cost < REPLACEMENT_RATIO * champion_cost {
+                self.champion.copy_from(&self.challenger);
+                self.restart_challenger();
             }
         }
-        self.champion.give(policy, &self.rehearsal.sights);
+        self.champion.store_policy(policy, &self.rollouts.feature_groups);
     }
 
-    /// There is no trace: what was learned of the world stays true.
+    /// Does nothing: there is no trace, and the models stay valid.
     fn cut_trace(&mut self) {}
 
-    /// The norm of the imagined cost's slope.
+    /// The norm of the slope of the rollouts' cost.
     fn trace_norm(&self) -> f32 {
         self.slope_norm
     }
@@ -305,17 +321,17 @@ impl Persist for LearnedReward {
         visitor.nested("challenger", &mut self.challenger);
         visitor.numbers("memory", &mut self.memory);
         visitor.number("remembered", &mut self.remembered);
-        visitor.number("unchanged", &mut self.unchanged);
+        visitor.number("unchanged", &mut self.unchanged_ticks);
         visitor.nested("rng", &mut self.rng);
-        let mut waits = self.waiting.is_some();
-        visitor.boolean("waits", &mut waits);
-        let waiting = self.waiting.get_or_insert_default();
-        visitor.numbers("waiting_inputs", &mut waiting.inputs);
-        visitor.numbers("waiting_before", &mut waiting.before);
-        visitor.numbers("waiting_changes", &mut waiting.changes);
-        visitor.numbers("waiting_applied", &mut waiting.applied);
-        visitor.number("waiting_reward", &mut waiting.reward);
-        self.waiting.take_if(|_| !waits);
+        let mut is_pending = self.pending.is_some();
+        visitor.boolean("waits", &mut is_pending);
+        let pending = self.pending.get_or_insert_default();
+        visitor.numbers("waiting_inputs", &mut pending.inputs);
+        visitor.numbers("waiting_before", &mut pending.before);
+        visitor.numbers("waiting_changes", &mut pending.changes);
+        visitor.numbers("waiting_applied", &mut pending.applied);
+        visitor.number("waiting_reward", &mut pending.reward);
+        self.pending.take_if(|_| !is_pending);
         visitor.number("slope_norm", &mut self.slope_norm);
         visitor.boolean("halted", &mut self.halted);
     }

@@ -1,4 +1,4 @@
-//! The models against a known world, and the slope against a numerical one.
+//! The models against a known reward, and the slope of rollouts against a numerical one.
 
 use super::*;
 use crate::learner::test_specs::arm;
@@ -34,8 +34,8 @@ fn draw(rng: &mut Rng) -> [f32; 6] {
     inputs
 }
 
-/// A learner that has seen `ticks` states drawn from the whole box.
-fn taught(basis: ModelBasis, ticks: usize) -> LearnedReward {
+/// A learner that has learned from `ticks` states drawn from the whole input box.
+fn trained(basis: ModelBasis, ticks: usize) -> LearnedReward {
     let spec = spec(basis);
     let mut rule = LearnedReward::of(&spec, &encoder(&spec));
     let mut rng = stream(3, "test");
@@ -46,36 +46,36 @@ fn taught(basis: ModelBasis, ticks: usize) -> LearnedReward {
         assert!(rule.reward.learn(&inputs, &changes, reward(&inputs, &changes), true).is_some());
         rule.movement.learn(&u, &changes);
     }
-    rule.reward.freeze();
+    rule.reward.prepare_rollouts();
     rule
 }
 
 #[test]
-fn the_smooth_model_knows_the_arms_reward_after_as_many_ticks_as_it_has_weights() {
-    let mut rule = taught(ModelBasis::Smooth, 300);
+fn the_smooth_model_fits_the_arms_reward_after_about_as_many_ticks_as_it_has_weights() {
+    let mut rule = trained(ModelBasis::Smooth, 300);
     assert_eq!(rule.model_size(), 263);
     let mut rng = stream(4, "test");
     for _ in 0..100 {
         let inputs = draw(&mut rng);
         let changes = [0.1, -0.2, 0.0, 0.05];
-        let (predicted, told) = (rule.reward.predict(&inputs, &changes), reward(&inputs, &changes));
-        assert!((predicted - f64::from(told)).abs() < 0.01, "{predicted} {told}");
+        let (predicted, actual) = (rule.reward.predict(&inputs, &changes), reward(&inputs, &changes));
+        assert!((predicted - f64::from(actual)).abs() < 0.01, "{predicted} {actual}");
     }
 }
 
 #[test]
-fn maps_have_the_size_that_the_reading_states() {
+fn the_model_of_maps_has_the_documented_size() {
     let spec = spec(ModelBasis::Maps);
     assert_eq!(LearnedReward::of(&spec, &encoder(&spec)).model_size(), 965);
 }
 
-/// What an imagined movement from `state` costs, in double precision where it matters.
-fn imagined_cost(rule: &mut LearnedReward, spec: &LearnerSpec, policy: &LinearPolicy, state: &[f32; 6]) -> f64 {
+/// The cost of a rollout from `state`, in double precision where it matters.
+fn rollout_cost(rule: &mut LearnedReward, spec: &LearnerSpec, policy: &LinearPolicy, state: &[f32; 6]) -> f64 {
     let mut encoder = encoder(spec);
     let mut features = encoder.features();
     let mut state = *state;
     let mut cost = 0.0;
-    for tick in 0..rule.table.horizon {
+    for tick in 0..rule.config.horizon {
         encoder.encode(&state, &mut features);
         let u = policy.mean(features.as_slice());
         let changes: [f32; 4] =
@@ -83,47 +83,47 @@ fn imagined_cost(rule: &mut LearnedReward, spec: &LearnerSpec, policy: &LinearPo
         for (theta, change) in state[2..].iter_mut().zip(changes) {
             *theta = wrap(*theta + change);
         }
-        let times = if tick + 1 == rule.table.horizon { rule.table.last_counts } else { 1.0 };
-        // Effort is counted once, however often the last place is.
-        let there = rule.reward.predict(&state, &[0.0; 4]);
-        cost -= times * there + rule.reward.predict(&state, &changes) - there;
+        let weight = if tick + 1 == rule.config.horizon { rule.config.last_counts } else { 1.0 };
+        // The cost of changes counts once, whatever the weight of the last tick.
+        let without_changes = rule.reward.predict(&state, &[0.0; 4]);
+        cost -= weight * without_changes + rule.reward.predict(&state, &changes) - without_changes;
     }
     cost
 }
 
 #[test]
-fn the_slope_is_the_numerical_one() {
+fn the_slope_matches_the_numerical_one() {
     let spec = spec(ModelBasis::Smooth);
-    let mut rule = taught(ModelBasis::Smooth, 400);
+    let mut rule = trained(ModelBasis::Smooth, 400);
     let encoder = encoder(&spec);
     let mut policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
     let mut rng = stream(5, "test");
-    for (place, output) in (0..encoder.len()).flat_map(|place| (0..4).map(move |output| (place, output))) {
-        *policy.weights_mut().get_mut(output, place) = 0.02 * (rng.random::<f32>() - 0.5);
+    for (position, output) in (0..encoder.len()).flat_map(|position| (0..4).map(move |output| (position, output))) {
+        *policy.weights_mut().get_mut(output, position) = 0.02 * (rng.random::<f32>() - 0.5);
     }
     let state = [0.4, -0.3, 0.5, -1.0, 0.8, 2.0];
-    rule.champion.take(&policy, &rule.rehearsal.sights);
-    rule.rehearsal.imagine(&mut rule.champion, &mut rule.reward, &rule.movement, &state);
-    let positions = rule.rehearsal.sights.clone().map(|sight| sight.positions);
+    rule.champion.load_policy(&policy, &rule.rollouts.feature_groups);
+    rule.rollouts.simulate(&mut rule.champion, &mut rule.reward, &rule.movement, &state);
+    let positions = rule.rollouts.feature_groups.clone().map(|group| group.positions);
     let slopes = rule.champion.slope.clone();
-    let cost = imagined_cost(&mut rule, &spec, &policy, &state);
+    let cost = rollout_cost(&mut rule, &spec, &policy, &state);
     assert!((f64::from(rule.champion.cost) - cost).abs() < 1e-3 * cost, "{} {cost}", rule.champion.cost);
-    for (sight, feature, output) in [(0, 100, 0), (0, 200, 3), (1, 5, 1), (1, 30, 2), (1, 40, 0), (1, 60, 3)] {
-        let at = positions[sight][feature];
+    for (group, feature, output) in [(0, 100, 0), (0, 200, 3), (1, 5, 1), (1, 30, 2), (1, 40, 0), (1, 60, 3)] {
+        let at = positions[group][feature];
         let mut along = |step: f32| {
             *policy.weights_mut().get_mut(output, at) += step;
-            let cost = imagined_cost(&mut rule, &spec, &policy, &state);
+            let cost = rollout_cost(&mut rule, &spec, &policy, &state);
             *policy.weights_mut().get_mut(output, at) -= step;
             cost
         };
         let numerical = (along(1e-3) - along(-1e-3)) / 2e-3;
-        let slope = f64::from(slopes[sight][output * positions[sight].len() + feature]);
-        assert!((slope - numerical).abs() < 0.02 * numerical.abs() + 2e-3, "{sight} {feature}: {slope} {numerical}");
+        let slope = f64::from(slopes[group][output * positions[group].len() + feature]);
+        assert!((slope - numerical).abs() < 0.02 * numerical.abs() + 2e-3, "{group} {feature}: {slope} {numerical}");
     }
 }
 
 #[test]
-fn a_number_that_is_not_finite_stops_it() {
+fn a_number_that_is_not_finite_stops_learning() {
     let spec = spec(ModelBasis::Smooth);
     let encoder = encoder(&spec);
     let mut policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
@@ -149,16 +149,16 @@ fn a_number_that_is_not_finite_stops_it() {
 }
 
 #[test]
-fn it_rests_when_nothing_changes_and_wakes_when_something_does() {
+fn it_works_rarely_while_nothing_changes_and_always_after_a_change() {
     let mut spec = spec(ModelBasis::Smooth);
-    let table = spec.learner.model.get_or_insert_default();
-    (table.rest, table.movements, table.steps, table.horizon) = (4, 1, 1, 2);
+    let config = spec.learner.model.get_or_insert_default();
+    (config.rest, config.movements, config.steps, config.horizon) = (4, 1, 1, 2);
     let encoder = encoder(&spec);
     let mut policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
     let mut rule = LearnedReward::of(&spec, &encoder);
     let (mut rng, mut exploration) = (stream(6, "test"), Exploration::new(6, 0.003, 4));
     let (features, none) = (vec![0.1; encoder.len()], [0.0; 8]);
-    let mut live = |rule: &mut LearnedReward, ticks: usize, factor: f32| {
+    let mut run = |rule: &mut LearnedReward, ticks: usize, factor: f32| {
         let mut worked = 0;
         for _ in 0..ticks {
             let (inputs, applied, before) = (draw(&mut rng), exploration.draw(), policy.hash());
@@ -182,11 +182,11 @@ fn it_rests_when_nothing_changes_and_wakes_when_something_does() {
         }
         worked
     };
-    live(&mut rule, 1500, 1.0);
-    // Each tick is still heard, but hardly one is worked in.
-    assert!((1..=4).contains(&live(&mut rule, 512, 1.0)));
-    let rested = rule.unchanged;
-    assert!(rested > 1000, "{rested}");
-    assert!(live(&mut rule, 40, 1.3) > 10);
-    assert!(rule.unchanged < 40, "{}", rule.unchanged);
+    run(&mut rule, 1500, 1.0);
+    // Every tick is checked for changes, but the rule works in hardly any.
+    assert!((1..=4).contains(&run(&mut rule, 512, 1.0)));
+    let unchanged = rule.unchanged_ticks;
+    assert!(unchanged > 1000, "{unchanged}");
+    assert!(run(&mut rule, 40, 1.3) > 10);
+    assert!(rule.unchanged_ticks < 40, "{}", rule.unchanged_ticks);
 }

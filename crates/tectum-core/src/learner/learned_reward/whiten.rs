@@ -1,28 +1,30 @@
-//! Even ground for descent: the coordinates in which the features of a line of kernels are uncorrelated.
+//! Whitening: coordinates in which the features of a line of kernels are uncorrelated.
 //!
-//! Neighbouring kernels overlap so much that a line of 16 says hardly more than eight numbers, and the slope along their
-//! weights runs down a ravine. Steps are therefore taken in the coordinates of the kernels' second-moment matrix over the
-//! line's range, `E[k k^T] = Q L Q^T`, scaled to unit variance: the natural gradient (Amari 1998) of a linear policy whose
-//! inputs are spread evenly. A plane's matrix is the Kronecker product of its lines' (as in K-FAC, Martens & Grosse 2015),
-//! so that a plane of 16 x 16 costs two products of 16 x 16 matrices.
+//! Neighbouring kernels overlap so much that 16 kernels of a line carry little more information than eight
+//! numbers, and gradient descent along their weights is badly conditioned. Steps are therefore taken in the
+//! eigenvector coordinates of the kernels' second-moment matrix over the line's range, `E[k k^T] = Q L Q^T`,
+//! scaled to unit variance. This is the natural gradient (Amari 1998) of a linear policy with evenly
+//! distributed inputs. The matrix of a plane is the Kronecker product of those of its lines (as in K-FAC,
+//! Martens & Grosse 2015), so a plane of 16 x 16 units costs two products of 16 x 16 matrices.
 
-/// Most sweeps of Jacobi's method; it needs less than ten.
-const SWEEPS: usize = 30;
-/// Points of the line over which the mean is taken, for every unit.
+/// Maximum number of sweeps of Jacobi's method; it needs fewer than ten.
+const MAX_SWEEPS: usize = 30;
+/// Number of points per unit over which the mean is taken.
 const POINTS: usize = 4;
 
-/// From the kernels of one line to uncorrelated coordinates.
+/// The transformation from the kernels of one line to uncorrelated coordinates.
 #[derive(Debug, Clone)]
 pub(super) struct Whitening {
     units: usize,
-    /// `Q (L + ridge)^(-1/2)`, row by row: a row a kernel, a column a coordinate.
+    /// `Q (L + ridge)^(-1/2)`, row by row: one row per kernel, one column per coordinate.
     matrix: Vec<f32>,
-    /// The same the other way round.
+    /// The transposed matrix.
     transposed: Vec<f32>,
 }
 
 impl Whitening {
-    /// Of `units` kernels with the values `eval` gives between `min` and `max`; `ridge` is in units of the mean variance.
+    /// The transformation of `units` kernels whose values `eval` computes between `min` and `max`; `ridge` is
+    /// in units of the mean variance.
     pub fn of(units: usize, min: f32, max: f32, ridge: f64, mut eval: impl FnMut(f32, &mut [f32])) -> Self {
         let n = units;
         let points = POINTS * n;
@@ -51,29 +53,29 @@ impl Whitening {
         Self { units, matrix, transposed }
     }
 
-    /// Slopes along weights, rows of `units`, to slopes along coordinates.
-    pub fn rows_to(&self, from: &[f32], to: &mut [f32]) {
-        rows(&self.matrix, self.units, from, to);
+    /// Transforms slopes along weights, in rows of `units`, to slopes along coordinates.
+    pub fn whiten_rows(&self, from: &[f32], to: &mut [f32]) {
+        multiply_rows(&self.matrix, self.units, from, to);
     }
 
-    /// Steps in coordinates to steps of weights.
-    pub fn rows_back(&self, from: &[f32], to: &mut [f32]) {
-        rows(&self.transposed, self.units, from, to);
+    /// Transforms steps in coordinates to steps of weights, in rows of `units`.
+    pub fn unwhiten_rows(&self, from: &[f32], to: &mut [f32]) {
+        multiply_rows(&self.transposed, self.units, from, to);
     }
 
-    /// The same for the columns of a matrix of `units` rows.
-    pub fn columns_to(&self, from: &[f32], to: &mut [f32]) {
-        columns(&self.transposed, self.units, from, to);
+    /// [`whiten_rows`](Self::whiten_rows) for the columns of a matrix of `units` rows.
+    pub fn whiten_columns(&self, from: &[f32], to: &mut [f32]) {
+        multiply_columns(&self.transposed, self.units, from, to);
     }
 
-    /// And back.
-    pub fn columns_back(&self, from: &[f32], to: &mut [f32]) {
-        columns(&self.matrix, self.units, from, to);
+    /// [`unwhiten_rows`](Self::unwhiten_rows) for the columns of a matrix of `units` rows.
+    pub fn unwhiten_columns(&self, from: &[f32], to: &mut [f32]) {
+        multiply_columns(&self.matrix, self.units, from, to);
     }
 }
 
-/// `to = from matrix`.
-fn rows(matrix: &[f32], n: usize, from: &[f32], to: &mut [f32]) {
+/// `to = from matrix`, for each row of `from`.
+fn multiply_rows(matrix: &[f32], n: usize, from: &[f32], to: &mut [f32]) {
     for (from, to) in from.chunks_exact(n).zip(to.chunks_exact_mut(n)) {
         to.fill(0.0);
         for (row, f) in matrix.chunks_exact(n).zip(from) {
@@ -82,8 +84,8 @@ fn rows(matrix: &[f32], n: usize, from: &[f32], to: &mut [f32]) {
     }
 }
 
-/// `to = matrix from`.
-fn columns(matrix: &[f32], n: usize, from: &[f32], to: &mut [f32]) {
+/// `to = matrix from`, for each column of `from`.
+fn multiply_columns(matrix: &[f32], n: usize, from: &[f32], to: &mut [f32]) {
     let width = from.len() / n;
     for (row, to) in matrix.chunks_exact(n).zip(to.chunks_exact_mut(width)) {
         to.fill(0.0);
@@ -98,7 +100,7 @@ fn eigen(mut a: Vec<f64>, n: usize) -> (Vec<f64>, Vec<f64>) {
     let mut vectors = vec![0.0; n * n];
     vectors.iter_mut().step_by(n + 1).for_each(|v| *v = 1.0);
     let size: f64 = a.iter().map(|x| x * x).sum();
-    for _ in 0..SWEEPS {
+    for _ in 0..MAX_SWEEPS {
         let rest: f64 =
             (0..n).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| a[i * n + j] * a[i * n + j]).sum();
         if rest <= 1e-28 * size {
@@ -144,14 +146,14 @@ mod tests {
     }
 
     #[test]
-    fn coordinates_are_uncorrelated_and_none_is_larger_than_one() {
+    fn coordinates_are_uncorrelated_with_variances_of_at_most_one() {
         let whitening = Whitening::of(KERNELS, 0.0, 4.0, 1e-3, eval);
         let points = KERNELS * POINTS;
         let mut moments = [0.0; KERNELS * KERNELS];
         for point in 0..points {
             let (mut values, mut z) = ([0.0; KERNELS], [0.0; KERNELS]);
             eval(4.0 * (point as f32 + 0.5) / points as f32, &mut values);
-            whitening.rows_to(&values, &mut z);
+            whitening.whiten_rows(&values, &mut z);
             for (m, (a, b)) in moments.iter_mut().zip(z.iter().flat_map(|a| z.iter().map(move |b| (a, b)))) {
                 *m += a * b / points as f32;
             }
@@ -167,18 +169,18 @@ mod tests {
     }
 
     #[test]
-    fn steps_go_down_the_slope() {
-        // Back after to is a product of a matrix with its transpose: the slope along a step is never negative. A plane's
-        // columns are treated as its rows.
+    fn steps_descend_the_slope() {
+        // Whitening followed by unwhitening multiplies by a matrix and its transpose, so the slope along a step
+        // is never negative. Columns are transformed like rows.
         let whitening = Whitening::of(KERNELS, 0.0, 4.0, 1e-3, eval);
         let mut slope = [0.0_f32; KERNELS * KERNELS];
         slope.iter_mut().enumerate().for_each(|(i, s)| *s = ((i * i) % 17) as f32 - 8.0);
         let [mut a, mut b] = [[0.0; KERNELS * KERNELS]; 2];
-        whitening.rows_to(&slope, &mut a);
-        whitening.columns_to(&a, &mut b);
+        whitening.whiten_rows(&slope, &mut a);
+        whitening.whiten_columns(&a, &mut b);
         let squares: f32 = b.iter().map(|x| x * x).sum();
-        whitening.rows_back(&b, &mut a);
-        whitening.columns_back(&a, &mut b);
+        whitening.unwhiten_rows(&b, &mut a);
+        whitening.unwhiten_columns(&a, &mut b);
         let along: f32 = slope.iter().zip(&b).map(|(s, x)| s * x).sum();
         assert!((along / squares - 1.0).abs() < 1e-3, "{along} {squares}");
     }

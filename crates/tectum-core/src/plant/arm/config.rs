@@ -1,4 +1,4 @@
-//! `[plant.arm]` as it stands in its file: the body, its task, what a tick is worth, and what changes on the way.
+//! `[plant.arm]`: the configuration of the arm: geometry, task, reward, and changes during the run.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,67 +13,71 @@ pub struct ArmConfig {
     /// Position of the first joint, m.
     #[serde(deserialize_with = "pair")]
     pub base: [f64; 2],
-    /// What a joint's angle is measured from.
+    /// Reference direction of joint angles.
     pub angles: Angles,
-    /// Least and greatest angle of each joint, rad, with 0 between them; empty: joints turn freely and come round.
+    /// Least and greatest angle of each joint, rad, with 0 between them; if empty, joints turn freely and
+    /// angles wrap.
     #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
     pub limits: Vec<[f64; 2]>,
-    /// One tick, one trial (the open-loop setup of section 4.2): every tick begins with all angles 0 and is moved for one
-    /// period, so that a command `u` is the posture `gain * period * u`; the inputs are the target alone.
+    /// Each tick is one trial (the open-loop setup of section 4.2): every tick begins with all angles 0 and
+    /// moves for one period, so that a command `u` gives the posture `gain * period * u`. The only inputs are
+    /// those of the target.
     pub open_loop: bool,
     /// Angular rate for a command of 1, rad/s.
     pub gain: f64,
     /// Targets lie in the square from `arena[0]` to `arena[1]` on both axes, m.
     #[serde(deserialize_with = "pair")]
     pub arena: [f64; 2],
-    /// A new target every so many ticks; 1 in an open loop.
+    /// Number of ticks between new targets; 1 in an open loop.
     pub target_every: u64,
-    /// Given targets, m, taken in turn and from the start again; empty: drawn uniformly from what the arm, as long as it
-    /// is when the target appears, can reach with joints that turn freely.
+    /// List of targets, m, used in turn and repeated. If empty, targets are drawn uniformly from the region
+    /// that the arm, with its lengths at that tick, can reach with joints that turn freely.
     #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
     pub targets: Vec<[f64; 2]>,
-    /// What a tick costs.
+    /// The reward of a tick.
     pub reward: ArmRewardConfig,
     /// Joints that block during the run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub block: Vec<BlockConfig>,
-    /// Segments that change their length during the run.
+    /// Segments whose length changes during the run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub shorten: Vec<ShortenConfig>,
-    /// Axes along which targets are reported the wrong way round.
+    /// Coordinates of the target that are reported with the opposite sign.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub mirror: Vec<MirrorConfig>,
 }
 
-/// What a joint's angle is measured from.
+/// Reference direction of joint angles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Angles {
-    /// From the x axis: the direction of the joint's segment.
+    /// The x axis: an angle is the direction of the joint's segment.
     Absolute,
-    /// From the segment before, the first from the x axis: directions are running sums.
+    /// The previous segment, or the x axis for the first one: directions are running sums of angles.
     Relative,
 }
 
-/// `[plant.arm.reward]`: `r = -scale (|e|^2 + speed |theta_dot|^2 + angle |theta|^2 + collision c)`, in m, rad/s, rad and
-/// pairs of segments that cross. With `near`, the error's term `-|e|^2` is `max(0, near^2 - |e|^2)` instead.
+/// `[plant.arm.reward]`: `r = -scale (|e|^2 + speed |theta_dot|^2 + angle |theta|^2 + collision c)`, with the
+/// error `e` in m, rates in rad/s, angles in rad, and the number `c` of pairs of segments that cross. With
+/// `near`, `max(0, near^2 - |e|^2)` replaces the term `-|e|^2`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ArmRewardConfig {
-    /// Factor of the whole.
+    /// Factor of the whole reward.
     pub scale: f64,
     /// Weight of the squared angular rates.
     pub speed: f64,
     /// Weight of the squared angles.
     pub angle: f64,
-    /// Weight of the number of pairs of segments that cross or touch; neighbours, which share a joint, are no pair.
+    /// Weight of the number of pairs of segments that cross or touch; neighbours, which share a joint, are not
+    /// counted.
     pub collision: f64,
-    /// The error counts within this distance from the target alone, m, where it earns something (section 5).
+    /// If given, the error counts only within this distance from the target, m, as a positive reward (section 5).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub near: Option<f64>,
 }
 
-/// `[[plant.arm.block]]`: from a tick on, a joint stands still at an angle whatever is commanded.
+/// `[[plant.arm.block]]`: from a tick on, a joint stays at an angle and ignores commands.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BlockConfig {
@@ -98,14 +102,14 @@ pub struct ShortenConfig {
     pub length: f64,
 }
 
-/// `[[plant.arm.mirror]]`: from a tick on, a coordinate of the target is reported with the other sign. The target itself,
-/// and with it reward and error, stays where it is.
+/// `[[plant.arm.mirror]]`: from a tick on, a coordinate of the target is reported with the opposite sign. The
+/// target itself, and with it reward and error, does not change.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MirrorConfig {
     /// The coordinate.
     pub axis: MirrorAxis,
-    /// First tick with the other sign; a second one for the same axis turns the sign back.
+    /// First tick with the opposite sign; a second entry for the same axis restores the sign.
     pub tick: u64,
 }
 
@@ -120,19 +124,19 @@ pub enum MirrorAxis {
 }
 
 impl ArmConfig {
-    /// The length of `segment`, from 0, in `tick`, m.
+    /// The length of `segment`, counted from 0, in `tick`, m.
     pub fn length(&self, segment: usize, tick: u64) -> f64 {
         let changes = self.shorten.iter().filter(|s| s.segment == segment + 1 && s.tick <= tick);
         changes.max_by_key(|s| s.tick).map_or(self.lengths[segment], |s| s.length)
     }
 
-    /// The arm as it is in `tick`: the same with the lengths that it has then.
+    /// The configuration with the lengths of `tick`.
     pub fn at(&self, tick: u64) -> Self {
         let lengths = (0..self.lengths.len()).map(|segment| self.length(segment, tick)).collect();
         Self { lengths, shorten: Vec::new(), ..self.clone() }
     }
 
-    /// Whether x and y of the target are reported with the other sign in `tick`.
+    /// Whether x and y of the target are reported with the opposite sign in `tick`.
     pub fn mirrored(&self, tick: u64) -> [bool; 2] {
         [MirrorAxis::X, MirrorAxis::Y]
             .map(|axis| self.mirror.iter().filter(|m| m.axis == axis && m.tick <= tick).count() % 2 == 1)

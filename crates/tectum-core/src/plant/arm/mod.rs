@@ -1,11 +1,12 @@
-//! The planar arm of the paper's closed-loop task (section 4.2): segments in a chain, joints that turn freely or between
-//! stops, a target that jumps, a reward of distance, speed and posture, and changes of the body on the way.
+//! The planar arm of the paper's closed-loop task (section 4.2): a chain of segments, joints that turn freely
+//! or between stops, a target that jumps, a reward for distance, speed and posture, and changes of the arm
+//! during the run.
 //!
-//! In an open loop a tick is a trial: it begins with all angles 0, the command turns the joints for one period, and what
-//! is left between end-effector and target decides the reward. All else is the same.
+//! In an open loop a tick is a trial: it begins with all angles 0, the command turns the joints for one period,
+//! and the remaining distance between end-effector and target decides the reward. Everything else is the same.
 //!
-//! Single precision throughout, with the pure-Rust `libm` for sine and cosine: the same bits on every machine, whatever
-//! its C library.
+//! All computation is in single precision, with the pure-Rust `libm` for sine and cosine, so that the bits are
+//! the same on every machine, whatever its C library.
 
 mod config;
 mod kinematics;
@@ -17,9 +18,8 @@ mod tests;
 pub use config::{Angles, ArmConfig, ArmRewardConfig, BlockConfig, MirrorAxis, MirrorConfig, ShortenConfig};
 pub use kinematics::posture;
 
-use std::f32::consts::PI;
-
 use super::{JointState, Outcome, Plant};
+use crate::angle::wrap;
 use crate::state::{Persist, StateVisitor};
 use crate::{MAX_MEASURES, MAX_OUTPUTS};
 use kinematics::KinematicChain;
@@ -28,69 +28,63 @@ use targets::Targets;
 /// The arm and its task.
 #[derive(Debug, Clone)]
 pub struct Arm {
-    table: ArmConfig,
-    /// The lengths in the tick lived last.
+    config: ArmConfig,
+    /// The lengths in the last tick, m.
     lengths: [f32; MAX_OUTPUTS],
     joints: usize,
     base: [f32; 2],
     /// rad/s for a command of 1.
     gain: f32,
-    /// s.
+    /// Length of a tick, s.
     period: f32,
     scale: f32,
     speed: f32,
     angle: f32,
     collision: f32,
-    /// Square of the distance within which the error counts, if it does not count everywhere.
+    /// Square of the distance within which the error counts; `None` if it counts everywhere.
     near: Option<f32>,
-    /// Stops of each joint, rad; none for joints that come round.
+    /// Stops of each joint, rad; `None` if joints turn freely.
     limits: Option<[[f32; 2]; MAX_OUTPUTS]>,
     targets: Targets,
-    /// Angles, rad: without stops in [-pi, pi).
+    /// Angles, rad; in [-pi, pi) without stops.
     theta: [f32; MAX_OUTPUTS],
     target: [f32; 2],
-    /// Targets shown so far, and the tick at which the next one is due.
-    shown: u64,
-    due: u64,
+    /// Number of targets so far.
+    targets_shown: u64,
+    /// Tick at which the next target appears.
+    next_target_tick: u64,
 }
 
 fn square(x: f32) -> f32 {
     x * x
 }
 
-/// To [-pi, pi), as far as single precision can tell.
-fn wrap(theta: f32) -> f32 {
-    let turned = theta + PI;
-    // As nearly always: nothing would be taken off, and neither the division nor the floor is needed to know it.
-    if (0.0..2.0 * PI).contains(&turned) { theta } else { theta - 2.0 * PI * libm::floorf(turned / (2.0 * PI)) }
-}
-
 impl Arm {
-    /// The arm of a validated table, all angles 0. `period_s` is the tick's period in s; targets come from the run's
-    /// stream `targets`.
-    pub fn new(table: &ArmConfig, period_s: f64, seed: u64) -> Self {
+    /// The arm of a validated configuration, with all angles 0. `period_s` is the length of a tick, s; targets
+    /// come from the run's stream `targets`.
+    pub fn new(config: &ArmConfig, period_s: f64, seed: u64) -> Self {
         let mut limits = [[0.0; 2]; MAX_OUTPUTS];
-        for (to, [low, high]) in limits.iter_mut().zip(&table.limits) {
+        for (to, [low, high]) in limits.iter_mut().zip(&config.limits) {
             *to = [*low as f32, *high as f32];
         }
         Self {
-            lengths: lengths(table, 0),
-            joints: table.lengths.len(),
-            base: table.base.map(|x| x as f32),
-            gain: table.gain as f32,
+            lengths: lengths(config, 0),
+            joints: config.lengths.len(),
+            base: config.base.map(|x| x as f32),
+            gain: config.gain as f32,
             period: period_s as f32,
-            scale: table.reward.scale as f32,
-            speed: table.reward.speed as f32,
-            angle: table.reward.angle as f32,
-            collision: table.reward.collision as f32,
-            near: table.reward.near.map(|near| square(near as f32)),
-            limits: (!table.limits.is_empty()).then_some(limits),
-            targets: Targets::of(table, seed),
+            scale: config.reward.scale as f32,
+            speed: config.reward.speed as f32,
+            angle: config.reward.angle as f32,
+            collision: config.reward.collision as f32,
+            near: config.reward.near.map(|near| square(near as f32)),
+            limits: (!config.limits.is_empty()).then_some(limits),
+            targets: Targets::of(config, seed),
             theta: [0.0; MAX_OUTPUTS],
             target: [0.0; 2],
-            shown: 0,
-            due: 0,
-            table: table.clone(),
+            targets_shown: 0,
+            next_target_tick: 0,
+            config: config.clone(),
         }
     }
 
@@ -101,70 +95,71 @@ impl Arm {
 
     /// The end-effector's position, m.
     pub fn end(&self) -> [f32; 2] {
-        kinematics::end(self.base, &self.lengths[..self.joints], self.angles(), self.table.angles)
+        kinematics::end_effector(self.base, &self.lengths[..self.joints], self.angles(), self.config.angles)
     }
 
-    /// Where the target is, m, whatever is reported of it.
+    /// The true position of the target, m, which may differ from the reported one.
     pub fn target(&self) -> [f32; 2] {
         self.target
     }
 
     fn chain(&self) -> KinematicChain {
-        KinematicChain::new(self.base, &self.lengths[..self.joints], self.angles(), self.table.angles)
+        KinematicChain::new(self.base, &self.lengths[..self.joints], self.angles(), self.config.angles)
     }
 
-    /// Where a joint that stands at `from` comes to in a tick at `rate`, and the rate that was possible.
+    /// The angle of a joint after a tick that begins at `from` with `rate`, and the rate that was possible.
     fn turn(&self, joint: usize, from: f32, rate: f32) -> (f32, f32) {
-        let there = from + self.period * rate;
-        let Some(limits) = &self.limits else { return (wrap(there), rate) };
+        let reached = from + self.period * rate;
+        let Some(limits) = &self.limits else { return (wrap(reached), rate) };
         let [low, high] = limits[joint];
-        let stop = there.clamp(low, high);
-        (stop, if stop == there { rate } else { (stop - from) / self.period })
+        let stop = reached.clamp(low, high);
+        (stop, if stop == reached { rate } else { (stop - from) / self.period })
     }
 
-    /// A body that is somebody else's: `theta` was measured of it (rad, as this arm's angles), and its `rates` (rad/s).
-    /// What comes of it is reckoned as for the arm itself, by its model: lengths, base and the way that angles are counted. Where
-    /// somebody has `seen` the end-effector, error, reward and measures are of that; the model says what nobody sees, which segments
+    /// The outcome of a tick for a real arm, of which this arm is the model: `theta` are its measured angles
+    /// (rad, as configured for this arm) and `rates` its measured rates (rad/s). The model gives the
+    /// end-effector from lengths, base and angles. If the end-effector was `seen` by a tracker, m, then error,
+    /// reward and measures are computed from that position, and the model is used only for the segments that
     /// cross.
     pub fn measured(&mut self, tick: u64, theta: &[f32], rates: &[f32], seen: Option<[f32; 2]>) -> Outcome {
-        if !self.table.shorten.is_empty() {
-            self.lengths = lengths(&self.table, tick);
+        if !self.config.shorten.is_empty() {
+            self.lengths = lengths(&self.config, tick);
         }
         self.stands(theta);
         let sum = |values: &[f32]| values[..self.joints].iter().map(|&x| square(x)).sum();
         let (rates, angles) = (sum(rates), sum(theta));
-        self.judged(rates, angles, seen.unwrap_or_else(|| self.end()))
+        self.outcome(rates, angles, seen.unwrap_or_else(|| self.end()))
     }
 
-    /// Inputs as for [`Plant::sense`], with a target that somebody has seen, m, in place of a drawn one.
+    /// Writes inputs as [`Plant::sense`] does, with a target that a tracker reports, m, in place of a drawn one.
     pub fn sense_seen(&mut self, tick: u64, target: [f32; 2], inputs: &mut [f32]) {
         self.target = target;
-        self.tell(tick, inputs);
+        self.write_inputs(tick, inputs);
     }
 
-    /// Writes the inputs: the target as it is reported, and the angles.
-    fn tell(&self, tick: u64, inputs: &mut [f32]) {
-        let mirrored = self.table.mirrored(tick);
+    /// Writes the inputs: the reported target, and the angles.
+    fn write_inputs(&self, tick: u64, inputs: &mut [f32]) {
+        let mirrored = self.config.mirrored(tick);
         for (input, (x, mirrored)) in inputs.iter_mut().zip(self.target.into_iter().zip(mirrored)) {
             *input = if mirrored { -x } else { x };
         }
-        if !self.table.open_loop {
+        if !self.config.open_loop {
             inputs[2..2 + self.joints].copy_from_slice(self.angles());
         }
     }
 
-    /// The same before anything was applied: the arm stands at `theta`.
+    /// Sets the measured angles `theta`, rad, without an outcome.
     pub fn stands(&mut self, theta: &[f32]) {
         let joints = self.joints;
         self.theta[..joints].copy_from_slice(&theta[..joints]);
     }
 
-    /// What a posture is worth, with the sums of the squared rates and angles, and the end-effector there.
-    fn judged(&self, rates: f32, angles: f32, end: [f32; 2]) -> Outcome {
+    /// Reward and measures, from the sums of the squared rates and angles and from the end-effector's position.
+    fn outcome(&self, rates: f32, angles: f32, end: [f32; 2]) -> Outcome {
         let error = square(end[0] - self.target[0]) + square(end[1] - self.target[1]);
         let mut measures = [0.0; MAX_MEASURES];
         measures[..3].copy_from_slice(&[error.sqrt(), end[0], end[1]]);
-        let mut cost = -self.worth(error) + self.speed * rates + self.angle * angles;
+        let mut cost = -self.error_reward(error) + self.speed * rates + self.angle * angles;
         if self.collision > 0.0 {
             let crossings = self.chain().crossings() as f32;
             cost += self.collision * crossings;
@@ -173,60 +168,62 @@ impl Arm {
         Outcome { reward: -self.scale * cost, measures }
     }
 
-    /// What the squared error is worth.
-    fn worth(&self, error: f32) -> f32 {
+    /// The reward for the squared error.
+    fn error_reward(&self, error: f32) -> f32 {
         self.near.map_or(-error, |near| (near - error).max(0.0))
     }
 }
 
 /// The segments' lengths in `tick`, m.
-fn lengths(table: &ArmConfig, tick: u64) -> [f32; MAX_OUTPUTS] {
+fn lengths(config: &ArmConfig, tick: u64) -> [f32; MAX_OUTPUTS] {
     let mut lengths = [0.0; MAX_OUTPUTS];
-    for (segment, length) in lengths[..table.lengths.len()].iter_mut().enumerate() {
-        *length = table.length(segment, tick) as f32;
+    for (segment, length) in lengths[..config.lengths.len()].iter_mut().enumerate() {
+        *length = config.length(segment, tick) as f32;
     }
     lengths
 }
 
-fn blocked(blocks: &[BlockConfig], joint: usize, tick: u64) -> Option<f32> {
+/// The angle at which `joint`, counted from 0, is blocked in `tick`, rad.
+fn blocked_angle(blocks: &[BlockConfig], joint: usize, tick: u64) -> Option<f32> {
     blocks.iter().rev().find(|b| b.joint == joint + 1 && tick >= b.tick).map(|b| b.angle as f32)
 }
 
-/// What exploration of standard deviation `sigma` alone costs in `tick`, through the squared rates: the part of the loss
-/// that no policy can avoid. A blocked joint does not move and costs nothing; one that is held at a stop costs less than
-/// is said here.
-pub fn noise_share(table: &ArmConfig, sigma: f64, tick: u64) -> f64 {
-    let moving = (0..table.lengths.len()).filter(|&j| blocked(&table.block, j, tick).is_none()).count();
-    table.reward.scale * table.reward.speed * (table.gain * sigma).powi(2) * moving as f64
+/// The mean cost of exploration noise of standard deviation `sigma` in `tick`, through the squared rates: the
+/// part of the loss that no policy can avoid. A blocked joint does not move and costs nothing. A joint at a
+/// stop costs less than this function assumes.
+pub fn noise_share(config: &ArmConfig, sigma: f64, tick: u64) -> f64 {
+    let moving = (0..config.lengths.len()).filter(|&j| blocked_angle(&config.block, j, tick).is_none()).count();
+    config.reward.scale * config.reward.speed * (config.gain * sigma).powi(2) * moving as f64
 }
 
 impl Plant for Arm {
     /// Inputs: target x and y (m), then, unless the loop is open, the angles (rad).
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
-        let fresh = tick >= self.due;
-        while tick >= self.due {
-            // As the arm is when the target appears, also when that was passed over.
-            let lengths = lengths(&self.table, self.due);
-            self.target = self.targets.take(self.shown, &lengths[..self.joints]);
-            self.shown += 1;
-            self.due += self.table.target_every;
+        let new_target = tick >= self.next_target_tick;
+        while tick >= self.next_target_tick {
+            // With the lengths at the tick at which the target appears, even if that tick was skipped.
+            let lengths = lengths(&self.config, self.next_target_tick);
+            self.target = self.targets.take(self.targets_shown, &lengths[..self.joints]);
+            self.targets_shown += 1;
+            self.next_target_tick += self.config.target_every;
         }
-        self.tell(tick, inputs);
-        fresh
+        self.write_inputs(tick, inputs);
+        new_target
     }
 
-    /// Commands are angular rates in units of `gain`; in an open loop, angles in units of `gain` times the period.
-    /// Measures: error (m), end-effector x and y (m), and if they cost something the pairs of segments that cross.
+    /// Commands are angular rates in units of `gain`; in an open loop, angles in units of `gain` times the
+    /// period. Measures: error (m), end-effector x and y (m), and, if the reward counts them, the pairs of
+    /// segments that cross.
     fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome {
-        if !self.table.shorten.is_empty() {
-            self.lengths = lengths(&self.table, tick);
+        if !self.config.shorten.is_empty() {
+            self.lengths = lengths(&self.config, tick);
         }
         let (mut rates, mut angles) = (0.0, 0.0);
         for (joint, &u) in applied[..self.joints].iter().enumerate() {
-            let theta = if let Some(angle) = blocked(&self.table.block, joint, tick) {
+            let theta = if let Some(angle) = blocked_angle(&self.config.block, joint, tick) {
                 angle
             } else {
-                let from = if self.table.open_loop { 0.0 } else { self.theta[joint] };
+                let from = if self.config.open_loop { 0.0 } else { self.theta[joint] };
                 let (theta, rate) = self.turn(joint, from, self.gain * u);
                 rates += square(rate);
                 theta
@@ -234,13 +231,13 @@ impl Plant for Arm {
             self.theta[joint] = theta;
             angles += square(theta);
         }
-        self.judged(rates, angles, self.end())
+        self.outcome(rates, angles, self.end())
     }
 
-    /// A joint that comes round is measured in [-pi, pi), so that a limit between is a wall that it crosses from neither side,
-    /// and one beyond is none. In an open loop every tick starts from angle 0.
+    /// The angle of a joint that turns freely is in [-pi, pi). A position limit within this range stops the
+    /// joint from both sides; a limit outside has no effect. In an open loop every tick starts from angle 0.
     fn joints(&self) -> Option<JointState> {
-        let position = if self.table.open_loop { [0.0; MAX_OUTPUTS] } else { self.theta };
+        let position = if self.config.open_loop { [0.0; MAX_OUTPUTS] } else { self.theta };
         Some(JointState { position, travel: [self.period * self.gain; MAX_OUTPUTS] })
     }
 }
@@ -251,7 +248,7 @@ impl Persist for Arm {
         visitor.nested("targets", &mut self.targets);
         visitor.numbers("theta", &mut self.theta);
         visitor.numbers("target", &mut self.target);
-        visitor.number("shown", &mut self.shown);
-        self.due = self.shown.saturating_mul(self.table.target_every);
+        visitor.number("shown", &mut self.targets_shown);
+        self.next_target_tick = self.targets_shown.saturating_mul(self.config.target_every);
     }
 }

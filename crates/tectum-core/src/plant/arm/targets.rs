@@ -1,4 +1,4 @@
-//! Where the arm's targets come from: drawn from what it can reach, or a list.
+//! The source of the arm's targets: drawn at random from the reachable region, or a list.
 
 use rand::RngExt as _;
 
@@ -7,23 +7,23 @@ use crate::plant::ArmConfig;
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
 
-/// Where targets come from.
+/// The source of targets.
 #[derive(Debug, Clone)]
 pub(super) enum Targets {
-    /// Uniform in the square `arena`, as near to and far from the base as the arm reaches.
+    /// Uniform in the part of the square `arena` that is within the arm's reach from the base.
     Drawn { rng: Rng, arena: [f32; 2], base: [f32; 2] },
-    /// A list, from the start again when it ends.
+    /// A list, which is repeated when it ends.
     Given(Vec<[f32; 2]>),
 }
 
 impl Targets {
-    /// The targets of a validated table; drawn ones come from the run's stream `targets`.
-    pub fn of(table: &ArmConfig, seed: u64) -> Self {
+    /// The targets of a validated configuration; drawn ones come from the run's stream `targets`.
+    pub fn of(config: &ArmConfig, seed: u64) -> Self {
         let pair = |[a, b]: [f64; 2]| [a as f32, b as f32];
-        if table.targets.is_empty() {
-            Self::Drawn { rng: stream(seed, "targets"), arena: pair(table.arena), base: pair(table.base) }
+        if config.targets.is_empty() {
+            Self::Drawn { rng: stream(seed, "targets"), arena: pair(config.arena), base: pair(config.base) }
         } else {
-            Self::Given(table.targets.iter().copied().map(pair).collect())
+            Self::Given(config.targets.iter().copied().map(pair).collect())
         }
     }
 
@@ -54,10 +54,10 @@ impl Persist for Targets {
     }
 }
 
-/// How near to the base and how far from it the end comes if all joints turn freely.
+/// The least and the greatest distance of the end-effector from the base if all joints turn freely.
 fn reach(lengths: &[f32]) -> [f32; 2] {
     let far: f32 = lengths.iter().sum();
-    // What the longest segment leaves when all others fold back on it.
+    // The distance that remains when all other segments fold back on the longest one.
     let near = lengths.iter().map(|l| 2.0 * l - far).fold(0.0, f32::max);
     [near, far]
 }
