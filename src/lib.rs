@@ -14,7 +14,6 @@
 //! | [`runtime`] | the processes' loops, [`Tracker`](runtime::Tracker), [`in_process`](runtime::in_process()) |
 //! | [`wire`] | the samples that processes exchange, and their flags |
 //! | [`log`] | the reader of a run's log |
-//! | [`reference`] | the fixed test set for the arm, and reference controllers on it |
 //! | [`study`] | experiments of many runs, replay and analysis |
 //! | [`state`], [`seed`] | what a plant saves for a restart; named random streams |
 //! | [`encoder`], [`policy`], [`learner`] | the controller's pure computation: features, commands, learning rules |
@@ -79,7 +78,6 @@
 
 pub mod log;
 pub mod process;
-pub mod reference;
 pub mod runtime;
 pub mod scenario;
 pub mod study;
@@ -87,11 +85,13 @@ pub mod wire;
 
 pub use tectum_core::{learner, plant, policy, seed, state};
 pub use tectum_encoder as encoder;
-pub use tectum_encoder::simd;
 
 // The programs, tests and benches of this package are crates of their own and need the following modules, so
 // they are public. They are hidden because a plant, a tracker or a study of your own does not need them. They
 // may change at any time.
+#[doc(hidden)]
+pub use tectum_encoder::simd;
+
 #[doc(hidden)]
 pub mod bench;
 #[doc(hidden)]
@@ -102,6 +102,8 @@ pub mod checkpoint;
 pub mod clock;
 #[doc(hidden)]
 pub mod doctor;
+#[doc(hidden)]
+pub mod reference;
 #[doc(hidden)]
 pub mod report;
 #[doc(hidden)]

@@ -63,7 +63,7 @@ pub(crate) struct Growth {
     pub ns_each: f64,
 }
 
-/// Names a case of [`Growth`].
+/// Names a case of `Growth`.
 #[derive(Debug, Clone)]
 pub struct GrowthKey {
     /// What is called.

@@ -62,7 +62,7 @@ pub struct Launch {
     pub checkpoint_every: u64,
     /// In lockstep: write the real instants of each tick to the run's folder, for `tectum bench`.
     pub stopwatch: bool,
-    /// Where the run starts, if it resumes another one ([`resume`]).
+    /// Where the run starts, if it resumes another one ([`resume()`]).
     pub resumed: Option<ResumePoint>,
     /// Show a progress line on standard error.
     pub progress: bool,

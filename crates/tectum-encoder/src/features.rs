@@ -31,7 +31,7 @@ pub struct Features {
 }
 
 impl Features {
-    /// `len` zeros; `len` is a multiple of [`BLOCK`].
+    /// `len` zeros; `len` is a multiple of `BLOCK`.
     pub fn zeroed(len: usize) -> Self {
         debug_assert!(len.is_multiple_of(BLOCK));
         Self { lines: vec![CacheLine::zeroed(); len.div_ceil(GROUP)], len }

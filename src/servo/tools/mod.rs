@@ -1,7 +1,7 @@
 //! Tools for an arm that is not part of a run: find its servos, calibrate it by hand, move one joint, show its
 //! state.
 //!
-//! Only [`jog`] turns torque on, and it always turns it off again. Ports and clocks are arguments, so that the
+//! Only [`jog()`] turns torque on, and it always turns it off again. Ports and clocks are arguments, so that the
 //! same code runs on hardware, on the emulated chain and in tests.
 
 mod calibrate;
