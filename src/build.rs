@@ -17,8 +17,8 @@ fn main() {
     let version = std::env::var("CARGO_PKG_VERSION").expect("cargo sets CARGO_PKG_VERSION");
     println!("cargo:rustc-env=TECTUM_BUILD={version}+{commit}");
     println!("cargo:rerun-if-changed=src/build.rs");
-    // HEAD's log grows with every commit and checkout, which is when the identity changes. In a second worktree it is not
-    // where it is in the first.
+    // HEAD's log grows with every commit and checkout, which is when the identity changes. A second worktree has a log
+    // of its own elsewhere.
     if let Some(log) = git(&["--git-path", "logs/HEAD"]).filter(|log| Path::new(log).exists()) {
         println!("cargo:rerun-if-changed={log}");
     }

@@ -103,6 +103,8 @@ pub mod clock;
 #[doc(hidden)]
 pub mod doctor;
 #[doc(hidden)]
+pub mod reference;
+#[doc(hidden)]
 pub mod report;
 #[doc(hidden)]
 pub mod servo;
@@ -113,6 +115,7 @@ pub mod supervise;
 
 mod programs;
 mod run_folder;
+mod text;
 
 /// The build's identity: package version and git commit. The handshake compares it, and every log has it.
 pub const BUILD: &str = env!("TECTUM_BUILD");

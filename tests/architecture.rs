@@ -1,7 +1,8 @@
-//! Holds the layout that ARCHITECTURE.md states: which room may use which, which crate needs what, and the form of the files.
+//! Holds the layout that ARCHITECTURE.md states: which room may use which, which crate needs what, and the form of the
+//! files.
 //!
-//! The table of rooms lists them from the bottom up. A room may use only rooms that stand above it in the table (so there is
-//! no circle), only those that its row names, and its row names no room that it does not use.
+//! The table of rooms lists them from the bottom up. A room may use only rooms that stand above its own row (so there
+//! is no circle), only those that its row names, and its row names no room that it does not use.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -57,7 +57,7 @@ fn impossible_values_are_refused() {
         ("units = [16, 16]", "units = [16, 0]", "encoder.maps[0].units[1] is 0; "),
         ("units = [16, 16]", "units = [1000000, 16]", "encoder.maps[0].units[0] is 1000000; "),
         ("radius = 0.5", "radius = nan", "encoder.maps[0].radius is nan; "),
-        ("sigma = 0.003", "sigma = inf", "policy.sigma is inf; "),
+        ("sigma = 0.001", "sigma = inf", "policy.sigma is inf; "),
         ("learning = \"learning\"", "learning = \"command\"", "channels."),
     ] {
         let refusal = refused_change(from, to);

@@ -11,9 +11,9 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use snapshot::assert_snapshot;
-use tectum::report::Window;
 use tectum::runtime::{Controller, ControllerReport, PlantReport, PlantSide};
 use tectum::scenario::{Plan, Scenario};
+use tectum::stats::Window;
 use tectum::wire::{Command, Learning, Observation, flag};
 
 const TICKS: u64 = 2000;

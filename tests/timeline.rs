@@ -21,10 +21,15 @@ fn lockstep_is_a_function_of_scenario_and_seed() {
     let first = run(&arguments);
     let second = run(&arguments);
     let single = run(&[&arguments[..], &["--mode", "in-process"]].concat());
-    for key in ["weights_hash", "loss_per_tick", "end_error_m", "ticks", "missed"] {
+    for key in
+        ["weights_hash", "loss_per_tick", "end_error_m", "ticks", "missed", "progress", "reached", "reached_text"]
+    {
         assert_eq!(first[key], second[key], "{key}");
         assert_eq!(first[key], single[key], "{key}");
     }
+    let rows: Vec<_> = first["progress"].as_array().unwrap().iter().map(|row| row["when"].as_str().unwrap()).collect();
+    assert_eq!(rows, ["untrained", "after 10 s", "at the end"]);
+    assert!(first["progress"].as_array().unwrap().iter().all(|row| row["test_error_m"].is_f64()), "{first}");
     assert_eq!((&first["ticks"], &first["missed"], &first["lost"]), (&20000.into(), &0.into(), &0.into()));
     let other = run(&["paper", "--ticks", "20000", "--seed", "78", "--mode", "in-process"]);
     assert_ne!(first["weights_hash"], other["weights_hash"]);

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
+use tectum::reference::STARTS;
 use tectum::study::StudyError;
 use tectum::study::compare::{ArmChange, Changes, Comparison, ComparisonResult, LEARNERS, compare, rule};
-use tectum::study::reference::STARTS;
 
 use super::study_ended;
 use super::tick_count::tick_count;

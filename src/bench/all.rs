@@ -14,8 +14,8 @@ use super::{
 };
 use crate::clock::monotonic_ns;
 use crate::report::figure::{AxisScales, draw_scales};
-use crate::report::thousands;
 use crate::supervise::RunFolder;
+use crate::text::thousands;
 
 /// What to measure.
 #[derive(Debug, Clone)]

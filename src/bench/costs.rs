@@ -9,8 +9,8 @@ use serde::Serialize;
 use super::calls::{CallCase, CallTimes, in_turns};
 use super::context::{BenchContext, write_file};
 use super::{BenchError, Machine};
-use crate::report::thousands;
 use crate::simd::SimdPath;
+use crate::text::thousands;
 
 /// Numbers of features whose costs are compared, as powers of two.
 pub(super) const POWERS: std::ops::RangeInclusive<u32> = 5..=15;

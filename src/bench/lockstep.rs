@@ -15,10 +15,10 @@ use super::run_block::{self, RunBlock};
 use super::usage::{Usage, core_of, cores_text};
 use super::{BenchError, Machine, Transport};
 use crate::clock::{TerminationSignals, monotonic_ns};
-use crate::report::thousands;
 use crate::runtime::{Mode, in_process};
 use crate::stats::Spread;
 use crate::supervise::simulated_plant;
+use crate::text::thousands;
 
 /// The thinned log has one tick in this many, as in the paper's scenario.
 const THINNED: u64 = 100;

@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use crate::clock::{machine_facts, wall_ns};
 use crate::doctor::{Check, Verdict, examine};
+use crate::text::utc_minute;
 
 /// The cache size to assume where the kernel does not report one, bytes.
 const USUAL_CACHE: usize = 32 << 20;
@@ -49,7 +50,7 @@ impl Machine {
             cores: cores(),
             last_level_cache_kib: last_level_cache() >> 10,
             mitigations,
-            date: date(wall_ns() / 1_000_000_000),
+            date: utc_minute(wall_ns() / 1_000_000_000),
             build: crate::BUILD,
         }
     }
@@ -106,36 +107,9 @@ pub(super) fn last_level_cache() -> usize {
     sizes.max().unwrap_or(USUAL_CACHE)
 }
 
-/// Date and minute, UTC, of a number of seconds since 1970 (Howard Hinnant's `civil_from_days`).
-fn date(seconds: u64) -> String {
-    let (days, rest) = (seconds / 86_400, seconds % 86_400);
-    let shifted = days + 719_468;
-    let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let shifted_month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
-    let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
-    let year = year_of_era + era * 400 + u64::from(month <= 2);
-    format!("{year:04}-{month:02}-{day:02} {:02}:{:02} UTC", rest / 3600, rest / 60 % 60)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn dates_follow_the_gregorian_calendar() {
-        for (seconds, text) in [
-            (0, "1970-01-01 00:00 UTC"),
-            (951_782_399, "2000-02-28 23:59 UTC"),
-            (951_782_400, "2000-02-29 00:00 UTC"),
-            (1_767_225_599, "2025-12-31 23:59 UTC"),
-            (4_107_542_400, "2100-03-01 00:00 UTC"),
-        ] {
-            assert_eq!(date(seconds), text);
-        }
-    }
 
     #[test]
     fn the_text_names_the_governor_and_the_build() {

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Write as _};
+use std::os::unix::fs::FileExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
@@ -9,12 +10,12 @@ use std::thread::JoinHandle;
 use super::FOLDER;
 use crate::wire::Role;
 
-/// A file to write.
-struct WriteJob {
-    path: PathBuf,
-    bytes: Vec<u8>,
-    /// Sync the file to the disk.
-    sync: bool,
+/// A job of the writing thread.
+enum WriteJob {
+    /// A checkpoint: the whole file, synced to the disk if `sync`.
+    Checkpoint { path: PathBuf, bytes: Vec<u8>, sync: bool },
+    /// A part of a file that may already exist.
+    Record { path: PathBuf, offset: u64, bytes: Vec<u8> },
 }
 
 /// Writes a process's checkpoints to the disk while its ticks go on.
@@ -35,10 +36,14 @@ impl CheckpointWriter {
         let (sender, receiver) = channel::<WriteJob>();
         let thread = std::thread::Builder::new().name("checkpoints".to_owned()).spawn(move || {
             let (mut written, mut failed) = (0, None);
-            for WriteJob { path, bytes, sync } in receiver {
-                match write_file(&path, &bytes, sync) {
-                    Ok(()) => written += 1,
-                    Err(cause) => failed = Some(format!("{} cannot be written: {cause}", path.display())),
+            for job in receiver {
+                match job {
+                    WriteJob::Checkpoint { path, bytes, sync } => match write_file(&path, &bytes, sync) {
+                        Ok(()) => written += 1,
+                        Err(cause) => failed = Some(format!("{} cannot be written: {cause}", path.display())),
+                    },
+                    // The reader of the file sees that a record is missing. Nothing else depends on it.
+                    WriteJob::Record { path, offset, bytes } => drop(write_record(&path, offset, &bytes)),
                 }
             }
             failed.map_or(Ok(written), Err)
@@ -57,10 +62,16 @@ impl CheckpointWriter {
         self.queue(tick, bytes, !haste);
     }
 
+    /// Queues bytes for the file at `path`, from `offset` on. They are no checkpoint: they are not counted, not
+    /// synced to the disk, and a failure is not reported.
+    pub(crate) fn write_record(&self, path: &Path, offset: u64, bytes: Vec<u8>) {
+        let _ = self.sender.send(WriteJob::Record { path: path.to_owned(), offset, bytes });
+    }
+
     fn queue(&self, tick: u64, bytes: Vec<u8>, sync: bool) {
         let path = super::path(&self.folder, tick, self.role);
         // Fails only if the thread has ended early; `finish` reports why.
-        let _ = self.sender.send(WriteJob { path, bytes, sync });
+        let _ = self.sender.send(WriteJob::Checkpoint { path, bytes, sync });
     }
 
     /// Waits until all files are written, and returns their number.
@@ -85,4 +96,10 @@ fn write_file(path: &Path, bytes: &[u8], sync: bool) -> io::Result<()> {
     draft.persist(path).map_err(|e| e.error)?;
     // Also syncs the name.
     if sync { File::open(folder)?.sync_all() } else { Ok(()) }
+}
+
+/// Writes a part of a file. Creates the file if it does not exist.
+fn write_record(path: &Path, offset: u64, bytes: &[u8]) -> io::Result<()> {
+    let file = File::options().write(true).create(true).truncate(false).open(path)?;
+    file.write_all_at(bytes, offset)
 }

@@ -13,12 +13,10 @@ use super::{
 };
 use crate::log::header::flag_words;
 use crate::stats::Percentiles;
+use crate::text::utc;
 use crate::wire::{Command, Observation, flag};
 
 mod text;
-mod utc;
-
-use utc::utc;
 
 /// How a log ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -239,7 +237,7 @@ impl LogScan {
             seed: number(log, "seed"),
             planned_ticks: number(log, "ticks"),
             mode: text("mode"),
-            started: number(log, "wall_at_t0_ns").filter(|&ns| ns > 0).map(utc),
+            started: number(log, "wall_at_t0_ns").filter(|&ns| ns > 0).map(|ns| utc(ns / 1_000_000_000)),
             build: text("build"),
             machine: machine(log),
             period_s: self.period_ns as f64 / 1e9,

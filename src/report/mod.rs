@@ -1,36 +1,21 @@
-//! What a run's end shows: a figure and a table of how the controller learned.
+//! Figure and tables of how a controller learned, for the end of a run.
 //!
-//! A [`RunHistory`] is plain numbers, collected window by window by whoever watches the run, and handed on as JSON if that is
-//! another process. [`figure::draw`] makes one SVG of it, [`table`] a few lines of text. Both depend on the history alone: they
-//! give the same bytes for the same numbers, on every machine.
+//! A [`RunHistory`] is plain numbers, and travels as JSON between processes. [`figure::draw`] makes one SVG
+//! of it, [`table`] a few lines of text. Both depend on these numbers alone: equal numbers give equal bytes
+//! on every machine. [`progress_table`] and [`sentence`] are for runs whose policies were tested without
+//! exploration noise.
 
 pub mod figure;
 pub mod film;
+mod progress;
+
+pub use progress::{ProgressRow, REACHES_M, Reached, progress_table, sentence};
 
 use serde::{Deserialize, Deserializer, Serialize};
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Means over some ticks in a row. Errors are in the history's [`unit`](RunHistory::unit).
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Window {
-    /// First tick.
-    pub from: u64,
-    /// Number of ticks.
-    pub ticks: u64,
-    /// Mean loss (reward with its sign turned) per tick; not a number if a reward was none.
-    #[serde(deserialize_with = "number")]
-    pub loss: f64,
-    /// What exploration noise alone costs a tick, part of the loss; 0 if unknown.
-    pub noise_share: f64,
-    /// Mean squared error, in squared units; `None` for a plant that measures none.
-    pub mean_squared_error: Option<f64>,
-    /// Mean error at the end of the targets that ended here; `None` if none did.
-    pub end_error: Option<f64>,
-    /// Number of targets that ended here.
-    pub ends: u64,
-}
+use crate::stats::{Window, number_or_nan};
+use crate::text::{columns, figures, thousands};
 
 /// A movement towards one target, posture by posture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -38,20 +23,20 @@ pub struct Window {
 pub struct Reach {
     /// First tick.
     pub from: u64,
-    /// The target's place.
+    /// Position of the target.
     pub target: [f64; 2],
     /// One polyline a tick, from the base over the joints to the end-effector.
     #[serde(deserialize_with = "points")]
     pub postures: Vec<Vec<[f64; 2]>>,
 }
 
-/// How a run went.
+/// The numbers behind a run's figure and tables.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunHistory {
     /// Title of the figure.
     pub title: String,
-    /// Unit of errors and places, `m` for the arm; may be empty.
+    /// Unit of errors and positions, `m` for the arm; may be empty.
     pub unit: String,
     /// Period of a tick, s.
     pub period_s: f64,
@@ -61,8 +46,39 @@ pub struct RunHistory {
     pub marks: Vec<(u64, String)>,
     /// A reach from the run's beginning, if the plant has postures.
     pub first_reach: Option<Reach>,
-    /// A reach from its end.
+    /// A typical reach from its end.
     pub last_reach: Option<Reach>,
+    /// Tests of the policy without exploration noise, in the order of ticks; empty where there were none.
+    #[serde(default)]
+    pub tests: Vec<TestPoint>,
+    /// What the best movements reach in the test, span by span; empty where that is unknown.
+    #[serde(default)]
+    pub optimum: Vec<OptimumSpan>,
+}
+
+/// A test of a policy.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TestPoint {
+    /// Ticks done before it.
+    pub tick: u64,
+    /// Median error at a target's end; not a number if the policy was none.
+    #[serde(deserialize_with = "number_or_nan")]
+    pub error: f64,
+}
+
+/// The optimum of the test in a stretch of the run in which the plant did not change.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OptimumSpan {
+    /// First tick.
+    pub from: u64,
+    /// Tick after the last.
+    pub until: u64,
+    /// Median error at a target's end.
+    pub error: f64,
+    /// Median loss a tick.
+    pub loss: f64,
 }
 
 /// Why a report cannot be made.
@@ -81,71 +97,40 @@ pub enum ReportError {
     },
 }
 
-/// JSON has no "not a number" and says null for it; a run that diverged must still get its report.
-fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    Ok(Option::<f64>::deserialize(from)?.unwrap_or(f64::NAN))
-}
-
 fn points<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<[f64; 2]>>, D::Error> {
     let lines = Vec::<Vec<[Option<f64>; 2]>>::deserialize(from)?;
     let point = |p: [Option<f64>; 2]| p.map(|x| x.unwrap_or(f64::NAN));
     Ok(lines.into_iter().map(|line| line.into_iter().map(point).collect()).collect())
 }
 
-impl Window {
-    /// Mean loss a tick without what exploration noise alone costs.
-    pub fn loss_without_noise(&self) -> f64 {
-        self.loss - self.noise_share
-    }
-
-    /// Square root of the mean squared error, in the story's unit.
-    pub fn rms_error(&self) -> Option<f64> {
-        self.mean_squared_error.map(f64::sqrt)
-    }
-
-    /// Two windows as one.
-    pub fn and(&self, other: &Self) -> Self {
-        let (a, b) = (self, other);
-        let mean = |x: f64, n: u64, y: f64, m: u64| (x * n as f64 + y * m as f64) / (n + m) as f64;
-        Self {
-            from: a.from.min(b.from),
-            ticks: a.ticks + b.ticks,
-            noise_share: mean(a.noise_share, a.ticks, b.noise_share, b.ticks),
-            loss: mean(a.loss, a.ticks, b.loss, b.ticks),
-            mean_squared_error: a
-                .mean_squared_error
-                .zip(b.mean_squared_error)
-                .map(|(x, y)| mean(x, a.ticks, y, b.ticks)),
-            end_error: match (a.end_error, b.end_error) {
-                (Some(x), Some(y)) => Some(mean(x, a.ends, y, b.ends)),
-                (x, y) => x.or(y),
-            },
-            ends: a.ends + b.ends,
-        }
-    }
-}
-
-/// First and last window as text, one line each under a head with the units. `-` is a value that there is not.
+/// First and last window as text, one line each under a head with the units. `-` is a missing value. For
+/// plants without a test: all values are means over the ticks of the window, as observed.
 pub fn table(history: &RunHistory) -> String {
-    let unit = match history.unit.as_str() {
-        "" => String::new(),
-        unit => format!(" ({unit})"),
-    };
+    let with_unit =
+        |name: &str| if history.unit.is_empty() { name.to_owned() } else { format!("{name} ({})", history.unit) };
     let mut rows = vec![[
-        "ticks".to_owned(),
+        "means over ticks".to_owned(),
         "loss a tick".to_owned(),
         "without noise".to_owned(),
-        format!("RMS error{unit}"),
-        format!("error at a target's end{unit}"),
+        with_unit("RMS error"),
+        with_unit("error at a target's end"),
+        "targets".to_owned(),
     ]];
-    let last = history.windows.len().saturating_sub(1);
-    for (_, w) in history.windows.iter().enumerate().filter(|(i, _)| *i == 0 || *i == last) {
+    let (first, last) = (history.windows.first(), history.windows.last());
+    let ends = match (first, last) {
+        (Some(first), Some(last)) if first == last => vec![("", first)],
+        (Some(first), Some(last)) => vec![("first ", first), ("last ", last)],
+        _ => Vec::new(),
+    };
+    for (which, w) in ends {
+        let last_tick = w.from.saturating_add(w.ticks).saturating_sub(1);
         rows.push([
-            format!("{} to {}", thousands(w.from), thousands(w.from.saturating_add(w.ticks).saturating_sub(1))),
+            format!("{which}{} to {}", thousands(w.from), thousands(last_tick)),
             figures(Some(w.loss)),
             figures(Some(w.loss_without_noise())),
             figures(w.rms_error()),
             figures(w.end_error),
+            thousands(w.ends),
         ]);
     }
     if history.windows.is_empty() {
@@ -154,57 +139,9 @@ pub fn table(history: &RunHistory) -> String {
     columns(&rows)
 }
 
-/// Rows of cells as text: the first column to the left, the others to the right, each as wide as its widest cell.
-pub fn columns<R: AsRef<[String]>>(rows: &[R]) -> String {
-    let count = rows.iter().map(|row| row.as_ref().len()).max().unwrap_or(0);
-    let width = |column: usize| rows.iter().filter_map(|row| row.as_ref().get(column)).map(|c| c.chars().count()).max();
-    let widths: Vec<usize> = (0..count).map(|column| width(column).unwrap_or(0)).collect();
-    let mut text = String::new();
-    for row in rows {
-        let mut line = String::new();
-        for (i, (cell, &width)) in row.as_ref().iter().zip(&widths).enumerate() {
-            let _ = if i == 0 { write!(line, "{cell:<width$}") } else { write!(line, "  {cell:>width$}") };
-        }
-        text.push_str(line.trim_end());
-        text.push('\n');
-    }
-    text
-}
-
-/// A whole number with its thousands set apart: 11,999,920 instead of 11999920.
-pub fn thousands(n: u64) -> String {
-    let digits = n.to_string();
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
-
-/// Three significant figures, which is what a mean over a window is good for; `-` for none.
-pub fn figures(value: Option<f64>) -> String {
-    let Some(x) = value.filter(|x| x.is_finite()) else { return "-".into() };
-    if x == 0.0 {
-        return "0".into();
-    }
-    let magnitude = x.abs().log10().floor();
-    if !(-5.0..6.0).contains(&magnitude) {
-        return format!("{x:.2e}");
-    }
-    format!("{x:.*}", (2.0 - magnitude).max(0.0) as usize)
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-
-    #[test]
-    fn thousands_are_set_apart() {
-        assert_eq!([0, 80, 999, 1000, 11_999_920].map(thousands), ["0", "80", "999", "1,000", "11,999,920"]);
-    }
 
     /// The shape of the paper's run: 120 windows, a joint blocked at the 93rd.
     pub fn arm_history() -> RunHistory {
@@ -231,7 +168,18 @@ pub(crate) mod tests {
             marks: vec![(9_300_000, "joint 3 blocked".into())],
             first_reach: Some(reach(80, [0.6, 0.5], 0.15)),
             last_reach: Some(reach(11_999_920, [-0.55, 0.35], 1.0)),
+            tests: tests(),
+            optimum: vec![
+                OptimumSpan { from: 0, until: 9_300_000, error: 0.035, loss: 0.0172 },
+                OptimumSpan { from: 9_300_000, until: 12_000_000, error: 0.05, loss: 0.022 },
+            ],
         }
+    }
+
+    fn tests() -> Vec<TestPoint> {
+        let before = (0..=31).map(|i| (i * 300_000, 0.05 + 1.1 * (-(i as f64) / 4.0).exp()));
+        let after = (31..=40).map(|i| (i * 300_000, 0.07 + 0.3 * (-(i as f64 - 31.0) / 2.0).exp()));
+        before.chain(after).map(|(tick, error)| TestPoint { tick, error }).collect()
     }
 
     fn reach(from: u64, target: [f64; 2], skill: f64) -> Reach {
@@ -275,9 +223,9 @@ pub(crate) mod tests {
             ends: 0,
         };
         let expected = "\
-ticks           loss a tick  without noise  RMS error (m)  error at a target's end (m)
-0 to 999              0.166          0.130           1.10                        0.877
-2,000 to 2,499       0.0728         0.0373              -                            -
+means over ticks     loss a tick  without noise  RMS error (m)  error at a target's end (m)  targets
+first 0 to 999             0.166          0.130           1.10                        0.877       12
+last 2,000 to 2,499       0.0728         0.0373              -                            -        0
 ";
         assert_eq!(table(&history), expected);
         history.windows.truncate(1);
@@ -287,13 +235,7 @@ ticks           loss a tick  without noise  RMS error (m)  error at a target's e
     }
 
     #[test]
-    fn three_figures_whatever_the_size() {
-        let all = [12.3456, 0.0, 1234.0, 0.00123456, 1e9, -0.5, f64::NAN].map(|x| figures(Some(x)));
-        assert_eq!(all, ["12.3", "0", "1234", "0.00123", "1.00e9", "-0.500", "-"]);
-    }
-
-    #[test]
-    fn a_story_travels_as_json() {
+    fn a_history_travels_as_json() {
         let history = arm_history();
         let back: RunHistory = serde_json::from_str(&serde_json::to_string(&history).unwrap()).unwrap();
         assert!(back == history, "to the last bit");

@@ -130,7 +130,7 @@ impl TickBudget {
         match self.learner_overruns {
             0 => {}
             1 => text += ", learner overran 1 tick",
-            n => text += &format!(", learner overran {} ticks", crate::report::thousands(n)),
+            n => text += &format!(", learner overran {} ticks", crate::text::thousands(n)),
         }
         text
     }

@@ -1,5 +1,6 @@
 //! The controller's side of the tick: learn, encode, draw, answer.
 
+use super::statistics::FinishedStatistics;
 use super::{ControllerReport, FaultyChannel, RunStatistics};
 use crate::encoder::{Encoder, Features};
 use crate::learner::{Learner, LearningRule, Transition};
@@ -294,9 +295,10 @@ impl Controller {
 
     /// Ends the run and returns the report, with the hash of the final weights.
     pub fn finish(self) -> ControllerReport {
-        let (windows, first_switch, last_switch) = self.statistics.finish();
+        let FinishedStatistics { windows, first_switch, last_switch, targets } =
+            self.statistics.finish(self.report.ticks + self.report.unseen);
         let weights_hash = format!("{:016x}", self.policy.hash());
-        ControllerReport { weights_hash, windows, first_switch, last_switch, ..self.report }
+        ControllerReport { weights_hash, windows, first_switch, last_switch, targets, ..self.report }
     }
 }
 

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use super::budget::{BudgetMeter, TickInstants};
 use super::peer_monitor::PeerMonitor;
+use super::policy_snapshots::SnapshotRecorder;
 use super::stopwatch::Stopwatch;
 use super::{Controller, ControllerReport, Participant, RuntimeError, Session};
 use crate::channel::{ControllerPorts, CrashStore};
@@ -47,6 +48,11 @@ impl ControllerLoopState {
         if self.count == 0 { 0 } else { self.answered.sequence + 1 }
     }
 
+    /// Ticks that the controller has behind it, received or not.
+    fn ticks_done(&self) -> u64 {
+        if self.count == 0 { 0 } else { self.answered.tick + 1 }
+    }
+
     /// Computes the command.
     fn respond(&mut self, observation: &Observation) {
         self.controller.report.unseen += observation.header.sequence - self.expected();
@@ -75,8 +81,14 @@ impl ControllerLoopState {
     }
 
     /// Restores the state from the crash store, or from the checkpoint with which the run resumes, if there is
-    /// one. Returns true if it was the crash store: the process has been restarted.
-    fn restore(&mut self, crash_store: &mut CrashStore, participant: &Participant) -> Result<bool, RuntimeError> {
+    /// one. Returns true if it was the crash store: the process has been restarted. `snapshots` then continues
+    /// where the process died.
+    fn restore(
+        &mut self,
+        crash_store: &mut CrashStore,
+        participant: &Participant,
+        snapshots: &mut Option<SnapshotRecorder>,
+    ) -> Result<bool, RuntimeError> {
         if let Some((_, bytes)) = crash_store.newest() {
             if !state::load(self, bytes) {
                 return Err(RuntimeError::Memory(Role::Controller.name()));
@@ -86,9 +98,17 @@ impl ControllerLoopState {
         }
         let (stored, count) = (crash_store.newest().is_some(), self.count);
         crash_store.reopen();
+        if let Some(snapshots) = snapshots {
+            // A copy of this very tick may not have reached the disk before the process died.
+            snapshots.skip_to(self.ticks_done().saturating_sub(1));
+            snapshots.observe(self.ticks_done(), self.controller.policy());
+        }
         while let Some(bytes) = crash_store.entry(self.count) {
             let observation = bytemuck::pod_read_unaligned(bytes);
             self.replay(&observation);
+            if let Some(snapshots) = snapshots {
+                snapshots.observe(self.ticks_done(), self.controller.policy());
+            }
         }
         Ok(stored || self.count > count)
     }
@@ -167,6 +187,8 @@ struct ControllerLoop {
     time: TimeSource,
     session: Session,
     writer: CheckpointWriter,
+    /// Where the plant is the simulator's arm.
+    snapshots: Option<SnapshotRecorder>,
     crash_store: CrashStore,
     ports: ControllerPorts,
     state: ControllerLoopState,
@@ -179,7 +201,8 @@ impl ControllerLoop {
         let mut state = ControllerLoopState::new(&participant.plan);
         let (ports, status_board) = participant.open(ControllerPorts::open)?;
         let mut crash_store = participant.crash_store(state::size(&mut state), [JOURNAL, size_of::<Observation>()])?;
-        let restarted = state.restore(&mut crash_store, &participant)?;
+        let mut snapshots = SnapshotRecorder::new(&participant.folder, &participant.plan);
+        let restarted = state.restore(&mut crash_store, &participant, &mut snapshots)?;
         let writer = participant.checkpoint_writer()?;
         // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the
         // logger.
@@ -195,6 +218,7 @@ impl ControllerLoop {
             time,
             session,
             writer,
+            snapshots,
             crash_store,
             ports,
             state,
@@ -289,6 +313,10 @@ impl ControllerLoop {
         stamp(&mut self.state.learning.header, header, &self.time);
         self.ports.learning.send(&self.state.learning)?;
 
+        if let Some(snapshots) = &mut self.snapshots {
+            snapshots.observe(header.tick + 1, self.state.controller.policy());
+            snapshots.flush(&self.writer);
+        }
         if checkpoint {
             let next = header.tick + 1;
             self.writer.write(next, self.state.checkpoint(next, &self.session.participant));
@@ -308,7 +336,11 @@ impl ControllerLoop {
 
     /// Ends the loop: writes the last checkpoint and the report.
     fn finish(mut self) -> Result<ControllerReport, RuntimeError> {
-        let end = self.state.answered.tick + u64::from(self.state.count > 0);
+        let end = self.state.ticks_done();
+        if let Some(snapshots) = &mut self.snapshots {
+            snapshots.finish(end, self.state.controller.policy());
+            snapshots.flush(&self.writer);
+        }
         let checkpoint = self.state.checkpoint(end, &self.session.participant);
         self.writer.write_last(end, checkpoint, self.session.stopping());
         let report = &mut self.state.controller.report;

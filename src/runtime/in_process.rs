@@ -3,16 +3,19 @@
 
 use super::{Controller, ControllerReport, PlantReport, PlantSide, RunStatistics};
 use crate::plant::Plant;
+use crate::policy::LinearPolicy;
 use crate::scenario::Plan;
 use crate::wire::{Command, Observation};
 
 /// The result of a run in one process.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct InProcess {
     /// The plant's report.
     pub plant: PlantReport,
     /// The controller's report.
     pub controller: ControllerReport,
+    /// The policy at the end.
+    pub policy: LinearPolicy,
 }
 
 /// Runs `plan` with the plant `body`: the same ticks in the same order as three processes in lockstep.
@@ -44,5 +47,5 @@ pub fn in_process_with_observer<P: Plant>(
         controller.after_command(&observation);
         side.step(tick, Some(&command));
     }
-    InProcess { plant: side.report, controller: controller.finish() }
+    InProcess { plant: side.report, policy: controller.policy().clone(), controller: controller.finish() }
 }

@@ -24,14 +24,16 @@ mod participant;
 mod peer_monitor;
 mod plant;
 mod plant_loop;
+mod policy_snapshots;
 mod reports;
 mod statistics;
 mod stopwatch;
+mod target_statistics;
 mod tracker;
 mod wire_manifest;
 
 pub use crate::channel::{ChannelError, DomainName};
-pub use crate::report::Window;
+pub use crate::stats::Window;
 pub use budget::{SlackPercentiles, TickBudget};
 pub use controller::Controller;
 pub use controller_loop::run_controller;
@@ -43,10 +45,14 @@ pub use logger::run_logger;
 pub use participant::{EndReason, Mode, Participant, ResumePoint, RunManifest, Session, identity};
 pub use plant::PlantSide;
 pub use plant_loop::run_plant;
+pub use policy_snapshots::{
+    FIRST_LOOK_S, PolicySnapshot, SnapshotSchedule, change_ticks, read_snapshots, snapshot_path, ticks_in,
+};
 pub use reports::{ControllerReport, LoggerReport, PlantReport};
 pub(crate) use reports::{read as read_report, read_realtime, realtime_path, remove_unwritten_reports};
 pub(crate) use statistics::Switch;
-pub use statistics::{RunStatistics, Snapshot};
+pub use statistics::{FinishedStatistics, RunStatistics, Snapshot};
 pub(crate) use stopwatch::tick_times;
+pub use target_statistics::{TargetResult, TargetsAround, WINDOW_TARGETS};
 pub use tracker::Tracker;
 pub use wire_manifest::{Services, WireManifest};

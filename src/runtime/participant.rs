@@ -20,10 +20,11 @@ use crate::state::Persist;
 use crate::wire::{ChannelNames, Phase, ProcessState, Role, Status, schema_hash};
 
 /// The mode of a run: how its ticks follow each other.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mode {
     /// As fast as the processes can. No command is missed and no sample is lost.
+    #[default]
     Lockstep,
     /// At the scenario's period, on the real clock.
     Realtime,

@@ -7,11 +7,10 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use super::{RuntimeError, Snapshot, TickBudget};
+use super::{RuntimeError, Snapshot, TargetsAround, TickBudget};
 use crate::clock::RealtimeReport;
-use crate::report::Window;
 use crate::state::{Persist, StateVisitor};
-use crate::stats::Percentiles;
+use crate::stats::{Percentiles, Window};
 use crate::wire::Role;
 
 /// The plant's report.
@@ -99,8 +98,10 @@ pub struct ControllerReport {
     pub windows: Vec<Window>,
     /// Inputs around the first complete target switch.
     pub first_switch: Vec<Snapshot>,
-    /// Inputs around the last complete target switch.
+    /// Inputs around a late target switch: with an arm, around a typical one.
     pub last_switch: Vec<Snapshot>,
+    /// What single targets cost around the ticks that the summary looks at; empty without an arm.
+    pub targets: Vec<TargetsAround>,
 }
 
 impl Persist for ControllerReport {

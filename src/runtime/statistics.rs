@@ -3,9 +3,10 @@
 //! The controller collects them, because it receives every observation of any plant. They are for reports only
 //! and do not influence learning. All memory is allocated at the start.
 
-use crate::report::Window;
+use super::target_statistics::{TargetStatistics, TargetsAround};
 use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor};
+use crate::stats::Window;
 use crate::wire::{MAX_INPUTS, Observation, flag};
 
 /// Number of windows of a run: as many as a figure can show.
@@ -75,10 +76,15 @@ pub struct RunStatistics {
     last_error: f64,
     /// The loss that exploration alone causes, as steps of (first tick, loss); empty where it is not known.
     exploration_loss: Vec<(u64, f64)>,
+    /// Results of single targets, for an arm.
+    targets: Option<TargetStatistics>,
     switch: Switch,
-    /// The first and the last complete target switch.
+    /// The first complete target switch.
     first: Vec<Snapshot>,
+    /// A late complete target switch (with an arm, a typical one).
     last: Vec<Snapshot>,
+    /// Distance of the error at the end of that target from the median of the last targets.
+    last_distance: f64,
 }
 
 impl RunStatistics {
@@ -98,9 +104,11 @@ impl RunStatistics {
             until: length,
             last_error: 0.0,
             exploration_loss: plan.exploration_loss(),
+            targets: TargetStatistics::new(plan),
             switch: Switch::default(),
             first: Vec::with_capacity(SWITCH_TICKS),
             last: Vec::with_capacity(SWITCH_TICKS),
+            last_distance: f64::INFINITY,
         }
     }
 
@@ -117,6 +125,9 @@ impl RunStatistics {
             let sums = &mut self.current;
             sums.ticks += 1;
             sums.loss -= f64::from(observation.reward);
+            if let Some(targets) = &mut self.targets {
+                targets.observe(-f64::from(observation.reward));
+            }
             if let Some(index) = self.error {
                 self.last_error = f64::from(observation.measures[index]);
                 sums.squares += self.last_error * self.last_error;
@@ -126,10 +137,39 @@ impl RunStatistics {
                 }
             }
         }
+        if flags & flag::NEW_TARGET != 0 {
+            self.end_target(observation.header.tick);
+        }
         if let Some(switch) = self.switch.observe(observation) {
             let recorded = if self.first.is_empty() { &mut self.first } else { &mut self.last };
-            recorded.clear();
-            recorded.extend_from_slice(switch);
+            // Until the end of a target shows whether its switch is typical, any switch is better than none.
+            if recorded.is_empty() || self.targets.is_none() {
+                recorded.clear();
+                recorded.extend_from_slice(switch);
+            }
+        }
+    }
+
+    /// Ends the target before the one that begins with `tick`. Its switch replaces the recorded one unless the
+    /// recorded one belongs to one of the last targets, and its error at the end is nearer to the median of the
+    /// last targets.
+    fn end_target(&mut self, tick: u64) {
+        let Some(targets) = &mut self.targets else { return };
+        let error = if self.error.is_some() { self.last_error } else { f64::NAN };
+        let Some(end_error) = targets.begin(tick, error) else { return };
+        let switch = &self.switch.snapshots;
+        let is_first = switch.first().map(|s| s.tick) == self.first.first().map(|s| s.tick);
+        if switch.len() < SWITCH_TICKS || is_first {
+            return;
+        }
+        let distance = (end_error - targets.median_end_error()).abs();
+        let recent = self.last.first().is_some_and(|s| targets.is_recent(s.tick));
+        // An error that is not a number is never nearer: then the newest switch is recorded.
+        let nearer = recent && self.last_distance < distance;
+        if !nearer {
+            self.last.clear();
+            self.last.extend_from_slice(switch);
+            self.last_distance = distance;
         }
     }
 
@@ -169,11 +209,30 @@ impl RunStatistics {
         }
     }
 
-    /// The windows, and the inputs around the first and the last complete target switch.
-    pub fn finish(mut self) -> (Vec<Window>, Vec<Snapshot>, Vec<Snapshot>) {
+    /// Ends the statistics after `done` ticks.
+    pub fn finish(mut self, done: u64) -> FinishedStatistics {
         self.close();
-        (self.windows, self.first, self.last)
+        FinishedStatistics {
+            windows: self.windows,
+            first_switch: self.first,
+            last_switch: self.last,
+            targets: self.targets.map_or_else(Vec::new, |targets| targets.finish(done)),
+        }
     }
+}
+
+/// The statistics of a whole run.
+#[derive(Debug, Clone)]
+pub struct FinishedStatistics {
+    /// Losses and errors by window.
+    pub windows: Vec<Window>,
+    /// Inputs around the first complete target switch.
+    pub first_switch: Vec<Snapshot>,
+    /// Inputs around a late target switch. With an arm: the switch to the target whose error at its end was, when it
+    /// ended, nearest to the median of the last targets. Otherwise: the last complete switch.
+    pub last_switch: Vec<Snapshot>,
+    /// Results of single targets around the ticks of the summary; empty without an arm.
+    pub targets: Vec<TargetsAround>,
 }
 
 /// Limit on windows read from a saved state: more than any run has.
@@ -228,5 +287,9 @@ impl Persist for RunStatistics {
         visit_snapshots(visitor, ["switch", "switch_inputs"], &mut self.switch.snapshots);
         visit_snapshots(visitor, ["first", "first_inputs"], &mut self.first);
         visit_snapshots(visitor, ["last", "last_inputs"], &mut self.last);
+        visitor.number("last_distance", &mut self.last_distance);
+        if let Some(targets) = &mut self.targets {
+            visitor.nested("targets", targets);
+        }
     }
 }

@@ -1,10 +1,11 @@
 //! Checks of `[plant.emulator]`, the properties of an emulated chain of servos. By default the chain is ideal:
 //! it follows any commanded speed, without delay, noise or faults.
 
+use tectum_servo::model::MODELS;
+
 use super::check::{number, show};
 use super::error::{Violation, quoted};
 use super::{EmulatorConfig, ServoFault, ServoFaultKind, limits};
-use crate::servo::model::MODELS;
 
 /// Checks ranges and the model's name.
 pub(super) fn check(emulator: &EmulatorConfig) -> Result<(), Violation> {

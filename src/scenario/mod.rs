@@ -121,6 +121,12 @@ impl Plan {
     pub fn encoder(&self) -> Encoder {
         Encoder::new(&self.maps, self.scenario.encoder.normalise).with_scalars(&self.scalars)
     }
+
+    /// The arm, if it is the simulator's: another program's arm is only known from its samples.
+    pub fn simulated_arm(&self) -> Option<&ArmConfig> {
+        let plant = &self.scenario.plant;
+        plant.arm.as_ref().filter(|_| crate::programs::is_simulator(&plant.program))
+    }
 }
 
 impl Scenario {

@@ -1,11 +1,11 @@
 //! `[plant.servos]`: a chain of serial-bus servos in place of the simulated arm, and the checks of the table.
 
 use serde::{Deserialize, Serialize};
+use tectum_servo::model::Protocol;
 
 use super::check::{number, show};
 use super::error::{Violation, quoted};
 use super::{ArmConfig, PlantConfig, limits};
-use crate::servo::model::Protocol;
 
 /// `[plant.servos]`: the bus, the joints on it, and the limits at which torque is switched off.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::log::{LogError, LogRecord, RunLog};
+use crate::report::ReportError;
 use crate::report::film::{
     EARLY_REACHES, Film, FilmPanel, LATE_REACHES, ReachSelector, RecordedReach, SelectedReaches, centimetres, seconds,
 };
-use crate::report::{ReportError, columns, thousands};
 use crate::runtime::Snapshot;
 use crate::scenario::{ArmConfig, Plan, Scenario, ScenarioError};
 use crate::supervise::{RunProgress, body_changes, reach};
+use crate::text::{columns, thousands};
 use crate::wire::{Observation, flag};
 
 /// Why there is no film of a log.
@@ -138,7 +139,7 @@ pub fn film(segments: &[PathBuf], progress: bool) -> Result<Film, FilmError> {
     }
     let period_s = plan.period_ns as f64 / 1e9;
     let changes = body_changes(arm);
-    let mut selector = ReachSelector::new(period_s, changes.iter().map(|(tick, _)| *tick).collect());
+    let mut selector = ReachSelector::new(period_s, changes.iter().map(|change| change.tick).collect());
     let mut recorder = ReachRecorder::new(&plan, arm);
     let mut ticks = 0;
     let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, progress);
@@ -224,8 +225,8 @@ fn compose(plan: &Plan, arm: &ArmConfig, selected: SelectedReaches) -> Film {
         let from = reach.reach.from;
         let blocked: Vec<usize> =
             arm.block.iter().filter(|block| block.tick <= from).map(|block| block.joint).collect();
-        let last_change = body_changes(arm).into_iter().rfind(|(tick, _)| *tick <= from);
-        let remark = last_change.map(|(tick, what)| format!("{what} at {}", seconds(tick as f64 * period_s)));
+        let last_change = body_changes(arm).into_iter().rfind(|change| change.tick <= from);
+        let remark = last_change.map(|c| format!("{} at {}", c.label, seconds(c.tick as f64 * period_s)));
         FilmPanel { caption: caption.to_owned(), remark: remark.unwrap_or_default(), blocked, reach }
     };
     let late = match selected.changed {

@@ -9,8 +9,6 @@ pub mod analyse;
 pub mod compare;
 mod error;
 pub mod film;
-mod noiseless;
-pub mod reference;
 pub mod replay;
 pub mod reproduce;
 mod text;

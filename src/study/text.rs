@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use super::error::{StudyError, write_file};
-use crate::report::{figures, thousands};
 use crate::stats::Spread;
+use crate::text::{figures, thousands};
 
 /// Cells of a table's row.
 pub(super) fn cells<const N: usize>(words: [&str; N]) -> Vec<String> {

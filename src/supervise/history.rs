@@ -1,9 +1,11 @@
-//! From the controller's account to what table and figure show: windows put together, postures from angles.
+//! From the controller's report to what table and figure show: windows put together, postures from angles.
 
+use super::evaluation::{PhaseTests, TestResult};
 use crate::plant::posture;
-use crate::report::{Reach, RunHistory, Window};
+use crate::report::{OptimumSpan, Reach, RunHistory, TestPoint};
 use crate::runtime::{ControllerReport, Mode, Snapshot};
 use crate::scenario::{ArmConfig, MirrorAxis, Plan};
+use crate::stats::Window;
 
 /// Part of the run that the first and the last window of the table take.
 const SHARE: u64 = 20;
@@ -14,8 +16,8 @@ pub(super) fn ends(windows: &[Window]) -> Option<[Window; 2]> {
     Some([merge(windows.iter(), total)?, merge(windows.iter().rev(), total)?])
 }
 
-/// Merges windows of a run of `total` ticks from the front of `windows` until they hold its twentieth and the end of a
-/// target, but no more than half of the run.
+/// Merges windows of a run of `total` ticks from the front of `windows` until they hold its twentieth and the
+/// end of a target, but no more than half of the run.
 fn merge<'a>(windows: impl Iterator<Item = &'a Window>, total: u64) -> Option<Window> {
     let mut sum: Option<Window> = None;
     for w in windows {
@@ -28,37 +30,67 @@ fn merge<'a>(windows: impl Iterator<Item = &'a Window>, total: u64) -> Option<Wi
     sum
 }
 
-/// The story that the figure tells.
-pub(super) fn history(plan: &Plan, mode: Mode, controller: ControllerReport) -> RunHistory {
+/// What the figure shows of a run.
+pub(super) fn history(plan: &Plan, mode: Mode, controller: ControllerReport, phases: &[PhaseTests]) -> RunHistory {
     let scenario = &plan.scenario;
     let arm = scenario.plant.arm.as_ref();
     let reach = |switch: &[Snapshot]| arm.and_then(|arm| reach(arm, switch));
-    let marks = arm.map_or_else(Vec::new, body_changes);
+    let done = controller.ticks + controller.unseen;
+    let events = arm.map_or_else(Vec::new, body_changes).into_iter().filter(|event| event.tick < done);
+    let tests = phases.iter().flat_map(|phase| &phase.tests);
+    let optimum = phases.iter().filter_map(|phase| {
+        let TestResult { error_m, loss } = phase.optimum?;
+        Some(OptimumSpan { from: phase.from, until: phase.until, error: error_m, loss })
+    });
     RunHistory {
         title: format!("{}, {}, seed {}", scenario.name, mode.name(), scenario.seed),
         unit: if arm.is_some() { "m".to_owned() } else { String::new() },
         period_s: plan.period_ns as f64 / 1e9,
-        marks: marks.into_iter().filter(|(tick, _)| *tick < controller.ticks + controller.unseen).collect(),
+        marks: events.map(|event| (event.tick, event.label)).collect(),
         first_reach: reach(&controller.first_switch),
         last_reach: reach(&controller.last_switch),
         windows: controller.windows,
+        tests: tests.map(|(tick, result)| TestPoint { tick: *tick, error: result.error_m }).collect(),
+        optimum: optimum.collect(),
     }
 }
 
-/// The changes of the body and of what is reported of the target, in the order of their ticks.
-pub(crate) fn body_changes(arm: &ArmConfig) -> Vec<(u64, String)> {
-    let blocks = arm.block.iter().map(|b| (b.tick, format!("joint {} blocked", b.joint)));
-    let lengths = arm.shorten.iter().map(|s| (s.tick, format!("segment {} now {} m", s.segment, s.length)));
+/// A change of the arm, in words.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct ArmEvent {
+    /// First tick with it.
+    pub tick: u64,
+    /// For a figure: `joint 3 blocked`.
+    pub label: String,
+    /// After "after": `joint 3 blocked`.
+    pub clause: String,
+    /// After "the": `block`.
+    pub noun: &'static str,
+}
+
+/// The changes of the arm, in the order of their ticks.
+pub(crate) fn body_changes(arm: &ArmConfig) -> Vec<ArmEvent> {
+    let blocks = arm.block.iter().map(|b| {
+        let label = format!("joint {} blocked", b.joint);
+        ArmEvent { tick: b.tick, clause: label.clone(), label, noun: "block" }
+    });
+    let lengths = arm.shorten.iter().map(|s| ArmEvent {
+        tick: s.tick,
+        label: format!("segment {} now {} m", s.segment, s.length),
+        clause: format!("segment {} became {} m long", s.segment, s.length),
+        noun: "change of length",
+    });
     let mirrors = arm.mirror.iter().map(|m| {
         let axis = match m.axis {
             MirrorAxis::X => "x",
             MirrorAxis::Y => "y",
         };
-        (m.tick, format!("{axis} mirrored"))
+        let (label, clause) = (format!("{axis} mirrored"), format!("{axis} was mirrored"));
+        ArmEvent { tick: m.tick, label, clause, noun: "mirroring" }
     });
-    let mut marks: Vec<_> = blocks.chain(lengths).chain(mirrors).collect();
-    marks.sort_by_key(|(tick, _)| *tick);
-    marks
+    let mut events: Vec<_> = blocks.chain(lengths).chain(mirrors).collect();
+    events.sort_by_key(|event| event.tick);
+    events
 }
 
 /// The reach of a whole target switch; `None` where there was none, as in an open loop.
@@ -104,11 +136,5 @@ mod tests {
         let [first, last] = ends(&windows).unwrap();
         assert_eq!((first.from, first.ticks, first.ends), (0, 80, 1));
         assert_eq!((last.from, last.ticks, last.ends), (380, 20, 1));
-    }
-
-    #[test]
-    fn windows_without_an_end_do_not_dilute_those_with_one() {
-        let both = window(0, 1.0, None).and(&window(10, 3.0, Some(0.5)));
-        assert_eq!((both.loss, both.end_error, both.ends), (2.0, Some(0.5), 1));
     }
 }

@@ -6,8 +6,11 @@ use super::summary::{RunOutcome, RunSummary};
 use super::{Launch, LaunchError};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::plant::SimulatedPlant;
-use crate::runtime::in_process;
+use crate::runtime::{PolicySnapshot, SnapshotSchedule, in_process_with_observer};
 use crate::scenario::Plan;
+
+/// Ticks between two checks for signals and updates of the progress line.
+const CHECK_EVERY: u64 = 4096;
 
 /// Runs a scenario with plant and controller in this process. The numbers are those of lockstep; there is no log.
 ///
@@ -22,17 +25,30 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     folder.keep();
     let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, launch.progress);
     let began = monotonic_ns();
-    let result = in_process(plan, plant, |tick, statistics| {
-        progress.show_study(tick, statistics.now());
+    let due = SnapshotSchedule::of(plan).map_or_else(Vec::new, |schedule| schedule.due().to_vec());
+    let mut snapshots: Vec<PolicySnapshot> = Vec::new();
+    let result = in_process_with_observer(plan, plant, |observation, controller| {
+        let tick = observation.header.tick;
+        if due.get(snapshots.len()) == Some(&tick) {
+            snapshots.push(PolicySnapshot { tick, policy: controller.policy().clone() });
+        }
+        if !tick.is_multiple_of(CHECK_EVERY) {
+            return true;
+        }
+        progress.show_study(tick, controller.statistics().now());
         signals.received() == 0
     });
+    let end = result.controller.ticks;
+    if !due.is_empty() && snapshots.last().is_none_or(|last| last.tick < end) {
+        snapshots.push(PolicySnapshot { tick: end, policy: result.policy.clone() });
+    }
     let seconds = (monotonic_ns() - began) as f64 / 1e9;
     progress.clear();
     let ended = match signals.received() {
         0 => RunOutcome::Complete,
         number => RunOutcome::Signal(number),
     };
-    Ok(RunSummary::of_study(launch, folder.path(), ended, result, seconds))
+    Ok(RunSummary::of_study(launch, folder.path(), ended, (result, snapshots), seconds))
 }
 
 /// The simulated plant of a scenario.

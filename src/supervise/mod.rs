@@ -8,15 +8,18 @@
 
 mod children;
 mod error;
+mod evaluation;
 mod fault_injector;
 mod folder;
 mod history;
 mod in_process;
+mod learning_progress;
 mod progress;
 mod progress_line;
 mod restarts;
 mod resume;
 mod summary;
+mod summary_text;
 mod supervisor;
 
 pub use error::LaunchError;
@@ -38,7 +41,7 @@ use supervisor::Supervisor;
 use crate::channel::{DomainName, RunServices, remove_stale_domains};
 use crate::clock::{RealtimeRefusal, TerminationSignals, monotonic_ns, wall_ns};
 use crate::process::print_error_line;
-use crate::runtime::{Mode, ResumePoint, RunManifest, WireManifest, identity, read_realtime};
+use crate::runtime::{Mode, ResumePoint, RunManifest, WireManifest, identity, read_realtime, snapshot_path};
 use crate::scenario::Plan;
 use crate::wire::{Control, Role};
 
@@ -96,6 +99,10 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let mut supervisor = Supervisor::new(launch, services, children, signals, progress, domain);
     supervisor.set_up(launch)?;
     folder.keep();
+    if let Some(resumed) = &launch.resumed {
+        // The policies of the part before. Best effort: without them the summary knows less.
+        let _ = std::fs::copy(snapshot_path(&resumed.from), snapshot_path(folder.path()));
+    }
     if launch.mode == Mode::Realtime {
         warn_of_refusals(folder.path());
     }

@@ -8,8 +8,8 @@ use crate::channel::RunServices;
 use crate::clock::monotonic_ns;
 use crate::process::print_error_line;
 use crate::programs;
-use crate::report::thousands;
 use crate::runtime::Mode;
+use crate::text::thousands;
 use crate::wire::Role;
 
 /// How often the line is redrawn, ns.

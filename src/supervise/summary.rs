@@ -1,27 +1,29 @@
-//! What a run's end tells: one object for programs, a table and a figure for people.
+//! The summary of a run: one object for programs, a table and a figure for people.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use super::Launch;
 use super::children::ProcessFailure;
+use super::evaluation::evaluate;
 use super::history::{ends, history};
+use super::learning_progress::{reached, rows};
 use super::restarts::RestartIncident;
 use super::supervisor::RunEnd;
 use crate::clock::RealtimeReport;
 use crate::log;
-use crate::report::{self, RunHistory, Window, thousands};
+use crate::report::{self, ProgressRow, Reached, RunHistory};
 use crate::runtime::{
-    ControllerReport, InProcess, LoggerReport, Mode, PlantReport, TickBudget, exit, read_realtime, read_report,
-    remove_unwritten_reports,
+    ControllerReport, InProcess, LoggerReport, Mode, PlantReport, PolicySnapshot, TickBudget, exit, read_realtime,
+    read_report, read_snapshots, remove_unwritten_reports,
 };
-use crate::stats::Percentiles;
+use crate::stats::{Percentiles, Window};
+use crate::text::thousands;
 use crate::wire::Role;
 
 /// How a run ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RunOutcome {
     /// After its last tick.
@@ -29,6 +31,7 @@ pub enum RunOutcome {
     /// By a signal.
     Signal(u32),
     /// Because a process failed.
+    #[default]
     Failed,
 }
 
@@ -59,8 +62,8 @@ pub struct ProcessRealtime {
     pub report: RealtimeReport,
 }
 
-/// Everything that a run tells.
-#[derive(Debug, Clone, Serialize)]
+/// Everything that is reported of a run.
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct RunSummary {
     /// The scenario's name.
     pub scenario: String,
@@ -116,8 +119,16 @@ pub struct RunSummary {
     pub first: Option<WindowSummary>,
     /// The last twentieth.
     pub last: Option<WindowSummary>,
-    /// Real time: from a tick's scheduled instant to its sensing, us; of a run without a logger's report, to the plant's
-    /// waking up.
+    /// How far the learner got, tested without noise and as observed; empty where the plant is not the
+    /// simulator's arm.
+    pub progress: Vec<ProgressRow>,
+    /// How soon it reached its targets, at the beginning and after each change of the arm; empty where that
+    /// is unknown.
+    pub reached: Vec<Reached>,
+    /// The same as a sentence.
+    pub reached_text: Option<String>,
+    /// Real time: from a tick's scheduled instant to its sensing, us; of a run without a logger's report, to
+    /// the plant's waking up.
     pub wake_up_lateness_us: Option<Percentiles>,
     /// Real time: from sensing to the sending of the command, us.
     pub observation_to_command_us: Option<Percentiles>,
@@ -125,7 +136,8 @@ pub struct RunSummary {
     pub command_to_applied_us: Option<Percentiles>,
     /// Real time: how the ticks were spent; null in lockstep, where there is no time to spend.
     pub tick_budget: Option<TickBudget>,
-    /// Real time: what each process asked of the operating system, what it had and what it was refused; empty otherwise.
+    /// Real time: what each process asked of the operating system, what it had and what it was refused; empty
+    /// otherwise.
     pub realtime: Vec<ProcessRealtime>,
     /// Processes that died or hung and were started again, in order.
     pub restarts: Vec<RestartIncident>,
@@ -153,15 +165,32 @@ pub struct RunSummary {
     checkpoint_failure: Option<String>,
     #[serde(skip)]
     code: u8,
+    /// First and last window.
     #[serde(skip)]
-    windows: Option<[Window; 2]>,
+    pub(super) windows: Option<[Window; 2]>,
     #[serde(skip)]
-    history: Option<RunHistory>,
+    pub(super) history: Option<RunHistory>,
+    /// Real time: from the plant's waking up to its observation's being sent.
+    #[serde(skip)]
+    plant_work_us: Option<Percentiles>,
+}
+
+impl WindowSummary {
+    fn of(window: &Window) -> Self {
+        Self {
+            from: window.from,
+            ticks: window.ticks,
+            loss: window.loss,
+            loss_without_noise: window.loss_without_noise(),
+            rms_error_m: window.rms_error(),
+            end_error_m: window.end_error,
+        }
+    }
 }
 
 impl RunSummary {
-    /// The summary of a run of processes, from what they left in its folder; for one that left nothing, from what its
-    /// board said last.
+    /// The summary of a run of processes, from what they left in its folder; for one that left nothing, from
+    /// what its status board showed last.
     pub(super) fn of_run(launch: &Launch, folder: &Path, end: RunEnd, seconds: f64) -> Self {
         let RunEnd { ended, failure, incidents, boards, .. } = end;
         let board = &boards[Role::Plant as usize];
@@ -175,26 +204,13 @@ impl RunSummary {
         let controller: Option<ControllerReport> = read_report(folder, Role::Controller);
         let logger: LoggerReport = read_report(folder, Role::Logger).unwrap_or_default();
         remove_unwritten_reports(folder);
-        let mut summary = Self::new(launch, folder, ended, seconds, &plant, controller);
+        let mut summary = Self::new(launch, folder, ended, seconds);
+        summary.add_plant(&plant);
+        summary.add_controller(launch, controller, &read_snapshots(folder, &launch.plan));
         summary.restarts = incidents;
-        let realtime_of =
-            |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
-        summary.realtime = Role::ALL.into_iter().filter_map(realtime_of).collect();
-        let mut segments = log::segments(folder);
-        summary.log_bytes = segments.iter().filter_map(|log| Some(std::fs::metadata(log).ok()?.len())).sum();
-        summary.log_segments = segments.len();
-        summary.log = if segments.len() > 1 { Some(folder.to_owned()) } else { segments.pop() };
-        summary.log_missing_from = logger.missing_from;
-        // The logger's counts include those of restarted plants and controllers.
-        for (told, counted) in [
-            (&mut summary.wake_up_lateness_us, logger.wake_up_lateness),
-            (&mut summary.observation_to_command_us, logger.observation_to_command),
-            (&mut summary.command_to_applied_us, logger.command_to_applied),
-        ] {
-            *told = counted.or(*told);
-        }
-        summary.lost_by_channel = logger.lost;
-        summary.lost = logger.lost.iter().sum();
+        let report = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
+        summary.realtime = Role::ALL.into_iter().filter_map(report).collect();
+        summary.add_log(folder, &logger);
         if let Some(ProcessFailure { code, message, .. }) = failure {
             summary.failure = Some(message);
             if ended == RunOutcome::Failed {
@@ -210,99 +226,112 @@ impl RunSummary {
         summary
     }
 
-    /// The summary of a run in one process.
-    pub(super) fn of_study(launch: &Launch, folder: &Path, ended: RunOutcome, result: InProcess, seconds: f64) -> Self {
-        let mut summary = Self::new(launch, folder, ended, seconds, &result.plant, Some(result.controller));
+    /// The summary of a run in one process, with the policies that were copied on the way.
+    pub(super) fn of_study(
+        launch: &Launch,
+        folder: &Path,
+        ended: RunOutcome,
+        (result, snapshots): (InProcess, Vec<PolicySnapshot>),
+        seconds: f64,
+    ) -> Self {
+        let mut summary = Self::new(launch, folder, ended, seconds);
+        summary.add_plant(&result.plant);
+        summary.add_controller(launch, Some(result.controller), &snapshots);
         summary.conclude();
         summary
     }
 
-    fn new(
-        launch: &Launch,
-        folder: &Path,
-        ended: RunOutcome,
-        seconds: f64,
-        plant: &PlantReport,
-        controller: Option<ControllerReport>,
-    ) -> Self {
-        let plan = &launch.plan;
-        let ticks = controller.as_ref().map_or(plant.ticks, |c| c.ticks + c.unseen);
-        let windows = controller.as_ref().and_then(|c| ends(&c.windows));
-        let span = |w: &Window| WindowSummary {
-            from: w.from,
-            ticks: w.ticks,
-            loss: w.loss,
-            loss_without_noise: w.loss_without_noise(),
-            rms_error_m: w.rms_error(),
-            end_error_m: w.end_error,
-        };
-        let (first, last) = match &windows {
-            Some([first, last]) => (Some(span(first)), Some(span(last))),
-            None => (None, None),
-        };
+    /// What the launcher knows of a run that is over; nothing of what its processes reported.
+    fn new(launch: &Launch, folder: &Path, ended: RunOutcome, seconds: f64) -> Self {
+        let scenario = &launch.plan.scenario;
         Self {
-            scenario: plan.scenario.name.clone(),
+            scenario: scenario.name.clone(),
             mode: launch.mode,
-            seed: plan.scenario.seed,
+            seed: scenario.seed,
             ended,
-            ticks,
-            ticks_planned: plan.scenario.ticks,
+            ticks_planned: scenario.ticks,
             resumed_at: launch.resumed.as_ref().map(|resumed| resumed.tick),
             seconds,
-            ticks_per_second: ticks.saturating_sub(launch.resumed.as_ref().map_or(0, |r| r.tick)) as f64
-                / seconds.max(1e-9),
-            missed: plant.missed,
-            late: plant.late,
-            skipped: plant.skipped,
-            clamped: plant.clamped,
-            step_limited: plant.step_limited,
-            position_limited: plant.position_limited,
-            ramped: plant.ramped,
-            non_finite: plant.non_finite,
-            unheard: controller.as_ref().map_or(0, |c| c.unheard),
-            stale: controller.as_ref().map_or(0, |c| c.stale),
-            lost: 0,
-            lost_by_channel: [0; 3],
-            weights_hash: controller.as_ref().map(|c| c.weights_hash.clone()),
-            diverged_at: controller.as_ref().and_then(|c| c.diverged_at),
-            loss_per_tick: last.as_ref().map(|s| s.loss),
-            end_error_m: last.as_ref().and_then(|s| s.end_error_m),
-            first,
-            last,
-            wake_up_lateness_us: plant.wake_up,
-            observation_to_command_us: plant.observation_to_command,
-            command_to_applied_us: None,
-            tick_budget: controller
-                .as_ref()
-                .and_then(|c| c.tick_budget)
-                .map(|budget| TickBudget { plant_us: plant.work, ..budget }),
-            realtime: Vec::new(),
-            restarts: Vec::new(),
             folder: folder.to_owned(),
-            log: None,
-            log_segments: 0,
-            log_missing_from: None,
-            log_bytes: 0,
-            log_every: plan.scenario.log.every,
-            figure: None,
-            faults: plan.scenario.faults.in_words(),
-            warnings: plan.warnings.clone(),
-            failure: None,
-            checkpoint_failure: plant
-                .checkpoint_failure
-                .clone()
-                .or(controller.as_ref().and_then(|c| c.checkpoint_failure.clone())),
+            log_every: scenario.log.every,
+            faults: scenario.faults.in_words(),
+            warnings: launch.plan.warnings.clone(),
             code: match ended {
                 RunOutcome::Complete => exit::OK,
                 RunOutcome::Signal(number) => exit::by_signal(number),
                 RunOutcome::Failed => exit::PROCESS,
             },
-            windows,
-            history: controller.map(|c| history(plan, launch.mode, c)),
+            ..Self::default()
         }
     }
 
-    /// Says what is wrong with a run that came to its end, draws the figure and leaves the summary in the run's folder.
+    fn add_plant(&mut self, plant: &PlantReport) {
+        self.ticks = plant.ticks;
+        self.missed = plant.missed;
+        self.late = plant.late;
+        self.skipped = plant.skipped;
+        self.clamped = plant.clamped;
+        self.step_limited = plant.step_limited;
+        self.position_limited = plant.position_limited;
+        self.ramped = plant.ramped;
+        self.non_finite = plant.non_finite;
+        self.wake_up_lateness_us = plant.wake_up;
+        self.observation_to_command_us = plant.observation_to_command;
+        self.plant_work_us = plant.work;
+        self.checkpoint_failure = plant.checkpoint_failure.clone();
+    }
+
+    /// What the controller reported, if it did, and the tests of its policies. After the plant's report:
+    /// where the two count the same, the controller's number is the run's.
+    fn add_controller(&mut self, launch: &Launch, report: Option<ControllerReport>, snapshots: &[PolicySnapshot]) {
+        if let Some(controller) = report {
+            self.ticks = controller.ticks + controller.unseen;
+            self.unheard = controller.unheard;
+            self.stale = controller.stale;
+            self.weights_hash = Some(controller.weights_hash.clone());
+            self.diverged_at = controller.diverged_at;
+            self.tick_budget =
+                controller.tick_budget.map(|budget| TickBudget { plant_us: self.plant_work_us, ..budget });
+            self.checkpoint_failure = self.checkpoint_failure.take().or(controller.checkpoint_failure.clone());
+            self.windows = ends(&controller.windows);
+            if let Some([first, last]) = &self.windows {
+                self.first = Some(WindowSummary::of(first));
+                self.last = Some(WindowSummary::of(last));
+                self.loss_per_tick = Some(last.loss);
+                self.end_error_m = last.end_error;
+            }
+            // In real time, ticks that the plant passed over are not among those that the controller counts.
+            let done = self.ticks.max(snapshots.last().map_or(0, |snapshot| snapshot.tick));
+            let phases = evaluate(&launch.plan, done, snapshots).unwrap_or_default();
+            self.progress = rows(&launch.plan, &phases, &controller.targets);
+            self.reached = reached(&launch.plan, &phases);
+            self.reached_text = report::sentence(&self.reached);
+            self.history = Some(history(&launch.plan, launch.mode, controller, &phases));
+        }
+        let begun = self.ticks.saturating_sub(self.resumed_at.unwrap_or(0));
+        self.ticks_per_second = begun as f64 / self.seconds.max(1e-9);
+    }
+
+    fn add_log(&mut self, folder: &Path, logger: &LoggerReport) {
+        let mut segments = log::segments(folder);
+        self.log_bytes = segments.iter().filter_map(|log| Some(std::fs::metadata(log).ok()?.len())).sum();
+        self.log_segments = segments.len();
+        self.log = if segments.len() > 1 { Some(folder.to_owned()) } else { segments.pop() };
+        self.log_missing_from = logger.missing_from;
+        // The logger's report outlives plants and controllers.
+        for (shown, counted) in [
+            (&mut self.wake_up_lateness_us, logger.wake_up_lateness),
+            (&mut self.observation_to_command_us, logger.observation_to_command),
+            (&mut self.command_to_applied_us, logger.command_to_applied),
+        ] {
+            *shown = counted.or(*shown);
+        }
+        self.lost_by_channel = logger.lost;
+        self.lost = logger.lost.iter().sum();
+    }
+
+    /// Adds what is wrong with a run that came to its end, draws the figure and leaves the summary in the
+    /// run's folder.
     fn conclude(&mut self) {
         if let Some(tick) = self.diverged_at {
             self.complain(
@@ -344,101 +373,5 @@ impl RunSummary {
     /// One JSON object.
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()
-    }
-
-    /// The short report for people.
-    pub fn to_text(&self) -> String {
-        let mut text = String::new();
-        let how = match self.ended {
-            RunOutcome::Complete => String::new(),
-            RunOutcome::Signal(2) => format!(" of {} (interrupted)", thousands(self.ticks_planned)),
-            RunOutcome::Signal(number) => format!(" of {} (ended by signal {number})", thousands(self.ticks_planned)),
-            RunOutcome::Failed => format!(" of {} (failed)", thousands(self.ticks_planned)),
-        };
-        let from = self.resumed_at.map_or(String::new(), |tick| format!(", the last from {} on,", thousands(tick)));
-        let _ = writeln!(
-            text,
-            "{}, {}, seed {}: {} ticks{how}{from} in {:.1} s, {} ticks/s",
-            self.scenario,
-            self.mode.name(),
-            self.seed,
-            thousands(self.ticks),
-            self.seconds,
-            thousands(self.ticks_per_second.round() as u64),
-        );
-        if let (Some(history), Some([first, last])) = (&self.history, &self.windows) {
-            let windows = vec![first.clone(), last.clone()];
-            let _ = write!(text, "\n{}\n", report::table(&RunHistory { windows, ..history.clone() }));
-        }
-        let _ =
-            writeln!(text, "missed {}  late {}  lost {}  limited {}", self.missed, self.late, self.lost, self.clamped);
-        // Only what happened.
-        let mut row = |label: &str, counts: &[(&str, u64)]| {
-            let happened: Vec<_> =
-                counts.iter().filter(|(_, n)| *n > 0).map(|(what, n)| format!("{what} {n}")).collect();
-            if !happened.is_empty() {
-                let _ = writeln!(text, "{label:<23} {}", happened.join("  "));
-            }
-        };
-        row(
-            "gate",
-            &[
-                ("by step", self.step_limited),
-                ("by position", self.position_limited),
-                ("by ramp", self.ramped),
-                ("not a number", self.non_finite),
-            ],
-        );
-        row("heard", &[("nothing", self.unheard), ("too late", self.stale)]);
-        for fault in &self.faults {
-            let _ = writeln!(text, "{:<23} {fault}", "fault, on purpose");
-        }
-        for role in Role::ALL {
-            let back: Vec<_> = self.restarts.iter().filter(|incident| incident.process == role.name()).collect();
-            if let Some(last) = back.last() {
-                let times = if back.len() == 1 { "once".to_owned() } else { format!("{} times", back.len()) };
-                let _ =
-                    writeln!(text, "{:<23} {times}; at last {}", format!("started again, {}", role.name()), last.what);
-            }
-        }
-        for (label, percentiles) in [
-            ("wake-up lateness", &self.wake_up_lateness_us),
-            ("observation to command", &self.observation_to_command_us),
-            ("command to applied", &self.command_to_applied_us),
-        ] {
-            if let Some(p) = percentiles {
-                let _ = writeln!(
-                    text,
-                    "{label:<23} p50 {:.0} us  p99 {:.0} us  p99.9 {:.0} us  max {:.0} us",
-                    p.p50, p.p99, p.p999, p.max
-                );
-            }
-        }
-        if let Some(budget) = &self.tick_budget {
-            let _ = writeln!(text, "{:<23} {}", "tick budget", budget.to_text(24));
-        }
-        // Only where something was asked for or refused: otherwise all are as they always are.
-        if self.realtime.iter().any(|r| !r.report.is_usual()) {
-            for ProcessRealtime { process, report } in &self.realtime {
-                let _ = writeln!(text, "{:<23} {}", format!("real time, {process}"), report.to_text());
-            }
-        }
-        if let Some(hash) = &self.weights_hash {
-            let _ = writeln!(text, "weights {hash}");
-        }
-        if let Some(log) = &self.log {
-            let every = match self.log_every {
-                1 => String::new(),
-                n => format!(", every {n}th tick"),
-            };
-            let segments =
-                if self.log_segments > 1 { format!(", {} segments", self.log_segments) } else { String::new() };
-            let _ =
-                writeln!(text, "log     {} ({:.1} MB{segments}{every})", log.display(), self.log_bytes as f64 / 1e6);
-        }
-        if let Some(figure) = &self.figure {
-            let _ = writeln!(text, "figure  {}", figure.display());
-        }
-        text
     }
 }

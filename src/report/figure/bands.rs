@@ -32,8 +32,8 @@ const BOTTOM_LABELS: u32 = 44;
 const LEGEND_HEIGHT: u32 = 26;
 
 impl Band {
-    /// The band of several runs' curves, which have their points at the same x. Runs that are shorter are left out where
-    /// they have ended.
+    /// The band of several runs' curves, which have their points at the same x. Runs that are shorter are
+    /// left out where they have ended.
     pub fn of(name: &str, colour: RGBColor, curves: &[Polyline]) -> Self {
         let longest = curves.iter().max_by_key(|c| c.len()).map(Vec::as_slice).unwrap_or_default();
         let point = |(i, &(x, _)): (usize, &(f64, f64))| {

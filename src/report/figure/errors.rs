@@ -22,10 +22,10 @@ pub struct ErrorFigure {
 /// One panel.
 #[derive(Debug, Clone)]
 pub struct ErrorPanel {
-    /// What stands above it.
+    /// Title above it.
     pub name: String,
-    /// Curves with their names: run by run, points of millions of trials and mean error. The first is drawn in red, the
-    /// second in blue, as in the paper.
+    /// Curves with their names: run by run, points of millions of trials and mean error. The first is drawn
+    /// in red, the second in blue, as in the paper.
     pub curves: Vec<(String, Vec<Polyline>)>,
 }
 

@@ -1,11 +1,12 @@
-//! Learning curves: how the loss falls with experience, for several learners over several seeds, both axes logarithmic.
+//! Learning curves: how the loss falls with experience, for several learners over several seeds, both axes
+//! logarithmic.
 //!
-//! The first panel shows the learning from the beginning; below it stands one panel for what came after each change. A
-//! line is the median over seeds, the band around it reaches from the best to the worst; a learner has one colour in all
-//! panels. Dashed lines across are for scale.
+//! The first panel shows the learning from the beginning; below it stands one panel for what came after each
+//! change. A line is the median over seeds, the band around it reaches from the best to the worst; a learner
+//! has one colour in all panels. Dashed lines across are for scale.
 
 use super::*;
-use crate::report::thousands;
+use crate::text::thousands;
 
 const WIDTH: u32 = 940;
 const FIRST_HEIGHT: u32 = 400;
@@ -146,102 +147,158 @@ fn colour(curve: &LearnerCurve) -> RGBColor {
     COLOURS.get(curve.colour).copied().unwrap_or(GREY)
 }
 
-fn panel(panel: &LearningPanel, (low, high): (f64, f64), area: &Area) -> Result<(), ReportError> {
-    let ticks = || panel.curves.iter().flat_map(|c| &c.points).map(|p| p.ticks.max(1));
-    let first = ticks().min().unwrap_or(1) as f64;
-    let last = (ticks().max().unwrap_or(10) as f64).max(1.5 * first);
-    let (x, y) = ((first.log10(), last.log10()), (low.log10(), high.log10()));
+/// The axes of a panel in an area: logarithms along and up, labelled by hand, because the library's own
+/// logarithmic labels leave out too much.
+struct PanelAxes<'a> {
+    chart: Chart<'a>,
+    area: Area<'a>,
+    /// First and last tick.
+    ticks: (f64, f64),
+    /// Least and largest loss.
+    losses: (f64, f64),
+    /// The plot's edges.
+    left: i32,
+    right: i32,
+    top: i32,
+    bottom: i32,
+}
+
+fn panel(panel: &LearningPanel, losses: (f64, f64), area: &Area) -> Result<(), ReportError> {
     let (title, area) = area.split_vertically(px(PANEL_TITLE));
     let text = anchored(font(13.0, INK), HPos::Left, VPos::Center);
     title.draw(&Text::new(panel.title.clone(), (px(LEFT), px(PANEL_TITLE) / 2), text)).map_err(refused)?;
+    let mut axes = PanelAxes::new(panel, losses, area)?;
+    axes.draw_grid()?;
+    axes.draw_frame(&panel.x)?;
+    axes.draw_lines(&panel.lines)?;
+    axes.draw_bands(&panel.curves)?;
+    axes.draw_curves(&panel.curves)
+}
 
-    let words = |line: &ReferenceLine| format!("{} {:.4}", line.name, line.value);
-    let names = panel.lines.iter().map(|line| words(line).chars().count()).max().unwrap_or(0);
-    // Axes in logarithms, labelled by hand: the library's own logarithmic labels leave out too much.
-    let mut chart = ChartBuilder::on(&area)
-        .margin_left(px(LEFT))
-        .margin_right(px(18 + LETTER * names as u32))
-        .margin_bottom(px(BOTTOM))
-        .margin_top(px(4))
-        .build_cartesian_2d(x.0..x.1, y.0..y.1)
-        .map_err(refused)?;
-    let place = |x: f64, y: f64| {
-        let corner = area.get_pixel_range();
-        let (px_, py_) = chart.plotting_area().map_coordinate(&(x, y));
-        (px_ - corner.0.start, py_ - corner.1.start)
-    };
-    let (left, bottom) = place(x.0, y.0);
-    let (right, top) = place(x.1, y.1);
-    for (value, bold) in losses(low, high) {
-        let at = place(x.0, value.log10()).1;
-        let style = FAINT.mix(if bold { 1.0 } else { 0.55 }).stroke_width(fine(0.8));
-        area.draw(&PathElement::new([(left, at), (right, at)], style)).map_err(refused)?;
-        if bold {
-            let text = anchored(font(12.0, INK), HPos::Right, VPos::Center);
-            area.draw(&Text::new(label(&value), (left - px(7), at), text)).map_err(refused)?;
-        }
+/// What stands beside a line.
+fn words(line: &ReferenceLine) -> String {
+    format!("{} {:.4}", line.name, line.value)
+}
+
+impl<'a> PanelAxes<'a> {
+    fn new(panel: &LearningPanel, (low, high): (f64, f64), area: Area<'a>) -> Result<Self, ReportError> {
+        let ticks = || panel.curves.iter().flat_map(|c| &c.points).map(|p| p.ticks.max(1));
+        let first = ticks().min().unwrap_or(1) as f64;
+        let last = (ticks().max().unwrap_or(10) as f64).max(1.5 * first);
+        let names = panel.lines.iter().map(|line| words(line).chars().count()).max().unwrap_or(0);
+        let chart = ChartBuilder::on(&area)
+            .margin_left(px(LEFT))
+            .margin_right(px(18 + LETTER * names as u32))
+            .margin_bottom(px(BOTTOM))
+            .margin_top(px(4))
+            .build_cartesian_2d(first.log10()..last.log10(), low.log10()..high.log10())
+            .map_err(refused)?;
+        let mut axes =
+            Self { chart, area, ticks: (first, last), losses: (low, high), left: 0, right: 0, top: 0, bottom: 0 };
+        (axes.left, axes.bottom) = axes.place(first.log10(), low.log10());
+        (axes.right, axes.top) = axes.place(last.log10(), high.log10());
+        Ok(axes)
     }
-    for power in 0..=12 {
-        for digit in 1..=9 {
-            let value = f64::from(digit) * 10_f64.powi(power);
-            if !(first..=last).contains(&value) {
-                continue;
+
+    /// Where logarithms of a tick and of a loss lie in the area.
+    fn place(&self, x: f64, y: f64) -> (i32, i32) {
+        let corner = self.area.get_pixel_range();
+        let (right, down) = self.chart.plotting_area().map_coordinate(&(x, y));
+        (right - corner.0.start, down - corner.1.start)
+    }
+
+    fn draw_grid(&self) -> Result<(), ReportError> {
+        let (x, y) = (self.ticks.0.log10(), self.losses.0.log10());
+        for (value, bold) in losses(self.losses.0, self.losses.1) {
+            let at = self.place(x, value.log10()).1;
+            let style = FAINT.mix(if bold { 1.0 } else { 0.55 }).stroke_width(fine(0.8));
+            self.area.draw(&PathElement::new([(self.left, at), (self.right, at)], style)).map_err(refused)?;
+            if bold {
+                let text = anchored(font(12.0, INK), HPos::Right, VPos::Center);
+                self.area.draw(&Text::new(label(&value), (self.left - px(7), at), text)).map_err(refused)?;
             }
-            let at = place(value.log10(), y.0).0;
+        }
+        let values =
+            (0..=12).flat_map(|power| (1..=9).map(move |digit| (f64::from(digit) * 10_f64.powi(power), digit)));
+        for (value, digit) in values.filter(|(value, _)| (self.ticks.0..=self.ticks.1).contains(value)) {
+            let at = self.place(value.log10(), y).0;
             let bold = digit == 1;
             let style = FAINT.mix(if bold { 1.0 } else { 0.55 }).stroke_width(fine(0.8));
-            area.draw(&PathElement::new([(at, top), (at, bottom)], style)).map_err(refused)?;
+            self.area.draw(&PathElement::new([(at, self.top), (at, self.bottom)], style)).map_err(refused)?;
             if bold {
                 let text = anchored(font(12.0, INK), HPos::Center, VPos::Top);
-                area.draw(&Text::new(thousands(value as u64), (at, bottom + px(7)), text)).map_err(refused)?;
+                let number = Text::new(thousands(value as u64), (at, self.bottom + px(7)), text);
+                self.area.draw(&number).map_err(refused)?;
             }
         }
-    }
-    let frame = GREY.stroke_width(fine(1.0));
-    area.draw(&PathElement::new([(left, top), (left, bottom), (right, bottom)], frame)).map_err(refused)?;
-    let text = anchored(font(13.0, INK), HPos::Center, VPos::Top);
-    area.draw(&Text::new(panel.x.clone(), ((left + right) / 2, bottom + px(24)), text)).map_err(refused)?;
-    let text = anchored(font(13.0, INK), HPos::Center, VPos::Top).transform(FontTransform::Rotate270);
-    area.draw(&Text::new("loss a tick", (px(10), (top + bottom) / 2), text)).map_err(refused)?;
-
-    // Names beside the lines, as near as they can stand without standing on each other; the uppermost first.
-    let mut lines: Vec<&ReferenceLine> = panel.lines.iter().filter(|l| (low..=high).contains(&l.value)).collect();
-    lines.sort_by(|a, b| b.value.total_cmp(&a.value));
-    let mut names: Vec<i32> = lines.iter().map(|line| place(x.1, line.value.log10()).1).collect();
-    for i in (0..names.len().saturating_sub(1)).rev() {
-        names[i] = names[i].min(names[i + 1] - px(15));
-    }
-    for (line, name) in lines.iter().zip(names) {
-        let at = place(x.1, line.value.log10()).1;
-        let dashes = DashedPathElement::new(
-            [(left, at), (right, at)],
-            fine(5.0),
-            fine(4.0),
-            INK.mix(0.75).stroke_width(fine(1.0)),
-        );
-        area.draw(&dashes).map_err(refused)?;
-        let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
-        area.draw(&Text::new(words(line), (right + px(7), name), text)).map_err(refused)?;
+        Ok(())
     }
 
-    let inside = |loss: f64| loss.clamp(low, high).log10();
-    let shown = |p: &&CurvePoint| p.middle.is_finite() && p.low.is_finite();
-    for curve in &panel.curves {
-        let at = |p: &CurvePoint, loss: f64| ((p.ticks.max(1) as f64).log10(), inside(loss));
-        let points: Vec<&CurvePoint> = curve.points.iter().filter(shown).collect();
-        // A worst that is no number reaches beyond the top.
-        let high_of = |p: &CurvePoint| if p.high.is_finite() { p.high } else { f64::MAX };
-        let band: Vec<_> =
-            (points.iter().map(|p| at(p, p.low))).chain(points.iter().rev().map(|p| at(p, high_of(p)))).collect();
-        if points.len() > 1 {
-            chart.draw_series([Polygon::new(band, colour(curve).mix(0.2))]).map_err(refused)?;
+    /// The axes' lines and names.
+    fn draw_frame(&self, x: &str) -> Result<(), ReportError> {
+        let Self { left, right, top, bottom, .. } = *self;
+        let frame = GREY.stroke_width(fine(1.0));
+        self.area.draw(&PathElement::new([(left, top), (left, bottom), (right, bottom)], frame)).map_err(refused)?;
+        let text = anchored(font(13.0, INK), HPos::Center, VPos::Top);
+        self.area.draw(&Text::new(x.to_owned(), ((left + right) / 2, bottom + px(24)), text)).map_err(refused)?;
+        let text = anchored(font(13.0, INK), HPos::Center, VPos::Top).transform(FontTransform::Rotate270);
+        self.area.draw(&Text::new("loss a tick", (px(10), (top + bottom) / 2), text)).map_err(refused)
+    }
+
+    /// Reference lines with their names beside them, as near as those can stand without standing on each
+    /// other; the uppermost first.
+    fn draw_lines(&self, lines: &[ReferenceLine]) -> Result<(), ReportError> {
+        let (low, high) = self.losses;
+        let x = self.ticks.1.log10();
+        let mut lines: Vec<&ReferenceLine> = lines.iter().filter(|l| (low..=high).contains(&l.value)).collect();
+        lines.sort_by(|a, b| b.value.total_cmp(&a.value));
+        let mut names: Vec<i32> = lines.iter().map(|line| self.place(x, line.value.log10()).1).collect();
+        for i in (0..names.len().saturating_sub(1)).rev() {
+            names[i] = names[i].min(names[i + 1] - px(15));
         }
+        for (line, name) in lines.iter().zip(names) {
+            let at = self.place(x, line.value.log10()).1;
+            let ends = [(self.left, at), (self.right, at)];
+            let style = INK.mix(0.75).stroke_width(fine(1.0));
+            self.area.draw(&DashedPathElement::new(ends, fine(5.0), fine(4.0), style)).map_err(refused)?;
+            let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
+            self.area.draw(&Text::new(words(line), (self.right + px(7), name), text)).map_err(refused)?;
+        }
+        Ok(())
     }
-    for curve in &panel.curves {
-        let points = curve.points.iter().filter(shown).map(|p| ((p.ticks.max(1) as f64).log10(), inside(p.middle)));
-        chart.draw_series(LineSeries::new(points, colour(curve).stroke_width(fine(1.8)))).map_err(refused)?;
+
+    /// A point of the plot; losses beyond the axis lie on its end.
+    fn at(&self, p: &CurvePoint, loss: f64) -> (f64, f64) {
+        ((p.ticks.max(1) as f64).log10(), loss.clamp(self.losses.0, self.losses.1).log10())
     }
-    Ok(())
+
+    fn draw_bands(&mut self, curves: &[LearnerCurve]) -> Result<(), ReportError> {
+        for curve in curves {
+            let points: Vec<&CurvePoint> = curve.points.iter().filter(shown).collect();
+            // A worst that is no number reaches beyond the top.
+            let high_of = |p: &CurvePoint| if p.high.is_finite() { p.high } else { f64::MAX };
+            let lower = points.iter().map(|p| self.at(p, p.low));
+            let upper = points.iter().rev().map(|p| self.at(p, high_of(p)));
+            let band: Vec<_> = lower.chain(upper).collect();
+            if points.len() > 1 {
+                self.chart.draw_series([Polygon::new(band, colour(curve).mix(0.2))]).map_err(refused)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn draw_curves(&mut self, curves: &[LearnerCurve]) -> Result<(), ReportError> {
+        for curve in curves {
+            let points: Polyline = curve.points.iter().filter(shown).map(|p| self.at(p, p.middle)).collect();
+            self.chart.draw_series(LineSeries::new(points, colour(curve).stroke_width(fine(1.8)))).map_err(refused)?;
+        }
+        Ok(())
+    }
+}
+
+/// Whether a point has a place on the axes.
+fn shown(p: &&CurvePoint) -> bool {
+    p.middle.is_finite() && p.low.is_finite()
 }
 
 /// Grid lines of the losses, and whether they have a label.
@@ -286,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn the_figure_says_what_it_shows() {
+    fn the_figure_names_what_it_shows() {
         let svg = svg(&learning()).unwrap();
         assert!(svg.starts_with("<svg width=\"940\" height=\"748\" viewBox=\"0 0 3760 2992\""), "{}", &svg[..80]);
         for words in

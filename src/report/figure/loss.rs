@@ -3,7 +3,8 @@
 use super::bands::{Axes, Band};
 use super::curves::TimeAxis;
 use super::*;
-use crate::report::{Reach, Window};
+use crate::report::Reach;
+use crate::stats::Window;
 
 /// Size, pixels.
 const SIZE: (u32, u32) = (1240, 640);
@@ -40,7 +41,7 @@ pub fn draw_loss(figure: &LossFigure, path: &Path) -> Result<(), ReportError> {
         for ((name, reach), area) in figure.reaches.iter().zip(right.split_evenly((2, 2))) {
             let (head, panel) = area.split_vertically(px(CAPTION));
             let style = anchored(font(12.5, INK), HPos::Left, VPos::Center);
-            let text = format!("{name}: from tick {}", crate::report::thousands(reach.from));
+            let text = format!("{name}: from tick {}", crate::text::thousands(reach.from));
             head.draw(&Text::new(text, (px(46), px(CAPTION) / 2), style)).map_err(refused)?;
             postures::panel("m", reach, frame.0, frame.1, &panel)?;
         }

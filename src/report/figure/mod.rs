@@ -1,8 +1,9 @@
-//! One SVG of a run: how loss and error fell, and how the arm moved at the beginning and at the end.
+//! One SVG of a run: how error and loss fell, and how the arm moved at the beginning and late in the run.
 //!
-//! The drawing library only knows whole pixels, too coarse for postures a hundred pixels tall; so everything is drawn on a
-//! canvas four times as fine, and the file says how large it is meant. Text stays text, in whatever sans-serif font the
-//! viewer has. Colours are those of Okabe and Ito, which colour-blind readers can tell apart; lines differ in weight too.
+//! The drawing library only knows whole pixels, too coarse for postures a hundred pixels tall; so everything
+//! is drawn on a canvas four times as fine, and the file says how large it is meant. Text stays text, in
+//! whatever sans-serif font the viewer has. Colours are those of Okabe and Ito, which colour-blind readers
+//! can tell apart; lines differ in weight too.
 
 mod bands;
 mod curves;
@@ -10,6 +11,7 @@ mod errors;
 pub mod learning;
 mod loss;
 mod movements;
+mod panel;
 mod postures;
 mod scales;
 mod seed_postures;
@@ -20,7 +22,7 @@ pub use movements::{MovementDots, MovementsFigure, SpeedProfile, draw as draw_mo
 pub use scales::{AxisScales, draw_scales};
 pub use seed_postures::{PosturesFigure, PosturesRow, SeedPostures, draw_ways};
 
-use super::{ReportError, RunHistory};
+use super::{OptimumSpan, ReportError, RunHistory};
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::element::DashedPathElement;
@@ -65,7 +67,7 @@ fn write(path: &Path, svg: &str) -> Result<(), ReportError> {
 
 /// The figure's text.
 fn svg(history: &RunHistory) -> Result<String, ReportError> {
-    let reaches: Vec<_> = [("first reach", &history.first_reach), ("last reach", &history.last_reach)]
+    let reaches: Vec<_> = [("first reach", &history.first_reach), ("typical late reach", &history.last_reach)]
         .into_iter()
         .filter_map(|(name, reach)| Some((name, reach.as_ref()?)))
         .filter(|(_, reach)| reach.postures.iter().any(|line| line.iter().flatten().all(|&x| drawable(x))))
@@ -150,8 +152,8 @@ fn refused<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -
     ReportError::Draw(error.to_string())
 }
 
-/// A number that an axis can reach: what a diverged run leaves may be finite, and the end of the axis beyond it no longer.
-/// The drawing library would look for its labels for ever.
+/// A number that an axis can reach: what a diverged run leaves may be finite, and the end of the axis beyond
+/// it no longer. The drawing library would look for its labels for ever.
 fn drawable(x: f64) -> bool {
     x.abs() < 1e30
 }
@@ -178,10 +180,11 @@ fn with_unit(name: &str, unit: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::TestPoint;
     use crate::report::tests::arm_history;
 
     #[test]
-    fn equal_stories_give_equal_bytes_and_different_ones_do_not() {
+    fn equal_histories_give_equal_bytes_and_different_ones_do_not() {
         let one = svg(&arm_history()).unwrap();
         assert_eq!(one, svg(&arm_history()).unwrap());
         let mut other = arm_history();
@@ -207,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn the_figure_says_what_it_shows() {
+    fn the_figure_names_what_it_shows() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("figure.svg");
         draw(&arm_history(), &path).unwrap();
@@ -217,12 +220,15 @@ mod tests {
             "the paper&apos;s rule",
             "loss per tick",
             "without exploration noise",
-            "error (m)",
-            "at the end of a target",
+            "error at a target&apos;s end (m)",
+            "test without noise",
+            "optimum",
             "time (days)",
+            "before",
             "joint 3 blocked",
             "first reach",
-            "last reach",
+            "typical late reach",
+            "from light to dark",
             "x (m)",
         ] {
             assert!(svg.contains(words), "{words}");
@@ -235,8 +241,12 @@ mod tests {
         let bare = svg(&RunHistory { first_reach: None, last_reach: None, ..history.clone() }).unwrap();
         assert!(bare.starts_with("<svg width=\"700\"") && !bare.contains("reach"));
         let half = svg(&RunHistory { first_reach: None, ..history.clone() }).unwrap();
-        assert!(half.contains("last reach") && !half.contains("first reach"));
+        assert!(half.contains("late reach") && !half.contains("first reach"));
+        let untested = svg(&RunHistory { tests: Vec::new(), optimum: Vec::new(), ..history.clone() }).unwrap();
+        assert!(untested.contains("error (m)") && untested.contains("at the end of a target"));
+        assert!(!untested.contains("optimum") && !untested.contains("test without noise"));
         let mut blind = history.clone();
+        (blind.tests, blind.optimum) = (Vec::new(), Vec::new());
         for w in &mut blind.windows {
             (w.mean_squared_error, w.end_error) = (None, None);
         }
@@ -255,10 +265,11 @@ mod tests {
         for w in &mut history.windows[50..] {
             (w.loss, w.mean_squared_error, w.end_error) = (f64::NAN, Some(f64::INFINITY), Some(f64::NAN));
         }
+        history.tests.iter_mut().skip(20).for_each(|test| test.error = f64::NAN);
         history.last_reach.as_mut().unwrap().postures[5][3] = [f64::NAN, 0.0];
         history.first_reach.as_mut().unwrap().postures.clear();
         let svg = svg(&history).unwrap();
-        assert!(svg.contains("last reach") && !svg.contains("first reach"));
+        assert!(svg.contains("late reach") && !svg.contains("first reach"));
         for period_s in [f64::NAN, 0.0, 1e-300, 1e300] {
             super::svg(&RunHistory { period_s, ..history.clone() }).unwrap();
         }
@@ -272,6 +283,7 @@ mod tests {
             history.windows.truncate(4);
             history.windows.drain(..3);
             history.windows[0].from = u64::MAX - 1;
+            history.tests = vec![TestPoint { tick: 0, error: place }, TestPoint { tick: u64::MAX, error: loss }];
             let mut reach = history.last_reach.clone().unwrap();
             reach.target = [place; 2];
             reach.postures = vec![vec![[place, place * (1.0 + 1e-15)]; 3]; 2];

@@ -1,8 +1,8 @@
-//! One SVG of a run's movements: duration and peak speed against distance, speed profiles beside the minimum-jerk bell, and
-//! how soon the arm settled; the first movements beside the last.
+//! One SVG of a run's movements: duration and peak speed against distance, speed profiles beside the
+//! minimum-jerk bell, and how soon the arm settled; the first movements beside the last.
 
 use super::*;
-use crate::report::thousands;
+use crate::text::thousands;
 
 const WIDTH: u32 = 1010;
 const LEGEND_HEIGHT: u32 = 26;

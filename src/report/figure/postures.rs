@@ -1,11 +1,14 @@
-//! The right half: the arm on its way to a target, light at first and dark at the end.
+//! The right part: the arm on its way to a target, light at first and dark at the end.
 
 use super::*;
-use crate::report::{Reach, thousands};
+use crate::report::Reach;
+use crate::text::thousands;
 
 const LEGEND_HEIGHT: u32 = 26;
 const LEFT_LABELS: u32 = 46;
 const BOTTOM_LABELS: u32 = 38;
+/// Shades in the legend.
+const SHADES: u32 = 6;
 
 /// Panels below each other, all to one scale, so that they can be compared.
 pub(super) fn draw(history: &RunHistory, reaches: &[(&str, &Reach)], area: &Area) -> Result<(), ReportError> {
@@ -20,15 +23,23 @@ pub(super) fn draw(history: &RunHistory, reaches: &[(&str, &Reach)], area: &Area
     Ok(())
 }
 
-/// What cross and coloured line mean, for the strip above the panels that starts at `left`.
+/// What cross, coloured line and shades mean, for the strip above the panels that starts at `left`.
 pub(super) fn legend(strip: &Area, left: i32) -> Result<(), ReportError> {
     let style = || anchored(font(12.0, INK), HPos::Left, VPos::Center);
-    let (x, y) = (left + px(LEFT_LABELS), px(26));
-    strip.draw(&Cross::new((x + px(5), y), fine(5.0), INK.stroke_width(fine(2.0)))).map_err(refused)?;
-    strip.draw(&Text::new("target", (x + px(17), y), style())).map_err(refused)?;
-    let line = [(x + px(72), y), (x + px(94), y)];
+    let (x, y) = (left + px(LEFT_LABELS), px(13));
+    strip.draw(&Cross::new((x + px(11), y), fine(5.0), INK.stroke_width(fine(2.0)))).map_err(refused)?;
+    strip.draw(&Text::new("target", (x + px(28), y), style())).map_err(refused)?;
+    let line = [(x + px(84), y), (x + px(106), y)];
     strip.draw(&PathElement::new(line, VERMILION.stroke_width(fine(1.8)))).map_err(refused)?;
-    strip.draw(&Text::new("path of the end-effector", (x + px(100), y), style())).map_err(refused)
+    strip.draw(&Text::new("path of the end-effector", (x + px(112), y), style())).map_err(refused)?;
+    let y = px(32);
+    for i in 0..SHADES {
+        let at = x + px(i * 4);
+        let age = f64::from(i) / f64::from(SHADES - 1);
+        let shade = PathElement::new([(at, y - px(5)), (at, y + px(5))], faded(age).stroke_width(fine(1.6)));
+        strip.draw(&shade).map_err(refused)?;
+    }
+    strip.draw(&Text::new("arm, tick by tick, from light to dark", (x + px(28), y), style())).map_err(refused)
 }
 
 /// Square axes around `centre`, on which a metre is as long across as it is upwards.

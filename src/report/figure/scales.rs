@@ -21,7 +21,7 @@ const COLOURS: [RGBColor; 8] = [
 /// One pair of axes.
 #[derive(Debug, Clone)]
 pub struct AxisScales {
-    /// What stands above it.
+    /// Title above it.
     pub name: String,
     /// Name of the axis along.
     pub x: String,
@@ -29,7 +29,8 @@ pub struct AxisScales {
     pub y: String,
     /// How a whole power of ten along is written.
     pub label_x: fn(f64) -> String,
-    /// Curves with their names; of more than eight the colours begin again. Points that are not above 0 are left out.
+    /// Curves with their names; of more than eight the colours begin again. Points that are not above 0 are
+    /// left out.
     pub curves: Vec<(String, Polyline)>,
 }
 

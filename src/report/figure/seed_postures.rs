@@ -1,4 +1,5 @@
-//! How runs differ: the learning curves of several seeds, and the posture that each has found for the same targets.
+//! How runs differ: the learning curves of several seeds, and the posture that each has found for the same
+//! targets.
 
 use super::bands::{Axes, Band};
 use super::*;
@@ -20,7 +21,7 @@ pub struct PosturesFigure {
 /// One row: a curve with its band, then targets.
 #[derive(Debug, Clone)]
 pub struct PosturesRow {
-    /// What stands above it.
+    /// Title above it.
     pub name: String,
     /// Seed by seed: millions of trials, and the mean error in m.
     pub curves: Vec<Polyline>,

@@ -10,9 +10,9 @@
 use super::cutter::MovementCutter;
 use super::movement::RecordedMovement;
 use crate::plant::{Plant as _, SimulatedPlant};
+use crate::reference::{MeanPolicy, Rollout};
 use crate::runtime::Controller;
 use crate::scenario::Plan;
-use crate::study::noiseless::{MeanPolicy, Rollout};
 use crate::wire::{Command, MAX_INPUTS, Observation, flag};
 
 /// Plant and controller of a run, run again along its log.

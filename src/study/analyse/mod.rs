@@ -29,9 +29,9 @@ pub use error::AnalyseError;
 
 use crate::log::{LogRecord, RunLog};
 use crate::report::figure::{MovementDots, MovementsFigure, SpeedProfile};
-use crate::report::thousands;
 use crate::scenario::{Plan, Scenario};
 use crate::supervise::RunProgress;
+use crate::text::thousands;
 use collector::MovementCollector;
 use groups::{Isochrony, MeasuredRow, MovementGroup, MovementGroups, MovementRow, edge_count};
 use movement::{Definitions, Measures, measure, minimum_jerk};

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use super::movement::{COLUMNS, Measures};
 use super::{Analysis, Fit, MovementGroup, MovementGroups};
-use crate::report::{columns, thousands};
 use crate::study::text::csv_cell;
+use crate::text::{columns, thousands};
 
 /// The measures in the table: name in [`COLUMNS`], words, decimals.
 const LINES: [(&str, &str, usize); 14] = [

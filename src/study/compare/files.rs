@@ -3,12 +3,13 @@
 use std::fmt::Write as _;
 
 use super::{ComparisonResult, DECADES, LEARNERS, LearnerRun, name_of};
+use crate::report::figure;
 use crate::report::figure::learning::{CurvePoint, LearnerCurve, LearningFigure, LearningPanel, ReferenceLine};
-use crate::report::{figure, thousands};
 use crate::stats::Spread;
 use crate::study::StudyError;
 use crate::study::error::write_file;
 use crate::study::text::csv_cell;
+use crate::text::thousands;
 
 pub(super) fn write(result: &ComparisonResult) -> Result<(), StudyError> {
     let path = |name: &str| result.folder.join(name);

@@ -4,13 +4,16 @@ use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 
 use super::ArmChange;
-use crate::report::thousands;
 use crate::scenario::{ArmConfig, FilePosition, LearnerConfig, Plan, Rule, Scenario, ScenarioError, merge};
 use crate::study::StudyError;
+use crate::text::thousands;
 
 /// All learners, in the order in which they are shown.
 pub const LEARNERS: [Rule; 5] =
     [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward];
+
+/// Standard deviation of the exploration noise in a comparison: that of the paper, in units of the command.
+const PAPER_SIGMA: f64 = 0.003;
 
 /// Which changes of the arm the learners meet.
 #[derive(Debug, Clone, PartialEq)]
@@ -84,6 +87,8 @@ impl LearnerEntry {
         scenario.plant.arm = Some(ArmConfig::default());
         scenario.ticks = ticks.unwrap_or(usual_ticks);
         scenario.learner = LearnerConfig::preset(rule);
+        // The paper's exploration noise: the rules that need many ticks were tuned with it.
+        scenario.policy.sigma = PAPER_SIGMA;
         let mut scenario = with_settings(scenario, settings, &name)?;
         let ticks = scenario.ticks;
         let changes = match changes {

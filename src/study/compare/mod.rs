@@ -2,7 +2,7 @@
 //! tick costs.
 //!
 //! Every learner runs with every seed, in one process without transport, on the built-in arm. At intervals
-//! the policy is tested without exploration noise on the [test set](super::reference), which is the same for
+//! the policy is tested without exploration noise on the [test set](crate::reference), which is the same for
 //! all learners; the loss in this test is the only measure of learning. The tick at which the level is
 //! reached, or a change is recovered from, is known to the interval between tests,
 //! `test_interval` in `run.rs`. Everything except times is a function of learners and seeds.
@@ -28,9 +28,9 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::reference::{LEVEL, TARGETS, TEST_SEED};
 use super::{StudyError, WorkerPool};
 use crate::clock::{machine_facts, monotonic_ns};
+use crate::reference::{LEVEL, TARGETS, TEST_SEED};
 use crate::scenario::Rule;
 use crate::supervise::RunFolder;
 

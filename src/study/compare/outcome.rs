@@ -7,9 +7,9 @@ use serde::Serialize;
 
 use super::run::{LearnerRun, TickCost};
 use super::{LearnerEntry, ReferenceTable};
+use crate::reference::LEVEL;
 use crate::scenario::LearnerConfig;
 use crate::stats::Spread;
-use crate::study::reference::LEVEL;
 
 /// The ticks at which losses are reported.
 pub(super) const DECADES: [u64; 5] = [1_000, 10_000, 100_000, 1_000_000, 10_000_000];
@@ -207,8 +207,8 @@ mod tests {
     use super::super::run::PolicyTest;
     use super::super::{ArmChange, Changes, ReferenceScores};
     use super::*;
+    use crate::reference::Score;
     use crate::scenario::Rule;
-    use crate::study::reference::Score;
 
     fn references() -> ReferenceTable {
         let score = |loss| Score { loss, miss_m: 0.0 };

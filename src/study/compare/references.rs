@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Serialize, Serializer};
 
 use super::{ArmChange, ArmChangeKind, LearnerEntry};
+use crate::reference::{FixedArm, Score, TestSet};
 use crate::study::JobProgress;
-use crate::study::reference::{FixedArm, Score, TestSet};
 
 /// The arm between two changes: its name and its test.
 pub(super) struct Condition {

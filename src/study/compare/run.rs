@@ -3,9 +3,9 @@
 use std::time::Instant;
 
 use super::{Condition, LearnerEntry};
+use crate::reference::Score;
 use crate::runtime::{Controller, PlantSide};
 use crate::study::JobProgress;
-use crate::study::reference::Score;
 use crate::wire::{Command, Observation};
 
 /// One test of the policy.

@@ -3,9 +3,9 @@
 use std::fmt::Write as _;
 
 use super::ComparisonResult;
-use crate::report::thousands;
 use crate::stats::Spread;
 use crate::study::text::cells;
+use crate::text::thousands;
 
 impl ComparisonResult {
     /// The result as one JSON object.

@@ -33,8 +33,8 @@ pub use error::ReplayError;
 pub use off_policy::OffPolicy;
 pub use sample_diff::Difference;
 
-use super::reference::{FixedArm, Score, TestSet};
 use crate::log::{LogRecord, RunLog};
+use crate::reference::{FixedArm, Score, TestSet};
 use crate::runtime::Controller;
 use crate::scenario::{LearnerConfig, Plan, Rule, Scenario};
 use crate::supervise::RunProgress;
@@ -77,7 +77,7 @@ pub struct ReplayResult {
     /// meaning to this build.
     pub warnings: Vec<String>,
     /// With another learner: the score of the log's own learner at the end, without exploration noise, on the
-    /// [test set](super::reference). Null if the plant is not the simulator's arm.
+    /// [test set](crate::reference). Null if the plant is not the simulator's arm.
     pub noiseless: Option<Score>,
     /// The result of another learner with the same experience; null unless asked for.
     pub other: Option<OffPolicy>,

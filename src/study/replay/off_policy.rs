@@ -13,9 +13,9 @@
 
 use serde::Serialize;
 
+use crate::reference::Score;
 use crate::runtime::Controller;
 use crate::scenario::{Plan, Rule};
-use crate::study::reference::Score;
 use crate::wire::{Command, Learning, Observation, flag};
 
 /// The other learner during the replay.
@@ -48,8 +48,8 @@ pub struct OffPolicy {
     /// Root mean square, over ticks and outputs, of the distance between its mean command and that of the
     /// log.
     pub distance: f64,
-    /// Its score on the [test set](crate::study::reference), without exploration noise; null if the plant is
-    /// not the simulator's arm.
+    /// Its score on the [test set](crate::reference), without exploration noise; null if the plant is not the
+    /// simulator's arm.
     pub noiseless: Option<Score>,
     /// The tick at which its weights were no longer numbers.
     pub diverged_at: Option<u64>,

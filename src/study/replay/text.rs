@@ -3,9 +3,9 @@
 use std::fmt::Write as _;
 
 use super::{Difference, OffPolicy, ReplayResult};
-use crate::report::thousands;
+use crate::reference::Score;
 use crate::study::compare::name_of;
-use crate::study::reference::Score;
+use crate::text::thousands;
 
 impl ReplayResult {
     /// The result as one JSON object.

@@ -7,14 +7,15 @@ use serde::Serialize;
 
 use super::ReproduceSettings;
 use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
+use crate::report::Reach;
 use crate::report::figure::{LossFigure, draw_loss};
-use crate::report::{Reach, Window, columns, thousands};
 use crate::runtime::{RunStatistics, Snapshot, Switch};
 use crate::scenario::{ArmConfig, Plan};
-use crate::stats::Spread;
+use crate::stats::{Spread, Window};
 use crate::study::text::{cells, csv_cell, push_divergences, push_files, spread_in_words, write_lines};
 use crate::study::{JobProgress, StudyError};
 use crate::supervise::reach;
+use crate::text::{columns, thousands};
 
 /// Ticks per row of the table.
 const ROW: u64 = 1_000_000;
@@ -133,7 +134,7 @@ fn run_arm(plan: &Plan, progress: &JobProgress) -> ArmRun {
             switches[panel] = switch.to_vec();
         }
     });
-    ArmRun { windows: statistics.finish().0, switches, end }
+    ArmRun { windows: statistics.finish(0).windows, switches, end }
 }
 
 /// The run with the median loss in its last window.

@@ -10,11 +10,11 @@ use super::ReproduceSettings;
 use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
 use super::trial_windows::{TrialWindow, TrialWindows, mean};
 use crate::report::figure::{ErrorFigure, ErrorPanel, draw_miss};
-use crate::report::{columns, figures, thousands};
 use crate::scenario::{MapConfig, Plan, Retina, Scenario};
 use crate::stats::Spread;
 use crate::study::text::{push_divergences, push_files, spread_in_words, write_lines};
 use crate::study::{JobProgress, StudyError};
+use crate::text::{columns, figures, thousands};
 
 /// Points of a curve.
 const POINTS: u64 = 300;

@@ -17,14 +17,13 @@ use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_w
 use super::trial_windows::{TrialWindows, mean};
 use crate::plant::{Arm, Plant, posture};
 use crate::policy::LinearPolicy;
+use crate::reference::{MeanPolicy, Rollout, TEST_SEED};
 use crate::report::figure::{PosturesFigure, PosturesRow, SeedPostures, draw_ways};
-use crate::report::{columns, figures, thousands};
 use crate::scenario::Plan;
 use crate::stats::Spread;
-use crate::study::noiseless::{MeanPolicy, Rollout};
-use crate::study::reference::TEST_SEED;
 use crate::study::text::{cells, push_divergences, push_files, spread_in_words, write_lines};
 use crate::study::{JobProgress, StudyError};
+use crate::text::{columns, figures, thousands};
 use crate::wire::MAX_INPUTS;
 
 /// The scenarios, with their numbers of segments.

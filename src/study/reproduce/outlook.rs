@@ -15,16 +15,14 @@ use super::ReproduceSettings;
 use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
 use crate::plant::{Arm, noise_share};
 use crate::policy::LinearPolicy;
-use crate::report::{columns, thousands};
+use crate::reference::{MeanPolicy, Rollout, TARGETS, TEST_SEED};
 use crate::scenario::{ArmConfig, Plan};
-use crate::stats::Spread;
-use crate::stats::{Fit, Quartiles};
+use crate::stats::{Fit, Quartiles, Spread};
 use crate::study::analyse::movement::{Definitions, Measures, RecordedMovement, measure};
 use crate::study::compare::name_of;
-use crate::study::noiseless::{MeanPolicy, Rollout};
-use crate::study::reference::{TARGETS, TEST_SEED};
 use crate::study::text::{cells, csv_cell, push_divergences, push_files, spread_in_words, write_lines};
 use crate::study::{JobProgress, StudyError};
+use crate::text::{columns, thousands};
 use crate::wire::{Observation, flag};
 
 /// One part in this many of a run counts as its end.

@@ -37,11 +37,33 @@ pub(super) fn trajectory_optimum(
     starts: usize,
     go_on: impl Fn() -> bool,
 ) -> Option<Score> {
+    let movements = best_movements(arm, targets, ticks, starts, go_on)?;
+    let sum = |value: fn(&BestMovement) -> f64| movements.iter().map(value).sum::<f64>();
+    let count = targets.len();
+    Some(Score { loss: sum(|m| m.cost) / (count * ticks) as f64, miss_m: sum(|m| m.miss_m) / count as f64 })
+}
+
+/// The best movement to one target.
+pub(super) struct BestMovement {
+    /// Sum of the losses of its ticks.
+    pub cost: f64,
+    /// Distance from the target at its end, m.
+    pub miss_m: f64,
+}
+
+/// The best movements that [`trajectory_optimum`] scores, in the order of the targets.
+pub(super) fn best_movements(
+    arm: &FixedArm,
+    targets: &[[f64; 2]],
+    ticks: usize,
+    starts: usize,
+    go_on: impl Fn() -> bool,
+) -> Option<Vec<BestMovement>> {
     // The compiler has to know the number of joints: most of the time goes into matrices of that size.
     macro_rules! by_joints {
         ($($n:literal)*) => {
             match arm.free().len() {
-                $($n => Planner::<$n>::new(arm).optimum(targets, ticks, starts, go_on),)*
+                $($n => Planner::<$n>::new(arm).best_movements(targets, ticks, starts, go_on),)*
                 // No scenario has more joints.
                 _ => None,
             }
@@ -209,10 +231,16 @@ impl<'a, const N: usize> Planner<'a, N> {
     }
 
     /// The best movements to all `targets` in sequence; see [`trajectory_optimum`].
-    fn optimum(&self, targets: &[[f64; 2]], ticks: usize, starts: usize, go_on: impl Fn() -> bool) -> Option<Score> {
+    fn best_movements(
+        &self,
+        targets: &[[f64; 2]],
+        ticks: usize,
+        starts: usize,
+        go_on: impl Fn() -> bool,
+    ) -> Option<Vec<BestMovement>> {
         let mut rng = stream(0, "optimum");
         let mut from = [0.0; N];
-        let (mut sum, mut miss) = (0.0, 0.0);
+        let mut movements = Vec::with_capacity(targets.len());
         for &target in targets {
             let mut best: Option<(f64, [f64; N])> = None;
             for start in 0..starts.max(1) {
@@ -233,12 +261,11 @@ impl<'a, const N: usize> Planner<'a, N> {
                 }
             }
             let (cost, end) = best?;
-            sum += cost;
             from = end.map(wrapped);
             let ([x, y], _) = self.error(&from, target);
-            miss += libm::hypot(x, y);
+            movements.push(BestMovement { cost, miss_m: libm::hypot(x, y) });
         }
-        Some(Score { loss: sum / (targets.len() * ticks) as f64, miss_m: miss / targets.len() as f64 })
+        Some(movements)
     }
 }
 

@@ -1,8 +1,8 @@
 //! The noiseless test: a plant that is driven without exploration noise, through the scenario's gate.
 //!
-//! All studies that test a policy use these two parts. [`MeanPolicy`] turns inputs into the policy's mean
-//! command. [`Rollout`] applies commands to a plant through a fresh gate, as the plant's process does in a
-//! run. Faults of the channels do not act here: a test measures what was learned.
+//! The test set and all studies that test a policy use these two parts. [`MeanPolicy`] turns inputs into the
+//! policy's mean command. [`Rollout`] applies commands to a plant through a fresh gate, as the plant's
+//! process does in a run. Faults of the channels do not act here: a test measures what was learned.
 
 use crate::encoder::{Encoder, Features};
 use crate::plant::{Outcome, Plant};
@@ -13,7 +13,7 @@ use crate::wire::MAX_INPUTS;
 
 /// Computes the mean command of a policy: what a controller would send without exploration noise.
 #[derive(Debug, Clone)]
-pub(super) struct MeanPolicy {
+pub(crate) struct MeanPolicy {
     encoder: Encoder,
     features: Features,
 }
@@ -34,7 +34,7 @@ impl MeanPolicy {
 
 /// A plant behind its gate, driven tick by tick in one process.
 #[derive(Debug, Clone)]
-pub(super) struct Rollout<P> {
+pub(crate) struct Rollout<P> {
     plant: P,
     gate: Gate,
     inputs: [f32; MAX_INPUTS],

@@ -1,5 +1,8 @@
 //! The test set for reaching: fixed targets, a noiseless test of a policy on them, and reference controllers.
 //!
+//! Studies and the summary of a run measure policies with it. `noiseless.rs` drives a plant without exploration
+//! noise.
+//!
 //! The test shows 40 targets of 80 ticks each in sequence. It starts with all angles at 0 and adds no
 //! exploration noise. The targets are drawn with a seed that serves neither tuning nor reporting. A policy's
 //! *loss* is its mean loss per tick over the test. Its *miss* is the mean distance between end-effector and
@@ -18,16 +21,17 @@
 
 mod damped_least_squares;
 mod fixed_arm;
+mod noiseless;
 mod optimum;
 
 use damped_least_squares::DampedLeastSquares;
 pub(crate) use fixed_arm::FixedArm;
+pub(crate) use noiseless::{MeanPolicy, Rollout};
 pub use optimum::STARTS;
 use optimum::trajectory_optimum;
 
 use serde::Serialize;
 
-use super::noiseless::{MeanPolicy, Rollout};
 use crate::plant::Arm;
 use crate::policy::{Exploration, LinearPolicy, Outputs};
 use crate::scenario::Plan;
@@ -78,19 +82,27 @@ impl TestSet {
     }
 
     /// The score of a controller: `control` answers each tick's inputs with a command.
-    pub fn drive(&self, mut control: impl FnMut(&[f32]) -> Outputs) -> Score {
+    pub fn drive(&self, control: impl FnMut(&[f32]) -> Outputs) -> Score {
+        self.drive_targets(control, |_| {})
+    }
+
+    /// The same. Calls `each` with the score of each target when that is over.
+    fn drive_targets(&self, mut control: impl FnMut(&[f32]) -> Outputs, mut each: impl FnMut(Score)) -> Score {
         let period_s = self.plan.scenario.period_ms / 1000.0;
         let config = self.plan.scenario.plant.arm.clone().unwrap_or_default();
         let mut rollout = Rollout::new(Arm::new(&config, period_s, TEST_SEED), &self.plan);
         let every = self.ticks_a_target();
         let ticks = TARGETS as u64 * every;
-        let (mut loss, mut miss) = (0.0, 0.0);
+        let (mut loss, mut miss, mut target_loss) = (0.0, 0.0, 0.0);
         for tick in 0..ticks {
             rollout.sense(tick);
             let outcome = rollout.advance(tick, &mut control);
             loss -= f64::from(outcome.reward);
+            target_loss -= f64::from(outcome.reward);
             if (tick + 1).is_multiple_of(every) {
-                miss += f64::from(outcome.measures[0]);
+                let miss_m = f64::from(outcome.measures[0]);
+                miss += miss_m;
+                each(Score { loss: std::mem::take(&mut target_loss) / every as f64, miss_m });
             }
         }
         Score { loss: loss / ticks as f64, miss_m: miss / TARGETS as f64 }
@@ -98,13 +110,32 @@ impl TestSet {
 
     /// The score of a policy's mean commands.
     pub fn score(&self, policy: &LinearPolicy) -> Score {
+        self.drive(self.mean_commands(policy))
+    }
+
+    /// The score of each target with a policy's mean commands, in the order of the targets.
+    pub fn score_targets(&self, policy: &LinearPolicy) -> Vec<Score> {
+        let mut scores = Vec::with_capacity(TARGETS);
+        self.drive_targets(self.mean_commands(policy), |score| scores.push(score));
+        scores
+    }
+
+    /// A controller that answers inputs with the mean commands of `policy`.
+    fn mean_commands(&self, policy: &LinearPolicy) -> impl FnMut(&[f32]) -> Outputs {
         let mut mean = self.policy.clone();
-        self.drive(|inputs| mean.command(policy, inputs))
+        move |inputs| mean.command(policy, inputs)
     }
 
     /// The score of zero commands, which is the score of a policy whose weights are 0.
     pub fn zero(&self) -> Score {
         self.drive(|_| Outputs::default())
+    }
+
+    /// The score of each target with zero commands.
+    pub fn zero_targets(&self) -> Vec<Score> {
+        let mut scores = Vec::with_capacity(TARGETS);
+        self.drive_targets(|_| Outputs::default(), |score| scores.push(score));
+        scores
     }
 
     /// The score of exploration noise alone.
@@ -124,6 +155,13 @@ impl TestSet {
     /// Calls `go_on` now and then; the result is `None` once that returns false.
     pub fn optimum(&self, starts: usize, go_on: impl Fn() -> bool) -> Option<Score> {
         trajectory_optimum(&self.arm, self.targets(), self.ticks_a_target() as usize, starts, go_on)
+    }
+
+    /// The score of each target with the best movements, in the order of the targets.
+    pub fn optimum_targets(&self, starts: usize) -> Option<Vec<Score>> {
+        let ticks = self.ticks_a_target() as usize;
+        let movements = optimum::best_movements(&self.arm, self.targets(), ticks, starts, || true)?;
+        Some(movements.iter().map(|m| Score { loss: m.cost / ticks as f64, miss_m: m.miss_m }).collect())
     }
 }
 
