@@ -60,8 +60,8 @@ typedef struct tectum_observation {
     float reward;
     /* Ticks skipped right before this one because the plant itself was late. */
     uint32_t skipped;
-    /* Measures of tick k-1, named by the scenario. They are for logs and reports; the learner never receives them. The
-     * arm gives its error (m) and its end-effector's x and y (m). */
+    /* Measures of tick k-1, named by the scenario. They are for logs and reports; the learner never receives them.
+     * The arm gives its error (m) and its end-effector's x and y (m). */
     float measures[6];
 } tectum_observation;
 #define TECTUM_TYPE_OBSERVATION "tectum.Observation.v1"
@@ -115,11 +115,11 @@ TECTUM_ASSERT(offsetof(tectum_learning, weights_norm) == 96);
 TECTUM_ASSERT(offsetof(tectum_learning, trace_norm) == 100);
 TECTUM_ASSERT(offsetof(tectum_learning, weights_hash) == 104);
 
-/* A tracker's measurement: the target and the arm's end-effector. In its header, `tick`, `scheduled_ns`, `incarnation`
- * and `flags` are 0. */
+/* A tracker's measurement: the target and the arm's end-effector. In its header, `tick`, `scheduled_ns`,
+ * `incarnation` and `flags` are 0. */
 typedef struct tectum_vision {
-    /* Writer and instants. `sensed_ns` is the instant at which the picture was taken. `sequence` counts from 0 in each
-     * tracker. */
+    /* Writer and instants. `sensed_ns` is the instant at which the picture was taken. `sequence` counts from 0 in
+     * each tracker. */
     tectum_header header;
     /* Position of the target, x and y in the arm's coordinates, m. */
     float target[2];
@@ -234,7 +234,8 @@ enum tectum_flag {
     TECTUM_DECAYED = 1 << 3,
     /* Observation: the hold policy stopped the plant (command zero). */
     TECTUM_STOPPED = 1 << 4,
-    /* Observation: the gate limited the command. Another flag gives the reason unless it was the command's size alone. */
+    /* Observation: the gate limited the command. Another flag gives the reason unless it was the command's size
+     * alone. */
     TECTUM_CLAMPED = 1 << 5,
     /* Observation: the command contained a value that is not finite. It counts as missed. */
     TECTUM_NON_FINITE = 1 << 6,
@@ -261,8 +262,8 @@ enum tectum_flag {
     TECTUM_UNARMED = 1 << 19,
     /* Observation: the plant is hardware, and its own safety has turned torque off. Nothing was applied. */
     TECTUM_TRIPPED = 1 << 20,
-    /* Observation: the plant could not be read, or its tracker had no measurement new enough, in tick k-1 or for this
-     * observation. Values that could not be updated, and the reward, are the previous ones. */
+    /* Observation: the plant could not be read, or its tracker had no measurement new enough, in tick k-1 or for
+     * this observation. Values that could not be updated, and the reward, are the previous ones. */
     TECTUM_BLIND = 1 << 21,
     /* Learning: the weights were changed with the reward of tick k-1. */
     TECTUM_LEARNED = 1 << 16,

@@ -99,13 +99,13 @@ impl<R: LearningRule> Pair<R> {
                 next_features: next,
                 next_inputs: &[],
             };
-            let mut outputs_of = [(0.0, [0.0; 8]); 2];
-            for ((rule, policy), output) in self.rules.iter_mut().zip(&mut self.policies).zip(&mut outputs_of) {
-                output.0 = rule.learn_and_answer(policy, &tick_of, &mut output.1);
+            let mut results = [(0.0, [0.0; 8]); 2];
+            for ((rule, policy), result) in self.rules.iter_mut().zip(&mut self.policies).zip(&mut results) {
+                result.0 = rule.learn_and_answer(policy, &tick_of, &mut result.1);
                 // A combined pass gives the same as two separate passes.
-                assert_eq!(output.1.map(f32::to_bits), policy.mean(next).map(f32::to_bits), "{:?}", policy.path());
+                assert_eq!(result.1.map(f32::to_bits), policy.mean(next).map(f32::to_bits), "{:?}", policy.path());
             }
-            let [(step, mean), (other_step, other_mean)] = outputs_of;
+            let [(step, mean), (other_step, other_mean)] = results;
             assert_eq!((step.to_bits(), mean.map(f32::to_bits)), (other_step.to_bits(), other_mean.map(f32::to_bits)));
             if tick % 1000 == 999 {
                 self.rules.iter_mut().for_each(LearningRule::cut_trace);

@@ -208,9 +208,8 @@ impl RunSummary {
         summary.add_plant(&plant);
         summary.add_controller(launch, controller, &read_snapshots(folder, &launch.plan));
         summary.restarts = incidents;
-        let realtime_of =
-            |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
-        summary.realtime = Role::ALL.into_iter().filter_map(realtime_of).collect();
+        let report = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
+        summary.realtime = Role::ALL.into_iter().filter_map(report).collect();
         summary.add_log(folder, &logger);
         if let Some(ProcessFailure { code, message, .. }) = failure {
             summary.failure = Some(message);
@@ -319,7 +318,7 @@ impl RunSummary {
         self.log_segments = segments.len();
         self.log = if segments.len() > 1 { Some(folder.to_owned()) } else { segments.pop() };
         self.log_missing_from = logger.missing_from;
-        // The logger's counts include those of restarted plants and controllers.
+        // The logger's report outlives plants and controllers.
         for (shown, counted) in [
             (&mut self.wake_up_lateness_us, logger.wake_up_lateness),
             (&mut self.observation_to_command_us, logger.observation_to_command),

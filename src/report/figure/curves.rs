@@ -4,7 +4,7 @@
 //! has neither exploration noise nor the luck of single targets in it. What the run itself observed is beside
 //! it as dots.
 
-use super::panel::{CurveStyle, NamedCurve, Panel, Phase, Scale};
+use super::panel::{CurveStyle, FigurePhase, NamedCurve, Panel, Scale};
 use super::*;
 use crate::stats::Window;
 
@@ -41,8 +41,8 @@ pub(super) fn draw(history: &RunHistory, area: &Area) -> Result<(), ReportError>
 }
 
 /// The stretches between changes of the plant.
-fn phases(history: &RunHistory, clock: &TimeAxis) -> Vec<Phase> {
-    let mut phases = vec![Phase { from: 0.0, until: clock.end, name: "before".to_owned() }];
+fn phases(history: &RunHistory, clock: &TimeAxis) -> Vec<FigurePhase> {
+    let mut phases = vec![FigurePhase { from: 0.0, until: clock.end, name: "before".to_owned() }];
     for (tick, what) in &history.marks {
         let at = clock.at(*tick);
         if !(0.0..clock.end).contains(&at) {
@@ -56,7 +56,7 @@ fn phases(history: &RunHistory, clock: &TimeAxis) -> Vec<Phase> {
             continue;
         }
         phases[last].until = at;
-        phases.push(Phase { from: at, until: clock.end, name: format!("after: {what}") });
+        phases.push(FigurePhase { from: at, until: clock.end, name: format!("after: {what}") });
     }
     phases
 }

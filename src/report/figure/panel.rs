@@ -16,7 +16,7 @@ const BANDS: [RGBColor; 3] = [RGBColor(255, 255, 255), RGBColor(253, 242, 226), 
 const STRIPS: [RGBColor; 3] = [RGBColor(238, 238, 238), RGBColor(250, 222, 180), RGBColor(200, 226, 243)];
 
 /// A stretch of time in which the plant does not change.
-pub(super) struct RunPhase {
+pub(super) struct FigurePhase {
     pub from: f64,
     pub until: f64,
     pub name: String,
@@ -88,7 +88,7 @@ fn sides(area: &Area) -> (i32, i32) {
 }
 
 /// Draws a panel over the times from 0 to `end`, with its legend above.
-pub(super) fn draw(panel: &Panel, phases: &[RunPhase], end: f64, area: &Area) -> Result<(), ReportError> {
+pub(super) fn draw(panel: &Panel, phases: &[FigurePhase], end: f64, area: &Area) -> Result<(), ReportError> {
     let values = || panel.curves.iter().flat_map(|c| &c.points).map(|p| p.1).filter(|&y| drawable(y));
     let (low, high, scale) = range(values, panel.scale);
     let (left, right) = sides(area);
@@ -201,7 +201,7 @@ fn legend(curves: &[NamedCurve], left: i32, area: &Area) -> Result<(), ReportErr
 }
 
 /// Names of the phases above the panels, each in its band's colour.
-pub(super) fn phase_names(phases: &[RunPhase], end: f64, area: &Area) -> Result<(), ReportError> {
+pub(super) fn phase_names(phases: &[FigurePhase], end: f64, area: &Area) -> Result<(), ReportError> {
     let (left, right) = sides(area);
     let at = |time: f64| left + (f64::from(right - left) * (time / end).clamp(0.0, 1.0)).round() as i32;
     let bottom = area.dim_in_pixel().1 as i32;
