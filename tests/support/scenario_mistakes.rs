@@ -458,8 +458,8 @@ pub const CASES: &[Case] = &[
         "x.toml:53: faults.channel[0].channel is \"wire\"; give \"observation\", \"command\" or \"learning\""),
     (ARM, "[log]",
         "[[faults.channel]]\nchannel = \"learning\"\nkind = \"corrupt\"\nvalue = \"nan\"\nprobability = 0.1\n[log]",
-        "x.toml:54: faults.channel[0].kind is corrupt, on the channel learning; only the log hears that, and must \
-         hold what was learned or nothing"),
+        "x.toml:54: faults.channel[0].kind is corrupt, on the channel learning; the log would \
+         contain false records, so give another kind or another channel"),
     (ARM, "[log]", "[[faults.channel]]\nchannel = \"command\"\nkind = \"lose\"\n[log]",
         "x.toml:54: faults.channel[0].kind is \"lose\"; give \"delay\", \"drop\", \"duplicate\", \"reorder\", \
          \"freeze\" or \"corrupt\""),
