@@ -111,7 +111,7 @@ fn arrows(rooms: &BTreeSet<String>) -> BTreeMap<String, BTreeSet<String>> {
 }
 
 #[test]
-fn rooms_use_what_the_table_says_and_only_rooms_below_them() {
+fn rooms_use_exactly_what_the_table_lists() {
     let table = table("room");
     let rooms: BTreeSet<String> = table.iter().map(|(room, _)| room.clone()).collect();
     let arrows = arrows(&rooms);
@@ -133,7 +133,7 @@ fn rooms_use_what_the_table_says_and_only_rooms_below_them() {
 }
 
 #[test]
-fn crates_need_what_the_table_says() {
+fn crates_need_exactly_what_the_table_lists() {
     for (name, allowed) in table("crate") {
         let path = root().join("crates").join(&name).join("Cargo.toml");
         let manifest: toml::Table = fs::read_to_string(&path).unwrap().parse().unwrap();
@@ -144,7 +144,7 @@ fn crates_need_what_the_table_says() {
 }
 
 #[test]
-fn no_line_is_wider_than_a_page() {
+fn no_line_exceeds_the_limit() {
     let mut wide = Vec::new();
     for folder in ["src", "bins", "crates", "tests", "benches", "examples", "scenarios"] {
         for file in files(&root().join(folder), &[".rs", ".py", ".toml"]) {
@@ -217,7 +217,7 @@ fn functions(text: &str) -> Vec<(usize, String, usize)> {
 const LONGEST: usize = 62;
 
 #[test]
-fn functions_can_be_held_in_the_head() {
+fn functions_stay_below_the_limit() {
     let mut long = Vec::new();
     for folder in ["src", "bins", "crates"] {
         for file in files(&root().join(folder), &[".rs"]) {

@@ -28,7 +28,7 @@ impl Timeline {
         let moving = ticks.min(MOST_KEYFRAMES);
         let held = (moving / 4).max(1);
         let real_s = ticks as f64 * period_s;
-        // What nobody could follow, or would wait for, is shown in four seconds.
+        // A reach that is too fast to follow, or too slow to wait for, is shown in four seconds.
         let speed = if (1.0..=10.0).contains(&real_s) { 1.0 } else { real_s / 4.0 };
         let loop_s = real_s / speed * (moving + held) as f64 / moving as f64;
         Self { ticks, moving, all: moving + held, loop_s, speed }
