@@ -229,7 +229,7 @@ impl Checkpoint {
     ///
     /// # Errors
     /// [`CheckpointError::Damaged`] when a row is missing, superfluous, or of another size.
-    pub(crate) fn restore(&self, part: &mut dyn Persist) -> Result<(), CheckpointError> {
+    pub fn restore(&self, part: &mut dyn Persist) -> Result<(), CheckpointError> {
         let mut restorer = TensorRestorer::new(&self.tensors, &[WEIGHTS]);
         part.visit_state(&mut restorer);
         restorer.finish().map_err(|what| CheckpointError::Damaged { path: self.path.clone(), what })
