@@ -146,12 +146,14 @@ fn crates_need_exactly_what_the_table_lists() {
 #[test]
 fn no_line_exceeds_the_limit() {
     let mut wide = Vec::new();
+    let mut all = vec![root().join("Cargo.toml")];
     for folder in ["src", "bins", "crates", "tests", "benches", "examples", "scenarios"] {
-        for file in files(&root().join(folder), &[".rs", ".py", ".toml"]) {
-            let text = fs::read_to_string(&file).unwrap();
-            let lines = text.lines().enumerate().filter(|(_, line)| line.chars().count() > COLUMNS);
-            wide.extend(lines.map(|(i, line)| format!("{}:{}: {}", file.display(), i + 1, line.chars().count())));
-        }
+        all.extend(files(&root().join(folder), &[".rs", ".py", ".toml"]));
+    }
+    for file in all {
+        let text = fs::read_to_string(&file).unwrap();
+        let lines = text.lines().enumerate().filter(|(_, line)| line.chars().count() > COLUMNS);
+        wide.extend(lines.map(|(i, line)| format!("{}:{}: {}", file.display(), i + 1, line.chars().count())));
     }
     assert!(wide.is_empty(), "lines of more than {COLUMNS} characters:\n{}", wide.join("\n"));
 }
@@ -214,7 +216,7 @@ fn functions(text: &str) -> Vec<(usize, String, usize)> {
 }
 
 /// Longest function, in lines.
-const LONGEST: usize = 62;
+const LONGEST: usize = 60;
 
 #[test]
 fn functions_stay_below_the_limit() {
