@@ -242,7 +242,7 @@ fn a_signal_ends_a_bench_and_leaves_nothing() {
 #[test]
 fn the_peer_process_ends_when_its_bench_is_killed() {
     let test_folder = TestFolder::new();
-    let mut process = test_folder.start(TECTUM, &["bench", "lockstep", "--ticks", "400000", "--rounds", "1"]);
+    let mut process = test_folder.start(TECTUM, &["bench", "lockstep", "--ticks", "60000", "--rounds", "1"]);
     // Any process of the first run will do: all of them watch their launcher's pidfd.
     let controller = process.child_pid("tectum-controller");
     process.signal("KILL");
