@@ -69,7 +69,7 @@ fn a_tick_allocates_nothing() {
 }
 
 /// The same with the channels. iceoryx2 0.10 allocates once in the writer of a sample and not in its readers; boards
-/// and wake notifications allocate nothing. This test shows when that changes.
+/// allocate nothing, nor does the wake-up word. This test shows when that changes.
 #[test]
 fn the_transport_allocates_three_times_a_tick() {
     let plan = Scenario::find("paper").unwrap().plan().unwrap();
@@ -101,7 +101,7 @@ fn the_transport_allocates_three_times_a_tick() {
         control_loop.tick(tick);
     }
     let per_tick = (allocations() - before) as f64 / ticks as f64;
-    println!("iceoryx2 allocates {per_tick} times a tick: three samples sent, six received, one wake notification");
+    println!("iceoryx2 allocates {per_tick} times a tick: three samples sent, six received");
     assert_eq!(per_tick, TRANSPORT);
 }
 

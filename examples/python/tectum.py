@@ -14,7 +14,7 @@ gate at zero; in lockstep the run ends. It writes no checkpoints. Needs Linux, P
 version of the run.
 """
 
-import argparse, ctypes, gc, json, math, os, select, signal, struct, sys, time
+import argparse, ctypes, gc, json, math, mmap, os, platform, select, signal, struct, sys, time
 from ctypes import Structure, c_float, c_uint32, c_uint64
 from pathlib import Path
 
@@ -109,6 +109,24 @@ class Reader:
         return copy
 
 
+class WakeWord:
+    """The futex that wakes the controller: the first word of a file that plant and controller map."""
+
+    NUMBER = {"x86_64": 202, "aarch64": 98, "armv7l": 240, "riscv64": 98}
+    WAKE, EVERYBODY = 1, 2**31 - 1
+
+    def __init__(self, path):
+        with open(path, "r+b") as file:
+            self.map = mmap.mmap(file.fileno(), 64)
+        self.word = c_uint32.from_buffer(self.map)
+        self.libc, self.number = ctypes.CDLL(None), self.NUMBER[platform.machine()]
+
+    def notify(self):
+        """Wakes the controller. The plant is the only process that changes the word."""
+        self.word.value += 1
+        self.libc.syscall(self.number, ctypes.byref(self.word), self.WAKE, self.EVERYBODY, None, None, 0)
+
+
 class Run:
     """A run's manifest and its iceoryx2 domain."""
 
@@ -140,7 +158,7 @@ class Run:
         try:
             builder = iox.NodeBuilder.new().config(config).signal_handling_mode(iox.SignalHandlingMode.Disabled)
             self.node = builder.create(iox.ServiceType.Ipc)
-            self.wake = self._service(services["wake"]).event().open()
+            self.identity = self._service(services["identity"]).event().open()
             self.check()
             self.control = self.board(services["control"], Control)
         except Refused:
@@ -149,9 +167,9 @@ class Run:
             raise Refused(f"the run's domain {self.wire['root']} cannot be used: {error_text(cause)}", 1) from None
 
     def check(self):
-        """Compares the attributes of `wake` with the manifest, before any typed service is opened."""
+        """Compares the attributes of `identity` with the manifest, before any typed service is opened."""
         for key in ("schema", "scenario", "build"):
-            theirs = self.wake.attributes.key_values(self.iox.AttributeKey.new(key))
+            theirs = self.identity.attributes.key_values(self.iox.AttributeKey.new(key))
             if str(self.iox.AttributeValue.new(self.wire[key])) not in map(str, theirs):
                 text = f"{self.folder} and the domain {self.wire['root']} are not of one run: their {key} differs"
                 raise Refused(text, 3)
@@ -409,7 +427,7 @@ class Participant:
             self.readers = publisher.dynamic_config
             self.out = publisher.publisher_builder().backpressure_strategy(
                 iox.BackpressureStrategy.DiscardData).max_loaned_samples(1).create()
-            self.wake = run.wake.notifier_builder().create()
+            self.wake = WakeWord(run.wire["wake"])
             self.commands = run.reader("command", Command, 2)
             self.port, self.board = run.board_writer(PLANT, self.incarnation)
         except Refused:

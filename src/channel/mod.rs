@@ -2,8 +2,8 @@
 //!
 //! A run has a domain of its own (an iceoryx2 prefix and root). The launcher creates the domain, and creates
 //! and holds every service in it; the other processes only open them. Three publish-subscribe services carry
-//! the samples, an event service wakes the controller, and blackboards show the run's phase and each process's
-//! state.
+//! the samples, blackboards show the run's phase and each process's state, and a service without a payload carries
+//! the run's identity. A futex wakes the controller.
 //!
 //! Every publish-subscribe service overflows: a full reader loses its oldest sample, and no writer ever waits
 //! for a reader. In lockstep nothing may be lost. There the plant does not run further ahead of the logger than
@@ -21,6 +21,7 @@ mod services;
 mod shared_page;
 mod stale_domains;
 mod vision_ports;
+mod wake;
 
 pub(crate) use bare_exchange::BareExchange;
 pub use boards::{BoardReader, BoardWriter, StatusBoard};
@@ -29,12 +30,14 @@ pub(crate) use domain::reclaim_dead;
 pub use domain::{DomainName, remove_domain};
 pub use identity::Identity;
 pub use participant_ports::{ControllerPorts, LoggerPorts, PlantPorts};
-pub use ports::{Payload, Receiver, Sender, WakeListener, WakeNotifier};
+pub use ports::{Payload, Receiver, Sender};
 pub use services::RunServices;
 pub(crate) use shared_page::SharedPage;
 pub use stale_domains::{DomainOwner, StaleDomain};
 pub(crate) use stale_domains::{list_domains, remove_stale_domains};
 pub use vision_ports::{TrackerPorts, VisionReceiver};
+pub(crate) use wake::wake_file;
+pub use wake::{WakeListener, WakeNotifier};
 
 use iceoryx2::prelude::ServiceName;
 
@@ -52,8 +55,8 @@ const VISION_BUFFER: usize = 4;
 /// How often a process can be started within a run: each start has a page of its own on its board.
 pub(crate) const INCARNATIONS: u32 = 256;
 
-/// The wake-up service. It is created before all others, and its attributes identify the run.
-pub(crate) const WAKE: &str = "wake";
+/// The service whose attributes identify the run. It is created before all others.
+pub(crate) const IDENTITY: &str = "identity";
 /// Name of the launcher's board.
 pub(crate) const CONTROL: &str = "control";
 

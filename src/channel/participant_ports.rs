@@ -5,9 +5,9 @@ use iceoryx2::service::port_factory::PortFactory as _;
 
 use super::boards::{BoardReader, StatusBoard, open_status_board, read_peer};
 use super::domain::{Domain, DomainName};
-use super::ports::{Factory, Payload, Receiver, Sender, WakeListener, WakeNotifier};
-use super::services::Event;
-use super::{ChannelError, Identity, LOG_BUFFER, LOOP_BUFFER, WAKE, service_name};
+use super::ports::{Factory, Payload, Receiver, Sender};
+use super::wake::{WakeListener, WakeNotifier};
+use super::{ChannelError, IDENTITY, Identity, LOG_BUFFER, LOOP_BUFFER, service_name};
 use crate::wire::{ChannelNames, Command, Learning, Observation, Role, Status};
 
 /// The plant's ends.
@@ -66,16 +66,11 @@ impl PlantPorts {
         identity: &Identity,
         channels: &ChannelNames,
     ) -> Result<(Self, StatusBoard), ChannelError> {
-        let (domain, wake) = open_domain(name, identity, Role::Plant.name())?;
-        let wake = wake
-            .notifier_builder()
-            .create()
-            .map_err(|e| ChannelError::set_up("the wake-up notifier", e))
-            .map(WakeNotifier)?;
+        let domain = open_domain(name, identity, Role::Plant.name())?;
         let status_board = open_status_board(&domain, Role::Plant)?;
         let ports = Self {
             observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
-            wake,
+            wake: WakeNotifier::open(name)?,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
             controller: read_peer(&domain, Role::Controller, &status_board)?,
             logger: read_peer(&domain, Role::Logger, &status_board)?,
@@ -95,12 +90,7 @@ impl ControllerPorts {
         identity: &Identity,
         channels: &ChannelNames,
     ) -> Result<(Self, StatusBoard), ChannelError> {
-        let (domain, wake) = open_domain(name, identity, Role::Controller.name())?;
-        let wake = wake
-            .listener_builder()
-            .create()
-            .map_err(|e| ChannelError::set_up("the wake-up listener", e))
-            .map(WakeListener)?;
+        let domain = open_domain(name, identity, Role::Controller.name())?;
         let status_board = open_status_board(&domain, Role::Controller)?;
         let ports = Self {
             observation: Receiver::new(
@@ -108,7 +98,7 @@ impl ControllerPorts {
                 open_channel(&domain, &channels.observation)?,
                 LOOP_BUFFER,
             )?,
-            wake,
+            wake: WakeListener::open(name)?,
             command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
             learning: Sender::new(&channels.learning, open_channel(&domain, &channels.learning)?)?,
             plant: read_peer(&domain, Role::Plant, &status_board)?,
@@ -128,7 +118,7 @@ impl LoggerPorts {
         identity: &Identity,
         channels: &ChannelNames,
     ) -> Result<(Self, StatusBoard), ChannelError> {
-        let (domain, _wake) = open_domain(name, identity, Role::Logger.name())?;
+        let domain = open_domain(name, identity, Role::Logger.name())?;
         let status_board = open_status_board(&domain, Role::Logger)?;
         let ports = Self {
             observation: Receiver::new(
@@ -147,20 +137,16 @@ impl LoggerPorts {
 }
 
 /// Joins the domain and checks the handshake.
-pub(super) fn open_domain(
-    name: &DomainName,
-    identity: &Identity,
-    role: &'static str,
-) -> Result<(Domain, Event), ChannelError> {
+pub(super) fn open_domain(name: &DomainName, identity: &Identity, role: &'static str) -> Result<Domain, ChannelError> {
     let domain = Domain::join(name)?;
-    let wake = domain
+    let service = domain
         .node
-        .service_builder(&service_name(WAKE)?)
+        .service_builder(&service_name(IDENTITY)?)
         .event()
         .open()
-        .map_err(|e| ChannelError::set_up("the wake-up service", e))?;
-    identity.check(role, wake.attributes())?;
-    Ok((domain, wake))
+        .map_err(|e| ChannelError::set_up("the run's identity", e))?;
+    identity.check(role, service.attributes())?;
+    Ok(domain)
 }
 
 pub(super) fn open_channel<T: Payload>(domain: &Domain, name: &str) -> Result<Factory<T>, ChannelError> {
