@@ -127,6 +127,25 @@ class WakeWord:
         self.libc.syscall(self.number, ctypes.byref(self.word), self.WAKE, self.EVERYBODY, None, None, 0)
 
 
+class LogRing:
+    """The ring from which the logger takes what was sent on a channel."""
+
+    def __init__(self, path, kind):
+        with open(path, "r+b") as file:
+            self.map = mmap.mmap(file.fileno(), 0)
+        _, size, self.entries = struct.unpack_from("3Q", self.map)
+        if size != ctypes.sizeof(kind):
+            raise Refused(f"{path} has another layout than this program", 3)
+        self.entry = (size + 63) // 64 * 64
+        self.appended = c_uint64.from_buffer(self.map, 64)
+
+    def append(self, sample):
+        """Notes a sample that has been sent. The count changes last, so that the logger sees whole samples only."""
+        at = 128 + self.appended.value % self.entries * self.entry
+        self.map[at:at + ctypes.sizeof(sample)] = bytes(sample)
+        self.appended.value += 1
+
+
 class Run:
     """A run's manifest and its iceoryx2 domain."""
 
@@ -428,6 +447,7 @@ class Participant:
             self.out = publisher.publisher_builder().backpressure_strategy(
                 iox.BackpressureStrategy.DiscardData).max_loaned_samples(1).create()
             self.wake = WakeWord(run.wire["wake"])
+            self.log = LogRing(run.wire["log_rings"][0], Observation)
             self.commands = run.reader("command", Command, 2)
             self.port, self.board = run.board_writer(PLANT, self.incarnation)
         except Refused:
@@ -485,11 +505,11 @@ class Participant:
         return self.run.control.get().t0_ns
 
     def connected(self):
-        """Maps the peers' memory, and counts them: two readers of observations, one writer of commands."""
+        """Maps the peers' memory, and counts them: a reader of observations, a writer of commands."""
         self.out.update_connections()
         self.commands.port.has_samples()
         writers = self.commands.factory.dynamic_config.number_of_publishers
-        return self.readers.number_of_subscribers >= 2 and writers >= 1
+        return self.readers.number_of_subscribers >= 1 and writers >= 1
 
     def until(self, ready):
         while not ready():
@@ -520,7 +540,11 @@ class Participant:
         return back
 
     def send(self, observation):
+        """Sends an observation, wakes the controller, and notes the observation for the logger."""
         self.out.send_copy(observation)
+        if self.run.real:
+            self.wake.notify()
+        self.log.append(observation)
 
 
 def write(path, value):
@@ -661,7 +685,6 @@ class Plant:
             header.sensed_ns = header.published_ns = clock() if run.real else header.scheduled_ns
             participant.send(self.observation)
             if run.real:
-                participant.wake.notify()
                 work.add(clock() - woken)
             participant.status.sent += 1
             tick, advanced = tick + 1, False

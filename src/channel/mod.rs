@@ -6,8 +6,9 @@
 //! the run's identity. A futex wakes the controller.
 //!
 //! Every publish-subscribe service overflows: a full reader loses its oldest sample, and no writer ever waits
-//! for a reader. In lockstep nothing may be lost. There the plant does not run further ahead of the logger than
-//! the reader's buffer ([`LOG_BUFFER`]), so overflow cannot happen and no writer has to block.
+//! for a reader. The logger is no such reader. It takes the samples from rings in shared memory ([`LogTail`]), in
+//! which plant and controller note what they have sent. In lockstep nothing may be lost. There the plant does not
+//! run further ahead of the logger than [`LOG_BUFFER`], so no entry is overwritten and no writer has to block.
 
 mod bare_exchange;
 mod boards;
@@ -15,6 +16,7 @@ mod crash_store;
 mod domain;
 mod domain_lock;
 mod identity;
+mod log_ring;
 mod participant_ports;
 mod ports;
 mod services;
@@ -29,6 +31,8 @@ pub(crate) use crash_store::CrashStore;
 pub(crate) use domain::reclaim_dead;
 pub use domain::{DomainName, remove_domain};
 pub use identity::Identity;
+pub(crate) use log_ring::ring_file;
+pub use log_ring::{LogAppender, LogTail};
 pub use participant_ports::{ControllerPorts, LoggerPorts, PlantPorts};
 pub use ports::{Payload, Receiver, Sender};
 pub use services::RunServices;
@@ -44,7 +48,7 @@ use iceoryx2::prelude::ServiceName;
 /// The version of iceoryx2 that all processes of a run must have, whatever their language.
 pub(crate) const ICEORYX2: &str = "0.10.0";
 
-/// Samples that the logger can be behind before the oldest is lost.
+/// Samples that the logger can be behind in lockstep, where none may be lost.
 pub const LOG_BUFFER: usize = 1024;
 /// Samples that plant and controller can be behind: they read the newest, and one more slot makes a late one
 /// visible.

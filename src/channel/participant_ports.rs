@@ -5,15 +5,18 @@ use iceoryx2::service::port_factory::PortFactory as _;
 
 use super::boards::{BoardReader, StatusBoard, open_status_board, read_peer};
 use super::domain::{Domain, DomainName};
+use super::log_ring::{LogAppender, LogTail};
 use super::ports::{Factory, Payload, Receiver, Sender};
 use super::wake::{WakeListener, WakeNotifier};
-use super::{ChannelError, IDENTITY, Identity, LOG_BUFFER, LOOP_BUFFER, service_name};
+use super::{ChannelError, IDENTITY, Identity, LOOP_BUFFER, service_name};
 use crate::wire::{ChannelNames, Command, Learning, Observation, Role, Status};
 
 /// The plant's ends.
 pub struct PlantPorts {
-    /// Observations, to controller and logger.
+    /// Observations, to the controller and viewers.
     pub observation: Sender<Observation>,
+    /// Observations, for the logger.
+    pub log: LogAppender<Observation>,
     /// Wakes the controller.
     pub wake: WakeNotifier,
     /// Commands, the newest two.
@@ -31,10 +34,14 @@ pub struct ControllerPorts {
     pub observation: Receiver<Observation>,
     /// Notified with every observation.
     pub wake: WakeListener,
-    /// Commands, to plant and logger.
+    /// Commands, to the plant and viewers.
     pub command: Sender<Command>,
-    /// Learning records, to the logger.
+    /// Learning records, to viewers.
     pub learning: Sender<Learning>,
+    /// Commands, for the logger.
+    pub command_log: LogAppender<Command>,
+    /// Learning records, for the logger.
+    pub learning_log: LogAppender<Learning>,
     /// The plant's status.
     pub plant: BoardReader<Status>,
     _domain: Domain,
@@ -42,12 +49,12 @@ pub struct ControllerPorts {
 
 /// The logger's ends.
 pub struct LoggerPorts {
-    /// Observations, the last [`LOG_BUFFER`].
-    pub observation: Receiver<Observation>,
-    /// Commands, the last [`LOG_BUFFER`].
-    pub command: Receiver<Command>,
-    /// Learning records, the last [`LOG_BUFFER`].
-    pub learning: Receiver<Learning>,
+    /// Observations.
+    pub observation: LogTail<Observation>,
+    /// Commands.
+    pub command: LogTail<Command>,
+    /// Learning records.
+    pub learning: LogTail<Learning>,
     /// The plant's status.
     pub plant: BoardReader<Status>,
     /// The controller's status.
@@ -70,6 +77,7 @@ impl PlantPorts {
         let status_board = open_status_board(&domain, Role::Plant)?;
         let ports = Self {
             observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
+            log: LogAppender::open(name, "observation")?,
             wake: WakeNotifier::open(name)?,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
             controller: read_peer(&domain, Role::Controller, &status_board)?,
@@ -101,6 +109,8 @@ impl ControllerPorts {
             wake: WakeListener::open(name)?,
             command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
             learning: Sender::new(&channels.learning, open_channel(&domain, &channels.learning)?)?,
+            command_log: LogAppender::open(name, "command")?,
+            learning_log: LogAppender::open(name, "learning")?,
             plant: read_peer(&domain, Role::Plant, &status_board)?,
             _domain: domain,
         };
@@ -116,18 +126,14 @@ impl LoggerPorts {
     pub fn open(
         name: &DomainName,
         identity: &Identity,
-        channels: &ChannelNames,
+        _channels: &ChannelNames,
     ) -> Result<(Self, StatusBoard), ChannelError> {
         let domain = open_domain(name, identity, Role::Logger.name())?;
         let status_board = open_status_board(&domain, Role::Logger)?;
         let ports = Self {
-            observation: Receiver::new(
-                &channels.observation,
-                open_channel(&domain, &channels.observation)?,
-                LOG_BUFFER,
-            )?,
-            command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOG_BUFFER)?,
-            learning: Receiver::new(&channels.learning, open_channel(&domain, &channels.learning)?, LOG_BUFFER)?,
+            observation: LogTail::open(name, "observation")?,
+            command: LogTail::open(name, "command")?,
+            learning: LogTail::open(name, "learning")?,
             plant: read_peer(&domain, Role::Plant, &status_board)?,
             controller: read_peer(&domain, Role::Controller, &status_board)?,
             _domain: domain,

@@ -59,6 +59,15 @@ impl<T: Payload> Sender<T> {
         Ok(())
     }
 
+    /// Sends a copy of `sample` if there is any reader.
+    ///
+    /// # Errors
+    /// [`ChannelError::Transfer`] when shared memory fails.
+    #[inline]
+    pub fn send_if_read(&self, sample: &T) -> Result<(), ChannelError> {
+        if self.factory.dynamic_config().number_of_subscribers() == 0 { Ok(()) } else { self.send(sample) }
+    }
+
     /// Connects to all current readers, and returns their number.
     ///
     /// # Errors

@@ -6,12 +6,13 @@ use iceoryx2::service::port_factory::event;
 use super::boards::{Board, BoardReader, BoardWriter, CONTROL_PAGE, create_board, read_board, write_board};
 use super::domain::{Domain, DomainName};
 use super::domain_lock::DomainGuard;
+use super::log_ring::create_rings;
 use super::ports::{Factory, Payload};
 use super::wake::WakeWord;
 use super::{CONTROL, ChannelError, IDENTITY, INCARNATIONS, Identity, LOG_BUFFER, VISION_BUFFER, service_name};
 use crate::wire::{ChannelNames, Command, Control, Learning, Observation, Role, Status, Vision};
 
-/// Readers of a channel: controller and logger, and some viewers. None of them can hold up the writer.
+/// Readers of a channel: the loop's peer and some viewers. None of them can hold up the writer.
 const MAX_SUBSCRIBERS: usize = 4;
 /// Processes of a run: launcher, plant, controller and logger, and some viewers.
 const MAX_NODES: usize = 8;
@@ -62,6 +63,7 @@ impl RunServices {
             .create_with_attributes(&identity.specifier())
             .map_err(|e| ChannelError::set_up("the run's identity", e))?;
         let wake = WakeWord::create(name)?;
+        create_rings(name)?;
         let channels = (
             create_channel(&domain, &channels.observation, extra)?,
             create_channel(&domain, &channels.command, extra)?,

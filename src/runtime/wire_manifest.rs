@@ -20,6 +20,8 @@ pub struct WireManifest {
     pub root: String,
     /// The file whose first word is the futex that wakes the controller.
     pub wake: String,
+    /// Files of the log rings of observations, commands and learning records.
+    pub log_rings: [String; 3],
     /// Hash over the layout of all samples, hexadecimal.
     pub schema: String,
     /// Hash of the scenario, hexadecimal.
@@ -73,6 +75,8 @@ impl WireManifest {
             prefix: domain.prefix(),
             root: domain.root().display().to_string(),
             wake: crate::channel::wake_file(domain).display().to_string(),
+            log_rings: ["observation", "command", "learning"]
+                .map(|channel| crate::channel::ring_file(domain, channel).display().to_string()),
             schema: format!("{:016x}", identity.schema),
             scenario: format!("{:016x}", identity.scenario),
             build_hash: format!("{:016x}", identity.build_hash()),
