@@ -108,6 +108,14 @@ impl StateSpace for CartPoleModel {
         4
     }
 
+    fn dynamic_states(&self) -> usize {
+        4
+    }
+
+    fn wraps(&self, i: usize) -> bool {
+        i == 1
+    }
+
     fn commands(&self) -> usize {
         1
     }

@@ -99,6 +99,14 @@ impl StateSpace for FurutaModel {
         4
     }
 
+    fn dynamic_states(&self) -> usize {
+        4
+    }
+
+    fn wraps(&self, i: usize) -> bool {
+        i < 2
+    }
+
     fn commands(&self) -> usize {
         1
     }

@@ -80,6 +80,14 @@ impl StateSpace for PendulumModel {
         2
     }
 
+    fn dynamic_states(&self) -> usize {
+        2
+    }
+
+    fn wraps(&self, i: usize) -> bool {
+        i == 0
+    }
+
     fn commands(&self) -> usize {
         1
     }

@@ -64,6 +64,14 @@ impl StateSpace for PointMassModel {
         6
     }
 
+    fn dynamic_states(&self) -> usize {
+        4
+    }
+
+    fn wraps(&self, _i: usize) -> bool {
+        false
+    }
+
     fn commands(&self) -> usize {
         2
     }

@@ -125,6 +125,14 @@ impl StateSpace for ReacherModel {
         8
     }
 
+    fn dynamic_states(&self) -> usize {
+        4
+    }
+
+    fn wraps(&self, i: usize) -> bool {
+        i == 0
+    }
+
     fn commands(&self) -> usize {
         2
     }

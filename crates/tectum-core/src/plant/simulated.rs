@@ -1,5 +1,6 @@
 //! The simulated plant of a scenario: its body, and how late it is.
 
+use super::state_space::MAX_STATES;
 use super::timing::Timing;
 use super::{
     Arm, ArmConfig, CartPole, CartPoleConfig, Eye, EyeConfig, Furuta, FurutaConfig, JointState, Outcome, Pendulum,
@@ -82,25 +83,26 @@ impl SimulatedPlant {
         }
     }
 
-    /// The state of a plant in state-space form, in its model's order; empty for arm and eye.
-    pub fn state(&self) -> &[f64] {
-        match &self.body {
-            Body::Arm(_) | Body::Eye(_) => &[],
+    /// Writes the state of the body, in the order of its true model, and returns the number of its numbers; 0 for the
+    /// eye, which has no model.
+    pub fn state(&self, to: &mut [f64; MAX_STATES]) -> usize {
+        let state = match &self.body {
+            Body::Eye(_) => &[],
+            Body::Arm(arm) => {
+                let (angles, target) = (arm.angles(), arm.target());
+                let all = angles.iter().chain(&target);
+                to.iter_mut().zip(all).for_each(|(to, from)| *to = f64::from(*from));
+                return angles.len() + target.len();
+            }
             Body::Pendulum(plant) => plant.state(),
             Body::CartPole(plant) => plant.state(),
             Body::Reacher(plant) => plant.state(),
             Body::Furuta(plant) => plant.state(),
             Body::PointMass(plant) => plant.state(),
             Body::So101(plant) => plant.state(),
-        }
-    }
-
-    /// The arm, if it is one.
-    pub fn arm(&self) -> Option<&Arm> {
-        match &self.body {
-            Body::Arm(arm) => Some(arm),
-            _ => None,
-        }
+        };
+        to[..state.len()].copy_from_slice(state);
+        state.len()
     }
 
     fn body(&self) -> &dyn Plant {

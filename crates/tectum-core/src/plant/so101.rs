@@ -123,6 +123,14 @@ impl StateSpace for So101Model {
         JOINTS + 3
     }
 
+    fn dynamic_states(&self) -> usize {
+        JOINTS
+    }
+
+    fn wraps(&self, _i: usize) -> bool {
+        false
+    }
+
     fn commands(&self) -> usize {
         JOINTS
     }

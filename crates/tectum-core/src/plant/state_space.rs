@@ -20,6 +20,13 @@ pub trait StateSpace {
     /// Number of numbers in a state; at most [`MAX_STATES`].
     fn states(&self) -> usize;
 
+    /// The first so many numbers of a state decide the future, with the commands. The others are constants of the trial,
+    /// or follow from the first ones.
+    fn dynamic_states(&self) -> usize;
+
+    /// Whether number `i` of a state is an angle that wraps into [-pi, pi).
+    fn wraps(&self, i: usize) -> bool;
+
     /// Number of commands; at most [`MAX_OUTPUTS`].
     fn commands(&self) -> usize;
 

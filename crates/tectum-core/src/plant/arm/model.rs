@@ -37,6 +37,16 @@ impl ArmModel {
         points
     }
 
+    /// The end-effector for these angles, m.
+    pub fn end(&self, theta: &[f64]) -> [f64; 2] {
+        self.points(theta)[self.config.lengths.len()]
+    }
+
+    /// Whether `joint` stands still.
+    pub fn is_blocked(&self, joint: usize) -> bool {
+        self.fixed[joint].is_some()
+    }
+
     /// How much slower `joint` turns under the load, rad/s.
     fn droop(&self, joint: usize, points: &[[f64; 2]]) -> f64 {
         let until = match self.config.angles {
@@ -50,6 +60,14 @@ impl ArmModel {
 impl StateSpace for ArmModel {
     fn states(&self) -> usize {
         self.config.lengths.len() + 2
+    }
+
+    fn dynamic_states(&self) -> usize {
+        self.config.lengths.len()
+    }
+
+    fn wraps(&self, i: usize) -> bool {
+        i < self.config.lengths.len() && self.config.limits.is_empty()
     }
 
     fn commands(&self) -> usize {
