@@ -114,6 +114,13 @@ impl Evidence {
         self.len += 1;
     }
 
+    /// Writes the `q` of a point.
+    pub fn point(&self, point: usize, q: &mut [f64]) {
+        for (place, to) in q.iter_mut().enumerate() {
+            *to = self.values[place * self.capacity + point];
+        }
+    }
+
     /// Operations of one step.
     pub fn cost(&self, layout: &Layout) -> u64 {
         let n = self.len as u64;

@@ -10,7 +10,7 @@
 
 use super::functions::{exp, sines_and_cosines};
 use super::layout::{BIAS, Layout, PRODUCTS, SMOOTH, Scale};
-use crate::state::{Persist, StateVisitor};
+use crate::state::StateVisitor;
 
 /// Most groups of a layout's products: inputs and commands.
 const MAX_GROUPS: usize = crate::MAX_INPUTS + crate::MAX_OUTPUTS;

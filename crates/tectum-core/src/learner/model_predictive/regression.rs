@@ -60,6 +60,19 @@ impl Regression {
         regression
     }
 
+    /// Back to the prior; `normal` draws the sample.
+    pub fn forget(&mut self, mut normal: impl FnMut() -> f64) {
+        self.covariance.fill(0.0);
+        for r in 0..self.len {
+            self.covariance[packed(r) + r] = 1.0;
+        }
+        self.weights.fill(0.0);
+        self.squares.fill(0.0);
+        self.count = 0.0;
+        let _ = &mut normal;
+        self.sample.fill(0.0);
+    }
+
     /// The predictions of all outputs.
     pub fn predict(&self, phi: &[f64], out: &mut [f64]) {
         for (y, w) in out.iter_mut().zip(self.weights.chunks_exact(self.len)) {
