@@ -90,7 +90,7 @@ fn task(name: &str, seed: u64) -> Task {
             sim: Box::new(ArmSim { arm: Arm::new(&c, 0.05, seed), n: 6, delay, queue: vec![], lag, state: vec![0.0; 4] }) };
     }
     match name {
-        "pendulum" => Task { inputs: vec![r(-1.0, 1.0, false), r(-1.0, 1.0, false), r(-8.0, 8.0, false)], limits: vec![2.0], sigma: vec![0.1], window: 200,
+        "pendulum" => Task { inputs: vec![r(-1.0, 1.0, false), r(-1.0, 1.0, false), r(-8.0, 8.0, false)], limits: vec![2.0], sigma: vec![0.1], window: 40,
             sim: Box::new(Pendulum { th: pi, w: 0.0 }) },
         "cartpole" => Task { inputs: vec![r(-1.8, 1.8, false), r(-1.0, 1.0, false), r(-1.0, 1.0, false), r(-6.0, 6.0, false), r(-12.0, 12.0, false)], limits: vec![1.0], sigma: vec![0.02], window: 100,
             sim: Box::new(CartPole { x: 0.0, v: 0.0, th: pi, w: 0.0 }) },

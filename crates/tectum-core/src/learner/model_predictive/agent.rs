@@ -9,7 +9,7 @@ use super::layouts::{dynamics_layout, reward_layout};
 use super::layout::Places;
 use super::linalg::dot;
 use super::memory::{Changes, Entry, Lesson, Memory, Rewards};
-use super::model::{Model, ModelSize};
+use super::model::{Model, ModelSize, normal};
 use super::planner::{Plan, Planner};
 use super::refit::RefitSettings;
 use super::world::{CHANGE, LearnedWorld, Ranges, World, WorldScratch, wrap};
@@ -284,7 +284,7 @@ impl ModelPredictive {
         }
         self.dynamics.learn(&changes[..n], lesson, &mut self.rng);
         if alarm {
-            self.dynamics.fit.regression.doubt(0.2);
+            self.dynamics.fit.regression.doubt(0.2, || normal(&mut self.rng));
             self.beliefs.iter_mut().for_each(Belief::calm);
             self.alarm();
         }
@@ -303,7 +303,7 @@ impl ModelPredictive {
     fn alarm(&mut self) {
         self.counts.alarms += 1;
         self.changed_at = self.memory.stored;
-        self.next_refit = self.next_refit.min(self.tick + 40).max(self.tick + 40);
+        self.next_refit = self.next_refit.min(self.tick + 40);
     }
 
     /// Learns the reward of the last tick. Returns whether it was believed.
@@ -340,7 +340,7 @@ impl ModelPredictive {
             self.scores[k] += 0.01_f64.max(1.0 / (self.tick as f64)) * (score - self.scores[k]);
             model.learn(&[reward], Lesson::default(), &mut self.rng);
             if alarm {
-                model.fit.regression.doubt(0.1);
+                model.fit.regression.doubt(0.1, || normal(&mut self.rng));
             }
         }
         if alarm {
@@ -424,7 +424,8 @@ impl ModelPredictive {
             format!("{:.1}/{:.1e}", m.refit.log_evidence, m.fit.regression.lambda)
         };
         format!(
-            "dyn {} before {} after {} scores {:.2} {:.2} value {:.3} mu {:.1e} {:?}",
+            "dyn {} {} before {} after {} scores {:.2} {:.2} value {:.3} mu {:.1e} {:?}",
+            self.beliefs.iter().map(|b| format!("{:.1}/{:.1e}", b.level(), b.usual)).collect::<Vec<_>>().join(" "),
             model(&self.dynamics),
             model(&self.rewards[0]),
             model(&self.rewards[1]),

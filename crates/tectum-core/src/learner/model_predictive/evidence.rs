@@ -31,6 +31,10 @@ pub struct Evidence {
     first: Vec<f64>,
     second: Vec<f64>,
     steps: u64,
+    /// Scales before the last step, which had an evidence.
+    good: Vec<f64>,
+    /// Mean prior variance of the points.
+    pub amplitude: f64,
     // Scratch memory.
     matrix: Vec<f64>,
     gradient: Vec<f64>,
@@ -83,6 +87,8 @@ impl Evidence {
             first: vec![0.0; scales],
             second: vec![0.0; scales],
             steps: 0,
+            good: layout.prior.clone(),
+            amplitude: 1.0,
             matrix: vec![0.0; packed(capacity)],
             gradient: vec![0.0; scales],
             alpha: vec![0.0; outputs * capacity],
@@ -101,6 +107,7 @@ impl Evidence {
         self.first.fill(0.0);
         self.second.fill(0.0);
         self.steps = 0;
+        self.good.copy_from_slice(scales);
     }
 
     /// Adds a point: `q`, and its outputs.
@@ -132,11 +139,17 @@ impl Evidence {
     fn evaluate(&mut self, layout: &Layout, width: f64) -> Option<f64> {
         let (n, capacity) = (self.len, self.capacity);
         self.angles(layout);
+        let mut total = 0.0;
         for i in 0..n {
             self.kernel_row(layout, i);
             let row = &mut self.matrix[packed(i)..packed(i + 1)];
             row.copy_from_slice(&self.row.kernel[..=i]);
-            row[i] += exp(self.scales[NOISE]) + 1e-10;
+            total += row[i];
+            row[i] += exp(self.scales[NOISE]);
+        }
+        self.amplitude = total / n as f64;
+        for i in 0..n {
+            self.matrix[packed(i) + i] += 1e-10 * self.amplitude;
         }
         if !cholesky(&mut self.matrix, n) {
             return None;
@@ -154,7 +167,7 @@ impl Evidence {
             solve_lower(&self.matrix, alpha);
             solve_lower_transposed(&self.matrix, alpha);
             let scale = dot(targets, alpha) / n as f64;
-            if dot(targets, targets) < 1e-20 * n as f64 || scale <= 0.0 {
+            if dot(targets, targets) < 1e-9 * n as f64 || scale <= 0.0 {
                 // An output that never changes says nothing about the scales.
                 alpha.fill(0.0);
                 continue;
@@ -319,7 +332,12 @@ impl Evidence {
 
     /// One step of Adam uphill, of size `step` in the logarithms. Returns the log evidence before it.
     pub fn step(&mut self, layout: &Layout, width: f64, step: f64, noise_floor: f64) -> Option<f64> {
-        let evidence = self.evaluate(layout, width)?;
+        let Some(evidence) = self.evaluate(layout, width) else {
+            // Scales that make the matrix singular: back to those before.
+            self.scales.copy_from_slice(&self.good);
+            return None;
+        };
+        self.good.copy_from_slice(&self.scales);
         self.steps += 1;
         let (decay_first, decay_second) = (0.8_f64, 0.95_f64);
         let correct = |decay: f64| 1.0 - libm::pow(decay, self.steps as f64);
@@ -331,7 +349,7 @@ impl Evidence {
             let size = (self.second[k] / second_total).sqrt() + 1e-8;
             self.scales[k] += step * self.first[k] / first_total / size;
         }
-        self.scales[NOISE] = self.scales[NOISE].max(libm::log(noise_floor));
+        self.scales[NOISE] = self.scales[NOISE].max(libm::log(noise_floor * self.amplitude));
         Some(evidence)
     }
 }
@@ -347,6 +365,8 @@ impl Persist for Evidence {
         visitor.numbers("first", &mut self.first);
         visitor.numbers("second", &mut self.second);
         visitor.number("steps", &mut self.steps);
+        visitor.numbers("good", &mut self.good);
+        visitor.number("amplitude", &mut self.amplitude);
     }
 }
 

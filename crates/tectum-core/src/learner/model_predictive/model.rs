@@ -62,7 +62,7 @@ impl Model {
         let lambda = super::functions::exp(layout.prior[NOISE]);
         let regression = Regression::new(features.len, size.outputs, lambda);
         let mut fit = Fit { features, regression, center: 0.0, scale: 1.0 };
-        fit.regression.sample.iter_mut().for_each(|w| *w = 0.1 * normal(rng));
+        fit.regression.forget(|| normal(rng));
         let weighted = Weighted::new(&layout, &fit.features, size.outputs);
         let basis = Basis::new(&layout, &fit.features);
         let phi = vec![0.0; fit.features.len];
@@ -107,7 +107,7 @@ impl Model {
     /// The planner's function from now on: the mean and a part of what the sample differs.
     pub fn take(&mut self, part: f64) {
         let Fit { features, regression, .. } = &self.fit;
-        self.weighted.take(&self.layout, features, &regression.weights, &regression.sample, part);
+        self.weighted.take(&self.layout, features, regression, part);
     }
 
     /// Works on the refit with about `operations`. Returns how many it took, and whether a new fit is in use.

@@ -142,6 +142,11 @@ impl Refit {
         self.phase = Phase::Idle;
     }
 
+    /// The least noise.
+    fn floor(&self) -> f64 {
+        self.settings.noise_floor * self.evidence.amplitude
+    }
+
     fn enter(&mut self, phase: Phase) {
         self.phase = phase;
         self.at = 0;
@@ -261,11 +266,7 @@ impl Refit {
         let RefitSettings { width, step, noise_floor, .. } = self.settings;
         match self.evidence.step(layout, width, step, noise_floor) {
             Some(evidence) => self.log_evidence = evidence,
-            // Scales that make the matrix singular: the steps end here, with more noise.
-            None => {
-                self.evidence.scales[NOISE] += 2.0;
-                self.at = self.settings.steps;
-            }
+            None => self.at = self.settings.steps,
         }
         self.at += 1;
         if self.at >= self.settings.steps {
@@ -277,7 +278,7 @@ impl Refit {
             self.squares.fill(0.0);
             self.gathered = 0.0;
             self.rounds = 0;
-            self.next.regression.lambda = exp(self.evidence.scales[NOISE]).max(noise_floor);
+            self.next.regression.lambda = exp(self.evidence.scales[NOISE]).max(self.floor());
             if 2 * (self.range[1] - self.range[0]) < 3 * self.row.len() as u64 {
                 // Few ticks: recursion takes fewer operations than a factor of the whole matrix.
                 self.next.regression.forget(|| normal(rng));
@@ -368,20 +369,20 @@ impl Refit {
     /// Solves, and adapts the noise to the residuals.
     fn weigh(&mut self, len: usize) -> u64 {
         self.solve(len);
+        let floor = self.floor();
         let regression = &mut self.next.regression;
         let (mut total, mut counted) = (0.0, 0.0);
         for j in 0..regression.outputs {
             let w = &regression.weights[j * len..(j + 1) * len];
-            let scale = regression.scale(j);
-            if self.squares[j] < 1e-20 * self.gathered {
+            if !regression.moves(j) {
                 continue;
             }
             let residuals = (regression.squares[j] - dot(w, w)).max(0.0) * regression.lambda;
-            total += residuals / (scale * self.gathered);
+            total += libm::log(residuals / (regression.scale(j) * self.gathered) + 1e-12);
             counted += 1.0;
         }
         if counted > 0.0 {
-            regression.lambda = (total / counted).clamp(self.settings.noise_floor, 10.0);
+            regression.lambda = libm::exp(total / counted).max(floor);
         }
         self.next.features.scales[NOISE] = libm::log(regression.lambda);
         let cost = (3 * len * len * regression.outputs) as u64;
@@ -393,12 +394,10 @@ impl Refit {
         let r = self.at as usize;
         let regression = &mut self.next.regression;
         if r == 0 {
-            for j in 0..regression.outputs {
-                let scale = (regression.lambda * regression.scale(j)).sqrt();
-                let sample = &mut regression.sample[j * len..(j + 1) * len];
-                sample.iter_mut().for_each(|w| *w = scale * normal(rng));
-                solve_lower_transposed(&regression.covariance, sample);
-                add_scaled(sample, 1.0, &regression.weights[j * len..(j + 1) * len]);
+            let root = regression.lambda.sqrt();
+            regression.deviation.iter_mut().for_each(|w| *w = root * normal(rng));
+            for deviation in regression.deviation.chunks_exact_mut(len) {
+                solve_lower_transposed(&regression.covariance, deviation);
             }
         }
         invert_lower_row(&mut regression.covariance, r, &mut self.row);
@@ -432,6 +431,20 @@ impl Refit {
         let tick = self.range[1] + self.at;
         self.at += 1;
         if tick >= data.range().1 {
+            if self.range[0] == self.range[1] && self.rounds == 0 {
+                // Recursion from the beginning; once more if the noise turns out to be another.
+                self.rounds = 1;
+                let floor = self.floor();
+                let regression = &mut self.next.regression;
+                let noise = regression.evident_noise().unwrap_or(0.0).max(floor);
+                if noise > 2.0 * regression.lambda || noise < 0.2 * regression.lambda {
+                    regression.lambda = noise;
+                    self.next.features.scales[NOISE] = libm::log(noise);
+                    regression.forget(|| normal(rng));
+                    self.enter(Phase::CatchUp);
+                    return (1, false);
+                }
+            }
             std::mem::swap(fit, &mut self.next);
             self.completed += 1;
             self.enter(Phase::Idle);

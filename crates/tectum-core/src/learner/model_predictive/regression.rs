@@ -10,7 +10,8 @@
 //! ```
 //!
 //! Besides the mean, one sample of the posterior is carried along with the same gain, for exploration: it sees the
-//! outputs with noise drawn for it (Matheron's rule).
+//! outputs with noise drawn for it (Matheron's rule). What is kept is its deviation from the mean over `sqrt s_j`,
+//! `delta_j -= g (phiᵀ delta_j + sqrt lambda epsilon)`.
 
 use super::linalg::{add_outer, add_scaled, dot, multiply_symmetric, packed};
 use crate::state::{Persist, StateVisitor};
@@ -28,8 +29,8 @@ pub struct Regression {
     pub covariance: Vec<f64>,
     /// Mean weights, by output, then feature.
     pub weights: Vec<f64>,
-    /// The sample of the weights.
-    pub sample: Vec<f64>,
+    /// Deviation of the sample of the weights, over the root of the output's scale.
+    pub deviation: Vec<f64>,
     /// Sum of the normalised squared errors of each output, and their number.
     pub squares: Vec<f64>,
     /// Number of data behind `squares`.
@@ -48,7 +49,7 @@ impl Regression {
             lambda,
             covariance: vec![0.0; packed(len)],
             weights: vec![0.0; len * outputs],
-            sample: vec![0.0; len * outputs],
+            deviation: vec![0.0; len * outputs],
             squares: vec![0.0; outputs],
             count: 0.0,
             gain: vec![0.0; len],
@@ -67,10 +68,9 @@ impl Regression {
             self.covariance[packed(r) + r] = 1.0;
         }
         self.weights.fill(0.0);
+        self.deviation.iter_mut().for_each(|w| *w = normal());
         self.squares.fill(0.0);
         self.count = 0.0;
-        let _ = &mut normal;
-        self.sample.fill(0.0);
     }
 
     /// The predictions of all outputs.
@@ -83,6 +83,11 @@ impl Regression {
     /// The scale `s_j` of an output.
     pub fn scale(&self, output: usize) -> f64 {
         ((self.squares[output] + 1e-12) / (self.count + 1.0)).max(1e-14)
+    }
+
+    /// Whether an output has ever differed from 0 by more than rounding.
+    pub fn moves(&self, output: usize) -> bool {
+        self.scale(output) > 1e-9
     }
 
     /// Prepares an update with `phi`: the gain, and the returned `nu`, by which `scale` is the predictive variance.
@@ -98,15 +103,36 @@ impl Regression {
         let nu = self.nu;
         for (j, error) in errors.iter().enumerate() {
             let w = &mut self.weights[j * self.len..(j + 1) * self.len];
-            let sample = &mut self.sample[j * self.len..(j + 1) * self.len];
-            let seen = dot(w, phi) + error + (self.lambda * self.squares[j] / (self.count + 1.0)).sqrt() * normal();
             add_scaled(w, error / nu, &self.gain);
-            let apart = seen - dot(sample, phi);
-            add_scaled(sample, apart / nu, &self.gain);
+            let deviation = &mut self.deviation[j * self.len..(j + 1) * self.len];
+            let apart = dot(deviation, phi) + self.lambda.sqrt() * normal();
+            add_scaled(deviation, -apart / nu, &self.gain);
             self.squares[j] += error * error / nu;
         }
         self.count += 1.0;
         add_outer(&mut self.covariance, -1.0 / nu, &self.gain);
+    }
+
+    /// The noise that explains the residuals (MacKay 1992): with `gamma = F - tr P` weights that the data determine,
+    /// `lambda = (sum of squared residuals / (N - gamma)) / (|w|^2 / gamma)`, as the geometric mean over
+    /// the outputs that move.
+    pub fn evident_noise(&self) -> Option<f64> {
+        let mut determined = self.len as f64;
+        for r in 0..self.len {
+            determined -= self.covariance[packed(r) + r].min(1.0);
+        }
+        let free = (self.count - determined).max(0.05 * self.count);
+        let (mut sum, mut counted) = (0.0, 0.0);
+        for j in 0..self.outputs {
+            let w = &self.weights[j * self.len..(j + 1) * self.len];
+            let square = dot(w, w);
+            if self.moves(j) && square > 0.0 {
+                let residuals = self.lambda * (self.squares[j] - square).max(0.0);
+                sum += libm::log(residuals / free / square * determined + 1e-12);
+                counted += 1.0;
+            }
+        }
+        (counted > 0.0).then(|| libm::exp(sum / counted))
     }
 
     /// Operations of one update.
@@ -115,7 +141,9 @@ impl Regression {
     }
 
     /// Makes the posterior less certain: `P <- (1 - part) P + part I`.
-    pub fn doubt(&mut self, part: f64) {
+    pub fn doubt(&mut self, part: f64, mut normal: impl FnMut() -> f64) {
+        let (kept, new) = ((1.0 - part).sqrt(), part.sqrt());
+        self.deviation.iter_mut().for_each(|w| *w = kept * *w + new * normal());
         self.covariance.iter_mut().for_each(|p| *p *= 1.0 - part);
         for r in 0..self.len {
             self.covariance[packed(r) + r] += part;
@@ -128,7 +156,7 @@ impl Persist for Regression {
         visitor.number("lambda", &mut self.lambda);
         visitor.numbers("covariance", &mut self.covariance);
         visitor.numbers("weights", &mut self.weights);
-        visitor.numbers("sample", &mut self.sample);
+        visitor.numbers("deviation", &mut self.deviation);
         visitor.numbers("squares", &mut self.squares);
         visitor.number("count", &mut self.count);
     }

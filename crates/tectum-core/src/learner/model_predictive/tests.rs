@@ -44,7 +44,9 @@ fn derivatives_of_a_model_match_differences() {
     for outputs in [1, 3] {
         let mut model = Weighted::new(&layout, &features, outputs);
         let weights: Vec<f64> = (0..outputs * features.len).map(|_| normal(&mut rng)).collect();
-        model.take(&layout, &features, &weights, &weights, 0.5);
+        let mut posterior = Regression::new(features.len, outputs, 1e-3);
+        posterior.weights.copy_from_slice(&weights);
+        model.take(&layout, &features, &posterior, 0.5);
         let q = [0.3, -0.7, 0.9, -0.2, 0.5];
         let (mut y, mut jacobian) = (vec![0.0; outputs], vec![0.0; outputs * 5]);
         model.jacobian(&layout, &features, &q, &mut y, &mut jacobian);

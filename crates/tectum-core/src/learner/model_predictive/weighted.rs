@@ -7,6 +7,7 @@
 use super::features::{Basis, Features, has_feature, parent};
 use super::layout::Layout;
 use super::linalg::{add_scaled, dot};
+use super::regression::Regression;
 
 /// A model's weights, times the amplitudes of the features.
 #[derive(Debug, Clone)]
@@ -50,12 +51,13 @@ impl Weighted {
         }
     }
 
-    /// Takes the weights `mean + part (sample - mean)`, both by output, then feature.
-    pub fn take(&mut self, layout: &Layout, features: &Features, mean: &[f64], sample: &[f64], part: f64) {
+    /// Takes the weights `mean + part (sample - mean)` of a posterior.
+    pub fn take(&mut self, layout: &Layout, features: &Features, posterior: &Regression, part: f64) {
         for j in 0..self.outputs {
             let at = j * self.len;
+            let part = part * posterior.scale(j).sqrt();
             for k in 0..self.len {
-                let w = mean[at + k] + part * (sample[at + k] - mean[at + k]);
+                let w = posterior.weights[at + k] + part * posterior.deviation[at + k];
                 self.weights[at + k] = w * features.amplitudes[k];
             }
         }
