@@ -18,7 +18,7 @@ from .layouts import Command, Flag, Learning, Observation
 from .log import Log, read_log
 from .main import main
 from .plant import Outcome, Plant
-from .streams import Stream, generator, stream
+from .streams import Stream, generator, restore_generator, stream
 from .transport import JoinedRun
 from .watch import Tracker, Viewer
 
@@ -50,6 +50,7 @@ __all__ = [
     "generator",
     "main",
     "read_log",
+    "restore_generator",
     "run",
     "start",
     "stream",

@@ -354,6 +354,11 @@ class ControllerLoop:
 
     def finish(self) -> None:
         """Leaves the run in good order: the report first."""
+        self.write_report()
+        self.ports.enter(State.FINISHED)
+
+    def write_report(self) -> None:
+        """Writes the report, when the last tick has been answered."""
         self.windows.close()
         tick = self.answered.header.tick if self.answered is not None else 0
         report = self.report | {
@@ -367,7 +372,6 @@ class ControllerLoop:
             "targets": [],
         }
         write(self.run.folder / "controller.json", report)
-        self.ports.enter(State.FINISHED)
 
     def budget(self) -> dict[str, Any] | None:
         """In real time: the tick budget of the summary."""

@@ -60,7 +60,7 @@ class RunHandle:
 
     def await_manifest(self) -> None:
         """Waits until processes can join."""
-        while not (self.folder / "run.json").exists():
+        while not whole(self.folder / "run.json"):
             if self.process.poll() is not None:
                 self.wait()
             time.sleep(0.002)
@@ -132,6 +132,14 @@ def start(
         command, stdout=pipe, stderr=pipe, text=True, start_new_session=True, preexec_fn=end_with_parent
     )
     return RunHandle(process, folder)
+
+
+def whole(manifest: Path) -> bool:
+    """Whether the manifest is there, all of it."""
+    try:
+        return bool(json.loads(manifest.read_text()))
+    except (OSError, ValueError):
+        return False
 
 
 def end_with_parent() -> None:

@@ -4,9 +4,10 @@ import contextlib
 import math
 import os
 import tempfile
+import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import gymnasium
 import numpy as np
@@ -69,6 +70,7 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.last: Observation | None = None
         self.summary: Summary | None = None
         """The summary of the last run that has ended."""
+        self.said: str | None = None
         self._start()
 
     # --- Gymnasium's methods -----------------------------------------------------------------------------------
@@ -95,7 +97,8 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if not self.begun or self.last is None or self.last.header.tick + 1 >= self.run.ticks:
             raise gymnasium.error.ResetNeeded("call reset() before step(): no episode is going on")
         expected = self.last.header.tick + 1
-        self._answer(np.asarray(action, dtype=np.float32).ravel().tolist())
+        assert self.loop is not None
+        self._answer(self.loop, np.asarray(action, dtype=np.float32).ravel().tolist())
         observation = self._next()
         self.last, self.steps = observation, self.steps + 1
         flags = observation.header.flags
@@ -146,10 +149,9 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.begun = True
         self.last = self._next()
 
-    def _answer(self, outputs: list[float]) -> None:
+    def _answer(self, loop: ControllerLoop, outputs: list[float]) -> None:
         """Answers the newest observation."""
-        loop = self.loop
-        assert loop is not None and self.last is not None and isinstance(loop.body, Asked)
+        assert self.last is not None and isinstance(loop.body, Asked)
         if len(outputs) != len(self.run.outputs):
             names = ", ".join(self.run.outputs)
             raise ValueError(f"the action has {len(outputs)} numbers; the plant has {len(self.run.outputs)}: {names}")
@@ -173,22 +175,16 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._failed(Ended("the plant has ended"))
         return observation
 
-    def _failed(self, cause: Exception) -> "Any":
+    def _failed(self, cause: Exception) -> NoReturn:
         """Raises what the launcher says of a run that ended before its time."""
-        handle, self.begun = self.handle, False
-        self._leave()
-        self.loop = self.handle = None
+        handle, loop = self.handle, self.loop
+        self.handle = self.loop = self.summary = None
         text = str(cause)
-        if handle is not None:
-            with contextlib.suppress(Failed):
-                self.summary = handle.wait(check=False)
-                text = self.summary.facts.get("failure") or text
+        if handle is not None and loop is not None:
+            self._report(loop)
+            self._leave(handle, loop)
+            text = self.said or text
         raise RuntimeError(f"the run has ended: {text}; reset() starts another") from None
-
-    def _leave(self) -> None:
-        """Gives the controller's place up."""
-        if self.loop is not None:
-            self.loop.finish()
 
     def _end(self) -> None:
         """Ends the run, and keeps its summary."""
@@ -198,30 +194,45 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             return
         if self.begun:
             self._last_tick(handle, loop)
-            loop.finish()
         else:
             handle.process.terminate()
+        self._leave(handle, loop)
+
+    def _leave(self, handle: RunHandle, loop: ControllerLoop) -> None:
+        """Gives the controller's place up, and waits for the launcher's summary."""
+        loop.ports.enter(State.FINISHED)
         loop.ports.__dict__.clear()
-        with contextlib.suppress(Failed):
+        try:
             self.summary = handle.wait(check=False)
+            self.said = self.summary.facts.get("failure")
+        except Failed as cause:
+            self.said = str(cause)
         self.run.close()
         self.begun = False
 
     def _last_tick(self, handle: RunHandle, loop: ControllerLoop) -> None:
         """Answers the last observation of a run that has come to its end; stops one that has not."""
         try:
-            if self.last is not None and self.last.header.tick + 1 >= self.run.ticks:
-                self.loop = loop
-                self._answer([0.0] * len(self.run.outputs))
-                self.loop = None
-            else:
+            if self.last is None or self.last.header.tick + 1 < self.run.ticks:
                 handle.process.terminate()
+                while not self.run.over():
+                    loop.ports.heartbeat()
+                    time.sleep(0.0005)
+            if self.last is not None:
+                # In lockstep the plant waits for this before it ends.
+                self._answer(loop, [0.0] * len(self.run.outputs))
+            self._report(loop)
             while loop.ports.plant.get().state < State.FINISHED and self.run.control.get().phase < Phase.ABORT:
                 loop.ports.heartbeat()
-                if (observation := loop.ports.observations.receive()) is not None:
-                    self.last = observation
+                loop.ports.observations.receive()
+                time.sleep(0.0005)
         except (Ended, Refused):
             pass
+
+    @staticmethod
+    def _report(loop: ControllerLoop) -> None:
+        with contextlib.suppress(OSError):  # the launcher has tidied up already
+            loop.write_report()
 
     # --- what a step gives -------------------------------------------------------------------------------------
 
