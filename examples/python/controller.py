@@ -3,14 +3,14 @@
     target/release/tectum run examples/python/controller.toml
     target/release/tectum run examples/python/controller.toml --mode realtime --ticks 400
 
-The rule is REINFORCE with a running mean of the reward as baseline: a change of the gain that was followed by a better
-reward than usual is made permanent, in part. Killed, it comes back with all that it had learned.
+The rule is REINFORCE with the last reward as baseline: noise after which the reward rose makes the gain follow it, in
+part. Killed, it comes back with all that it had learned.
 """
 
 import tectum
 
-SIGMA = 0.1  # standard deviation of the exploration noise
-STEP = 0.05
+SIGMA = 0.3  # standard deviation of the exploration noise
+STEP = 0.2
 
 
 class Follow(tectum.Controller):
@@ -18,27 +18,27 @@ class Follow(tectum.Controller):
 
     def __init__(self, run):
         self.noise = run.generator("noise")
-        self.gain, self.mean_reward, self.score = 0.0, 0.0, 0.0
+        self.gain, self.last_reward, self.score = 0.0, 0.0, 0.0
+        self.fresh = True
 
     def act(self, percept):
         position, target = percept.inputs
         error, noise = float(target - position), SIGMA * float(self.noise.normal())
-        self.score = noise * error / SIGMA**2
+        self.score, self.fresh = noise * error / SIGMA**2, percept.new_target
         mean = self.gain * error
         return tectum.Answer(drawn=[mean + noise], mean=[mean])
 
     def learn(self, transition):
-        if transition.why_not or transition.limited or transition.new_target:
-            return  # what was applied was not what it asked for, or the reward is another target's
-        advantage = transition.reward - self.mean_reward
-        self.mean_reward += 0.01 * advantage
-        self.gain += STEP * advantage * self.score
+        rise, self.last_reward = transition.reward - self.last_reward, transition.reward
+        if transition.why_not or transition.limited or self.fresh:
+            return  # not what it asked for was applied, or the last reward was another target's
+        self.gain += STEP * rise * self.score
 
     def state(self):
-        return {"numbers": [self.gain, self.mean_reward, self.score], "noise": self.noise}
+        return {"numbers": [self.gain, self.last_reward, self.score, self.fresh], "noise": self.noise}
 
     def restore(self, state):
-        self.gain, self.mean_reward, self.score = state["numbers"]
+        self.gain, self.last_reward, self.score, self.fresh = state["numbers"]
         tectum.restore_generator(self.noise, state["noise"])
 
 

@@ -119,7 +119,10 @@ fn check_map(key: &str, map: &MapConfig, inputs: &[SignalConfig]) -> Result<usiz
 
     let radii = map.radius.list_len();
     if radii == Some(0) {
-        return Err(Violation::new(format_args!("{key}.radius"), "is an empty list; give a number, or one for each input"));
+        return Err(Violation::new(
+            format_args!("{key}.radius"),
+            "is an empty list; give a number, or one for each input",
+        ));
     }
     let lists = [("units", map.units.len()), ("ranges", map.ranges.len()), ("radius", radii.unwrap_or(0))];
     for (list, length) in lists {

@@ -40,14 +40,14 @@ mod tests;
 
 pub use controller::ControllerConfig;
 pub use encoder::{EncoderConfig, MapConfig};
-pub use per_axis::PerAxis;
-pub use measure::{MeasureConfig, MeasureRole, MeasureTable};
 pub use error::{FilePosition, ScenarioError};
 pub use faults::{
     ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsConfig, ProcessFault, ProcessFaultKind,
 };
 pub use file::{LogConfig, PolicyConfig, Scenario};
 pub use gate::{GateConfig, OverrunConfig, PerOutput};
+pub use measure::{MeasureConfig, MeasureRole, MeasureTable};
+pub use per_axis::PerAxis;
 pub use plant::PlantConfig;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeConfig, RealtimeProcess};

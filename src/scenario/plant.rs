@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{number, program, range_end, range_ends, show, signal_name, ticks, unique_names};
 use super::{
-    ArmConfig, EmulatorConfig, EyeConfig, MeasureConfig, MeasureRole, ServosConfig, SignalConfig, error::Violation, error::quoted, limits,
+    ArmConfig, EmulatorConfig, EyeConfig, MeasureConfig, MeasureRole, ServosConfig, SignalConfig, error::Violation,
+    error::quoted, limits,
 };
 use crate::programs::is_simulator;
 use crate::wire::MAX_MEASURES;
@@ -300,7 +301,11 @@ pub(super) fn signal_list(key: &str, signals: &[SignalConfig], max_len: usize) -
             return Err(Violation::value(format_args!("{key}[{i}].max"), show(max), remedy));
         }
         if signal.wraps == Some(true) && ((min + PI).abs() > 1e-6 || (max - PI).abs() > 1e-6) {
-            let text = format!("is true, and the range is {} to {}; an input that wraps goes from -pi to pi", show(min), show(max));
+            let text = format!(
+                "is true, and the range is {} to {}; an input that wraps goes from -pi to pi",
+                show(min),
+                show(max)
+            );
             return Err(Violation::new(format_args!("{key}[{i}].wraps"), text));
         }
     }

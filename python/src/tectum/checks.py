@@ -6,6 +6,7 @@ a `Mistake`, or at the start, before any tick, a `Refused`. The table of mistake
 
 import inspect
 import math
+import re
 import sys
 import sysconfig
 import traceback
@@ -27,6 +28,14 @@ def where(method: Callable[..., Any]) -> str:
     """`plant.py:27`: file and line in which a method begins."""
     code = getattr(inspect.unwrap(getattr(method, "__func__", method)), "__code__", None)
     return f"{Path(code.co_filename).name}:{code.co_firstlineno}" if code else "a built-in"
+
+
+def where_class(kind: Any) -> str:
+    """File and line in which a class begins."""
+    try:
+        return f"{Path(inspect.getfile(kind)).name}:{inspect.getsourcelines(kind)[1]}"
+    except (OSError, TypeError):
+        return "a built-in"
 
 
 def place(trace: TracebackType | None) -> str | None:
@@ -51,7 +60,7 @@ class Author:
         """Refuses a body that has no `method`, or one that cannot be called with `count` arguments, as in `call`."""
         found = getattr(self.body, method, None)
         if not callable(found) or getattr(found, "__isabstractmethod__", False):
-            text = f"{self.name} ({self.where_class()}) has no method {call}; a {self.role} needs it"
+            text = f"{self.name} ({where_class(type(self.body))}) has no method {call}; a {self.role} needs it"
             raise Refused(text)
         try:
             inspect.signature(found).bind(*range(count))
@@ -61,26 +70,18 @@ class Author:
         except ValueError:  # a built-in without a signature
             return
 
-    def where_class(self) -> str:
-        """File and line in which the body's class begins."""
-        try:
-            return f"{Path(inspect.getfile(type(self.body))).name}:{inspect.getsourcelines(type(self.body))[1]}"
-        except (OSError, TypeError):
-            return "a built-in"
-
     def failed(self, method: str, tick: int, cause: Exception) -> NoReturn:
         """Turns an exception of the author's code into a mistake, and prints its traceback."""
         if isinstance(cause, (Refused, Ended)):
             raise cause
-        traceback.print_exception(cause)
         at = place(cause.__traceback__) or where(getattr(self.body, method))
-        raise Mistake(f"{sentence(cause)}, at {at}, in {self.name}.{method}, tick {tick}{self.traceback()}") from None
-
-    def traceback(self) -> str:
-        """Where the traceback is."""
-        if sys.stderr.isatty():
-            return "; the traceback is above"
-        return f"; the traceback is in {self.run.folder / f'{self.role}.stderr'}"
+        told = re.fullmatch(r"could not broadcast input array from shape \((\d+),\) into shape \((\d+),\)", str(cause))
+        if told and method == "sense" and int(told[2]) == len(self.run.inputs):
+            names = f"{told[2]}: {', '.join(self.run.inputs)}"
+            raise Mistake(f"{self.name}.sense sets {told[1]} inputs, at {at}; the scenario has {names}") from None
+        traceback.print_exception(cause)
+        seen = traceback_place(self.run, self.role)
+        raise Mistake(f"{sentence(cause)}, at {at}, in {self.name}.{method}, tick {tick}; {seen}") from None
 
     def wrong(self, method: str, tick: int, text: str) -> NoReturn:
         """What a method returned, or left behind, is wrong."""
@@ -132,6 +133,13 @@ class Author:
         if not counts:
             return None
         return f"inputs were outside their range: {', '.join(counts)}; give wider ranges under [[plant.inputs]]"
+
+
+def traceback_place(run: JoinedRun, role: str) -> str:
+    """Where the traceback is that this process has printed."""
+    if sys.stderr.isatty():
+        return "the traceback is above"
+    return f"the traceback is in {run.folder / f'{role}.stderr'}"
 
 
 def sentence(cause: BaseException) -> str:

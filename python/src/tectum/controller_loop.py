@@ -111,8 +111,7 @@ class ControllerLoop:
         self.report: dict[str, Any] = dict.fromkeys(
             ("ticks", "unseen", "unheard", "stale", "learned", "cuts", "invalid", "checkpoints"), 0
         )
-        error = run.measures.index("error") if "error" in run.measures else None
-        self.windows = Windows(run.ticks, error)
+        self.windows = Windows(run.ticks, run.error)
         self.spreads = {"answer": Spread(), "learner": Spread(), "slack": Spread()}
         self.learner_ns = self.overruns = self.done = 0
 

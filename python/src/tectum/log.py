@@ -70,7 +70,7 @@ class Log:
         table |= {"incarnation": rows["incarnation"], "flags": rows["flags"]}
         lists = {"inputs": ("", self.inputs), "measures": ("", self.measures)}
         lists |= {name: (f"{name} ", self.outputs) for name in ("applied", "mean", "drawn", "noise")}
-        for name in rows.dtype.names[8:]:
+        for name in (rows.dtype.names or ())[8:]:
             if name in lists:
                 prefix, names = lists[name]
                 table |= {prefix + column: rows[name][:, i] for i, column in enumerate(names)}
@@ -97,8 +97,7 @@ class Log:
 def read_log(run: str | os.PathLike[str]) -> Log:
     """Reads a log: a run's folder, its name under `runs/`, or one file.
 
-    Segments of one run (`log.mcap`, `log-1.mcap`, ..) are read as one log; a sample that stands in two of them is taken
-    once. A log of a run in progress, or of one that was killed, is read up to its last whole record.
+    Segments of one run (`log.mcap`, `log-1.mcap`, ..) are read as one log. A log of a run in progress, or of one that was killed, is read up to its last whole record.
     """
     path = Path(run)
     if not path.exists() and (Path("runs") / run).exists():
@@ -106,7 +105,9 @@ def read_log(run: str | os.PathLike[str]) -> Log:
     files = segments(path) if path.is_dir() else [path]
     if not files or not files[0].is_file():
         raise Refused(f"there is no log in {path}; give a run's folder, its name under runs/, or a file")
-    parts, facts, complete = [], {}, True
+    parts: list[dict[str, np.ndarray]] = []
+    facts: dict[str, str] = {}
+    complete = True
     for file in files:
         arrays, meta, whole = read_file(file)
         parts.append(arrays)
@@ -158,13 +159,13 @@ def read_file(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], bool]:
         elif kind == DATA_END:
             complete = True
             break
-    types = {name: kind for name, kind in schemas.values()}
-    arrays = {}
+    types = dict(schemas.values())
+    arrays: dict[str, np.ndarray] = {}
     for short in ("observation", "command", "learning", "gap"):
         found = [number for number, name in channels.items() if name.lower().endswith(f"/{short}")]
-        kind = next((kind for name, kind in types.items() if name.lower().endswith(f"/{short}")), np.dtype([]))
-        body = b"".join(bytes(part[: kind.itemsize]) for number in found for part in bodies[number])
-        arrays[short] = np.frombuffer(body, dtype=kind) if kind.itemsize else np.empty(0, kind)
+        row = next((of for name, of in types.items() if name.lower().endswith(f"/{short}")), np.dtype([("tick", "<u8")]))
+        body = b"".join(bytes(part[: row.itemsize]) for number in found for part in bodies[number])
+        arrays[short] = np.frombuffer(body, dtype=row)
     return arrays, facts, complete
 
 

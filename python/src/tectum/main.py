@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from .checks import place, sentence
+from .checks import place, sentence, traceback_place, where_class
 from .controller_loop import ControllerLoop
 from .errors import Ended, Mistake, Refused
 from .participant import program
@@ -66,15 +66,19 @@ def made(build: Callable[[JoinedRun], Any], run: JoinedRun) -> Any:
     except TypeError as cause:
         missing = sorted(getattr(build, "__abstractmethods__", ()))
         if missing:
-            raise Refused(f"{name} has no method {' and no method '.join(f'{m}()' for m in missing)}; add it") from None
-        raise failed(name, cause) from None
+            raise Refused(f"{name} ({where_class(build)}) has no method {' and no method '.join(f'{m}()' for m in missing)}; add it") from None
+        raise failed(build, run, cause) from None
     except Exception as cause:
-        raise failed(name, cause) from None
+        raise failed(build, run, cause) from None
 
 
-def failed(name: str, cause: Exception) -> Refused:
-    traceback.print_exception(cause)
-    at = place(cause.__traceback__)
-    if at is None and isinstance(cause, TypeError):
+def failed(build: Callable[[JoinedRun], Any], run: JoinedRun, cause: Exception) -> Refused:
+    name, at = getattr(build, "__name__", "the body"), place(cause.__traceback__)
+    if isinstance(cause, TypeError) and len(traceback.extract_tb(cause.__traceback__)) == 1:  # raised by the call itself
         return Refused(f"{name} is made with one argument, the run: {cause}")
-    return Mistake(f"{sentence(cause)}, at {at or 'an unknown place'}, in {name}, before the first tick")
+    traceback.print_exception(cause)
+    # A program that failed before it took a role: the scenario says which one it was to take.
+    controller = run.settings.get("controller", {})
+    mine = any(program() in argument for argument in (controller.get("program", ""), *controller.get("args", ())))
+    seen = traceback_place(run, "controller" if mine else "plant")
+    return Mistake(f"{sentence(cause)}, at {at}, in {name}, before the first tick; {seen}")

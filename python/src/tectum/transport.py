@@ -132,6 +132,7 @@ class JoinedRun:
         signals = self.wire["signals"]
         self.input_ranges: list[tuple[float, float]] = [(s["min"], s["max"]) for s in signals["inputs"]]
         self.output_ranges: list[tuple[float, float]] = [(s["min"], s["max"]) for s in signals["outputs"]]
+        self.error: int | None = signals["error"]  # the measure with the role `error`
         self.real = self.mode == "realtime"
         self.id = int(self.manifest["run"], 16)
 

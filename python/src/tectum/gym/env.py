@@ -60,7 +60,7 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         out: str | os.PathLike[str] | None = None,
         arguments: Sequence[str] = (),
     ) -> None:
-        self.scenario, self.options = scenario, {"mode": mode, "ticks": ticks, "arguments": arguments}
+        self.scenario, self.mode, self.ticks, self.arguments = scenario, mode, ticks, arguments
         self.episode_ticks, self.end_at_targets = episode_ticks, end_at_targets
         self.temporary = tempfile.TemporaryDirectory(prefix="tectum-env-") if out is None else None
         self.out = Path(self.temporary.name if self.temporary else out)  # type: ignore[arg-type]
@@ -131,13 +131,22 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         while folder.exists():
             self.runs += 1
             folder = self.out / f"run-{self.runs}"
-        self.handle = start(self.scenario, seed=self.seed, out=folder, by_hand=["controller"], **self.options)
+        self.handle = start(
+            self.scenario,
+            mode=self.mode,
+            seed=self.seed,
+            ticks=self.ticks,
+            out=folder,
+            by_hand=["controller"],
+            arguments=self.arguments,
+        )
         self.run: JoinedRun = self.handle.join()
         self.loop, self.last, self.begun = ControllerLoop(self.run, Asked(), handle_signals=False), None, False
         # With 0 the launcher does not wait for this program to end, or end it: it goes on after the run.
         self.loop.ports.status.pid = 0
         ranges = np.array(self.run.input_ranges, dtype=np.float32), np.array(self.run.output_ranges, dtype=np.float32)
         self.observation_space, self.action_space = (spaces.Box(r[:, 0], r[:, 1], dtype=np.float32) for r in ranges)
+        self.ranges = ranges[0].T
 
     def _begin(self) -> None:
         """Takes the controller's place, and waits for the first observation."""
@@ -238,7 +247,7 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def _inputs(self, observation: Observation) -> np.ndarray:
         inputs = np.array(observation.inputs[: len(self.run.inputs)], dtype=np.float32)
-        return np.clip(inputs, self.observation_space.low, self.observation_space.high)
+        return np.clip(inputs, *self.ranges)
 
     def _info(self, observation: Observation, reason: str | None) -> dict[str, Any]:
         """Tick, flags, what was applied, measures, and why nothing may be learned from the step (None if it may)."""

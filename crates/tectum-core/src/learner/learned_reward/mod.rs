@@ -32,11 +32,11 @@ use rand::RngExt as _;
 
 use super::{LearnerSpec, ModelConfig};
 use super::{LearningRule, Transition, add};
-use crate::{MAX_INPUTS, SignalConfig};
 use crate::angle::wrap;
 use crate::policy::{LinearPolicy, Outputs};
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
+use crate::{MAX_INPUTS, SignalConfig};
 use candidate::CandidatePolicy;
 use map_features::MapFeatures;
 use movement_model::MovementModel;
