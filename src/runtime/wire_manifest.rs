@@ -40,6 +40,9 @@ pub struct WireManifest {
     pub outputs: Vec<String>,
     /// Names of an observation's measures, in order.
     pub measures: Vec<String>,
+    /// Inputs and outputs with name, unit and range, in order, and the index of the measure with the role `error`.
+    #[serde(default)]
+    pub signals: Value,
     /// The scenario with every default filled in: the tables and keys of `scenario.toml`.
     pub settings: Value,
 }
@@ -94,6 +97,7 @@ impl WireManifest {
             inputs: names(&plan.inputs),
             outputs: names(&plan.outputs),
             measures: plan.measures.clone(),
+            signals: serde_json::json!({ "inputs": plan.inputs, "outputs": plan.outputs, "error": plan.error }),
             settings: serde_json::to_value(&plan.scenario).unwrap_or_default(),
         }
     }

@@ -5,8 +5,8 @@ use rand::RngExt as _;
 use super::belief::{Belief, Verdict};
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
 use super::exploration::Noise;
-use super::layouts::{dynamics_layout, reward_layout};
 use super::layout::Places;
+use super::layouts::{dynamics_layout, reward_layout};
 use super::linalg::dot;
 use super::memory::{Changes, Entry, Lesson, Memory, Rewards};
 use super::model::{Model, ModelSize, normal};
@@ -420,9 +420,7 @@ impl ModelPredictive {
 
     /// For a look at what was learned: evidence and noise of the models, scores.
     pub fn describe(&self) -> String {
-        let model = |m: &Model| {
-            format!("{:.1}/{:.1e}", m.refit.log_evidence, m.fit.regression.lambda)
-        };
+        let model = |m: &Model| format!("{:.1}/{:.1e}", m.refit.log_evidence, m.fit.regression.lambda);
         format!(
             "dyn {} {} before {} after {} scores {:.2} {:.2} value {:.3} mu {:.1e} {:?}",
             self.beliefs.iter().map(|b| format!("{:.1}/{:.1e}", b.level(), b.usual)).collect::<Vec<_>>().join(" "),

@@ -219,8 +219,8 @@ impl Weighted {
             if unit.circle {
                 let w = features.frequencies[u];
                 for c in unit.component..unit.component + 2 {
-                    let slope = self.by_component[c]
-                        + dot(&self.slopes[..pairs], &features.waves[c * pairs..(c + 1) * pairs]);
+                    let slope =
+                        self.by_component[c] + dot(&self.slopes[..pairs], &features.waves[c * pairs..(c + 1) * pairs]);
                     hessian[r * n + r] -= w * w * self.basis.e[c] * slope;
                 }
             } else {
