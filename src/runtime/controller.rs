@@ -239,6 +239,7 @@ impl Controller {
                 reward: observation.reward,
                 next_features: self.next.as_slice(),
                 next_inputs: &observation.inputs[..self.inputs],
+                new_target: flags & flag::NEW_TARGET != 0,
             };
             self.step = self.rule.learn_and_answer(&mut self.policy, &tick, &mut self.mean);
             self.flags = flag::LEARNED;

@@ -106,6 +106,7 @@ impl Plan {
             maps: self.maps.clone(),
             normalise: self.scenario.encoder.normalise,
             sigma: self.scenario.policy.sigma,
+            max_command: self.scenario.gate.max_command.outputs(),
             seed: self.scenario.seed,
             learner: self.scenario.learner.clone(),
         }
