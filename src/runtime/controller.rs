@@ -1,5 +1,6 @@
 //! The controller's side of the tick: learn, encode, draw, answer.
 
+use super::run_counts::RunCounter;
 use super::statistics::FinishedStatistics;
 use super::{ControllerReport, FaultyChannel, RunStatistics};
 use crate::encoder::{Encoder, Features};
@@ -61,6 +62,7 @@ pub struct Controller {
     flags: u32,
     step: f32,
     statistics: RunStatistics,
+    counter: RunCounter,
     pub(super) report: ControllerReport,
 }
 
@@ -100,6 +102,7 @@ impl Controller {
             flags: 0,
             step: 0.0,
             statistics: RunStatistics::new(plan),
+            counter: RunCounter::new(plan),
             report: ControllerReport::default(),
         }
     }
@@ -261,6 +264,8 @@ impl Controller {
             self.report.diverged_at.get_or_insert(observation.header.tick);
         }
         self.statistics.observe(observation);
+        let asked = std::array::from_fn(|i| self.mean[i] + self.noise[i]);
+        self.counter.observe(observation, self.flags & flag::LEARNED != 0, asked);
         self.report.ticks += 1;
     }
 
@@ -299,7 +304,8 @@ impl Controller {
         let FinishedStatistics { windows, first_switch, last_switch, targets } =
             self.statistics.finish(self.report.ticks + self.report.unseen);
         let weights_hash = format!("{:016x}", self.policy.hash());
-        ControllerReport { weights_hash, windows, first_switch, last_switch, targets, ..self.report }
+        let counts = self.counter.finish(self.rule.outliers(), self.policy.norm() == 0.0);
+        ControllerReport { weights_hash, windows, first_switch, last_switch, targets, counts, ..self.report }
     }
 }
 
@@ -318,6 +324,7 @@ impl Persist for Controller {
         visitor.number("flags", &mut self.flags);
         visitor.number("step", &mut self.step);
         visitor.nested("tally", &mut self.statistics);
+        visitor.nested("counter", &mut self.counter);
         visitor.nested("report", &mut self.report);
     }
 }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
+use super::run_counts::RunCounts;
 use super::{RuntimeError, Snapshot, TargetsAround, TickBudget};
 use crate::clock::RealtimeReport;
 use crate::state::{Persist, StateVisitor};
@@ -86,6 +87,8 @@ pub struct ControllerReport {
     pub invalid: u64,
     /// The first tick at which learning met a number that is not finite.
     pub diverged_at: Option<u64>,
+    /// Counts from which the run is judged.
+    pub counts: RunCounts,
     /// Checkpoints written by the process that ended the run.
     pub checkpoints: u64,
     /// Why a checkpoint could not be written, one sentence; null where all could.
