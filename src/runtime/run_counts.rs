@@ -166,7 +166,8 @@ impl RunCounter {
         if flags & flag::FIRST == 0 {
             self.count_reward(observation.reward);
         }
-        if flags & flag::CLAMPED != 0 {
+        // A command that was missed is the hold policy's.
+        if flags & (flag::CLAMPED | flag::MISSED) == flag::CLAMPED {
             let outputs = observation.applied.iter().zip(&self.asked).zip(&mut self.limited).take(self.outputs);
             outputs.for_each(|((applied, asked), count)| *count += u64::from(applied != asked));
         }
