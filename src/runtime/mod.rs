@@ -27,6 +27,8 @@ mod plant;
 mod plant_loop;
 mod policy_snapshots;
 mod reports;
+mod run_counts;
+mod run_warnings;
 mod statistics;
 mod stopwatch;
 mod target_statistics;
@@ -52,6 +54,8 @@ pub(crate) use policy_snapshots::{
 };
 pub use reports::{ControllerReport, LoggerReport, PlantReport};
 pub(crate) use reports::{read as read_report, read_columns, read_realtime, realtime_path, remove_unwritten_reports};
+pub use run_counts::{InputCounts, NotLearned, RunCounts};
+pub use run_warnings::{RunWarning, judge};
 pub(crate) use statistics::Switch;
 pub use statistics::{FinishedStatistics, RunStatistics, Snapshot};
 pub(crate) use stopwatch::tick_times;
