@@ -103,6 +103,8 @@ pub mod clock;
 #[doc(hidden)]
 pub mod doctor;
 #[doc(hidden)]
+pub mod new_project;
+#[doc(hidden)]
 pub mod reference;
 #[doc(hidden)]
 pub mod report;
