@@ -1,5 +1,5 @@
-//! Names of the installed programs that the launcher starts, and of the simulator, which the scenario's checks
-//! must recognise.
+//! Names of the installed programs that the launcher starts. The scenario's checks must recognise simulator and
+//! controller, because some tables belong to them.
 
 use std::path::Path;
 
@@ -12,5 +12,14 @@ pub(crate) const LOGGER: &str = "tectum-logger";
 
 /// Whether the plant's program is the package's simulator. Only the file name counts, not the folder.
 pub(crate) fn is_simulator(program: &str) -> bool {
-    Path::new(program).file_name().is_some_and(|name| name == SIMULATOR)
+    is_named(program, SIMULATOR)
+}
+
+/// Whether the controller's program is the package's own. Only the file name counts, not the folder.
+pub(crate) fn is_shipped_controller(program: &str) -> bool {
+    is_named(program, CONTROLLER)
+}
+
+fn is_named(program: &str, name: &str) -> bool {
+    Path::new(program).file_name().is_some_and(|file| file == name)
 }

@@ -28,6 +28,27 @@ fn another_plant_program_replaces_the_simulator() {
 }
 
 #[test]
+fn another_controller_program_replaces_the_packages() {
+    let test_folder = TestFolder::new();
+    let scenario = std::fs::read_to_string(test_folder.arm_scenario(&[])).unwrap();
+    let usual = test_folder.write_file("usual.toml", &scenario);
+    // The same program under another name: the launcher cannot know it, and the numbers must be the same.
+    std::os::unix::fs::symlink(program("tectum-controller"), test_folder.path().join("own")).unwrap();
+    let own = test_folder.path().join("own");
+    let table = format!("[controller]\nprogram = {:?}\n\n[policy]", own.to_str().unwrap());
+    let own = test_folder.write_file("own.toml", scenario.replacen("[policy]", &table, 1));
+    let hash = |file: &std::path::Path| {
+        let args = [file.to_str().unwrap(), "--ticks", "300", "--json"];
+        let summary = test_folder.run(&args).wait().expect(0).json();
+        assert_eq!(summary["ticks"], 300);
+        summary["weights_hash"].clone()
+    };
+    assert_eq!(hash(&own), hash(&usual));
+    let refused = test_folder.run(&[own.to_str().unwrap(), "--mode", "in-process"]).wait().expect(2);
+    assert!(refused.stderr.contains("which cannot run in one process with the plant"), "{}", refused.stderr);
+}
+
+#[test]
 fn every_process_can_be_started_by_hand() {
     for (role, name) in
         [("plant", "tectum-simulator"), ("controller", "tectum-controller"), ("logger", "tectum-logger")]

@@ -17,7 +17,9 @@ pub struct EncoderConfig {
     /// normalised.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub scalars: Vec<String>,
-    /// The maps: at most 64, with at most 65,536 units together. At least one, unless there are scalars.
+    /// The maps: at most 64, with at most 65,536 units together. At least one, unless there are scalars, or the
+    /// controller is another program.
+    #[serde(default)]
     pub maps: Vec<MapConfig>,
 }
 
@@ -39,6 +41,19 @@ pub struct MapConfig {
 
 fn enabled() -> bool {
     true
+}
+
+impl Default for EncoderConfig {
+    fn default() -> Self {
+        Self { normalise: enabled(), scalars: Vec::new(), maps: Vec::new() }
+    }
+}
+
+impl EncoderConfig {
+    /// Whether it has neither maps nor scalars.
+    pub fn is_empty(&self) -> bool {
+        self.maps.is_empty() && self.scalars.is_empty()
+    }
 }
 
 /// Checks the encoder and returns the number of its features.

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{number, range_end, range_ends, show, signal_name, ticks, unique_names};
+use super::check::{number, program, range_end, range_ends, show, signal_name, ticks, unique_names};
 use super::{
     ArmConfig, EmulatorConfig, EyeConfig, ServosConfig, SignalConfig, error::Violation, error::quoted, limits,
 };
@@ -51,33 +51,11 @@ fn default_program() -> String {
 
 /// Checks the table without its lists of signals, which are checked after they are resolved.
 pub(super) fn check(plant: &PlantConfig) -> Result<(), Violation> {
-    check_program(plant)?;
+    program("plant", &plant.program, &plant.args)?;
     check_kind(plant)?;
     plant.arm.as_ref().map_or(Ok(()), check_arm)?;
     plant.eye.as_ref().map_or(Ok(()), check_eye)?;
     plant.emulator.as_ref().map_or(Ok(()), super::emulator::check)
-}
-
-fn check_program(plant: &PlantConfig) -> Result<(), Violation> {
-    if plant.program.trim().is_empty() {
-        return Err(Violation::value(
-            "plant.program",
-            quoted(&plant.program),
-            "give the name or the path of a program",
-        ));
-    }
-    let args = plant.args.iter().enumerate().map(|(i, arg)| (format!("plant.args[{i}]"), arg));
-    for (key, text) in std::iter::once(("plant.program".to_owned(), &plant.program)).chain(args) {
-        // A zero character would end the string for the operating system.
-        if text.contains('\0') || text.chars().count() > limits::PROGRAM_CHARS {
-            return Err(Violation::value(
-                key,
-                quoted(text),
-                "give at most 4096 characters, none of them a zero character",
-            ));
-        }
-    }
-    Ok(())
 }
 
 /// Checks that the simulator has exactly one of arm and eye, and no lists of signals, because it defines them.

@@ -214,14 +214,14 @@ impl SpawnCommand {
     fn locate(plan: &Plan, role: Role) -> Result<Self, LaunchError> {
         let (name, arguments): (&str, &[String]) = match role {
             Role::Plant => (&plan.scenario.plant.program, &plan.scenario.plant.args),
-            Role::Controller => (programs::CONTROLLER, &[]),
+            Role::Controller => (&plan.scenario.controller.program, &plan.scenario.controller.args),
             Role::Logger => (programs::LOGGER, &[]),
         };
         let program = find(name).ok_or_else(|| LaunchError::Start {
             role: role.name(),
             program: name.to_owned(),
             cause: "no such program beside `tectum` or in PATH; build all of them with `cargo build --release`, \
-                    or name the plant's program by its path"
+                    or name your own program by its path"
                 .to_owned(),
         })?;
         Ok(Self { program, arguments: arguments.to_owned() })

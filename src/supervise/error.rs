@@ -67,6 +67,9 @@ pub enum LaunchError {
     /// The plant is a program of its own, which cannot run inside this process.
     #[error("the plant is `{0}`, which cannot run in one process with the controller; use --mode lockstep or realtime")]
     NotSimulated(String),
+    /// The controller is a program of its own, which cannot run inside this process.
+    #[error("the controller is `{0}`, which cannot run in one process with the plant; use --mode lockstep or realtime")]
+    OtherController(String),
     /// A plant with servos cannot follow virtual time.
     #[error(
         "the plant drives servos, which run in real time only, and --mode is {0}; leave --mode out, or give realtime"
@@ -87,6 +90,7 @@ impl LaunchError {
             | Self::NoRoom { .. }
             | Self::OnlyRealtime(_)
             | Self::NotSimulated(_)
+            | Self::OtherController(_)
             | Self::Start { .. } => exit::INPUT,
             Self::Refused { code, .. } => *code,
             Self::NotReady { .. } => exit::PROCESS,

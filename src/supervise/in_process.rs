@@ -20,6 +20,9 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let plan = &launch.plan;
     let plant = simulated_plant(plan)?;
+    if !plan.scenario.controller.is_shipped() {
+        return Err(LaunchError::OtherController(plan.scenario.controller.program.clone()));
+    }
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.write_scenario(plan)?;
     folder.keep();

@@ -25,6 +25,17 @@ pub enum ReplayError {
         /// The build that wrote it.
         build: String,
     },
+    /// The run's controller was another program.
+    #[error(
+        "the controller of the log {} was `{program}`, and a replay knows only the learners of this package",
+        path.display()
+    )]
+    OtherController {
+        /// The log.
+        path: PathBuf,
+        /// The controller's program.
+        program: String,
+    },
     /// The log was written with `every` above 1.
     #[error(
         "the log {} holds every {every}th tick only, and a replay needs all that was learned from; run the \

@@ -106,6 +106,9 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
     let plan = Scenario::parse(log.scenario(), "scenario.toml")
         .and_then(Scenario::plan)
         .map_err(|error| ReplayError::Scenario { path: path.clone(), error: Box::new(error), build: build.clone() })?;
+    if !plan.scenario.controller.is_shipped() {
+        return Err(ReplayError::OtherController { path, program: plan.scenario.controller.program });
+    }
     check_complete(&log, &path)?;
     let other = learner.map(|rule| other(&plan, rule, &path)).transpose()?;
     let mut run = ReplayFollower::new(&plan, StampChecker::of(&log, &plan), other);
