@@ -5,17 +5,12 @@ use super::NewProjectError;
 /// Longest name, in characters.
 const LONGEST: usize = 64;
 
-/// Names that cargo or the compiler refuse, or that hide what the project needs.
-const TAKEN: [&str; 51] = [
-    // Keywords.
-    "as", "async", "await", "break", "const", "continue", "crate", "dyn", "else", "enum", "extern", "false", "fn",
-    "for", "gen", "if", "impl", "in", "let", "loop", "match", "mod", "move", "mut", "pub", "ref", "return", "self",
-    "static", "struct", "super", "trait", "true", "type", "unsafe", "use", "where", "while", "yield",
-    // Crates of the compiler and of the project.
-    "alloc", "core", "proc_macro", "rand", "std", "tectum", "test",
-    // Folders in which cargo puts programs.
-    "build", "deps", "examples", "incremental", "tmp",
-];
+/// Keywords of Rust.
+const KEYWORDS: &str = "as async await break const continue crate dyn else enum extern false fn for gen if impl in \
+    let loop match mod move mut pub ref return self static struct super trait true type unsafe use where while yield";
+
+/// Crates that the compiler or the project needs, and folders in which cargo puts programs.
+const TAKEN: &str = "alloc core proc_macro rand std tectum test build deps examples incremental tmp";
 
 /// Checks that a project may have this name.
 pub(super) fn check(name: &str) -> Result<(), NewProjectError> {
@@ -30,7 +25,7 @@ pub(super) fn check(name: &str) -> Result<(), NewProjectError> {
     if name.len() > LONGEST {
         return refuse(&format!("it has {} characters; give at most {LONGEST}", name.len()));
     }
-    if TAKEN.contains(&name) || name.starts_with("tectum-") {
+    if KEYWORDS.split(' ').chain(TAKEN.split(' ')).any(|taken| taken == name) || name.starts_with("tectum-") {
         return refuse("Rust, cargo or Tectum use this name; give another one");
     }
     Ok(())

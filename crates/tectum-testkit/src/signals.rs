@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Sends a signal to a process, by the name that `kill` takes: `"KILL"`, `"STOP"`, `"CONT"`, `"TERM"`, `"INT"`, `"HUP"`,
-/// `"QUIT"`, `"USR1"` or `"USR2"`. A process that has ended meanwhile is no error: which of the two comes first is
-/// often what a test leaves open.
+/// Sends a signal to a process, by the name that `kill` takes: `"KILL"`, `"STOP"`, `"CONT"`, `"TERM"`, `"INT"`,
+/// `"HUP"`, `"QUIT"`, `"USR1"` or `"USR2"`. A process that has ended meanwhile is no error: which of the two comes
+/// first is often what a test leaves open.
 ///
 /// # Panics
 ///

@@ -86,7 +86,8 @@ impl TestFolder {
         self.write_file("scenario.toml", scenario.to_toml()).to_string_lossy().into_owned()
     }
 
-    /// Starts `tectum run` in this folder with these arguments. The run's own folder is [`run_folder`](Self::run_folder).
+    /// Starts `tectum run` in this folder with these arguments. The run's own folder is
+    /// [`run_folder`](Self::run_folder).
     ///
     /// # Panics
     ///
@@ -118,8 +119,8 @@ impl TestFolder {
         self.start_command(command)
     }
 
-    /// Starts a command that has settings of its own, such as its environment. It runs in this folder, without
-    /// standard input; its output is collected.
+    /// Starts a command that has settings of its own, such as its environment. It runs in this folder unless it names
+    /// another, without standard input; its output is collected.
     ///
     /// # Panics
     ///
@@ -127,7 +128,10 @@ impl TestFolder {
     #[track_caller]
     pub fn start_command(&self, mut command: Command) -> Process {
         // In a process group of its own, Ctrl-C at the terminal does not reach it before the test.
-        command.current_dir(self.path()).process_group(0);
+        command.process_group(0);
+        if command.get_current_dir().is_none() {
+            command.current_dir(self.path());
+        }
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let child = command.spawn();
         let child =
