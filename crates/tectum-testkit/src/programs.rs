@@ -94,7 +94,7 @@ fn target_folders() -> Vec<PathBuf> {
         add(profile.clone());
     }
     let checkout = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target");
-    let targets = [profile.as_deref().and_then(Path::parent).map(Path::to_owned), checkout.canonicalize().ok()];
+    let targets = [target_folder(), checkout.canonicalize().ok()];
     let own = profile.as_deref().and_then(Path::file_name);
     for target in targets.into_iter().flatten() {
         for profile in own.into_iter().chain(["release".as_ref(), "debug".as_ref()]) {
@@ -104,18 +104,18 @@ fn target_folders() -> Vec<PathBuf> {
     folders
 }
 
-/// The profile's folder in the running test's target folder: `target/debug` of `target/debug/deps/test-1234`.
+/// The profile's folder in the running test's target folder: `target/debug` of `target/debug/deps/test-1234`. `None`
+/// if cargo did not build it.
 fn test_profile_folder() -> Option<PathBuf> {
     let test = std::env::current_exe().ok()?;
     let folder = test.parent()?;
     let inner = folder.file_name().is_some_and(|name| name == "deps" || name == "examples");
-    Some(if inner { folder.parent()?.to_owned() } else { folder.to_owned() })
+    inner.then(|| folder.parent()).flatten().map(Path::to_owned)
 }
 
-/// The target folder of the running test. Cargo marks it with a file.
+/// The target folder of the running test.
 pub(crate) fn target_folder() -> Option<PathBuf> {
-    let profile = test_profile_folder()?;
-    profile.ancestors().find(|folder| folder.join("CACHEDIR.TAG").is_file()).map(Path::to_owned)
+    test_profile_folder()?.parent().map(Path::to_owned)
 }
 
 #[cfg(test)]
