@@ -229,10 +229,13 @@ impl Process {
 
     /// Kills the program and the processes that it has started.
     fn kill(&mut self) {
-        for (pid, _) in children(self.id()) {
+        // A launcher that is stopped starts no successor of a killed process.
+        self.signal("STOP");
+        let children = children(self.id());
+        let _ = self.child.kill();
+        for (pid, _) in children {
             signal_process(pid, "KILL");
         }
-        let _ = self.child.kill();
         let _ = self.child.wait();
     }
 

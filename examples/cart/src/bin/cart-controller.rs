@@ -3,13 +3,11 @@
 use std::process::ExitCode;
 
 use cart::ProportionalDerivative;
-use tectum::runtime::run_controller;
-use tectum::wire::Role;
+use tectum::process::controller_main;
 
 fn main() -> ExitCode {
-    tectum::process::main(Role::Controller, "Pushes a cart to its target", |participant| {
-        run_controller(participant, |plan| {
-            ProportionalDerivative::new((plan.scenario.period_ms / 1000.0) as f32)
-        })
-    })
+    controller_main(&[("proportional-derivative", |plan| {
+        let period = (plan.scenario.period_ms / 1000.0) as f32;
+        Ok(Box::new(ProportionalDerivative::new(period)))
+    })])
 }
