@@ -18,12 +18,14 @@ import argparse, ctypes, gc, json, math, os, select, signal, struct, sys, time
 from ctypes import Structure, c_float, c_uint32, c_uint64
 from pathlib import Path
 
-MAX_INPUTS, MAX_OUTPUTS, MAX_MEASURES = 16, 8, 6
+MAX_INPUTS, MAX_OUTPUTS, MAX_MEASURES, MAX_COLUMNS = 32, 16, 6, 8
 LOG_BUFFER, CREDIT = 1024, 256
 # Bits of a header's flags that matter to a plant or a viewer.
 FIRST, MISSED, HELD, DECAYED, STOPPED, CLAMPED, NON_FINITE, SKIPPED, NEW_TARGET, LATE = (1 << bit for bit in range(10))
 STEP_LIMITED, POSITION_LIMITED, RAMPED, UNHEARD = (1 << bit for bit in range(12, 16))
-UNARMED, TRIPPED, BLIND = (1 << bit for bit in range(19, 22))
+UNARMED, TRIPPED, BLIND, TERMINATED, TRUNCATED = (1 << bit for bit in range(19, 24))
+# What a plant's `advance` may return behind reward and measures: how an episode ended with the tick.
+END = {None: 0, "terminated": TERMINATED, "truncated": TRUNCATED}
 # Phases of a run, states of a process, and the indices of the processes on the control board.
 SET_UP, CONNECT, RUN, STOP, ABORT = range(5)
 ABSENT, READY, CONNECTED, RUNNING, FINISHED, FAILED = range(6)
@@ -53,14 +55,15 @@ def sample(name, fields):
 Header = sample("tectum.Header.v1", [
     ("run", c_uint64), ("tick", c_uint64), ("sequence", c_uint64), ("scheduled_ns", c_uint64), ("sensed_ns", c_uint64),
     ("published_ns", c_uint64), ("incarnation", c_uint32), ("flags", c_uint32)])
-Observation = sample("tectum.Observation.v1", [
+Observation = sample("tectum.Observation.v2", [
     ("header", Header), ("inputs", c_float * MAX_INPUTS), ("applied", c_float * MAX_OUTPUTS), ("reward", c_float),
     ("skipped", c_uint32), ("measures", c_float * MAX_MEASURES)])
-Command = sample("tectum.Command.v1", [
+Command = sample("tectum.Command.v2", [
     ("header", Header), ("mean", c_float * MAX_OUTPUTS), ("drawn", c_float * MAX_OUTPUTS)])
-Learning = sample("tectum.Learning.v1", [
+Learning = sample("tectum.Learning.v2", [
     ("header", Header), ("noise", c_float * MAX_OUTPUTS), ("reward", c_float), ("step", c_float),
-    ("weights_norm", c_float), ("trace_norm", c_float), ("weights_hash", c_uint64)])
+    ("weights_norm", c_float), ("trace_norm", c_float), ("columns", c_float * MAX_COLUMNS),
+    ("weights_hash", c_uint64)])
 Vision = sample("tectum.Vision.v1", [("header", Header), ("target", c_float * 2), ("end", c_float * 2)])
 Control = sample("tectum.Control.v2", [
     ("phase", c_uint32), ("checkpoints", c_uint32), ("t0_ns", c_uint64), ("incarnations", c_uint32 * 4)])
@@ -546,11 +549,13 @@ class Plant:
         command, self.found = self.found, None
         drawn = None if command is None or command.header.flags & UNHEARD else list(command.drawn)
         joints = self.body.joints() if self.gate.positions else None
+        ended = self.flags & (TERMINATED | TRUNCATED)
         applied, self.flags = self.gate.go(drawn, joints)
         for key, bit in (("missed", MISSED), ("clamped", CLAMPED), ("step_limited", STEP_LIMITED), ("ramped", RAMPED),
                          ("position_limited", POSITION_LIMITED), ("non_finite", NON_FINITE)):
             self.report[key] += bool(self.flags & bit)
-        reward, measures = self.body.advance(tick, list(applied))
+        reward, measures, *end = self.body.advance(tick, list(applied))
+        self.flags |= ended | (END[end[0]] if end else 0)
         self.observation.applied = tuple(applied)
         self.observation.reward = reward
         self.observation.measures = tuple(measures)
@@ -563,6 +568,7 @@ class Plant:
         header = self.observation.header
         header.tick = tick
         header.flags = self.flags | (LATE if late else 0) | (SKIPPED if skipped else 0) | (NEW_TARGET if fresh else 0)
+        self.flags &= ~(TERMINATED | TRUNCATED)
         self.report["ticks"] += 1
 
     def wait(self, t0, tick, advanced):

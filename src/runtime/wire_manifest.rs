@@ -87,7 +87,7 @@ impl WireManifest {
             inputs: names(&plan.inputs),
             outputs: names(&plan.outputs),
             measures: plan.measures.clone(),
-            settings: serde_json::to_value(&plan.scenario).unwrap_or_default(),
+            settings: plan.scenario.to_json(),
         }
     }
 }
