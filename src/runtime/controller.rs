@@ -268,11 +268,17 @@ impl<A: Agent> Controller<A> {
     }
 
     /// Ends the run and returns the report, with the hash of what was learned.
-    pub fn finish(mut self) -> ControllerReport {
+    pub fn finish(self) -> ControllerReport {
+        self.finish_with_agent().0
+    }
+
+    /// Like [`finish`](Self::finish), and gives the agent back.
+    pub fn finish_with_agent(mut self) -> (ControllerReport, A) {
         let weights_hash = format!("{:016x}", learned_hash(&mut self.agent));
         let FinishedStatistics { windows, first_switch, last_switch, targets } =
             self.statistics.finish(self.report.ticks + self.report.unseen);
-        ControllerReport { weights_hash, windows, first_switch, last_switch, targets, ..self.report }
+        let report = ControllerReport { weights_hash, windows, first_switch, last_switch, targets, ..self.report };
+        (report, self.agent)
     }
 }
 
