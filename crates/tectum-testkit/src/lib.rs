@@ -8,24 +8,20 @@
 //! ```no_run
 //! use tectum_testkit::{ScenarioFile, TestFolder};
 //!
-//! #[test]
-//! fn the_plant_returns_after_its_death() {
-//!     let folder = TestFolder::new();
-//!     let scenario = ScenarioFile::read("scenario.toml")
-//!         .set("plant.program", env!("CARGO_BIN_EXE_my-plant"))
-//!         .set("restart.backoff_ms", 1);
-//!     let scenario = folder.write_scenario(&scenario);
+//! let folder = TestFolder::new();
+//! let scenario = ScenarioFile::read("scenario.toml")
+//!     .set("plant.program", "target/debug/my-plant") // in a test: env!("CARGO_BIN_EXE_my-plant")
+//!     .set("restart.backoff_ms", 1);
+//! let scenario = folder.write_scenario(&scenario);
 //!
-//!     let mut run = folder.run(&[&scenario, "--ticks", "20000", "--json"]);
-//!     run.wait_until_tick(1000);
-//!     run.kill_child("my-plant");
-//!     let outcome = run.wait().expect(0);
+//! let mut run = folder.run(&[&scenario, "--ticks", "20000", "--json"]);
+//! run.wait_until_tick(1000);
+//! run.kill_child("my-plant");
+//! let outcome = run.wait().expect(0);
 //!
-//!     assert_eq!(outcome.json()["restarts"][0]["process"], "plant");
-//!     assert_eq!(folder.log().unwrap().observations.len(), 20000);
-//!     folder.assert_no_debris();
-//! }
-//! # fn main() {}
+//! assert_eq!(outcome.json()["restarts"][0]["process"], "plant");
+//! assert_eq!(folder.log().unwrap().observations.len(), 20000);
+//! folder.assert_no_debris();
 //! ```
 //!
 //! | item | what it is for |
