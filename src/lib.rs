@@ -9,6 +9,7 @@
 //! | module | what it is for |
 //! |---|---|
 //! | [`scenario`] | TOML files that describe a run, and the validated [`Plan`](scenario::Plan) |
+//! | [`agent`] | the trait [`Agent`](agent::Agent), which your controller implements |
 //! | [`plant`] | the trait [`Plant`](plant::Plant), which your plant implements; the simulated arm and eye |
 //! | [`process`] | the `main` function of a process that joins a run: arguments, errors, exit codes |
 //! | [`runtime`] | the processes' loops, [`Tracker`](runtime::Tracker), [`in_process`](runtime::in_process()) |
@@ -83,7 +84,7 @@ pub mod scenario;
 pub mod study;
 pub mod wire;
 
-pub use tectum_core::{learner, plant, policy, seed, state};
+pub use tectum_core::{agent, learner, plant, policy, seed, state};
 pub use tectum_encoder as encoder;
 
 // The programs, tests and benches of this package are crates of their own and need the following modules, so

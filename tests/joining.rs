@@ -28,24 +28,19 @@ fn another_plant_program_replaces_the_simulator() {
 }
 
 #[test]
-fn another_controller_program_replaces_the_packages() {
+fn a_controller_that_is_not_the_scenarios_is_refused() {
     let test_folder = TestFolder::new();
-    let scenario = std::fs::read_to_string(test_folder.arm_scenario(&[])).unwrap();
-    let usual = test_folder.write_file("usual.toml", &scenario);
-    // The same program under another name: the launcher cannot know it, and the numbers must be the same.
-    std::os::unix::fs::symlink(program("tectum-controller"), test_folder.path().join("own")).unwrap();
-    let own = test_folder.path().join("own");
-    let table = format!("[controller]\nprogram = {:?}\n\n[policy]", own.to_str().unwrap());
-    let own = test_folder.write_file("own.toml", scenario.replacen("[policy]", &table, 1));
-    let hash = |file: &std::path::Path| {
-        let args = [file.to_str().unwrap(), "--ticks", "300", "--json"];
-        let summary = test_folder.run(&args).wait().expect(0).json();
-        assert_eq!(summary["ticks"], 300);
-        summary["weights_hash"].clone()
-    };
-    assert_eq!(hash(&own), hash(&usual));
-    let refused = test_folder.run(&[own.to_str().unwrap(), "--mode", "in-process"]).wait().expect(2);
-    assert!(refused.stderr.contains("which cannot run in one process with the plant"), "{}", refused.stderr);
+    let own = point(&test_folder).replace("point.toml", "own.toml");
+    let text = std::fs::read_to_string(point(&test_folder)).unwrap();
+    std::fs::write(&own, text.replacen("[encoder]", "[controller]\nprogram = \"./own\"\n\n[encoder]", 1)).unwrap();
+    let mut run = test_folder.start(TECTUM, &["run", "--name", "demo", &own, "--by-hand", "controller"]);
+    let manifest = test_folder.path().join("runs/demo/run.json");
+    run.wait_until("the run's manifest", || manifest.exists());
+    let message = test_folder.start(program("tectum-controller"), &["--run", "demo"]).wait().expect(2).stderr;
+    assert!(
+        message.contains("controller.program is \"./own\", and this is tectum-controller; start that"),
+        "{message}"
+    );
 }
 
 #[test]

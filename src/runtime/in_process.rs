@@ -1,11 +1,11 @@
 //! Runs plant and controller in one process, without transport and log, for studies. Beside lockstep and real
 //! time it is the third way to run a tick.
 
-use super::{Controller, ControllerReport, PlantReport, PlantSide, RunStatistics};
+use super::{Controller, ControllerReport, PipeError, PipedController, PlantReport, PlantSide, RunStatistics};
 use crate::plant::Plant;
 use crate::policy::LinearPolicy;
 use crate::scenario::Plan;
-use crate::wire::{Command, Observation};
+use crate::wire::{Command, Learning, Observation};
 
 /// The result of a run in one process.
 #[derive(Debug, Clone)]
@@ -48,4 +48,32 @@ pub fn in_process_with_observer<P: Plant>(
         side.step(tick, Some(&command));
     }
     InProcess { plant: side.report, policy: controller.policy().clone(), controller: controller.finish() }
+}
+
+/// Runs `plan` with the plant `body` in this process and a controller's program at the other end of a pipe.
+/// `progress` is called every 4096 ticks with the ticks done and the statistics so far. When it returns false, the run
+/// ends there.
+///
+/// # Errors
+/// When the controller's program fails.
+pub fn in_process_over_pipe<P: Plant>(
+    plan: &Plan,
+    body: P,
+    mut controller: PipedController,
+    mut progress: impl FnMut(u64, &RunStatistics) -> bool,
+) -> Result<(PlantReport, ControllerReport), PipeError> {
+    let mut side = PlantSide::new(body, plan);
+    let mut statistics = RunStatistics::new(plan);
+    let (mut observation, mut command) = (Observation::default(), Command::default());
+    let mut learning = Learning::default();
+    for tick in 0..plan.scenario.ticks {
+        side.observe(tick, 0, 0, &mut observation);
+        if tick.is_multiple_of(4096) && !progress(tick, &statistics) {
+            break;
+        }
+        controller.exchange(&observation, &mut command, &mut learning)?;
+        statistics.observe(&observation);
+        side.step(tick, Some(&command));
+    }
+    Ok((side.report, controller.finish()?))
 }

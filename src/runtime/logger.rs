@@ -7,7 +7,7 @@
 
 use super::faults::FaultyChannel;
 use super::merge::{LogMerger, MergeOutcome};
-use super::{LoggerReport, Mode, Participant, ResumePoint, RuntimeError, Session, read_realtime};
+use super::{LoggerReport, Mode, Participant, ResumePoint, RuntimeError, Session, read_columns, read_realtime};
 use crate::channel::{ChannelError, LoggerPorts, Receiver};
 use crate::clock::{TimeSource, machine_facts, monotonic_ns, pause, wall_ns};
 use crate::log::{LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWriter, segment_path};
@@ -212,6 +212,8 @@ fn header(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> LogH
     let participant = &session.participant;
     let (plan, manifest) = (&participant.plan, &participant.manifest);
     let mut header = LogHeader::new(plan, manifest.run_id(), manifest.mode.name(), machine_facts());
+    // The controller has written them before it was ready.
+    header.columns = read_columns(&participant.folder);
     header.segment = LogSegment { number: session.incarnation(), ..recovered.segment };
     if manifest.mode == Mode::Realtime {
         header.clock = LogClock::Monotonic;

@@ -1,11 +1,10 @@
 //! The plant's side of the tick: a plant behind its gate.
 
 use super::{CommandRanges, FaultyChannel, Gate, PlantReport};
-use crate::plant::{Outcome, Plant};
-use crate::policy::Outputs;
+use crate::plant::{EpisodeEnd, Outcome, Plant};
 use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor, save, size};
-use crate::wire::{Command, MAX_OUTPUTS, Observation, flag};
+use crate::wire::{Command, MAX_OUTPUTS, Observation, OutputValues, flag};
 
 /// A plant behind its gate: the plant's half of every tick, without clock and transport.
 #[derive(Debug, Clone)]
@@ -19,7 +18,7 @@ pub struct PlantSide<P> {
     known_ranges: Option<CommandRanges>,
     outputs: usize,
     outcome: Outcome,
-    applied: Outputs,
+    applied: OutputValues,
     flags: u32,
     /// Counts so far.
     pub report: PlantReport,
@@ -129,13 +128,16 @@ impl<P: Plant> PlantSide<P> {
             *count += u64::from(applied.flags & flag != 0);
         }
         self.applied = applied.command;
-        self.flags = applied.flags | if late > 0 { flag::LATE } else { 0 };
+        // An episode that ended in a skipped tick is stated in the next observation.
+        let ended = self.flags & flag::EPISODE_END;
+        self.flags = applied.flags | ended | if late > 0 { flag::LATE } else { 0 };
     }
 
     /// The second half of [`step`](Self::step): the tick is over. Advances the plant and keeps the tick's
     /// outcome.
     pub fn finish_step(&mut self, tick: u64) {
         self.outcome = self.body.advance(tick, &self.applied[..self.outputs]);
+        self.flags |= self.body.episode_end().map_or(0, EpisodeEnd::flag);
     }
 
     /// How long the plant waits for a tick's command within that tick, ns ([`Plant::command_deadline_ns`]).
@@ -170,6 +172,7 @@ impl<P: Plant> PlantSide<P> {
         let target = if fresh { flag::NEW_TARGET } else { 0 };
         observation.header.tick = tick;
         observation.header.flags = self.flags | self.body.sensing_flags() | more | skip | target;
+        self.flags &= !flag::EPISODE_END;
         observation.applied = self.applied;
         observation.reward = self.outcome.reward;
         observation.measures = self.outcome.measures;

@@ -91,7 +91,7 @@ impl WireManifest {
             outputs: names(&plan.outputs),
             measures: plan.measures.clone(),
             signals: serde_json::json!({ "inputs": plan.inputs, "outputs": plan.outputs, "error": plan.error }),
-            settings: serde_json::to_value(&plan.scenario).unwrap_or_default(),
+            settings: plan.scenario.to_json(),
         }
     }
 }

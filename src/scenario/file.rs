@@ -60,6 +60,10 @@ pub struct Scenario {
     /// Injected faults.
     #[serde(default, skip_serializing_if = "FaultsConfig::is_nothing")]
     pub faults: FaultsConfig,
+    /// `[learner]` of a controller's program of your own, unread; [`learner`](Self::learner) then has no meaning. A
+    /// field of its own, because its keys are the program's.
+    #[serde(skip)]
+    pub own_learner: Option<toml::Table>,
     /// The origin of the scenario, for messages. It is not a key of the file, and is neither compared nor
     /// hashed.
     #[serde(skip)]

@@ -38,7 +38,7 @@ mod validate;
 #[cfg(test)]
 mod tests;
 
-pub use controller::ControllerConfig;
+pub use controller::{ControllerConfig, LearnerTable};
 pub use encoder::{EncoderConfig, MapConfig};
 pub use error::{FilePosition, ScenarioError};
 pub use faults::{
@@ -68,6 +68,7 @@ use std::{fs::File, io::Read, path::Path};
 
 use xxhash_rust::xxh3::xxh3_64;
 
+use crate::agent::LinearAgent;
 use crate::encoder::{Axis, Encoder, Map};
 use crate::learner::LearnerSpec;
 use crate::plant::SimulatedPlant;
@@ -117,6 +118,29 @@ impl Plan {
             seed: self.scenario.seed,
             learner: self.scenario.learner.clone(),
         }
+    }
+
+    /// The same plan, whose messages about `[learner]` name `file`, if that still has the same table: a process of a
+    /// run reads a copy of the scenario, and its user wrote that file.
+    pub(crate) fn with_origin(mut self, file: &str) -> Self {
+        let original = Scenario::load(Path::new(file)).ok();
+        if let Some(original) = original.filter(|original| original.own_learner == self.scenario.own_learner) {
+            self.scenario.source = original.source;
+        }
+        self
+    }
+
+    /// `[learner]`, where the controller is a program of your own; an empty table where the file has none, or where the
+    /// controller is this package's.
+    pub fn learner_table(&self) -> LearnerTable<'_> {
+        static EMPTY: std::sync::LazyLock<toml::Table> = std::sync::LazyLock::new(toml::Table::new);
+        let scenario = &self.scenario;
+        LearnerTable::new(scenario.own_learner.as_ref().unwrap_or(&EMPTY), &scenario.source)
+    }
+
+    /// The agent of the scenario's learning rule, with weights 0.
+    pub fn linear_agent(&self) -> LinearAgent {
+        LinearAgent::new(&self.learner_spec(), self.encoder(), self.scenario.policy.noise)
     }
 
     /// The scenario's simulated plant, or `None` when the plant is another program.
@@ -180,7 +204,8 @@ impl Scenario {
         let mut scenario = tables(&source)?;
         // Keys that the file leaves out of `[learner]` get the defaults of the file's rule. serde filled in
         // those of the paper's rule.
-        let learner = text.parse::<toml::Table>().ok().and_then(|mut file| file.remove("learner"));
+        let own = scenario.own_learner.is_some();
+        let learner = text.parse::<toml::Table>().ok().and_then(|mut file| file.remove("learner")).filter(|_| !own);
         if let Some(toml::Value::Table(learner)) = learner {
             scenario.learner = with_preset_defaults(scenario.learner, learner);
         }
@@ -226,8 +251,32 @@ impl Scenario {
         // The writer cannot fail: the tables have finite depth and contain strings, numbers, lists and tables
         // with string keys only. If it fails all the same, the text is a comment, which does not parse as a
         // scenario.
-        toml::to_string(&self.resolved())
-            .unwrap_or_else(|error| format!("# This scenario cannot be written: {error}\n"))
+        self.resolved().text().unwrap_or_else(|error| format!("# This scenario cannot be written: {error}\n"))
+    }
+
+    /// The scenario as a TOML file, as it is. Where the controller is another program, its own `[learner]` stands in
+    /// it, and `[policy]` only if it was changed.
+    pub(crate) fn text(&self) -> Result<String, toml::ser::Error> {
+        if self.controller.is_shipped() { toml::to_string(self) } else { toml::to_string(&self.with_own_learner()?) }
+    }
+
+    /// The tables of a scenario whose controller is another program.
+    fn with_own_learner(&self) -> Result<toml::Table, toml::ser::Error> {
+        let mut file = toml::Table::try_from(self)?;
+        file.remove("learner");
+        if self.policy == PolicyConfig::default() {
+            file.remove("policy");
+        }
+        if let Some(own) = &self.own_learner {
+            file.insert("learner".to_owned(), toml::Value::Table(own.clone()));
+        }
+        Ok(file)
+    }
+
+    /// The scenario as a JSON object, for programs in other languages.
+    pub(crate) fn to_json(&self) -> serde_json::Value {
+        let tables = if self.controller.is_shipped() { None } else { self.with_own_learner().ok() };
+        tables.map_or_else(|| serde_json::to_value(self), serde_json::to_value).unwrap_or_default()
     }
 
     /// The same scenario with all defaults of the learner, and with the units and ranges of maps that the file
@@ -250,6 +299,12 @@ impl Scenario {
             }
         }
         scenario
+    }
+
+    /// The error for the value of `key`; `problem` says what is wrong and what to do.
+    pub(crate) fn invalid(&self, key: &str, problem: impl std::fmt::Display) -> ScenarioError {
+        let place = FilePosition { file: self.source.name().to_owned(), line: self.line_of(key) };
+        ScenarioError::Invalid { place, key: key.to_owned(), problem: problem.to_string() }
     }
 
     /// The line of a key, or `None` when the caller has changed its value since the file was read.

@@ -217,7 +217,7 @@ impl SpawnCommand {
             Role::Controller => (&plan.scenario.controller.program, &plan.scenario.controller.args),
             Role::Logger => (programs::LOGGER, &[]),
         };
-        let program = find(name).ok_or_else(|| LaunchError::Start {
+        let program = programs::find(name).ok_or_else(|| LaunchError::Start {
             role: role.name(),
             program: name.to_owned(),
             cause: "no such program beside `tectum` or in PATH; build all of them with `cargo build --release`, \
@@ -236,16 +236,6 @@ fn collect(mut pipe: impl Read) -> String {
     let _ = pipe.by_ref().take(KEPT).read_to_end(&mut text);
     let _ = std::io::copy(&mut pipe, &mut std::io::sink());
     String::from_utf8_lossy(&text).into_owned()
-}
-
-/// Locates a program: given by path, beside this program, or in `PATH`.
-fn find(name: &str) -> Option<PathBuf> {
-    if name.contains('/') {
-        return Some(PathBuf::from(name)).filter(|p| p.is_file());
-    }
-    let beside = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(name)));
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    beside.into_iter().chain(std::env::split_paths(&path).map(|folder| folder.join(name))).find(|p| p.is_file())
 }
 
 /// The last line of what a process wrote to its standard error, without the program's name, which the launcher's

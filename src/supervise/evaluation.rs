@@ -51,7 +51,8 @@ enum TestJob<'a> {
 }
 
 /// Tests the policies of a run of `done` ticks, phase by phase. `None` where the controller is another
-/// program, where the plant is not the simulator's arm, or where the test would take too long. `snapshots` are in the order of ticks.
+/// program, where the plant is not the simulator's arm, or where the test would take too long. `snapshots` are in the
+/// order of ticks.
 pub(super) fn evaluate(plan: &Plan, done: u64, snapshots: &[PolicySnapshot]) -> Option<Vec<PhaseTests>> {
     let arm = plan.simulated_arm().filter(|arm| !arm.open_loop && plan.scenario.controller.is_shipped())?;
     let features = plan.encoder().len() as u64;

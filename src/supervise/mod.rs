@@ -131,6 +131,7 @@ fn manifest(launch: &Launch, run_id: u64, domain: &DomainName) -> RunManifest {
         run: format!("{run_id:016x}"),
         wire: Some(WireManifest::of(&launch.plan, domain)),
         mode: launch.mode,
+        source: launch.plan.scenario.source.name().to_owned(),
         domain: domain.clone(),
         launcher: std::process::id(),
         checkpoint_every: launch.checkpoint_every,

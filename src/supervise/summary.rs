@@ -8,6 +8,7 @@ use super::Launch;
 use super::children::ProcessFailure;
 use super::evaluation::evaluate;
 use super::history::{ends, history};
+use super::in_process::StudyResult;
 use super::learning_progress::{reached, rows};
 use super::restarts::RestartIncident;
 use super::supervisor::RunEnd;
@@ -15,8 +16,8 @@ use crate::clock::RealtimeReport;
 use crate::log;
 use crate::report::{self, ProgressRow, Reached, RunHistory};
 use crate::runtime::{
-    ControllerReport, InProcess, LoggerReport, Mode, PlantReport, PolicySnapshot, TickBudget, exit, read_realtime,
-    read_report, read_snapshots, remove_unwritten_reports,
+    ControllerReport, LoggerReport, Mode, PlantReport, PolicySnapshot, TickBudget, exit, read_realtime, read_report,
+    read_snapshots, remove_unwritten_reports,
 };
 use crate::stats::{Percentiles, Window};
 use crate::text::thousands;
@@ -226,17 +227,17 @@ impl RunSummary {
         summary
     }
 
-    /// The summary of a run in one process, with the policies that were copied on the way.
+    /// The summary of a run in one process.
     pub(super) fn of_study(
         launch: &Launch,
         folder: &Path,
         ended: RunOutcome,
-        (result, snapshots): (InProcess, Vec<PolicySnapshot>),
+        result: StudyResult,
         seconds: f64,
     ) -> Self {
         let mut summary = Self::new(launch, folder, ended, seconds);
         summary.add_plant(&result.plant);
-        summary.add_controller(launch, Some(result.controller), &snapshots);
+        summary.add_controller(launch, Some(result.controller), &result.snapshots);
         summary.conclude();
         summary
     }

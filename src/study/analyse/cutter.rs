@@ -107,7 +107,7 @@ impl MovementCutter {
             cut.movement.points.push(end);
             cut.movement.errors.push(error);
         }
-        if header.flags & flag::NEW_TARGET == 0 {
+        if header.flags & (flag::NEW_TARGET | flag::EPISODE_END) == 0 {
             return None;
         }
         let done = self.close();

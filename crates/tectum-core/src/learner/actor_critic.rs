@@ -36,6 +36,7 @@ use super::CriticConfig;
 use super::critic_kernel::CriticKernel;
 use super::{LearningRule, NaturalMetric, PairFeatures, Transition, dot, is_safe};
 use crate::MAX_OUTPUTS;
+use crate::plant::EpisodeEnd;
 use crate::policy::{LinearPolicy, Outputs, Tiles, TraceStep};
 use crate::state::{Persist, StateVisitor};
 use tectum_encoder::Features;
@@ -123,6 +124,8 @@ pub struct ActorCritic {
     error_size: f32,
     /// Number of ticks learned from.
     ticks_learned: f32,
+    /// Whether the tick that is being learned from ends its episode with the value zero.
+    terminated: bool,
     halted: bool,
 }
 
@@ -148,6 +151,7 @@ impl ActorCritic {
             reward_input: [0.0; 3],
             error_size: 0.0,
             ticks_learned: 0.0,
+            terminated: false,
             halted: false,
         }
     }
@@ -239,6 +243,7 @@ impl ActorCritic {
         let rewards = [self.reward_input[2], tick.reward].map(|r| r * self.critic.reward_feature);
         let critic_direction = if self.uses_pairs { here } else { direction };
         let [here_value, next_value] = self.evaluate(policy.path(), [here, next], critic_direction, tick.reward);
+        let next_value = if self.terminated { 0.0 } else { next_value };
         let error = tick.reward - cost + self.critic.discount * next_value - here_value;
         if !is_safe(error * self.rate, tick.noise) || !is_safe(error * self.critic.step, tick.noise) {
             self.halted = true;
@@ -283,6 +288,15 @@ impl LearningRule for ActorCritic {
         let rate = self.learn_from(policy, tick, critic_features, metric.as_ref().map(NaturalMetric::result), mean);
         (self.pairs, self.metric) = (pairs, metric);
         rate
+    }
+
+    /// The value after a terminated episode is zero. After a truncated one it is unknown, and so is the error.
+    fn learn_last(&mut self, policy: &mut LinearPolicy, tick: &Transition, end: EpisodeEnd) -> Option<f32> {
+        self.terminated = end == EpisodeEnd::Terminated;
+        let step = self.terminated.then(|| self.learn(policy, tick));
+        self.terminated = false;
+        self.cut_trace();
+        step
     }
 
     fn cut_trace(&mut self) {

@@ -34,6 +34,7 @@ pub use paper::PaperRule;
 use tectum_encoder::{Encoder, Map};
 
 use crate::SignalConfig;
+use crate::plant::EpisodeEnd;
 use crate::policy::{LinearPolicy, Outputs};
 use crate::state::{Persist, StateVisitor};
 
@@ -90,6 +91,15 @@ pub trait LearningRule {
         let step = self.learn(policy, tick);
         *mean = policy.mean(tick.next_features);
         step
+    }
+
+    /// Learns from the last tick of an episode, and clears the trace. `tick`'s next features and inputs belong to
+    /// another episode, and no value may be taken from them. Returns the step, or `None` when the rule cannot learn
+    /// from such a tick. Without an implementation, the rule is one that reads neither.
+    fn learn_last(&mut self, policy: &mut LinearPolicy, tick: &Transition, _end: EpisodeEnd) -> Option<f32> {
+        let step = self.learn(policy, tick);
+        self.cut_trace();
+        Some(step)
     }
 
     /// Does expensive work after the command was sent. Called once per tick, whether or not the tick was
@@ -176,6 +186,10 @@ impl LearningRule for Learner {
             Self::Paper(rule) => rule.learn_and_answer(policy, tick, mean),
             _ => self.rule_mut().learn_and_answer(policy, tick, mean),
         }
+    }
+
+    fn learn_last(&mut self, policy: &mut LinearPolicy, tick: &Transition, end: EpisodeEnd) -> Option<f32> {
+        self.rule_mut().learn_last(policy, tick, end)
     }
 
     fn improve(&mut self, policy: &mut LinearPolicy) {

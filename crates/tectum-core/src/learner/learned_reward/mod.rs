@@ -33,6 +33,7 @@ use rand::RngExt as _;
 use super::{LearnerSpec, ModelConfig};
 use super::{LearningRule, Transition, add};
 use crate::angle::wrap;
+use crate::plant::EpisodeEnd;
 use crate::policy::{LinearPolicy, Outputs};
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
@@ -298,6 +299,11 @@ impl LearningRule for LearnedReward {
             }
         }
         self.champion.store_policy(policy, &self.rollouts.feature_groups);
+    }
+
+    /// Learns nothing: where the plant was at the end of the tick is not among the inputs of another episode.
+    fn learn_last(&mut self, _policy: &mut LinearPolicy, _tick: &Transition, _end: EpisodeEnd) -> Option<f32> {
+        None
     }
 
     /// Does nothing: there is no trace, and the models stay valid.
