@@ -7,7 +7,7 @@ import ctypes
 from ctypes import Structure, c_float, c_uint32, c_uint64
 from enum import IntEnum, IntFlag
 
-MAX_INPUTS, MAX_OUTPUTS, MAX_MEASURES = 16, 8, 6
+MAX_INPUTS, MAX_OUTPUTS, MAX_MEASURES, MAX_COLUMNS = 32, 16, 6, 8
 # The logger's buffer, and the number of ticks after which a plant in lockstep looks at how far the logger is.
 LOG_BUFFER, CREDIT = 1024, 256
 # The version of iceoryx2 that all processes of a run must have.
@@ -41,6 +41,8 @@ class Flag(IntFlag):
     UNARMED = 1 << 19
     TRIPPED = 1 << 20
     BLIND = 1 << 21
+    TERMINATED = 1 << 22
+    TRUNCATED = 1 << 23
 
 
 class Phase(IntEnum):
@@ -94,7 +96,7 @@ class Observation(Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "tectum.Observation.v1"
+        return "tectum.Observation.v2"
 
 
 class Command(Structure):
@@ -104,7 +106,7 @@ class Command(Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "tectum.Command.v1"
+        return "tectum.Command.v2"
 
 
 class Learning(Structure):
@@ -117,12 +119,13 @@ class Learning(Structure):
         ("step", c_float),
         ("weights_norm", c_float),
         ("trace_norm", c_float),
+        ("columns", c_float * MAX_COLUMNS),
         ("weights_hash", c_uint64),
     ]
 
     @staticmethod
     def type_name() -> str:
-        return "tectum.Learning.v1"
+        return "tectum.Learning.v2"
 
 
 class Vision(Structure):
