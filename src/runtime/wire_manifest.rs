@@ -36,6 +36,9 @@ pub struct WireManifest {
     pub outputs: Vec<String>,
     /// Names of an observation's measures, in order.
     pub measures: Vec<String>,
+    /// Inputs and outputs with name, unit and range, in order, and the index of the measure with the role `error`.
+    #[serde(default)]
+    pub signals: Value,
     /// The scenario with every default filled in: the tables and keys of `scenario.toml`.
     pub settings: Value,
 }
@@ -58,6 +61,25 @@ pub struct Services {
     pub control: String,
     /// The status boards of plant, controller and logger.
     pub boards: [String; 3],
+}
+
+/// What a controller in another language needs to know of a run of `plan` when there is no manifest: on a pipe.
+pub(super) fn facts(plan: &Plan) -> Value {
+    let names =
+        |signals: &[crate::scenario::SignalConfig]| -> Vec<_> { signals.iter().map(|s| s.name.clone()).collect() };
+    serde_json::json!({
+        "period_ns": plan.period_ns,
+        "inputs": names(&plan.inputs),
+        "outputs": names(&plan.outputs),
+        "measures": plan.measures,
+        "signals": signals(plan),
+        "settings": plan.scenario.to_json(),
+    })
+}
+
+/// Inputs and outputs with name, unit and range, and the index of the measure with the role `error`.
+fn signals(plan: &Plan) -> Value {
+    serde_json::json!({ "inputs": plan.inputs, "outputs": plan.outputs, "error": plan.error })
 }
 
 impl WireManifest {
@@ -87,6 +109,7 @@ impl WireManifest {
             inputs: names(&plan.inputs),
             outputs: names(&plan.outputs),
             measures: plan.measures.clone(),
+            signals: signals(plan),
             settings: plan.scenario.to_json(),
         }
     }

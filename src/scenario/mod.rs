@@ -23,6 +23,8 @@ mod file;
 mod gate;
 mod learner;
 pub mod limits;
+mod measure;
+mod per_axis;
 mod plant;
 mod plant_signals;
 mod presets;
@@ -44,6 +46,8 @@ pub use faults::{
 };
 pub use file::{LogConfig, PolicyConfig, Scenario};
 pub use gate::{GateConfig, OverrunConfig, PerOutput};
+pub use measure::{MeasureConfig, MeasureRole, MeasureTable};
+pub use per_axis::PerAxis;
 pub use plant::PlantConfig;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeConfig, RealtimeProcess};
@@ -88,6 +92,8 @@ pub struct Plan {
     pub outputs: Vec<SignalConfig>,
     /// Names of the observation's measures, in order; at most [`crate::wire::MAX_MEASURES`].
     pub measures: Vec<String>,
+    /// Index of the measure with the role `error`: the distance from the target.
+    pub error: Option<usize>,
     /// The encoder's maps, in order, ranges and units resolved.
     pub maps: Vec<Map>,
     /// Indices of the inputs that are features without a map.
@@ -226,7 +232,8 @@ impl Scenario {
             scalars: scenario.encoder.scalars.iter().filter_map(|name| input_index(&signals.inputs, name)).collect(),
             inputs: signals.inputs,
             outputs: signals.outputs,
-            measures: signals.measures,
+            error: measure::error_index(&signals.measures),
+            measures: signals.measures.iter().map(|measure| measure.name().to_owned()).collect(),
             maps,
             hash: xxh3_64(scenario.to_toml().as_bytes()),
             scenario,
@@ -344,7 +351,7 @@ fn build_map(map: &MapConfig, inputs: &[SignalConfig]) -> Option<Map> {
             units: *map.units.get(i)?,
             min,
             max,
-            radius: map.radius,
+            radius: map.radius.of(i),
         })
     };
     match map.inputs.len() {

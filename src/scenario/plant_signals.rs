@@ -3,14 +3,14 @@
 
 use std::f64::consts::PI;
 
-use super::{ArmConfig, EyeConfig, MirrorAxis, PerOutput, Retina, Scenario, SignalConfig};
+use super::{ArmConfig, EyeConfig, MeasureConfig, MirrorAxis, PerOutput, Retina, Scenario, SignalConfig};
 use crate::wire::MAX_MEASURES;
 
 /// The signals of a plant, in the order in which samples carry them.
 pub(super) struct PlantSignals {
     pub(super) inputs: Vec<SignalConfig>,
     pub(super) outputs: Vec<SignalConfig>,
-    pub(super) measures: Vec<String>,
+    pub(super) measures: Vec<MeasureConfig>,
 }
 
 /// The signals that the scenario lists. For a list that it leaves out, those of its arm or eye; without arm and
@@ -23,10 +23,10 @@ pub(super) fn signals(scenario: &Scenario) -> PlantSignals {
         (None, None) => PlantSignals { inputs: Vec::new(), outputs: Vec::new(), measures: Vec::new() },
     };
     if plant.servos.is_some() {
-        defaults.measures.extend(["bus_read_us", "bus_write_us"].map(String::from));
+        defaults.measures.extend(["bus_read_us", "bus_write_us"].map(MeasureConfig::from));
     }
     if plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model()) && defaults.measures.len() < MAX_MEASURES {
-        defaults.measures.push("vision_age_ms".to_owned());
+        defaults.measures.push("vision_age_ms".into());
     }
     PlantSignals {
         inputs: if plant.inputs.is_empty() { defaults.inputs } else { plant.inputs.clone() },
@@ -49,9 +49,9 @@ fn of_arm(arm: &ArmConfig, max_command: &PerOutput) -> PlantSignals {
         inputs.extend(joints.clone().map(|joint| signal(&format!("theta_{joint}"), "rad", range(joint))));
     }
     let quantity = if arm.open_loop { "angle" } else { "rate" };
-    let mut measures = ["error", "end_x", "end_y"].map(String::from).to_vec();
+    let mut measures = ["error", "end_x", "end_y"].map(MeasureConfig::from).to_vec();
     if arm.reward.collision > 0.0 {
-        measures.push("crossings".to_owned());
+        measures.push("crossings".into());
     }
     PlantSignals {
         inputs,
@@ -82,7 +82,7 @@ fn of_eye(eye: &EyeConfig, max_command: &PerOutput) -> PlantSignals {
             .zip(["up", "down", "left", "right"])
             .map(|(i, name)| output_signal(name, max_command.of(i)))
             .collect(),
-        measures: vec!["error".to_owned()],
+        measures: vec!["error".into()],
     }
 }
 
@@ -92,5 +92,5 @@ fn output_signal(name: &str, limit: f64) -> SignalConfig {
 }
 
 fn signal(name: &str, unit: &str, [min, max]: [f64; 2]) -> SignalConfig {
-    SignalConfig { name: name.to_owned(), unit: unit.to_owned(), min, max }
+    SignalConfig { name: name.to_owned(), unit: unit.to_owned(), min, max, wraps: None }
 }
