@@ -272,12 +272,19 @@ impl<A: Agent> Controller<A> {
     }
 
     /// Ends the run and returns the report, with the hash of what was learned.
-    pub fn finish(mut self) -> ControllerReport {
+    pub fn finish(self) -> ControllerReport {
+        self.finish_with_agent().0
+    }
+
+    /// Like [`finish`](Self::finish), and gives the agent back.
+    pub fn finish_with_agent(mut self) -> (ControllerReport, A) {
         let weights_hash = format!("{:016x}", learned_hash(&mut self.agent));
         let FinishedStatistics { windows, first_switch, last_switch, targets } =
             self.statistics.finish(self.report.ticks + self.report.unseen);
         let counts = self.counter.finish(self.agent.outliers(), self.agent.policy().is_some_and(|p| p.norm() == 0.0));
-        ControllerReport { weights_hash, windows, first_switch, last_switch, targets, counts, ..self.report }
+        let report =
+            ControllerReport { weights_hash, windows, first_switch, last_switch, targets, counts, ..self.report };
+        (report, self.agent)
     }
 }
 

@@ -23,7 +23,7 @@ def steps(env, seed, count):
         action = draw.uniform(env.action_space.low, env.action_space.high).astype(np.float32)
         inputs, reward, terminated, truncated, info = env.step(0.05 * action)
         rows.append([*inputs, reward])
-        reasons[str(info["why_not"])] = reasons.get(str(info["why_not"]), 0) + 1
+        reasons[str(info["withheld"])] = reasons.get(str(info["withheld"]), 0) + 1
         if terminated or truncated:
             ends += 1
             inputs, _ = env.reset()

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from .errors import Ended, Mistake, Refused
-from .transport import JoinedRun
+from .facts import RunFacts
 
 PACKAGE = str(Path(__file__).resolve().parent)
 FOREIGN = tuple({PACKAGE, *(sysconfig.get_paths()[key] for key in ("stdlib", "platstdlib", "purelib", "platlib"))})
@@ -48,7 +48,7 @@ def place(trace: TracebackType | None) -> str | None:
 class Author:
     """The methods that the author wrote, with checks."""
 
-    def __init__(self, body: Any, run: JoinedRun, role: str) -> None:
+    def __init__(self, body: Any, run: RunFacts, role: str) -> None:
         self.body, self.run, self.role = body, run, role
         self.name = type(body).__name__
         self.outside = dict.fromkeys(run.inputs, 0)
@@ -135,9 +135,9 @@ class Author:
         return f"inputs were outside their range: {', '.join(counts)}; give wider ranges under [[plant.inputs]]"
 
 
-def traceback_place(run: JoinedRun, role: str) -> str:
+def traceback_place(run: RunFacts, role: str) -> str:
     """Where the traceback is that this process has printed."""
-    if sys.stderr.isatty():
+    if run.folder is None or sys.stderr.isatty():
         return "the traceback is above"
     return f"the traceback is in {run.folder / f'{role}.stderr'}"
 

@@ -26,7 +26,8 @@ from .transport import JoinedRun
 MISSED, SKIPPED, UNHEARD, LATE, NEW_TARGET = (
     int(flag) for flag in (Flag.MISSED, Flag.SKIPPED, Flag.UNHEARD, Flag.LATE, Flag.NEW_TARGET)
 )
-TERMINATED, TRUNCATED = int(getattr(Flag, "TERMINATED", 0)), int(getattr(Flag, "TRUNCATED", 0))
+ENDS = {"terminated": int(Flag.TERMINATED), "truncated": int(Flag.TRUNCATED)}
+EPISODE_END = int(Flag.TERMINATED | Flag.TRUNCATED)
 COUNTED = {
     "missed": MISSED,
     "clamped": int(Flag.CLAMPED),
@@ -38,14 +39,13 @@ COUNTED = {
 
 
 class Outcome(NamedTuple):
-    """What a tick came to. `measures` has a number for each measure of the scenario. `terminated`: an episode ended with
-    this tick, and the value after it is 0. `truncated`: it was cut off there. The inputs that follow are those of the next
-    episode."""
+    """What a tick came to. `measures` has a number for each measure of the scenario. `end` is `terminated` where an
+    episode ended with this tick and the value after it is 0, and `truncated` where it was cut off; the inputs that follow
+    are those of the next episode."""
 
     reward: float
     measures: Sequence[float] = ()
-    terminated: bool = False
-    truncated: bool = False
+    end: str | None = None
 
 
 class Plant(ABC):
@@ -143,7 +143,10 @@ class PlantLoop:
         """Advances by `tick` with the command found for it. A command flagged UNHEARD counts as none."""
         command, self.found, author = self.found, None, self.author
         drawn = None if command is None or command.header.flags & UNHEARD else list(command.drawn)
+        # An episode that ended in a tick that the plant passed over is told with the next observation.
+        ended = self.flags & EPISODE_END
         applied, self.flags = self.gate.go(drawn, self.joints(tick) if self.gate.positions else None)
+        self.flags |= ended
         for key, bit in COUNTED.items():
             self.report[key] += bool(self.flags & bit)
         try:
@@ -163,11 +166,11 @@ class PlantLoop:
                 pair = f"(reward, [{', '.join(names)}])"
                 author.wrong("advance", tick, f"gave {outcome!r}; it returns a pair: {pair}")
             outcome = (outcome, ())
-        if isinstance(outcome, Outcome):
-            ends = (outcome.terminated, TERMINATED), (outcome.truncated, TRUNCATED)
-            self.flags |= sum(flag for ended, flag in ends if ended)
+        if len(outcome) == 3 and outcome[2] in (None, *ENDS):
+            self.flags |= ENDS.get(outcome[2], 0)
         elif len(outcome) != 2:
-            author.wrong("advance", tick, f"gave {len(outcome)} values; it returns a pair: reward, measures")
+            text = "it returns reward, measures, and `terminated` or `truncated` where an episode ended"
+            author.wrong("advance", tick, f"gave {len(outcome)} values; {text}")
         reward = author.number("advance", tick, "reward", outcome[0])
         return reward, author.numbers("advance", tick, "measures", outcome[1], names)
 
@@ -199,6 +202,7 @@ class PlantLoop:
         header = self.observation.header
         header.tick = tick
         header.flags = self.flags | (LATE if late else 0) | (SKIPPED if skipped else 0) | (NEW_TARGET if fresh else 0)
+        self.flags &= ~EPISODE_END
         self.report["ticks"] += 1
 
     # --- what outlives the process -----------------------------------------------------------------------------
