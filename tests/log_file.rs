@@ -15,7 +15,13 @@ use tectum::scenario::SignalConfig;
 use tectum::wire::{ChannelNames, Command, Gap, Header, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, schema_hash};
 
 fn header() -> LogHeader {
-    let signal = |name: &str, unit: &str| SignalConfig { name: name.into(), unit: unit.into(), min: -1.0, max: 1.0 };
+    let signal = |name: &str, unit: &str| SignalConfig {
+        name: name.into(),
+        unit: unit.into(),
+        min: -1.0,
+        max: 1.0,
+        wraps: None,
+    };
     LogHeader {
         scenario: "name = \"synthetic\"\n".repeat(50),
         run: 42,

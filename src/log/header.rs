@@ -230,8 +230,13 @@ pub(super) mod tests {
 
     /// A header for tests, on the virtual clock.
     pub fn sample_header() -> LogHeader {
-        let signal =
-            |name: &str, unit: &str| SignalConfig { name: name.into(), unit: unit.into(), min: -1.0, max: 1.0 };
+        let signal = |name: &str, unit: &str| SignalConfig {
+            name: name.into(),
+            unit: unit.into(),
+            min: -1.0,
+            max: 1.0,
+            wraps: None,
+        };
         LogHeader {
             scenario: "name = \"test\"\nticks = 9\n".into(),
             run: 0xabc,
@@ -304,6 +309,7 @@ pub(super) mod tests {
             inputs: Vec::new(),
             outputs: Vec::new(),
             measures: Vec::new(),
+            error: None,
             scalars: Vec::new(),
             maps: Vec::new(),
             hash: 5,

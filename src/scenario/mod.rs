@@ -12,6 +12,7 @@
 //! them nothing is checked again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions
 //! panic.
 
+mod bodies;
 mod check;
 mod controller;
 mod emulator;
@@ -23,6 +24,8 @@ mod file;
 mod gate;
 mod learner;
 pub mod limits;
+mod measure;
+mod per_axis;
 mod plant;
 mod plant_signals;
 mod presets;
@@ -44,6 +47,8 @@ pub use faults::{
 };
 pub use file::{LogConfig, PolicyConfig, Scenario};
 pub use gate::{GateConfig, OverrunConfig, PerOutput};
+pub use measure::{MeasureConfig, MeasureRole, MeasureTable};
+pub use per_axis::PerAxis;
 pub use plant::PlantConfig;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeConfig, RealtimeProcess};
@@ -55,7 +60,9 @@ pub use tectum_core::learner::{
     BaselineConfig, CriticConfig, CriticFeatures, LearnerConfig, ModelBasis, ModelConfig, Rule,
 };
 pub use tectum_core::plant::{
-    Angles, ArmConfig, ArmRewardConfig, BlockConfig, EyeConfig, MirrorAxis, MirrorConfig, Retina, ShortenConfig,
+    Angles, ArmConfig, ArmRewardConfig, BlockConfig, CartPoleConfig, EyeConfig, FurutaConfig, MirrorAxis, MirrorConfig,
+    PayloadConfig, PendulumConfig, PointMassConfig, ReacherConfig, Retina, ShortenConfig, So101Config, Start,
+    TimingConfig,
 };
 pub use tectum_core::policy::Noise;
 pub use tectum_servo::emulator::{EmulatorConfig, ServoFault, ServoFaultKind};
@@ -88,6 +95,8 @@ pub struct Plan {
     pub outputs: Vec<SignalConfig>,
     /// Names of the observation's measures, in order; at most [`crate::wire::MAX_MEASURES`].
     pub measures: Vec<String>,
+    /// Index of the measure with the role `error`: the distance from the target.
+    pub error: Option<usize>,
     /// The encoder's maps, in order, ranges and units resolved.
     pub maps: Vec<Map>,
     /// Indices of the inputs that are features without a map.
@@ -140,7 +149,7 @@ impl Plan {
     /// The scenario's simulated plant, or `None` when the plant is another program.
     pub fn simulated_plant(&self) -> Option<SimulatedPlant> {
         let (plant, period_s) = (&self.scenario.plant, self.scenario.period_ms / 1000.0);
-        SimulatedPlant::new(plant.arm.as_ref(), plant.eye.as_ref(), period_s, self.scenario.seed)
+        Some(SimulatedPlant::new(&plant.body()?, &plant.timing, period_s, self.scenario.seed))
     }
 
     /// The encoder that the scenario describes.
@@ -226,7 +235,8 @@ impl Scenario {
             scalars: scenario.encoder.scalars.iter().filter_map(|name| input_index(&signals.inputs, name)).collect(),
             inputs: signals.inputs,
             outputs: signals.outputs,
-            measures: signals.measures,
+            error: measure::error_index(&signals.measures),
+            measures: signals.measures.iter().map(|measure| measure.name().to_owned()).collect(),
             maps,
             hash: xxh3_64(scenario.to_toml().as_bytes()),
             scenario,
@@ -344,7 +354,7 @@ fn build_map(map: &MapConfig, inputs: &[SignalConfig]) -> Option<Map> {
             units: *map.units.get(i)?,
             min,
             max,
-            radius: map.radius,
+            radius: map.radius.of(i),
         })
     };
     match map.inputs.len() {

@@ -238,6 +238,21 @@ fn collect(mut pipe: impl Read) -> String {
     String::from_utf8_lossy(&text).into_owned()
 }
 
+/// The last line of what a process wrote to its standard error, without the program's name, which the launcher's
+/// message states already. To an exception that Python itself printed (a module that is missing, an error of syntax),
+/// adds where it was raised.
+fn last_words(stderr: &str, role: &str) -> Option<String> {
+    let last = stderr.trim().lines().last()?;
+    let (before, rest) = last.split_once(": ").unwrap_or(("", last));
+    let raised = stderr.lines().rev().find_map(|line| line.trim_start().strip_prefix("File \""));
+    if let (true, Some(frame)) = (before.ends_with("Error") || before.ends_with("Exception"), raised) {
+        let (file, line) = frame.split_once("\", line ").unwrap_or((frame, ""));
+        let line = line.split(',').next().unwrap_or_default();
+        return Some(format!("{last}, at {file}:{line}; the traceback is in {role}.stderr in the run's folder"));
+    }
+    Some(rest.to_owned())
+}
+
 fn ended_early(role: Role, tick: u64, kind: DeathKind) -> ProcessDeath {
     let message = format!("the {} ended before the run was over, at tick {tick}", role.name());
     ProcessDeath { failure: ProcessFailure::new(role, message), kind }
@@ -256,8 +271,7 @@ fn death_of(
     }
     let stderr = stderr.and_then(|collector| collector.join().ok()).unwrap_or_default();
     let name = role.name();
-    // A program's message begins with the program's name, which the launcher's message states already.
-    let last = stderr.trim().lines().last().map(|line| line.split_once(": ").map_or(line, |(_, rest)| rest));
+    let last = last_words(&stderr, name);
     let message = match (status.signal(), last) {
         (Some(signal), _) => format!("the {name} was killed by signal {signal} at tick {tick}"),
         (None, Some(line)) => format!("the {name} ended: {line}"),

@@ -280,6 +280,12 @@ impl RunSummary {
         self.observation_to_command_us = plant.observation_to_command;
         self.plant_work_us = plant.work;
         self.checkpoint_failure = plant.checkpoint_failure.clone();
+        if !plant.outside.is_empty() {
+            let counts: Vec<_> =
+                plant.outside.iter().map(|(name, ticks)| format!("{name} in {} ticks", thousands(*ticks))).collect();
+            let remedy = "give them wider ranges under [[plant.inputs]]";
+            self.warnings.push(format!("inputs were outside their range: {}; {remedy}", counts.join(", ")));
+        }
     }
 
     /// What the controller reported, if it did, and the tests of its policies. After the plant's report:

@@ -8,7 +8,9 @@
 
 pub mod bytes;
 pub mod content;
+pub mod python;
 pub mod slow;
+pub mod snapshot;
 
 use std::fs;
 use std::io::Read as _;

@@ -14,6 +14,7 @@ pub(crate) fn arm() -> LearnerSpec {
         unit: unit.to_owned(),
         min: -range,
         max: range,
+        wraps: None,
     };
     let mut inputs = vec![signal("target_x", "m", 1.0), signal("target_y", "m", 1.0)];
     inputs.extend((1..=4).map(|joint| signal(&format!("theta_{joint}"), "rad", PI)));

@@ -32,12 +32,12 @@ use rand::RngExt as _;
 
 use super::{LearnerSpec, ModelConfig};
 use super::{LearningRule, Transition, add};
-use crate::MAX_INPUTS;
 use crate::angle::wrap;
 use crate::plant::EpisodeEnd;
 use crate::policy::{LinearPolicy, Outputs};
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
+use crate::{MAX_INPUTS, SignalConfig};
 use candidate::CandidatePolicy;
 use map_features::MapFeatures;
 use movement_model::MovementModel;
@@ -114,7 +114,7 @@ impl LearnedReward {
 
         let signals: Vec<_> = inputs.iter().map(|&i| spec.inputs[i].clone()).collect();
         let reward = RewardModel::new(&config, &signals, fixed);
-        let wraps: Vec<_> = signals[fixed..].iter().map(basis::wraps).collect();
+        let wraps: Vec<_> = signals[fixed..].iter().map(SignalConfig::wraps).collect();
         let groups = MapFeatures::of(&spec.maps, encoder, &rank, fixed, config.ridge);
         let rollouts =
             Rollouts::new(groups, &reward, wraps.clone(), spec.normalise, config.horizon, config.last_counts as f32);

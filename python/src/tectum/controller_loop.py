@@ -1,0 +1,390 @@
+"""The loop of a controller: receives observations, sends commands and learning records, keeps its state.
+
+As `src/runtime/controller_loop.rs`: every observation goes into a journal before it is answered, the answer into
+another before it is sent, and the whole state is kept every `keep_every` observations. A process that comes back
+restores the state, repeats the ticks since then, and sends its last answer again under the same sequence number; who
+has it drops it. So no tick is learned twice, and none is lost.
+"""
+
+import ctypes
+import gc
+import hashlib
+import math
+import os
+import struct
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .checks import Author
+from .controller import Answer, Controller, Percept, Transition, why_not
+from .crash_store import CrashStore, Ring
+from .errors import Mistake, Refused, error_text
+from .layouts import Command, Flag, Learning, Observation, Role, State
+from .participant import Participant, program
+from .reports import Spread, Windows, write
+from .shared_memory import WakeWord
+from .state import pack, unpack
+from .transport import JoinedRun
+
+FIRST, NEW_TARGET = int(Flag.FIRST), int(Flag.NEW_TARGET)
+AGE = struct.Struct("<d")  # of an observation, s
+WAKE_TIMEOUT_MS = 100  # the longest time until the end of a run is noticed
+
+
+class ControllerPorts(Participant):
+    """The controller as a process of a run."""
+
+    def __init__(self, run: JoinedRun, handle_signals: bool = True) -> None:
+        super().__init__(run, Role.CONTROLLER, handle_signals)
+        try:
+            self.wake = WakeWord(run.wire["wake"])
+            self.observations = run.reader("observation", Observation, 2)
+            self.command = run.writer("command", Command)
+            self.learning = run.writer("learning", Learning)
+        except Refused:
+            raise
+        except Exception as cause:
+            text = f"the run has a controller already, or none is possible: {error_text(cause)}"
+            raise Refused(text, 1) from None
+        self.plant = run.peer(Role.PLANT)
+
+    def connected(self) -> bool:
+        """Maps the peers' memory, and counts them: a writer of observations, a reader of commands."""
+        self.observations.port.has_samples()
+        plants = self.observations.factory.dynamic_config.number_of_publishers
+        return plants >= 1 and self.command.connected_readers() >= 1
+
+    def await_observation(self) -> Observation | None:
+        """Waits for the next observation; in real time for the newest. None when the plant has finished."""
+        turns = 0
+        while True:
+            # Read before the channel is, so that samples sent before the plant finished are still received.
+            finished = self.plant.get().state == State.FINISHED
+            if (newest := self.observations.receive()) is not None:
+                while self.run.real and (newer := self.observations.receive()) is not None:
+                    newest = newer
+                return newest
+            if finished:
+                return None
+            turns += 1
+            if self.run.real:
+                self.wake.wait(WAKE_TIMEOUT_MS)
+            elif turns < 4096:
+                os.sched_yield()
+                if turns % 64:
+                    continue
+            else:
+                time.sleep(0.00005)
+            self.heartbeat()
+            self.returned(self.plant, Role.PLANT)
+
+
+class ControllerLoop:
+    """The loop of ticks around a controller."""
+
+    def __init__(self, run: JoinedRun, body: Controller, handle_signals: bool = True) -> None:
+        self.run, self.body, self.author = run, body, Author(body, run, "controller")
+        self.author.requires("act", "act(percept)", 1)
+        if any(fault["channel"] == "observation" for fault in run.settings.get("faults", {}).get("channel", [])):
+            text = f"{program()} cannot make faults on its observations; take them out of [faults]"
+            raise Refused(f"{text}, or have commands faulty")
+        kind = type(body)
+        self.learns = getattr(kind, "learn", Controller.learn) is not Controller.learn
+        self.improves = getattr(kind, "improve", Controller.improve) is not Controller.improve
+        has = [getattr(kind, name, None) is not getattr(Controller, name) and hasattr(body, name)
+               for name in ("state", "restore")]  # fmt: skip
+        if has[0] != has[1]:
+            given, missing = ("state", "restore") if has[0] else ("restore", "state")
+            raise Refused(f"{self.author.name} has {given}() and no {missing}(); give both, or neither")
+        self.keeps = has[0]
+        self.keep_every = max(int(getattr(body, "keep_every", 64)), 1)
+        self.ports = ControllerPorts(run, handle_signals)
+        self.command, self.learning = Command(), Learning()
+        # Observations answered, and the last of them.
+        self.count = 0
+        self.answered: Observation | None = None
+        self.asked = np.zeros(len(run.outputs), dtype=np.float32)
+        self.report: dict[str, Any] = dict.fromkeys(
+            ("ticks", "unseen", "unheard", "stale", "learned", "cuts", "invalid", "checkpoints"), 0
+        )
+        self.windows = Windows(run.ticks, run.error)
+        self.spreads = {"answer": Spread(), "learner": Spread(), "slack": Spread()}
+        self.learner_ns = self.overruns = self.done = 0
+
+    # --- one tick ----------------------------------------------------------------------------------------------
+
+    def call(self, method: str, tick: int, *arguments: Any) -> Any:
+        try:
+            return getattr(self.body, method)(*arguments)
+        except Exception as cause:
+            self.author.failed(method, tick, cause)
+
+    def respond(self, observation: Observation, age: float) -> None:
+        """Learns from the tick before, and computes the command."""
+        header, author, tick = observation.header, self.author, observation.header.tick
+        inputs = np.array(observation.inputs[: len(self.run.inputs)], dtype=np.float32)
+        expected = self.answered.header.tick + 1 if self.answered is not None else None
+        self.report["unseen"] += header.sequence - (self.answered.header.sequence + 1 if self.answered else 0)
+        flags = 0
+        if self.answered is not None:
+            reason = why_not(observation, expected)
+            if self.learns:
+                self.call("learn", tick, self.transition(observation, inputs, reason))
+                flags = int(Flag.TRACE_CUT if reason else Flag.LEARNED)
+                self.report["cuts" if reason else "learned"] += 1
+        command = self.command
+        command.header.flags = 0
+        if np.isfinite(inputs).all():
+            answer = self.call("act", tick, Percept(tick, inputs, age, header.flags))
+            drawn, mean = (answer.drawn, answer.mean) if isinstance(answer, Answer) else (answer, answer)
+            outputs = author.numbers("act", tick, "outputs", drawn, self.run.outputs)
+            means = outputs if mean is drawn else author.numbers("act", tick, "means", mean, self.run.outputs)
+        else:  # a plant in another language sent a number that is none
+            outputs = means = [0.0] * len(self.run.outputs)
+            command.header.flags = int(Flag.INVALID)
+            self.report["invalid"] += 1
+        command.drawn[: len(outputs)] = outputs
+        command.mean[: len(means)] = means
+        self.asked = np.array(outputs, dtype=np.float32)
+        self.answered = observation
+        self.record(observation, flags)
+
+    def transition(self, observation: Observation, inputs: np.ndarray, reason: str | None) -> Transition:
+        answered, n, m = self.answered, len(self.run.inputs), len(self.run.outputs)
+        assert answered is not None
+        return Transition(
+            tick=answered.header.tick,
+            inputs=np.array(answered.inputs[:n], dtype=np.float32),
+            asked=self.asked,
+            applied=np.array(observation.applied[:m], dtype=np.float32),
+            reward=float(observation.reward),
+            next_inputs=inputs,
+            flags=observation.header.flags,
+            why_not=reason,
+        )
+
+    def record(self, observation: Observation, flags: int) -> None:
+        """Fills the learning record, and the headers of both samples."""
+        learning, command, tick = self.learning, self.command, observation.header.tick
+        for i in range(len(self.run.outputs)):
+            learning.noise[i] = command.drawn[i] - command.mean[i]
+        hashed = self.keeps and (tick % self.run.settings["log"]["hash_every"] == 0 or tick + 1 == self.run.ticks)
+        learning.weights_hash = self.state_hash(tick) if hashed else 0
+        learning.header.flags = flags | (int(Flag.HASHED) if hashed else 0)
+        learning.reward = observation.reward if flags & Flag.LEARNED else 0.0
+        for header in (command.header, learning.header):
+            header.run, header.incarnation = self.run.id, self.ports.incarnation
+            header.tick, header.sequence = tick, self.count
+            header.scheduled_ns = observation.header.scheduled_ns
+            header.sensed_ns = observation.header.sensed_ns
+
+    def after_command(self, observation: Observation) -> None:
+        """The work for which the plant does not wait."""
+        if self.improves:
+            self.call("improve", observation.header.tick)
+        flags = observation.header.flags
+        if not flags & FIRST:
+            error = self.windows.error
+            measured = float(observation.measures[error]) if error is not None else math.nan
+            self.windows.add(observation.header.tick - 1, observation.reward, measured, bool(flags & NEW_TARGET))
+        self.report["ticks"] += 1
+        self.count += 1
+
+    # --- what outlives the process -----------------------------------------------------------------------------
+
+    def open_journals(self) -> None:
+        """The journals, in the run's part of shared memory. They reach back to the older of the two kept states."""
+        root, entries = Path(self.run.wire["root"]), 4 * self.keep_every
+        self.store = CrashStore(root, "controller.python")
+        self.observed = Ring(root / "controller.python.observed", entries, ctypes.sizeof(Observation) + AGE.size)
+        answer = ctypes.sizeof(Command) + ctypes.sizeof(Learning)
+        self.answers = Ring(root / "controller.python.answers", entries, answer)
+
+    def packed_state(self, tick: int) -> list[bytes]:
+        try:
+            return pack(self.call("state", tick) if self.keeps else {})
+        except Refused as cause:
+            if isinstance(cause, Mistake):
+                raise
+            self.author.wrong("state", tick, str(cause).replace("state()", "gave a state in which it", 1))
+
+    def state_hash(self, tick: int) -> int:
+        digest = hashlib.blake2b(digest_size=8)
+        for part in self.packed_state(tick):
+            digest.update(part)
+        return int.from_bytes(digest.digest(), "little")
+
+    def keep(self) -> None:
+        """Keeps the whole state."""
+        tick = self.answered.header.tick if self.answered is not None else 0
+        own = {
+            "answered": bytes(self.answered) if self.answered is not None else None,
+            "asked": self.asked,
+            "report": self.report,
+            "windows": self.windows.state(),
+        }
+        parts = pack(own)
+        size = sum(len(part) for part in parts)
+        self.store.store(self.count, [size.to_bytes(8, "little"), *parts, *self.packed_state(tick)])
+
+    def recall(self) -> None:
+        """Restores the newest state that was kept, and repeats the ticks since then."""
+        record = self.store.newest()
+        if record is not None:
+            self.count, data = record
+            size = int.from_bytes(data[:8], "little")
+            own = unpack(data[8 : 8 + size])
+            self.asked, self.report = own["asked"], own["report"]
+            self.windows.restore(own["windows"])
+            if own["answered"] is not None:
+                self.answered = Observation.from_buffer_copy(own["answered"])
+            if self.keeps:
+                self.call("restore", 0, unpack(data[8 + size :]))
+        differs = None
+        while (entry := self.observed.entry(self.count)) is not None:
+            observation, number = Observation.from_buffer_copy(entry), self.count
+            self.respond(observation, *AGE.unpack_from(entry, ctypes.sizeof(Observation)))
+            self.after_command(observation)
+            sent = self.answers.entry(number)
+            if sent is not None and sent[: ctypes.sizeof(Command)] != self.unstamped():
+                differs = observation.header.tick if differs is None else differs
+                self.command = Command.from_buffer_copy(sent)
+                self.learning = Learning.from_buffer_copy(sent, ctypes.sizeof(Command))
+                self.asked = np.array(self.command.drawn[: len(self.run.outputs)], dtype=np.float32)
+        if differs is not None:
+            text = "answered otherwise than before it was killed, so state() leaves something out"
+            print(f"{program()}: warning: {self.author.name} {text} (first at tick {differs})", file=sys.stderr)
+
+    def unstamped(self) -> bytes:
+        """The command without what differs from start to start: instant and start number."""
+        copy = Command.from_buffer_copy(self.command)
+        copy.header.published_ns = copy.header.incarnation = 0
+        return bytes(copy)
+
+    # --- the loop ----------------------------------------------------------------------------------------------
+
+    def go(self) -> None:
+        """Takes part in the run, until it is over."""
+        try:
+            self.loop()
+        except Mistake:
+            # In lockstep, and in the first tick since the start, the next start would meet the same mistake.
+            if not self.run.real or self.done == 0:
+                self.finish()
+            raise
+        finally:
+            self.ports.fail()
+
+    def loop(self) -> None:
+        ports = self.ports
+        self.open_journals()
+        self.recall()
+        ports.begin(ports.connected)
+        gc.freeze()
+        if ports.incarnation and self.count:
+            self.send()
+            self.learning_out()
+            self.publish()
+        while (observation := ports.await_observation()) is not None:
+            if ports.signal:
+                ports.heartbeat()
+            expected = self.answered.header.sequence + 1 if self.answered is not None else 0
+            if observation.header.sequence < expected:
+                # A plant that came back sends its last observation again, and may not have received the command.
+                self.send()
+                continue
+            self.tick(observation, time.monotonic_ns())
+        self.finish()
+
+    def tick(self, observation: Observation, arrived: int) -> None:
+        """Answers an observation, then does the work for which the plant does not wait."""
+        number, real = self.count, self.run.real
+        age = max(arrived - observation.header.sensed_ns, 0) / 1e9 if real else 0.0
+        self.observed.append(number, [bytes(observation), AGE.pack(age)])
+        self.respond(observation, age)
+        self.answers.append(number, [self.unstamped(), bytes(self.learning)])
+        self.send()
+        answered = time.monotonic_ns()
+        self.after_command(observation)
+        improved = time.monotonic_ns()
+        self.learning_out()
+        if self.count % self.keep_every == 0:
+            self.keep()
+        if real:
+            self.measure(observation.header.scheduled_ns, arrived, answered, improved)
+        self.publish()
+        self.done += 1
+
+    def measure(self, scheduled: int, arrived: int, answered: int, improved: int) -> None:
+        """In real time: how the tick's time was spent."""
+        after = scheduled + self.run.period_ns
+        self.spreads["answer"].add(answered - arrived)
+        self.spreads["learner"].add(improved - answered)
+        self.spreads["slack"].add(max(after - time.monotonic_ns(), 0))
+        self.learner_ns += improved - answered
+        self.overruns += improved > after
+        self.ports.status.learner_ns = self.learner_ns
+
+    def stamp(self, sample: "Command | Learning") -> None:
+        header = sample.header
+        header.published_ns = time.monotonic_ns() if self.run.real else header.scheduled_ns
+
+    def send(self) -> None:
+        """Sends the last command."""
+        self.stamp(self.command)
+        self.ports.command.send(self.command)
+
+    def learning_out(self) -> None:
+        """Sends the last learning record."""
+        self.stamp(self.learning)
+        self.ports.command.log.append(self.command)
+        self.ports.learning.log.append(self.learning)
+        self.ports.learning.send_if_read(self.learning)
+
+    def publish(self) -> None:
+        """Puts the counts on the controller's board."""
+        status = self.ports.status
+        status.ticks = self.answered.header.tick + 1 if self.answered is not None else 0
+        status.sent, status.lost = self.count, self.report["unseen"]
+        status.loss, status.end_error = self.windows.now()
+        self.ports.publish_status()
+
+    def finish(self) -> None:
+        """Leaves the run in good order: the report first."""
+        self.write_report()
+        self.ports.enter(State.FINISHED)
+
+    def write_report(self) -> None:
+        """Writes the report, when the last tick has been answered."""
+        self.windows.close()
+        tick = self.answered.header.tick if self.answered is not None else 0
+        report = self.report | {
+            "diverged_at": None,
+            "checkpoint_failure": None,
+            "tick_budget": self.budget(),
+            "weights_hash": f"{self.state_hash(tick):016x}" if self.keeps else "",
+            "windows": self.windows.windows,
+            "first_switch": [],
+            "last_switch": [],
+            "targets": [],
+        }
+        write(self.run.folder / "controller.json", report)
+
+    def budget(self) -> dict[str, Any] | None:
+        """In real time: the tick budget of the summary."""
+        ticks, slack = sum(self.spreads["learner"].counts.values()), self.spreads["slack"]
+        if not ticks:
+            return None
+        return {
+            "period_us": self.run.period_ns / 1000,
+            "plant_us": None,
+            "answer_us": self.spreads["answer"].percentiles(),
+            "learner_us": self.spreads["learner"].percentiles(),
+            "learner_share": self.learner_ns / (ticks * self.run.period_ns),
+            "learner_overruns": self.overruns,
+            "slack_us": {"p50": slack.at(0.5), "p1": slack.at(0.01), "min": slack.at(0.0)},
+        }
