@@ -309,6 +309,7 @@ pub(super) mod tests {
             inputs: Vec::new(),
             outputs: Vec::new(),
             measures: Vec::new(),
+            error: None,
             scalars: Vec::new(),
             maps: Vec::new(),
             hash: 5,

@@ -152,10 +152,16 @@ impl<A: Agent> ControllerLoopState<A> {
     }
 
     /// Sends the last command and learning record.
-    fn send(&self, ports: &ControllerPorts) -> Result<(), RuntimeError> {
+    fn send(&self, ports: &mut ControllerPorts) -> Result<(), RuntimeError> {
         ports.command.send(&self.command)?;
-        ports.learning.send(&self.learning)?;
-        Ok(())
+        self.send_learning(ports)
+    }
+
+    /// Sends the learning record, and appends both to the log.
+    fn send_learning(&self, ports: &mut ControllerPorts) -> Result<(), RuntimeError> {
+        ports.command_log.append(&self.command);
+        ports.learning_log.append(&self.learning);
+        Ok(ports.learning.send_if_read(&self.learning)?)
     }
 }
 
@@ -227,11 +233,9 @@ impl<A: Agent> ControllerLoop<A> {
         let mut snapshots = SnapshotRecorder::new(&participant.folder, &participant.plan);
         let restarted = state.restore(&mut crash_store, &participant, &mut snapshots)?;
         let writer = participant.checkpoint_writer()?;
-        // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the
-        // logger.
-        let (session, time) = participant.begin(status_board, || {
-            Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 2 && ports.learning.connect()? >= 1)
-        })?;
+        // The plant writes the observations and reads the commands.
+        let (session, time) = participant
+            .begin(status_board, || Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 1))?;
         let real = time.is_real();
         state.set_writer(session.participant.manifest.run_id(), session.incarnation());
         let mut controller_loop = Self {
@@ -257,7 +261,7 @@ impl<A: Agent> ControllerLoop<A> {
     fn send_again(&mut self) -> Result<(), RuntimeError> {
         self.time.step_to(self.state.answered.tick);
         self.state.stamp(&self.time);
-        self.state.send(&self.ports)?;
+        self.state.send(&mut self.ports)?;
         self.state.publish_status(&mut self.session);
         Ok(())
     }
@@ -297,7 +301,7 @@ impl<A: Agent> ControllerLoop<A> {
         }
         if observation.header.sequence < self.state.expected() {
             // A restarted plant sends its last observation again, and may not have received the command.
-            return self.state.send(&self.ports);
+            return self.state.send(&mut self.ports);
         }
         // Read while the plant waits: it announces its next checkpoint together with the observation before it.
         let checkpoint = self.ports.plant.get().checkpoint == observation.header.tick + 2;
@@ -334,7 +338,7 @@ impl<A: Agent> ControllerLoop<A> {
         let improved = self.time.now();
         self.state.record(observation);
         stamp(&mut self.state.learning.header, header, &self.time);
-        self.ports.learning.send(&self.state.learning)?;
+        self.state.send_learning(&mut self.ports)?;
 
         if let Some(snapshots) = &mut self.snapshots {
             observe_policy(snapshots, header.tick + 1, self.state.controller.agent());

@@ -8,7 +8,7 @@
 use super::faults::FaultyChannel;
 use super::merge::{LogMerger, MergeOutcome};
 use super::{LoggerReport, Mode, Participant, ResumePoint, RuntimeError, Session, read_columns, read_realtime};
-use crate::channel::{ChannelError, LoggerPorts, Receiver};
+use crate::channel::{LogTail, LoggerPorts};
 use crate::clock::{TimeSource, machine_facts, monotonic_ns, pause, wall_ns};
 use crate::log::{LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWriter, segment_path};
 use crate::scenario::FaultChannel;
@@ -50,13 +50,15 @@ impl SenderProgress {
 /// states it.
 pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError> {
     let (mut ports, status_board) = participant.open(LoggerPorts::open)?;
-    let (mut session, time) = participant.begin(status_board, || {
-        let channels = [ports.observation.connect()?, ports.command.connect()?, ports.learning.connect()?];
-        Ok(channels.iter().all(|&writers| writers >= 1))
-    })?;
+    let (mut session, time) = participant.begin(status_board, || Ok(true))?;
     let folder = session.participant.folder.clone();
     let incarnation = session.incarnation();
     let recovered = recover(&session);
+    // What the log has already is still in the rings.
+    let begins = recovered.segment.begins;
+    ports.observation.skip_while(|sample| sample.header.sequence < begins[0]);
+    ports.command.skip_while(|sample| sample.header.sequence < begins[1]);
+    ports.learning.skip_while(|sample| sample.header.sequence < begins[2]);
     let mut merger = open_log(&session, &time, &recovered)?;
     let mut senders = SenderProgress { boards: Default::default(), sent: [0; 3] };
 
@@ -151,7 +153,7 @@ fn follow(
         let force = last || (real && idle_polls >= max_idle_polls);
         // In lockstep a sample's sequence number is its tick.
         let known = if real { [0; 3] } else { senders.sent };
-        let any = drain(merger, ports, &mut learning, known, force)?;
+        let any = drain(merger, ports, &mut learning, known, force);
         session.status.consumed = merger.consumed();
         session.status.ticks = session.status.consumed;
         session.status.lost = merger.inputs.iter().map(|input| input.lost).sum();
@@ -168,32 +170,29 @@ fn follow(
 /// none of them. Returns false when none had arrived.
 fn drain(
     merger: &mut LogMerger,
-    ports: &LoggerPorts,
+    ports: &mut LoggerPorts,
     learning: &mut FaultyChannel<Learning>,
     known: [u64; 3],
     force: bool,
-) -> Result<bool, RuntimeError> {
+) -> bool {
     let mut any = false;
     loop {
-        merger.fill(0, known[0], || ports.observation.receive().map(|sample| sample.map(LogRecord::Observation)))?;
-        merger.fill(1, known[1], || ports.command.receive().map(|sample| sample.map(LogRecord::Command)))?;
-        merger.fill(2, known[2], || receive_learning(&ports.learning, learning))?;
+        merger.fill(0, known[0], || ports.observation.receive().map(LogRecord::Observation));
+        merger.fill(1, known[1], || ports.command.receive().map(LogRecord::Command));
+        merger.fill(2, known[2], || receive_learning(&mut ports.learning, learning));
         if !merger.write_first(force) {
             break;
         }
         any = true;
     }
     merger.flush();
-    Ok(any)
+    any
 }
 
 /// The next learning record that the scenario's faults let pass. A record that they delay beyond its tick is
 /// not logged, because the log is in the order of ticks.
-fn receive_learning(
-    channel: &Receiver<Learning>,
-    faulty: &mut FaultyChannel<Learning>,
-) -> Result<Option<LogRecord>, ChannelError> {
-    while let Some(sample) = channel.receive()? {
+fn receive_learning(ring: &mut LogTail<Learning>, faulty: &mut FaultyChannel<Learning>) -> Option<LogRecord> {
+    while let Some(sample) = ring.receive() {
         let (tick, mut received) = (sample.header.tick, None);
         faulty.pass(tick, Some(&sample), |out| {
             if out.header.tick == tick {
@@ -201,10 +200,10 @@ fn receive_learning(
             }
         });
         if let Some(sample) = received {
-            return Ok(Some(LogRecord::Learning(sample)));
+            return Some(LogRecord::Learning(sample));
         }
     }
-    Ok(None)
+    None
 }
 
 /// The header of this incarnation's segment.

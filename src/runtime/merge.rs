@@ -167,17 +167,12 @@ impl LogMerger {
     /// Fills the head of input `i`, if it is empty, with the next sample from `receive`. In lockstep, all
     /// samples of ticks before `known` had been sent before the call. Those that have not arrived will not
     /// arrive.
-    pub fn fill<E>(
-        &mut self,
-        i: usize,
-        known: u64,
-        mut receive: impl FnMut() -> Result<Option<LogRecord>, E>,
-    ) -> Result<(), E> {
+    pub fn fill(&mut self, i: usize, known: u64, mut receive: impl FnMut() -> Option<LogRecord>) {
         let input = &mut self.inputs[i];
         while input.head.is_none() {
-            let Some(record) = receive()? else {
+            let Some(record) = receive() else {
                 input.through = input.through.max(known.checked_sub(1));
-                return Ok(());
+                return;
             };
             let Some(header) = record.header() else { continue };
             if let Some(gap) = input.accept(header, &record)
@@ -185,10 +180,9 @@ impl LogMerger {
                 && let Err(error) = log.gap(&gap)
             {
                 self.give_up(header.tick, &error);
-                return Ok(());
+                return;
             }
         }
-        Ok(())
     }
 
     /// Writes the first head, if no earlier sample can still arrive; with `force` in any case. Returns false

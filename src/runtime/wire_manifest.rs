@@ -18,6 +18,10 @@ pub struct WireManifest {
     pub prefix: String,
     /// The domain's root folder.
     pub root: String,
+    /// The file whose first word is the futex that wakes the controller.
+    pub wake: String,
+    /// Files of the log rings of observations, commands and learning records.
+    pub log_rings: [String; 3],
     /// Hash over the layout of all samples, hexadecimal.
     pub schema: String,
     /// Hash of the scenario, hexadecimal.
@@ -55,8 +59,8 @@ pub struct Services {
     /// Measurements of trackers; absent in a scenario without trackers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision: Option<String>,
-    /// The event that wakes the controller. Its attributes identify the run.
-    pub wake: String,
+    /// The service whose attributes identify the run.
+    pub identity: String,
     /// The launcher's status board.
     pub control: String,
     /// The status boards of plant, controller and logger.
@@ -92,6 +96,9 @@ impl WireManifest {
             iceoryx2: crate::channel::ICEORYX2.to_owned(),
             prefix: domain.prefix(),
             root: domain.root().display().to_string(),
+            wake: crate::channel::wake_file(domain).display().to_string(),
+            log_rings: ["observation", "command", "learning"]
+                .map(|channel| crate::channel::ring_file(domain, channel).display().to_string()),
             schema: format!("{:016x}", identity.schema),
             scenario: format!("{:016x}", identity.scenario),
             build_hash: format!("{:016x}", identity.build_hash()),
@@ -101,7 +108,7 @@ impl WireManifest {
                 command: channels.command.clone(),
                 learning: channels.learning.clone(),
                 vision: plan.scenario.vision().map(str::to_owned),
-                wake: crate::channel::WAKE.to_owned(),
+                identity: crate::channel::IDENTITY.to_owned(),
                 control: crate::channel::board_name(crate::channel::CONTROL),
                 boards: Role::ALL.map(|role| crate::channel::board_name(role.name())),
             },

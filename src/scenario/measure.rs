@@ -53,6 +53,12 @@ impl MeasureConfig {
     }
 }
 
+impl From<String> for MeasureConfig {
+    fn from(name: String) -> Self {
+        Self::Name(name)
+    }
+}
+
 impl From<&str> for MeasureConfig {
     fn from(name: &str) -> Self {
         Self::Name(name.to_owned())

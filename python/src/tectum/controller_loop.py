@@ -22,6 +22,7 @@ from .errors import Mistake, Refused, error_text
 from .layouts import Command, Learning, Observation, Role, State
 from .participant import Participant, program
 from .reports import Spread, write
+from .shared_memory import WakeWord
 from .state import pack, unpack
 from .transport import JoinedRun
 
@@ -34,7 +35,7 @@ class ControllerPorts(Participant):
     def __init__(self, run: JoinedRun, handle_signals: bool = True) -> None:
         super().__init__(run, Role.CONTROLLER, handle_signals)
         try:
-            self.wake = run.wake.listener_builder().create()
+            self.wake = WakeWord(run.wire["wake"])
             self.observations = run.reader("observation", Observation, 2)
             self.command = run.writer("command", Command)
             self.learning = run.writer("learning", Learning)
@@ -44,13 +45,12 @@ class ControllerPorts(Participant):
             text = f"the run has a controller already, or none is possible: {error_text(cause)}"
             raise Refused(text, 1) from None
         self.plant = run.peer(Role.PLANT)
-        self.timeout = run.iox.Duration.from_millis(WAKE_TIMEOUT_MS)
 
     def connected(self) -> bool:
-        """Maps the peers' memory, and counts them: one writer of observations, the readers of both other channels."""
+        """Maps the peers' memory, and counts them: a writer of observations, a reader of commands."""
         self.observations.port.has_samples()
         plants = self.observations.factory.dynamic_config.number_of_publishers
-        return plants >= 1 and self.command.connected_readers() >= 2 and self.learning.connected_readers() >= 1
+        return plants >= 1 and self.command.connected_readers() >= 1
 
     def await_observation(self) -> Observation | None:
         """Waits for the next observation; in real time for the newest. None when the plant has finished."""
@@ -66,7 +66,7 @@ class ControllerPorts(Participant):
                 return None
             turns += 1
             if self.run.real:
-                self.wake.timed_wait(self.timeout)
+                self.wake.wait(WAKE_TIMEOUT_MS)
             elif turns < 4096:
                 os.sched_yield()
                 if turns % 64:
@@ -227,7 +227,9 @@ class ControllerLoop(ControllerCore):
     def learning_out(self) -> None:
         """Sends the last learning record."""
         self.stamp(self.learning)
-        self.ports.learning.send(self.learning)
+        self.ports.command.append(self.command)
+        self.ports.learning.append(self.learning)
+        self.ports.learning.send_if_read(self.learning)
 
     def publish(self) -> None:
         """Puts the counts on the controller's board."""

@@ -13,7 +13,7 @@ LOG_BUFFER, CREDIT = 1024, 256
 # The version of iceoryx2 that all processes of a run must have.
 ICEORYX2 = "0.10.0"
 # The hash over all samples and boards: `wire.schema` in the manifest of a run that these layouts fit.
-SCHEMA = "5f8898f53085252c"
+SCHEMA = "078fa9e990822b44"
 
 
 class Flag(IntFlag):

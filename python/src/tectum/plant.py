@@ -19,6 +19,7 @@ from .gate import Gate
 from .layouts import CREDIT, LOG_BUFFER, Command, Flag, Observation, Role, State
 from .participant import Participant, program
 from .reports import Spread, write
+from .shared_memory import WakeWord
 from .state import pack, unpack
 from .transport import JoinedRun
 
@@ -72,7 +73,7 @@ class PlantPorts(Participant):
         super().__init__(run, Role.PLANT)
         try:
             self.out = run.writer("observation", Observation)
-            self.wake = run.wake.notifier_builder().create()
+            self.wake = WakeWord(run.wire["wake"])
             self.commands = run.reader("command", Command, 2)
         except Refused:
             raise
@@ -81,10 +82,10 @@ class PlantPorts(Participant):
         self.controller, self.logger = run.peer(Role.CONTROLLER), run.peer(Role.LOGGER)
 
     def connected(self) -> bool:
-        """Maps the peers' memory, and counts them: two readers of observations, one writer of commands."""
+        """Maps the peers' memory, and counts them: a reader of observations, a writer of commands."""
         self.commands.port.has_samples()
         writers = self.commands.factory.dynamic_config.number_of_publishers
-        return self.out.connected_readers() >= 2 and writers >= 1
+        return self.out.connected_readers() >= 1 and writers >= 1
 
 
 class PlantLoop:
@@ -299,6 +300,7 @@ class PlantLoop:
             participant.status.sent = header.sequence + 1
             # It may have died before it sent it. Who has it already drops it.
             participant.out.send(self.observation)
+            participant.out.append(self.observation)
             return t0, header.tick + 1, False
         if participant.before is not None and participant.before.sent:
             # The body stood still while no process drove it: the ticks in between are missed.
@@ -380,6 +382,7 @@ class PlantLoop:
         if run.real:
             participant.wake.notify()
             self.spreads["work"].add(time.monotonic_ns() - woken)
+        participant.out.append(self.observation)
         participant.status.sent += 1
 
     def finish(self) -> None:

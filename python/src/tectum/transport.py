@@ -16,6 +16,7 @@ from typing import Any, Generic, TypeVar
 from .errors import Refused, error_text
 from .facts import RunFacts
 from .layouts import ICEORYX2, SCHEMA, Control, Observation, Phase, Role, Status
+from .shared_memory import LogRing
 
 Kind = TypeVar("Kind", bound=ctypes.Structure)
 
@@ -73,9 +74,10 @@ class Reader(Generic[Kind]):
 
 
 class Writer(Generic[Kind]):
-    """The writing end of a channel. It never waits for a reader."""
+    """The writing end of a channel, with the channel's log ring. It never waits for a reader."""
 
-    def __init__(self, iox: Any, factory: Any) -> None:
+    def __init__(self, iox: Any, factory: Any, log: LogRing | None) -> None:
+        self.ring = log
         self.readers = factory.dynamic_config
         self.port = (
             factory.publisher_builder()
@@ -87,6 +89,16 @@ class Writer(Generic[Kind]):
     def send(self, sample: Kind) -> None:
         """Sends a copy of the sample."""
         self.port.send_copy(sample)
+
+    def append(self, sample: Kind) -> None:
+        """Notes a sample that has been sent in the channel's log ring."""
+        if self.ring is not None:
+            self.ring.append(sample)
+
+    def send_if_read(self, sample: Kind) -> None:
+        """Sends a copy of the sample if there is any reader."""
+        if self.readers.number_of_subscribers:
+            self.port.send_copy(sample)
 
     def connected_readers(self) -> int:
         """Maps the readers' memory, and counts them."""
@@ -134,7 +146,7 @@ class JoinedRun(RunFacts):
         try:
             builder = iox.NodeBuilder.new().config(config).signal_handling_mode(iox.SignalHandlingMode.Disabled)
             self.node = builder.create(iox.ServiceType.Ipc)
-            self.wake = self.service(self.wire["services"]["wake"]).event().open()
+            self.identity = self.service(self.wire["services"]["identity"]).event().open()
             self._check()
             self.control = self.board(self.wire["services"]["control"], Control)
         except Refused:
@@ -143,9 +155,9 @@ class JoinedRun(RunFacts):
             raise Refused(f"the run's domain {self.wire['root']} cannot be used: {error_text(cause)}", 1) from None
 
     def _check(self) -> None:
-        """Compares the attributes of `wake` with the manifest, before any typed service is opened."""
+        """Compares the attributes of `identity` with the manifest, before any typed service is opened."""
         for key in ("schema", "scenario", "build"):
-            theirs = self.wake.attributes.key_values(self.iox.AttributeKey.new(key))
+            theirs = self.identity.attributes.key_values(self.iox.AttributeKey.new(key))
             if str(self.iox.AttributeValue.new(self.wire[key])) not in map(str, theirs):
                 text = f"{self.folder} and the domain {self.wire['root']} are not of one run: their {key} differs"
                 raise Refused(text, 3)
@@ -185,7 +197,9 @@ class JoinedRun(RunFacts):
 
     def writer(self, name: str, kind: type[Kind]) -> Writer[Kind]:
         """The writing end of a channel."""
-        return Writer(self.iox, self.channel(name, kind))
+        rings = dict(zip(("observation", "command", "learning"), self.wire["log_rings"]))
+        log = LogRing(rings[name], kind) if name in rings else None
+        return Writer(self.iox, self.channel(name, kind), log)
 
     def orphaned(self) -> bool:
         """Whether the launcher has ended. A killed launcher cannot announce its end."""
@@ -197,7 +211,7 @@ class JoinedRun(RunFacts):
 
     def close(self) -> None:
         """Leaves the run: gives every port back."""
-        for name in ("control", "wake", "node"):
+        for name in ("control", "identity", "node"):
             self.__dict__.pop(name, None)
         with contextlib.suppress(OSError):
             os.close(self.launcher)

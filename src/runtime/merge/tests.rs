@@ -2,7 +2,6 @@
 //! missing samples are stated.
 
 use std::collections::VecDeque;
-use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 
 use super::*;
@@ -90,7 +89,7 @@ fn logger(folder: &Path, number: u32, every: u64) -> LogMerger {
 fn drain(merger: &mut LogMerger, waiting: &mut [VecDeque<LogRecord>; 3], known: u64) {
     loop {
         for (i, waiting) in waiting.iter_mut().enumerate() {
-            let Ok(()) = merger.fill(i, known, || Ok::<_, Infallible>(waiting.pop_front()));
+            merger.fill(i, known, || waiting.pop_front());
         }
         if !merger.write_first(false) {
             break;

@@ -17,6 +17,7 @@ mod baseline;
 mod config;
 mod critic_kernel;
 mod learned_reward;
+pub mod model_predictive;
 #[doc(hidden)]
 pub mod naive;
 mod natural_metric;
