@@ -227,8 +227,8 @@ class ControllerLoop(ControllerCore):
     def learning_out(self) -> None:
         """Sends the last learning record."""
         self.stamp(self.learning)
-        self.ports.command.log.append(self.command)
-        self.ports.learning.log.append(self.learning)
+        self.ports.command.append(self.command)
+        self.ports.learning.append(self.learning)
         self.ports.learning.send_if_read(self.learning)
 
     def publish(self) -> None:

@@ -300,7 +300,7 @@ class PlantLoop:
             participant.status.sent = header.sequence + 1
             # It may have died before it sent it. Who has it already drops it.
             participant.out.send(self.observation)
-            participant.out.log.append(self.observation)
+            participant.out.append(self.observation)
             return t0, header.tick + 1, False
         if participant.before is not None and participant.before.sent:
             # The body stood still while no process drove it: the ticks in between are missed.
@@ -382,7 +382,7 @@ class PlantLoop:
         if run.real:
             participant.wake.notify()
             self.spreads["work"].add(time.monotonic_ns() - woken)
-        participant.out.log.append(self.observation)
+        participant.out.append(self.observation)
         participant.status.sent += 1
 
     def finish(self) -> None:

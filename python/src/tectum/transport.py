@@ -76,8 +76,8 @@ class Reader(Generic[Kind]):
 class Writer(Generic[Kind]):
     """The writing end of a channel, with the channel's log ring. It never waits for a reader."""
 
-    def __init__(self, iox: Any, factory: Any, log: LogRing) -> None:
-        self.log = log
+    def __init__(self, iox: Any, factory: Any, log: LogRing | None) -> None:
+        self.ring = log
         self.readers = factory.dynamic_config
         self.port = (
             factory.publisher_builder()
@@ -89,6 +89,11 @@ class Writer(Generic[Kind]):
     def send(self, sample: Kind) -> None:
         """Sends a copy of the sample."""
         self.port.send_copy(sample)
+
+    def append(self, sample: Kind) -> None:
+        """Notes a sample that has been sent in the channel's log ring."""
+        if self.ring is not None:
+            self.ring.append(sample)
 
     def send_if_read(self, sample: Kind) -> None:
         """Sends a copy of the sample if there is any reader."""
@@ -192,8 +197,9 @@ class JoinedRun(RunFacts):
 
     def writer(self, name: str, kind: type[Kind]) -> Writer[Kind]:
         """The writing end of a channel."""
-        ring = self.wire["log_rings"][("observation", "command", "learning").index(name)]
-        return Writer(self.iox, self.channel(name, kind), LogRing(ring, kind))
+        rings = dict(zip(("observation", "command", "learning"), self.wire["log_rings"]))
+        log = LogRing(rings[name], kind) if name in rings else None
+        return Writer(self.iox, self.channel(name, kind), log)
 
     def orphaned(self) -> bool:
         """Whether the launcher has ended. A killed launcher cannot announce its end."""
