@@ -224,8 +224,8 @@ mod tests {
 
     #[test]
     fn thinning_divides_the_bytes() {
-        assert_eq!(bytes_per_tick(1), 521.0);
-        assert_eq!(bytes_per_tick(0), 521.0);
-        assert_eq!(bytes_per_tick(100), 5.21);
+        assert_eq!(bytes_per_tick(1), 745.0);
+        assert_eq!(bytes_per_tick(0), 745.0);
+        assert_eq!(bytes_per_tick(100), 7.45);
     }
 }

@@ -377,14 +377,14 @@ mod tests {
         let mut log = LogWriter::create(&path, &sample_header()).unwrap();
         let start = size();
         log.observation(&Observation::default()).unwrap();
-        assert_eq!(size() - start, 31 + 4 + 184);
+        assert_eq!(size() - start, 31 + 4 + 280);
         log.command(&Command::default()).unwrap();
         log.learning(&Learning::default()).unwrap();
         assert_eq!((size() - start) as f64, crate::log::bytes_per_tick(1));
         log.append(&LogRecord::Gap(Gap::default())).unwrap();
         assert_eq!((size() - start) as f64, crate::log::bytes_per_tick(1));
         log.flush().unwrap();
-        assert_eq!(size() - start, 521 + 31 + 4 + 32);
+        assert_eq!(size() - start, 745 + 31 + 4 + 32);
         assert_eq!(log.written(), [1; 4]);
     }
 }
