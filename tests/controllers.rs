@@ -3,12 +3,13 @@
 
 mod support;
 
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
 use support::{Process, TestFolder, assert_no_debris, example, signal_process};
 
-/// One tick after the other, so that the kills of a test hit a run that still goes on.
-const TICKS: &str = "30000";
+/// So many that they take much longer than a restart.
+const TICKS: &str = "12000";
 
 /// The scenario of a joint that turns towards an input, with the controller of the example.
 fn scenario(learner: &str) -> String {
@@ -17,7 +18,7 @@ fn scenario(learner: &str) -> String {
 ticks = 100_000
 
 [plant.arm]
-lengths = [1.0]
+lengths = [1.0, 0.5]
 
 [controller]
 program = {:?}
@@ -71,7 +72,7 @@ fn it_gives_the_same_numbers_in_lockstep_in_one_process_and_in_a_replay_and_surv
     let scenario = write(&test_folder, PD);
     let hash = in_process_hash(&scenario, TICKS);
     let mut run = test_folder.run(&[&scenario, "--ticks", TICKS, "--json"]);
-    kill_controller(&mut run, &test_folder.log_path(), &[200_000, 4_000_000]);
+    kill_controller(&mut run, &test_folder.log_path(), &[200_000, 2_000_000]);
     let summary = run.wait().expect(0).json();
     assert_eq!(summary["weights_hash"], hash, "{summary}");
     assert_eq!(summary["restarts"].as_array().unwrap().len(), 2, "{summary}");
@@ -79,7 +80,7 @@ fn it_gives_the_same_numbers_in_lockstep_in_one_process_and_in_a_replay_and_surv
 
     let replay = test_folder.tectum("replay", &["run", "--json"]).expect(0).json();
     assert_eq!((&replay["weights_hash"], &replay["difference"]), (&hash, &serde_json::Value::Null));
-    assert_eq!(replay["hashes"], 301, "{replay}");
+    assert_eq!(replay["hashes"], 121, "{replay}");
 
     // The agent's own columns have names.
     let csv = test_folder.tectum("log", &["csv", "run", "--channel", "learning"]).expect(0).stdout;
@@ -145,13 +146,21 @@ fn a_program_that_is_no_controller_ends_the_run_with_its_name() {
         let text = scenario.replace(example("pd").to_str().unwrap(), program);
         test_folder.write_file("other.toml", text).to_str().unwrap().to_owned()
     };
+    let script = |name: &str, text: &str| {
+        let path = test_folder.write_file(name, format!("#!/bin/sh\n{text}\n"));
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let (talks, hangs) =
+        (script("talks", "echo this is no frame at all; exec sleep 60"), script("hangs", "exec sleep 60"));
     for (program, code, expected) in [
         ("./nothing", 2, "the controller cannot be started: ./nothing"),
         ("/bin/false", 4, "the controller /bin/false ended with exit code 1 at tick 0"),
-        ("/bin/echo", 4, "the controller /bin/echo does not speak the protocol of a pipe"),
+        (&talks, 4, "does not speak the protocol of a pipe"),
+        (&hangs, 4, "gave no answer to tick 0 for 2 s and was killed; `hang_s` under [restart]"),
     ] {
         let scenario = other(program);
-        let out = format!("run{code}{}", program.len());
+        let out = format!("run{}", program.len());
         let arguments = ["run", &scenario, "--out", &out, "--ticks", "100", "--mode", "in-process"];
         let outcome = test_folder.start(support::TECTUM, &arguments).wait().expect(code);
         assert!(outcome.stderr.contains(expected), "{outcome:#?}");

@@ -13,7 +13,7 @@
 //!    `/gap`;
 //! 4. the messages: four bytes of encapsulation (`00 01 00 00`) and then the sample's own bytes;
 //! 5. if the logger closed the log: in real time the metadata record `tectum.histograms` (see
-//!    [`LatencyHistograms`]), then `tectum.totals` (see [`LogTotals`]), MCAP's summary, and checksums.
+//!    [`LatencyHistograms`]), where something did not go well `tectum.warnings`, then `tectum.totals` (see [`LogTotals`]), MCAP's summary, and checksums.
 //!    [`repair()`] adds these to a torn log, with the metadata record `tectum.repair`.
 //!
 //! *Segments.* A logger that is restarted within its run does not change the existing files, torn or not. It
@@ -80,6 +80,8 @@ pub(crate) const REPAIR_METADATA: &str = "tectum.repair";
 pub(crate) const MISSING_METADATA: &str = "tectum.missing";
 /// Name of the metadata record with the histograms of a run in real time.
 pub(crate) const HISTOGRAMS_METADATA: &str = "tectum.histograms";
+/// Name of the metadata record with what did not go well in the run: a sentence for each warning's name.
+pub(crate) const WARNINGS_METADATA: &str = "tectum.warnings";
 /// The log's file in a run's folder; [`segment_path`] gives those of a restarted logger.
 pub(crate) const LOG_FILE: &str = "log.mcap";
 

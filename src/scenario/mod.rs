@@ -118,6 +118,7 @@ impl Plan {
             maps: self.maps.clone(),
             normalise: self.scenario.encoder.normalise,
             sigma: self.scenario.policy.sigma,
+            max_command: std::array::from_fn(|output| self.scenario.gate.max_command.of(output) as f32),
             seed: self.scenario.seed,
             learner: self.scenario.learner.clone(),
         }
