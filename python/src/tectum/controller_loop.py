@@ -106,6 +106,7 @@ class ControllerLoop(ControllerCore):
             "before": self.before,
             "report": self.report,
             "windows": self.windows.state(),
+            "counts": self.counts.state(),
         }
         parts = pack(own)
         size = sum(len(part) for part in parts)
@@ -121,6 +122,7 @@ class ControllerLoop(ControllerCore):
             self.asked, self.before, self.report = own["asked"], own["before"], own["report"]
             self.acted, self.age = own["acted"], own["age"]
             self.windows.restore(own["windows"])
+            self.counts.restore(own["counts"])
             if own["answered"] is not None:
                 self.answered = Observation.from_buffer_copy(own["answered"])
             if self.keeps:

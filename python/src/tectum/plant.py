@@ -215,7 +215,6 @@ class PlantLoop:
             "gate": self.gate.state(),
             "flags": self.flags,
             "report": self.report,
-            "outside": self.author.outside,
             "expected": self.expected,
             "observation": bytes(self.observation),
         }
@@ -245,7 +244,6 @@ class PlantLoop:
             self.author.failed("restore", tick, cause)
         self.gate.restore(state["gate"])
         self.flags, self.report, self.expected = state["flags"], state["report"], state["expected"]
-        self.author.outside = state["outside"]
         ctypes.memmove(ctypes.addressof(self.observation), state["observation"], ctypes.sizeof(Observation))
         self.observation.header.incarnation = self.participant.incarnation
         return True
@@ -383,8 +381,7 @@ class PlantLoop:
         """Leaves the run in good order: the report first."""
         if self.participant.status.state == State.FINISHED:
             return
-        outside = {name: count for name, count in self.author.outside.items() if count}
-        report = self.report | {"checkpoint_failure": None, "outside": outside}
+        report = self.report | {"checkpoint_failure": None}
         report |= {name: spread.percentiles() if self.run.real else None for name, spread in self.spreads.items()}
         write(self.run.folder / "plant.json", report)
         self.participant.enter(State.FINISHED)
