@@ -188,12 +188,16 @@ class ControllerCore:
     def full_report(self, budget: dict[str, Any] | None) -> dict[str, Any]:
         """The report, when the last tick has been answered."""
         self.windows.close()
+        try:
+            hashed = f"{self.state_hash(self.tick()):016x}"
+        except Refused:  # the mistake for which the controller ends
+            hashed = ""
         nothing: dict[str, Any] = {name: [] for name in ("first_switch", "last_switch", "targets")}
         return self.report | nothing | {
             "diverged_at": None,
             "checkpoint_failure": None,
             "tick_budget": budget,
-            "weights_hash": f"{self.state_hash(self.tick()):016x}" if self.keeps else "",
+            "weights_hash": hashed,
             "windows": self.windows.windows,
             "counts": self.counts.report(),
         }  # fmt: skip
