@@ -8,6 +8,7 @@ import numpy as np
 
 from .checks import Author
 from .controller import WITHHELD, Answer, Controller, Experience, Percept, boundary
+from .counts import Counts
 from .errors import Mistake, Refused
 from .facts import RunFacts
 from .layouts import MAX_COLUMNS, Command, Flag, Learning, Observation
@@ -42,7 +43,7 @@ class ControllerCore:
         self.before = np.zeros(len(run.outputs), dtype=np.float32)
         counts = ("ticks", "unseen", "unheard", "stale", "learned", "cuts", "invalid", "checkpoints")
         self.report: dict[str, Any] = dict.fromkeys(counts, 0)
-        self.windows = Windows(run.ticks, run.error)
+        self.windows, self.counts = Windows(run.ticks, run.error), Counts(run)
 
     def _refuse_what_cannot_be(self) -> None:
         faults = self.run.settings.get("faults", {}).get("channel", [])
@@ -71,7 +72,9 @@ class ControllerCore:
         valid = bool(np.isfinite(inputs).all())
         self.report["unseen"] += header.sequence - (self.answered.header.sequence + 1 if self.answered else 0)
         self.age = self.age + 1 if header.flags & BLIND else 0
-        flags = self.learn(observation, inputs, valid) if self.acted and self.answered is not None else 0
+        withheld = self.withheld(observation, valid)
+        flags = self.learn(observation, inputs, withheld) if self.acted and self.answered is not None else 0
+        self.counts.add(observation, inputs, self.asked, withheld)
         self.before = np.array(observation.applied[: len(self.run.outputs)], dtype=np.float32)
         command, m = self.command, len(self.run.outputs)
         command.header.flags = 0 if valid else INVALID
@@ -88,7 +91,7 @@ class ControllerCore:
         self.asked, self.acted, self.answered = np.array(outputs, dtype=np.float32), valid, observation
         self.record(observation, flags)
 
-    def learn(self, observation: Observation, inputs: np.ndarray, valid: bool) -> int:
+    def learn(self, observation: Observation, inputs: np.ndarray, withheld: str | None) -> int:
         """Hands over what became of the last command. Returns the flags of the learning record."""
         if not self.learns or self.answered is None:
             return 0
@@ -102,7 +105,7 @@ class ControllerCore:
             reward=float(observation.reward),
             next_inputs=inputs,
             boundary=boundary(observation.header.flags),
-            withheld=self.withheld(observation, valid),
+            withheld=withheld,
         )
         learned = self.call("learn", observation.header.tick, experience)
         if experience.withheld is None if learned is None else learned:
@@ -122,7 +125,7 @@ class ControllerCore:
             return "lost"
         if flags & CLAMPED and not self.gate_could_apply(observation):
             return "corrupted"
-        return None if valid and math.isfinite(observation.reward) else "invalid"
+        return None if valid and self.acted and math.isfinite(observation.reward) else "invalid"
 
     def gate_could_apply(self, observation: Observation) -> bool:
         """Whether a gate could have made what was applied: it moves a command towards zero, or towards the one before."""
@@ -185,11 +188,16 @@ class ControllerCore:
     def full_report(self, budget: dict[str, Any] | None) -> dict[str, Any]:
         """The report, when the last tick has been answered."""
         self.windows.close()
+        try:
+            hashed = f"{self.state_hash(self.tick()):016x}"
+        except Refused:  # the mistake for which the controller ends
+            hashed = ""
         nothing: dict[str, Any] = {name: [] for name in ("first_switch", "last_switch", "targets")}
         return self.report | nothing | {
             "diverged_at": None,
             "checkpoint_failure": None,
             "tick_budget": budget,
-            "weights_hash": f"{self.state_hash(self.tick()):016x}" if self.keeps else "",
+            "weights_hash": hashed,
             "windows": self.windows.windows,
+            "counts": self.counts.report(),
         }  # fmt: skip

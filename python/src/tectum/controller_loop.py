@@ -8,7 +8,6 @@ has it drops it. So no tick is learned twice, and none is lost.
 
 import ctypes
 import gc
-import os
 import sys
 import time
 from pathlib import Path
@@ -20,7 +19,7 @@ from .controller_core import ControllerCore
 from .crash_store import CrashStore, Ring
 from .errors import Mistake, Refused, error_text
 from .layouts import Command, Learning, Observation, Role, State
-from .participant import Participant, program
+from .participant import Backoff, Participant, program
 from .reports import Spread, write
 from .shared_memory import WakeWord
 from .state import pack, unpack
@@ -54,7 +53,7 @@ class ControllerPorts(Participant):
 
     def await_observation(self) -> Observation | None:
         """Waits for the next observation; in real time for the newest. None when the plant has finished."""
-        turns = 0
+        backoff = Backoff()
         while True:
             # Read before the channel is, so that samples sent before the plant finished are still received.
             finished = self.plant.get().state == State.FINISHED
@@ -64,15 +63,10 @@ class ControllerPorts(Participant):
                 return newest
             if finished:
                 return None
-            turns += 1
             if self.run.real:
                 self.wake.wait(WAKE_TIMEOUT_MS)
-            elif turns < 4096:
-                os.sched_yield()
-                if turns % 64:
-                    continue
-            else:
-                time.sleep(0.00005)
+            elif not backoff.pause():
+                continue
             self.heartbeat()
             self.returned(self.plant, Role.PLANT)
 
@@ -112,6 +106,7 @@ class ControllerLoop(ControllerCore):
             "before": self.before,
             "report": self.report,
             "windows": self.windows.state(),
+            "counts": self.counts.state(),
         }
         parts = pack(own)
         size = sum(len(part) for part in parts)
@@ -127,6 +122,7 @@ class ControllerLoop(ControllerCore):
             self.asked, self.before, self.report = own["asked"], own["before"], own["report"]
             self.acted, self.age = own["acted"], own["age"]
             self.windows.restore(own["windows"])
+            self.counts.restore(own["counts"])
             if own["answered"] is not None:
                 self.answered = Observation.from_buffer_copy(own["answered"])
             if self.keeps:

@@ -3,7 +3,6 @@
 import ctypes
 import gc
 import math
-import os
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ from .crash_store import CrashStore
 from .errors import Mistake, Refused, error_text
 from .gate import Gate
 from .layouts import CREDIT, LOG_BUFFER, Command, Flag, Observation, Role, State
-from .participant import Participant, program
+from .participant import Backoff, Participant, program
 from .reports import Spread, write
 from .shared_memory import WakeWord
 from .state import pack, unpack
@@ -216,7 +215,6 @@ class PlantLoop:
             "gate": self.gate.state(),
             "flags": self.flags,
             "report": self.report,
-            "outside": self.author.outside,
             "expected": self.expected,
             "observation": bytes(self.observation),
         }
@@ -246,7 +244,6 @@ class PlantLoop:
             self.author.failed("restore", tick, cause)
         self.gate.restore(state["gate"])
         self.flags, self.report, self.expected = state["flags"], state["report"], state["expected"]
-        self.author.outside = state["outside"]
         ctypes.memmove(ctypes.addressof(self.observation), state["observation"], ctypes.sizeof(Observation))
         self.observation.header.incarnation = self.participant.incarnation
         return True
@@ -256,7 +253,7 @@ class PlantLoop:
     def wait(self, t0: int, tick: int, advanced: bool) -> bool:
         """Waits until `tick` begins: for its instant in real time, for the command of the tick before in lockstep.
         False when the run ends first."""
-        participant, turns = self.participant, 0
+        participant, backoff = self.participant, Backoff()
         if self.run.real:
             due = t0 + tick * self.run.period_ns
             while (now := time.monotonic_ns()) < due:
@@ -265,12 +262,7 @@ class PlantLoop:
                     return False
             return not participant.heartbeat()
         while not (advanced or self.receive_command(tick - 1)):
-            turns += 1
-            if turns < 4096:
-                os.sched_yield()
-            else:
-                time.sleep(0.00005)
-            if turns % 64 == 0 or turns >= 4096:
+            if backoff.pause():
                 # The command is on its way, unless the controller was killed before it received the observation.
                 if participant.returned(participant.controller, Role.CONTROLLER):
                     participant.out.send(self.observation)
@@ -389,8 +381,7 @@ class PlantLoop:
         """Leaves the run in good order: the report first."""
         if self.participant.status.state == State.FINISHED:
             return
-        outside = {name: count for name, count in self.author.outside.items() if count}
-        report = self.report | {"checkpoint_failure": None, "outside": outside}
+        report = self.report | {"checkpoint_failure": None}
         report |= {name: spread.percentiles() if self.run.real else None for name, spread in self.spreads.items()}
         write(self.run.folder / "plant.json", report)
         self.participant.enter(State.FINISHED)
