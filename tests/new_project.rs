@@ -113,7 +113,8 @@ fn the_text_says_what_was_made_and_what_comes_next() {
     let text = test_folder.tectum("new", &["plant", "my-arm"]).expect(0).stdout;
     let checkout = env!("CARGO_MANIFEST_DIR");
     let first = format!("my-arm: a plant in Rust, 6 files. It refers to Tectum by path, in the checkout {checkout}.\n");
-    assert_eq!(text, first + "Next:\n  cd my-arm\n  cargo test\n  cargo build --release && tectum run scenario.toml\n");
+    let run = format!("cargo build --release && {TECTUM} run scenario.toml");
+    assert_eq!(text, format!("{first}Next:\n  cd my-arm\n  cargo test\n  {run}\n"));
 }
 
 #[test]

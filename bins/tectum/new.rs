@@ -1,6 +1,6 @@
 //! `tectum new`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
@@ -54,7 +54,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Language::Rust => ProjectLanguage::Rust,
         Language::Python => ProjectLanguage::Python,
     };
-    match create(Path::new(""), &arguments.name, kind, language) {
+    match create(Path::new(""), &arguments.name, kind, language, &this_program()) {
         Ok(project) if arguments.json => {
             let object = serde_json::to_string_pretty(&project).unwrap_or_default();
             print(&format!("{object}\n"));
@@ -69,4 +69,11 @@ pub fn main(arguments: &Arguments) -> ExitCode {
             ExitCode::from(exit::INPUT)
         }
     }
+}
+
+/// This program as a command that works in another folder: its name if it was found in PATH, and otherwise its path.
+fn this_program() -> String {
+    let named = std::env::args_os().next().map(PathBuf::from).unwrap_or_default();
+    let path = if named.components().count() > 1 { std::env::current_exe().unwrap_or(named) } else { named };
+    path.display().to_string()
 }

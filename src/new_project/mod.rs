@@ -96,7 +96,8 @@ pub struct NewProject {
     pub next: Vec<String>,
 }
 
-/// Makes a project in the folder `parent`. It is there completely or not at all.
+/// Makes a project in the folder `parent`. It is there completely or not at all. `program` is the command by which the
+/// user calls `tectum`, for the next commands.
 ///
 /// # Errors
 ///
@@ -106,6 +107,7 @@ pub fn create(
     name: &str,
     kind: ProjectKind,
     language: ProjectLanguage,
+    program: &str,
 ) -> Result<NewProject, NewProjectError> {
     name::check(name)?;
     let folder = parent.join(name);
@@ -129,7 +131,7 @@ pub fn create(
         let _ = fs::remove_dir_all(&draft);
         return Err(failed(&folder, error));
     }
-    let next = templates::next_commands(name, language, &tectum);
+    let next = templates::next_commands(name, language, &tectum, program);
     let files = files.iter().map(|file| file.path.to_owned()).collect();
     Ok(NewProject { name: name.to_owned(), kind, language, folder, files, tectum, next })
 }
@@ -176,7 +178,7 @@ mod tests {
     fn a_project_is_complete_and_has_no_placeholder_left() {
         let parent = tempfile::tempdir().unwrap();
         for (i, (kind, language)) in ALL.into_iter().enumerate() {
-            let project = create(parent.path(), &format!("mine-{i}"), kind, language).unwrap();
+            let project = create(parent.path(), &format!("mine-{i}"), kind, language, "tectum").unwrap();
             for file in &project.files {
                 let text = fs::read_to_string(project.folder.join(file)).unwrap();
                 assert!(!text.contains("{{") && !text.contains("}}"), "{file}: {text}");
@@ -192,14 +194,15 @@ mod tests {
     fn an_existing_folder_or_file_is_refused_and_kept() {
         let parent = tempfile::tempdir().unwrap();
         fs::write(parent.path().join("mine"), "mine").unwrap();
-        let error = create(parent.path(), "mine", ProjectKind::Plant, ProjectLanguage::Rust).unwrap_err();
+        let error = create(parent.path(), "mine", ProjectKind::Plant, ProjectLanguage::Rust, "tectum").unwrap_err();
         assert!(matches!(error, NewProjectError::Exists { .. }), "{error}");
         assert_eq!(fs::read_to_string(parent.path().join("mine")).unwrap(), "mine");
     }
 
     #[test]
     fn a_folder_that_cannot_be_written_is_named() {
-        let error = create(Path::new("/proc"), "mine", ProjectKind::Plant, ProjectLanguage::Rust).unwrap_err();
+        let error =
+            create(Path::new("/proc"), "mine", ProjectKind::Plant, ProjectLanguage::Rust, "tectum").unwrap_err();
         assert!(error.to_string().starts_with("/proc/mine cannot be written: "), "{error}");
     }
 }

@@ -90,17 +90,22 @@ fn install_command(tectum: &TectumSource) -> String {
 }
 
 /// The commands that test and run a project.
-pub(super) fn next_commands(name: &str, language: ProjectLanguage, tectum: &TectumSource) -> Vec<String> {
-    let enter = format!("cd {name}");
+pub(super) fn next_commands(
+    name: &str,
+    language: ProjectLanguage,
+    tectum: &TectumSource,
+    program: &str,
+) -> Vec<String> {
+    let (enter, run) = (format!("cd {name}"), format!("{program} run scenario.toml"));
     match language {
         ProjectLanguage::Rust => {
-            vec![enter, "cargo test".to_owned(), "cargo build --release && tectum run scenario.toml".to_owned()]
+            vec![enter, "cargo test".to_owned(), format!("cargo build --release && {run}")]
         }
         ProjectLanguage::Python => vec![
             enter,
             format!("python3 -m venv .venv && . .venv/bin/activate && pip install {}", python_package(tectum)),
             "python -m unittest".to_owned(),
-            "tectum run scenario.toml".to_owned(),
+            run,
         ],
     }
 }
