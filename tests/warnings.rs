@@ -1,5 +1,5 @@
-//! A run that did not go well says so, by name and with a number: in the summary, in `--json` and in the log. Some kinds
-//! make it fail.
+//! A run that did not go well says so, by name and with a number: in the summary, in `--json` and in the log. Some
+//! kinds make it fail.
 
 mod support;
 #[path = "support/wayward.rs"]

@@ -264,8 +264,7 @@ impl Controller {
             self.report.diverged_at.get_or_insert(observation.header.tick);
         }
         self.statistics.observe(observation);
-        let asked = std::array::from_fn(|i| self.mean[i] + self.noise[i]);
-        self.counter.observe(observation, self.flags & flag::LEARNED != 0, asked);
+        self.counter.observe(observation, self.flags & flag::LEARNED != 0, [&self.mean, &self.noise]);
         self.report.ticks += 1;
     }
 
