@@ -1,5 +1,5 @@
-//! A run that did not go well says so, by name and with a number: in the summary, in `--json` and in the log. Some kinds
-//! make it fail.
+//! A run that did not go well says so, by name and with a number: in the summary, in `--json` and in the log. Some
+//! kinds make it fail.
 
 mod support;
 #[path = "support/wayward.rs"]
@@ -51,7 +51,7 @@ fn every_kind_is_noticed_and_no_other() {
     assert_eq!(judged("constant-reward", PAPER), one("reward-constant", TICKS - 1, false));
     let outside = judged("outside", PAPER);
     assert!(
-        outside.len() == 1 && outside[0].0 == "input-outside-range.target" && outside[0].1 % 40 == 0,
+        outside.len() == 1 && outside[0].0 == "input-outside-range.target" && outside[0].1.is_multiple_of(40),
         "{outside:?}"
     );
     let nan = [one("reward-not-finite", TICKS - 101, false), one("little-learned", TICKS - 101, false)].concat();

@@ -13,8 +13,9 @@
 //!    `/gap`;
 //! 4. the messages: four bytes of encapsulation (`00 01 00 00`) and then the sample's own bytes;
 //! 5. if the logger closed the log: in real time the metadata record `tectum.histograms` (see
-//!    [`LatencyHistograms`]), where something did not go well `tectum.warnings`, then `tectum.totals` (see [`LogTotals`]), MCAP's summary, and checksums.
-//!    [`repair()`] adds these to a torn log, with the metadata record `tectum.repair`.
+//!    [`LatencyHistograms`]), where something did not go well `tectum.warnings` (a sentence for each warning's
+//!    name), then `tectum.totals` (see [`LogTotals`]), MCAP's summary, and checksums. [`repair()`] adds all but
+//!    the warnings to a torn log, with the metadata record `tectum.repair`.
 //!
 //! *Segments.* A logger that is restarted within its run does not change the existing files, torn or not. It
 //! writes another file beside `log.mcap`: `log-1.mcap`, `log-2.mcap` and so on, numbered by its starts (a

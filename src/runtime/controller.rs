@@ -228,7 +228,7 @@ impl<A: Agent> Controller<A> {
             self.report.diverged_at.get_or_insert(observation.header.tick);
         }
         self.statistics.observe(observation);
-        self.counter.observe(observation, self.flags & flag::LEARNED != 0, self.asked);
+        self.counter.observe(observation, self.flags & flag::LEARNED != 0, &self.asked);
         self.report.ticks += 1;
     }
 

@@ -115,6 +115,9 @@ pub(super) struct RunCounter {
     least: [f32; MAX_INPUTS],
     greatest: [f32; MAX_INPUTS],
     outside: [u64; MAX_INPUTS],
+    /// By input: values between these are within the declared range, and no extremes. Most ticks have no others.
+    /// Empty at first, also after a restart: the next tick sets them.
+    usual: [[f32; 2]; MAX_INPUTS],
     /// The command of the last observation, as the controller sent it.
     asked: [f32; MAX_OUTPUTS],
     limited: [u64; MAX_OUTPUTS],
@@ -145,6 +148,7 @@ impl RunCounter {
             least: [f32::INFINITY; MAX_INPUTS],
             greatest: [f32::NEG_INFINITY; MAX_INPUTS],
             outside: [0; MAX_INPUTS],
+            usual: [[f32::INFINITY, f32::NEG_INFINITY]; MAX_INPUTS],
             asked: [0.0; MAX_OUTPUTS],
             limited: [0; MAX_OUTPUTS],
             rewards: 0,
@@ -159,9 +163,11 @@ impl RunCounter {
 
     /// Counts an observation. `learned` states whether the controller learned from the tick before it, and `asked`
     /// is the command that it sent in answer.
-    pub fn observe(&mut self, observation: &Observation, learned: bool, asked: [f32; MAX_OUTPUTS]) {
+    pub fn observe(&mut self, observation: &Observation, learned: bool, asked: &[f32; MAX_OUTPUTS]) {
         let flags = observation.header.flags;
-        let invalid = self.count_inputs(&observation.inputs);
+        let inputs = observation.inputs[..self.inputs].iter().zip(&self.usual);
+        let usual = inputs.fold(true, |all, (x, [low, high])| all & (low <= x) & (x <= high));
+        let invalid = !usual && self.count_inputs(&observation.inputs);
         if flags & flag::FIRST == 0 {
             self.count_reward(observation.reward);
         }
@@ -173,26 +179,20 @@ impl RunCounter {
         if !learned {
             self.not_learned[self.cause(observation, invalid) as usize] += 1;
         }
-        (self.asked, self.was_invalid, self.last_tick) = (asked, invalid, Some(observation.header.tick));
+        self.asked[..self.outputs].copy_from_slice(&asked[..self.outputs]);
+        (self.was_invalid, self.last_tick) = (invalid, Some(observation.header.tick));
         self.observations += 1;
     }
 
-    /// Counts the values of the inputs. Returns whether one of them is not a number, or beyond any range. There is
-    /// no branch per value, because nearly all are within their ranges.
-    #[inline]
+    /// Counts the values of the inputs. Returns whether one of them is not a number, or beyond any range.
+    #[cold]
     fn count_inputs(&mut self, inputs: &[f32; MAX_INPUTS]) -> bool {
-        let mut inside = true;
-        for (i, &x) in inputs[..self.inputs].iter().enumerate() {
-            inside &= self.low[i] <= x && x <= self.high[i];
-            self.least[i] = if x < self.least[i] { x } else { self.least[i] };
-            self.greatest[i] = if x > self.greatest[i] { x } else { self.greatest[i] };
-        }
-        if inside {
-            return false;
-        }
         let inputs = &inputs[..self.inputs];
         for (i, &x) in inputs.iter().enumerate() {
             self.outside[i] += u64::from(x < self.low[i] || x > self.high[i]);
+            self.least[i] = self.least[i].min(x);
+            self.greatest[i] = self.greatest[i].max(x);
+            self.usual[i] = [self.low[i].max(self.least[i]), self.high[i].min(self.greatest[i])];
         }
         inputs.iter().any(|x| x.is_nan() || f64::from(x.abs()) > RANGE)
     }
@@ -288,9 +288,9 @@ mod tests {
     fn every_cause_is_told_apart_and_all_counts_survive_the_process() {
         let plan = Scenario::find("arm").unwrap().plan().unwrap();
         let mut counter = RunCounter::new(&plan);
-        let none = [0.0; MAX_OUTPUTS];
+        let none = &[0.0; MAX_OUTPUTS];
         counter.observe(&observation(0, flag::FIRST, 0.0), false, none);
-        counter.observe(&observation(1, 0, -1.0), true, [0.5; MAX_OUTPUTS]);
+        counter.observe(&observation(1, 0, -1.0), true, &[0.5; MAX_OUTPUTS]);
         // One output of four was limited.
         let mut limited = observation(2, flag::CLAMPED, -1.0);
         limited.applied = [0.5; MAX_OUTPUTS];

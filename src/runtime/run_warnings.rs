@@ -204,8 +204,8 @@ fn inputs(plan: &Plan, counts: &RunCounts) -> Vec<RunWarning> {
         let (name, unit) = (&signal.name, &signal.unit);
         if input.outside > 0 {
             let text = format!(
-                "input {name} was outside its range of {} to {} {unit} in {} of {} ticks, between {} and {}; declare the \
-                 range that it has",
+                "input {name} was outside its range of {} to {} {unit} in {} of {} ticks, between {} and {}; declare \
+                 the range that it has",
                 signal.min,
                 signal.max,
                 thousands(input.outside),

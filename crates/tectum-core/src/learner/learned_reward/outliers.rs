@@ -20,7 +20,7 @@ const FIRST_SIZE_TICKS: u32 = 8;
 
 /// What is to be done with a reward.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Verdict {
+pub(super) enum RewardVerdict {
     /// Learn from it.
     Believe,
     /// Leave it out.
@@ -59,21 +59,21 @@ impl OutlierFilter {
 
     /// Judges `reward`, which differs from the prediction by `error`; `surprise` is the square of that in units of
     /// its expected variance.
-    pub fn judge(&mut self, reward: f64, error: f64, surprise: f64) -> Verdict {
+    pub fn judge(&mut self, reward: f64, error: f64, surprise: f64) -> RewardVerdict {
         let range = (self.range[1] - self.range[0]).max(self.spread);
         if surprise < LARGE_ERROR || error.abs() <= RANGE_FACTOR * range {
             self.believe(reward);
-            return Verdict::Believe;
+            return RewardVerdict::Believe;
         }
         self.doubted_range = with(self.doubted_range, reward);
         self.doubted += 1;
         self.left_out += 1;
         if self.doubted < if self.any_believed { NEW_SIZE_TICKS } else { FIRST_SIZE_TICKS } {
-            return Verdict::LeaveOut;
+            return RewardVerdict::LeaveOut;
         }
         self.range = self.doubted_range;
         self.believe(reward);
-        Verdict::NewSize((self.range[1] - self.range[0]) / self.spread)
+        RewardVerdict::NewSize((self.range[1] - self.range[0]) / self.spread)
     }
 
     /// Takes `reward` into the range.
@@ -108,20 +108,20 @@ mod tests {
     fn single_outliers_are_left_out_and_a_new_size_is_believed() {
         let mut filter = OutlierFilter::new(1.0);
         // Large for the model, and of the usual size; large and expected.
-        assert_eq!(filter.judge(-3.0, -2.0, 1e6), Verdict::Believe);
-        assert_eq!(filter.judge(-100.0, -6.1, 24.0), Verdict::Believe);
+        assert_eq!(filter.judge(-3.0, -2.0, 1e6), RewardVerdict::Believe);
+        assert_eq!(filter.judge(-100.0, -6.1, 24.0), RewardVerdict::Believe);
         let mut filter = OutlierFilter::new(1.0);
         filter.believe(-3.0);
-        assert_eq!(filter.judge(-9.0, -6.0, 1e6), Verdict::Believe, "twice the range of 0 to -3");
+        assert_eq!(filter.judge(-9.0, -6.0, 1e6), RewardVerdict::Believe, "twice the range of 0 to -3");
         for _ in 0..100 {
-            assert_eq!(filter.judge(-1000.0, -997.0, 1e6), Verdict::LeaveOut);
-            assert_eq!(filter.judge(-3.0, 0.0, 0.0), Verdict::Believe);
+            assert_eq!(filter.judge(-1000.0, -997.0, 1e6), RewardVerdict::LeaveOut);
+            assert_eq!(filter.judge(-3.0, 0.0, 0.0), RewardVerdict::Believe);
         }
         assert_eq!(filter.left_out(), 100);
         for _ in 1..NEW_SIZE_TICKS {
-            assert_eq!(filter.judge(-1000.0, -997.0, 1e6), Verdict::LeaveOut);
+            assert_eq!(filter.judge(-1000.0, -997.0, 1e6), RewardVerdict::LeaveOut);
         }
-        assert_eq!(filter.judge(-1000.0, -997.0, 1e6), Verdict::NewSize(1000.0));
-        assert_eq!(filter.judge(-2000.0, -2000.0, 1e6), Verdict::Believe);
+        assert_eq!(filter.judge(-1000.0, -997.0, 1e6), RewardVerdict::NewSize(1000.0));
+        assert_eq!(filter.judge(-2000.0, -2000.0, 1e6), RewardVerdict::Believe);
     }
 }

@@ -18,7 +18,7 @@
 //! forget in every tick.
 
 use super::basis::Basis;
-use super::outliers::{OutlierFilter, Verdict};
+use super::outliers::{OutlierFilter, RewardVerdict};
 use crate::SignalConfig;
 use crate::learner::ModelConfig;
 use crate::state::{Persist, StateVisitor};
@@ -201,9 +201,9 @@ impl RewardModel {
         let step = error / scale;
         let surprise = (error * step).min(MAX_SURPRISE);
         match self.outliers.judge(reward.into(), error, surprise) {
-            Verdict::Believe => {}
-            Verdict::LeaveOut => return Some(false),
-            Verdict::NewSize(size) => {
+            RewardVerdict::Believe => {}
+            RewardVerdict::LeaveOut => return Some(false),
+            RewardVerdict::NewSize(size) => {
                 self.restart(size);
                 return Some(true);
             }
