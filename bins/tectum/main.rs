@@ -11,6 +11,7 @@ mod replay;
 mod reproduce;
 mod run;
 mod scenario;
+mod tasks;
 mod tick_count;
 
 use std::io::Write as _;
@@ -57,6 +58,8 @@ enum Command {
     Film(film::Arguments),
     /// Compare the learners: how much experience each needs, and what one tick costs
     Compare(compare::Arguments),
+    /// Measure the learners on many tasks, beside controllers that know the true plant
+    Tasks(tasks::Arguments),
     /// Measure speed: latency, lockstep, encoder and learner, beside what the machine can do
     Bench(bench::Arguments),
     /// Compute a run again from its log, and check every bit of it
@@ -76,6 +79,7 @@ fn main() -> ExitCode {
         Command::Analyse(arguments) => analyse::main(&arguments),
         Command::Film(arguments) => film::main(&arguments),
         Command::Compare(arguments) => compare::main(&arguments),
+        Command::Tasks(arguments) => tasks::main(&arguments),
         Command::Bench(arguments) => bench::main(&arguments),
         Command::Replay(arguments) => replay::main(&arguments),
         Command::Log(arguments) => log::main(&arguments),

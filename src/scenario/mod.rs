@@ -42,6 +42,7 @@ mod tests;
 pub use controller::{ControllerConfig, LearnerTable};
 pub use encoder::{EncoderConfig, MapConfig};
 pub use error::{FilePosition, ScenarioError};
+pub(crate) use error::{nearest_name, word_list};
 pub use faults::{
     ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsConfig, ProcessFault, ProcessFaultKind,
 };
