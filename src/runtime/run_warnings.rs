@@ -93,7 +93,8 @@ fn missed(plan: &Plan, plant: &PlantReport, controller: Option<&ControllerReport
     let mut warnings = Vec::new();
     let total = plant.ticks + plant.skipped;
     let (skipped, missed) = (plant.skipped, plant.missed.saturating_sub(plant.skipped));
-    let counts = controller.map(|report| &report.counts).filter(|counts| counts.observations >= LEAST_MISSED);
+    let judged = |counts: &&RunCounts| total >= LEAST_MISSED && counts.observations >= 2;
+    let counts = controller.map(|report| &report.counts).filter(judged);
     // The first observation has no tick before it.
     let always =
         counts.is_some_and(|counts| counts.not_learned[NotLearned::Skipped as usize] + 1 >= counts.observations);
