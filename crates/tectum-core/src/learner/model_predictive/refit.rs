@@ -16,7 +16,6 @@ use rand::RngExt as _;
 
 use super::evidence::Evidence;
 use super::features::Basis;
-use super::functions::exp;
 use super::layout::{Layout, NOISE};
 use super::linalg::{
     add_outer, add_scaled, cholesky_row, dot, invert_lower_row, invert_row, packed, solve_lower, solve_lower_transposed,
@@ -278,7 +277,7 @@ impl Refit {
             self.squares.fill(0.0);
             self.gathered = 0.0;
             self.rounds = 0;
-            self.next.regression.lambda = exp(self.evidence.scales[NOISE]).max(self.floor());
+            self.next.regression.lambda = self.evidence.noise();
             if 2 * (self.range[1] - self.range[0]) < 3 * self.row.len() as u64 {
                 // Few ticks: recursion takes fewer operations than a factor of the whole matrix.
                 self.next.regression.forget(|| normal(rng));
@@ -295,7 +294,7 @@ impl Refit {
     fn measure_components(&mut self, layout: &Layout) {
         let features = &mut self.next.features;
         for u in 0..layout.circles {
-            features.frequencies[u] = exp(features.scales[Layout::scale(u, super::layout::Scale::Frequency)]);
+            features.frequencies[u] = super::functions::exp(features.scales[Layout::scale(u, super::layout::Scale::Frequency)]);
         }
         features.mean_squares.fill(1e-6);
         for point in 0..self.evidence.len {
@@ -384,7 +383,7 @@ impl Refit {
         if counted > 0.0 {
             regression.lambda = libm::exp(total / counted).max(floor);
         }
-        self.next.features.scales[NOISE] = libm::log(regression.lambda);
+        self.next.features.scales[NOISE] = self.evidence.scale_of_noise(regression.lambda);
         let cost = (3 * len * len * regression.outputs) as u64;
         self.enter(Phase::Again);
         cost
@@ -439,7 +438,7 @@ impl Refit {
                 let noise = regression.evident_noise().unwrap_or(0.0).max(floor);
                 if noise > 2.0 * regression.lambda || noise < 0.2 * regression.lambda {
                     regression.lambda = noise;
-                    self.next.features.scales[NOISE] = libm::log(noise);
+                    self.next.features.scales[NOISE] = self.evidence.scale_of_noise(noise);
                     regression.forget(|| normal(rng));
                     self.enter(Phase::CatchUp);
                     return (1, false);
