@@ -21,14 +21,23 @@
 
 mod damped_least_squares;
 mod fixed_arm;
+mod ilqr;
 mod noiseless;
 mod optimum;
+mod resolved_rates;
+mod small_matrix;
+mod swing_up;
+mod true_model;
 
 use damped_least_squares::DampedLeastSquares;
 pub(crate) use fixed_arm::FixedArm;
+pub(crate) use ilqr::IterativeLqr;
 pub(crate) use noiseless::{MeanPolicy, Rollout};
 pub use optimum::STARTS;
 use optimum::trajectory_optimum;
+pub(crate) use resolved_rates::ResolvedRates;
+pub(crate) use swing_up::EnergySwingUp;
+pub(crate) use true_model::{LaggedModel, TrueModel, body_model};
 
 use serde::Serialize;
 

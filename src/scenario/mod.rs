@@ -12,6 +12,7 @@
 //! them nothing is checked again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions
 //! panic.
 
+mod bodies;
 mod check;
 mod emulator;
 mod encoder;
@@ -53,7 +54,9 @@ pub use tectum_core::learner::{
     BaselineConfig, CriticConfig, CriticFeatures, LearnerConfig, ModelBasis, ModelConfig, Rule,
 };
 pub use tectum_core::plant::{
-    Angles, ArmConfig, ArmRewardConfig, BlockConfig, EyeConfig, MirrorAxis, MirrorConfig, Retina, ShortenConfig,
+    Angles, ArmConfig, ArmRewardConfig, BlockConfig, CartPoleConfig, EyeConfig, FurutaConfig, MirrorAxis, MirrorConfig,
+    PayloadConfig, PendulumConfig, PointMassConfig, ReacherConfig, Retina, ShortenConfig, So101Config, Start,
+    TimingConfig,
 };
 pub use tectum_core::policy::Noise;
 pub use tectum_servo::emulator::{EmulatorConfig, ServoFault, ServoFaultKind};
@@ -114,7 +117,7 @@ impl Plan {
     /// The scenario's simulated plant, or `None` when the plant is another program.
     pub fn simulated_plant(&self) -> Option<SimulatedPlant> {
         let (plant, period_s) = (&self.scenario.plant, self.scenario.period_ms / 1000.0);
-        SimulatedPlant::new(plant.arm.as_ref(), plant.eye.as_ref(), period_s, self.scenario.seed)
+        Some(SimulatedPlant::new(&plant.body()?, &plant.timing, period_s, self.scenario.seed))
     }
 
     /// The encoder that the scenario describes.

@@ -1,5 +1,5 @@
-//! `[plant]`: the keys of the table, and their checks: which tables belong to which program, the geometry of
-//! arm and eye, and the lists of signals.
+//! `[plant]`: the keys of the table, and their checks: which tables belong to which program, the arm's geometry, and
+//! the lists of signals.
 
 use std::f64::consts::PI;
 
@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{number, range_end, range_ends, show, signal_name, ticks, unique_names};
 use super::{
-    ArmConfig, EmulatorConfig, EyeConfig, ServosConfig, SignalConfig, error::Violation, error::quoted, limits,
+    ArmConfig, CartPoleConfig, EmulatorConfig, EyeConfig, FurutaConfig, PendulumConfig, PointMassConfig, ReacherConfig,
+    ServosConfig, SignalConfig, So101Config, TimingConfig, bodies, error::Violation, error::quoted, limits,
 };
 use crate::programs::is_simulator;
 use crate::wire::MAX_MEASURES;
@@ -22,10 +23,10 @@ pub struct PlantConfig {
     /// Arguments for the program, before those that the launcher adds.
     #[serde(default)]
     pub args: Vec<String>,
-    /// The inputs of an observation. Optional with `arm` and `eye`, which define their own.
+    /// The inputs of an observation. Optional with a body such as `arm`, which defines its own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub inputs: Vec<SignalConfig>,
-    /// The outputs of a command. Optional with `arm` and `eye`, which define their own.
+    /// The outputs of a command. Optional with a body such as `arm`, which defines its own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outputs: Vec<SignalConfig>,
     /// Names of the measures, at most 6. The summary reports the measure `error` at the end of each target.
@@ -37,6 +38,27 @@ pub struct PlantConfig {
     /// The simulator's eye.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eye: Option<EyeConfig>,
+    /// The simulator's pendulum.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pendulum: Option<PendulumConfig>,
+    /// The simulator's cart-pole.
+    #[serde(default, rename = "cart-pole", skip_serializing_if = "Option::is_none")]
+    pub cart_pole: Option<CartPoleConfig>,
+    /// The simulator's two-joint arm with inertia.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reacher: Option<ReacherConfig>,
+    /// The simulator's Furuta pendulum.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub furuta: Option<FurutaConfig>,
+    /// The simulator's point mass.
+    #[serde(default, rename = "point-mass", skip_serializing_if = "Option::is_none")]
+    pub point_mass: Option<PointMassConfig>,
+    /// The simulator's SO-101.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub so101: Option<So101Config>,
+    /// How late the simulator's plant is.
+    #[serde(default, skip_serializing_if = "TimingConfig::is_nothing")]
+    pub timing: TimingConfig,
     /// The servos of `tectum-bridge`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub servos: Option<ServosConfig>,
@@ -54,7 +76,7 @@ pub(super) fn check(plant: &PlantConfig) -> Result<(), Violation> {
     check_program(plant)?;
     check_kind(plant)?;
     plant.arm.as_ref().map_or(Ok(()), check_arm)?;
-    plant.eye.as_ref().map_or(Ok(()), check_eye)?;
+    bodies::check(plant)?;
     plant.emulator.as_ref().map_or(Ok(()), super::emulator::check)
 }
 
@@ -80,29 +102,13 @@ fn check_program(plant: &PlantConfig) -> Result<(), Violation> {
     Ok(())
 }
 
-/// Checks that the simulator has exactly one of arm and eye, and no lists of signals, because it defines them.
-/// Any other program may have an arm, but no eye.
+/// Checks that the simulator has exactly one body, and no lists of signals, because the body defines them. Any other
+/// program may have an arm, but nothing else that is simulated.
 fn check_kind(plant: &PlantConfig) -> Result<(), Violation> {
     if !is_simulator(&plant.program) {
-        if plant.eye.is_some() {
-            let program = quoted(&plant.program);
-            let text = format!("belongs to tectum-simulator and plant.program is {program}; take one of the two out");
-            return Err(Violation::new("plant.eye", text));
-        }
-        return Ok(());
+        return bodies::check_other_program(plant);
     }
-    match (&plant.arm, &plant.eye) {
-        (None, None) => {
-            return Err(Violation::new(
-                "plant",
-                "has neither an arm nor an eye to simulate; add [plant.arm] or [plant.eye]",
-            ));
-        }
-        (Some(_), Some(_)) => {
-            return Err(Violation::new("plant.eye", "stands beside plant.arm; keep one of the two"));
-        }
-        _ => {}
-    }
+    bodies::check_one(plant)?;
     let signal_lists = [
         ("plant.inputs", plant.inputs.is_empty()),
         ("plant.outputs", plant.outputs.is_empty()),
@@ -149,7 +155,8 @@ fn check_arm(arm: &ArmConfig) -> Result<(), Violation> {
     }
     check_blocks(arm)?;
     check_shortened(arm)?;
-    check_mirrors(arm)
+    check_mirrors(arm)?;
+    check_payloads(arm)
 }
 
 /// Either all joints are limited or none. Each range contains 0, because the arm starts with all angles 0.
@@ -283,17 +290,26 @@ fn check_mirrors(arm: &ArmConfig) -> Result<(), Violation> {
     Ok(())
 }
 
+fn check_payloads(arm: &ArmConfig) -> Result<(), Violation> {
+    check_count("plant.arm.payload", arm.payload.len())?;
+    for (i, load) in arm.payload.iter().enumerate() {
+        let key = |name: &str| format!("plant.arm.payload[{i}]{name}");
+        ticks(key(".tick"), load.tick, 0)?;
+        number(key(".mass"), load.mass, 0.0..=1e3, "give 0 to 1000 kg")?;
+        number(key(".droop"), load.droop, 0.0..=1e3, "give 0 to 1000 rad/s per N m")?;
+        if arm.payload[..i].iter().any(|other| other.tick == load.tick) {
+            let text = format!("is a second load at tick {}; keep one of the two", load.tick);
+            return Err(Violation::new(key(""), text));
+        }
+    }
+    Ok(())
+}
+
 fn check_count(key: &str, n: usize) -> Result<(), Violation> {
     if n <= limits::MAX_CHANGES {
         return Ok(());
     }
     Err(Violation::new(key, format_args!("has {n} entries; give at most 64")))
-}
-
-fn check_eye(eye: &EyeConfig) -> Result<(), Violation> {
-    number("plant.eye.distortion", eye.distortion, limits::DISTORTION, "give 0.001 to 1e6")?;
-    number("plant.eye.spread", eye.spread, limits::SPREAD, "give 1e-6 to 10, in retina coordinates")?;
-    number("plant.eye.bonus", eye.bonus, -limits::BONUS..=limits::BONUS, "give -1000 to 1000")
 }
 
 /// Checks the resolved inputs or outputs of a plant, at most `max_len` of them.

@@ -92,11 +92,18 @@ fn follow<'d, 'i>(document: &'d DeTable<'i>, path: &str) -> Option<(usize, &'d D
 /// The first list in place of a table, as path and byte offset. serde would accept it and assign its entries to
 /// the table's keys in the order of their declaration, which is never intended.
 pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> {
-    const TABLES: [&str; 15] = [
+    const TABLES: [&str; 22] = [
         "plant",
         "plant.arm",
         "plant.arm.reward",
         "plant.eye",
+        "plant.pendulum",
+        "plant.cart-pole",
+        "plant.reacher",
+        "plant.furuta",
+        "plant.point-mass",
+        "plant.so101",
+        "plant.timing",
         "encoder",
         "policy",
         "learner",
@@ -109,12 +116,13 @@ pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> 
         "overrun",
         "faults",
     ];
-    const LISTS_OF_TABLES: [&str; 8] = [
+    const LISTS_OF_TABLES: [&str; 9] = [
         "plant.inputs",
         "plant.outputs",
         "plant.arm.block",
         "plant.arm.shorten",
         "plant.arm.mirror",
+        "plant.arm.payload",
         "encoder.maps",
         "faults.channel",
         "faults.process",

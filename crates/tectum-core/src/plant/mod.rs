@@ -4,18 +4,41 @@
 //! limited it, advances by one period, and returns the outcome. Time is the number of the tick.
 
 mod arm;
+mod cart_pole;
 mod eye;
 mod eye_config;
+mod furuta;
+mod pendulum;
+mod point_mass;
+mod reacher;
+mod signals;
+mod simulated;
+mod so101;
+mod soft_limit;
+mod state_space;
+pub mod task;
+mod timing;
 
 pub use arm::{
-    Angles, Arm, ArmConfig, ArmRewardConfig, BlockConfig, MirrorAxis, MirrorConfig, ShortenConfig, noise_share, posture,
+    Angles, Arm, ArmConfig, ArmModel, ArmRewardConfig, BlockConfig, MirrorAxis, MirrorConfig, PayloadConfig,
+    ShortenConfig, noise_share, posture,
 };
+pub use cart_pole::{CartPole, CartPoleConfig, CartPoleModel};
 pub use eye::{Eye, Stimulus, log_polar};
 pub use eye_config::{EyeConfig, Retina};
+pub use furuta::{Furuta, FurutaConfig, FurutaModel};
+pub use pendulum::{Pendulum, PendulumConfig, PendulumModel, Start};
+pub use point_mass::{PointMass, PointMassConfig, PointMassModel};
+pub use reacher::{Reacher, ReacherConfig, ReacherModel};
+pub use signals::BodySignals;
+pub use simulated::{BodyConfig, SimulatedPlant};
+pub use so101::{So101, So101Config, So101Model};
+pub use state_space::{MAX_STATES, SimulatedModel, StateSpace, StateSpacePlant};
+pub use timing::{MAX_DELAY, TimingConfig};
 
 use crate::MAX_MEASURES;
 use crate::policy::Outputs;
-use crate::state::{Persist, StateVisitor};
+use crate::state::Persist;
 
 /// The outcome of one tick: reward and measures.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -72,58 +95,5 @@ pub trait Plant: Persist {
     /// (`positions` under `[gate]`) need them.
     fn joints(&self) -> Option<JointState> {
         None
-    }
-}
-
-/// The simulated plants.
-#[derive(Debug, Clone)]
-pub enum SimulatedPlant {
-    /// The planar arm.
-    Arm(Box<Arm>),
-    /// The saccading eye.
-    Eye(Eye),
-}
-
-impl SimulatedPlant {
-    /// The plant that a scenario configures, for ticks of `period_s` seconds and the run's `seed`. `None` if
-    /// neither is configured, because another program is the plant.
-    pub fn new(arm: Option<&ArmConfig>, eye: Option<&EyeConfig>, period_s: f64, seed: u64) -> Option<Self> {
-        match (arm, eye) {
-            (Some(config), _) => Some(Self::Arm(Box::new(Arm::new(config, period_s, seed)))),
-            (None, Some(config)) => Some(Self::Eye(Eye::new(config, seed))),
-            (None, None) => None,
-        }
-    }
-}
-
-impl Plant for SimulatedPlant {
-    fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
-        match self {
-            Self::Arm(arm) => arm.sense(tick, inputs),
-            Self::Eye(eye) => eye.sense(tick, inputs),
-        }
-    }
-
-    fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome {
-        match self {
-            Self::Arm(arm) => arm.advance(tick, applied),
-            Self::Eye(eye) => eye.advance(tick, applied),
-        }
-    }
-
-    fn joints(&self) -> Option<JointState> {
-        match self {
-            Self::Arm(arm) => arm.joints(),
-            Self::Eye(eye) => eye.joints(),
-        }
-    }
-}
-
-impl Persist for SimulatedPlant {
-    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
-        match self {
-            Self::Arm(arm) => arm.visit_state(visitor),
-            Self::Eye(eye) => eye.visit_state(visitor),
-        }
     }
 }

@@ -45,6 +45,9 @@ pub struct ArmConfig {
     /// Coordinates of the target that are reported with the opposite sign.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub mirror: Vec<MirrorConfig>,
+    /// Loads that the end-effector carries.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub payload: Vec<PayloadConfig>,
 }
 
 /// Reference direction of joint angles.
@@ -113,6 +116,24 @@ pub struct MirrorConfig {
     pub tick: u64,
 }
 
+/// `[[plant.arm.payload]]`: from a tick on, the end-effector carries a load, and gravity pulls it along `-y`. Each motor
+/// turns slower against the torque and faster with it, in proportion, as a direct-current motor does.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PayloadConfig {
+    /// First tick with this load; it replaces the one before.
+    pub tick: u64,
+    /// The load, kg; 0 for none.
+    pub mass: f64,
+    /// How much slower a motor turns for its torque, rad/s per N m.
+    #[serde(default = "default_droop")]
+    pub droop: f64,
+}
+
+fn default_droop() -> f64 {
+    0.5
+}
+
 /// The coordinates of a target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -134,6 +155,13 @@ impl ArmConfig {
     pub fn at(&self, tick: u64) -> Self {
         let lengths = (0..self.lengths.len()).map(|segment| self.length(segment, tick)).collect();
         Self { lengths, shorten: Vec::new(), ..self.clone() }
+    }
+
+    /// How much slower a joint turns in `tick` for each metre of its lever under the load, rad/s per m.
+    pub fn droop(&self, tick: u64) -> f64 {
+        const GRAVITY: f64 = 9.81;
+        let loads = self.payload.iter().filter(|load| load.tick <= tick);
+        loads.max_by_key(|load| load.tick).map_or(0.0, |load| GRAVITY * load.mass * load.droop)
     }
 
     /// Whether x and y of the target are reported with the opposite sign in `tick`.
@@ -159,6 +187,7 @@ impl Default for ArmConfig {
             block: Vec::new(),
             shorten: Vec::new(),
             mirror: Vec::new(),
+            payload: Vec::new(),
         }
     }
 }

@@ -36,6 +36,11 @@ impl KinematicChain {
         Self { points, segments: lengths.len() }
     }
 
+    /// The base, for 0, or the end of segment `number`, counted from 1.
+    pub fn point(&self, number: usize) -> [f32; 2] {
+        self.points[number]
+    }
+
     /// Number of pairs of segments that cross or touch. Neighbours always touch and may fold back on each
     /// other; they are not counted.
     pub fn crossings(&self) -> usize {

@@ -10,13 +10,17 @@
 
 mod config;
 mod kinematics;
+mod model;
 mod targets;
 
 #[cfg(test)]
 mod tests;
 
-pub use config::{Angles, ArmConfig, ArmRewardConfig, BlockConfig, MirrorAxis, MirrorConfig, ShortenConfig};
+pub use config::{
+    Angles, ArmConfig, ArmRewardConfig, BlockConfig, MirrorAxis, MirrorConfig, PayloadConfig, ShortenConfig,
+};
 pub use kinematics::posture;
+pub use model::ArmModel;
 
 use super::{JointState, Outcome, Plant};
 use crate::angle::wrap;
@@ -114,6 +118,22 @@ impl Arm {
         let [low, high] = limits[joint];
         let stop = reached.clamp(low, high);
         (stop, if stop == reached { rate } else { (stop - from) / self.period })
+    }
+
+    /// How much slower each joint turns in `tick` under the load, rad/s: in proportion to the load's lever, which is how
+    /// much the end-effector rises for a turn of the joint.
+    fn droop(&self, tick: u64) -> [f32; MAX_OUTPUTS] {
+        let per_metre = self.config.droop(tick) as f32;
+        let chain = self.chain();
+        let mut levers = [0.0; MAX_OUTPUTS];
+        for (joint, lever) in levers[..self.joints].iter_mut().enumerate() {
+            let until = match self.config.angles {
+                Angles::Absolute => joint + 1,
+                Angles::Relative => self.joints,
+            };
+            *lever = per_metre * (chain.point(until)[0] - chain.point(joint)[0]);
+        }
+        levers
     }
 
     /// The outcome of a tick for a real arm, of which this arm is the model: `theta` are its measured angles
@@ -218,13 +238,16 @@ impl Plant for Arm {
         if !self.config.shorten.is_empty() {
             self.lengths = lengths(&self.config, tick);
         }
+        let droop = if self.config.payload.is_empty() { None } else { Some(self.droop(tick)) };
         let (mut rates, mut angles) = (0.0, 0.0);
         for (joint, &u) in applied[..self.joints].iter().enumerate() {
             let theta = if let Some(angle) = blocked_angle(&self.config.block, joint, tick) {
                 angle
             } else {
                 let from = if self.config.open_loop { 0.0 } else { self.theta[joint] };
-                let (theta, rate) = self.turn(joint, from, self.gain * u);
+                // Without a load this is the bare product, bit for bit.
+                let rate = droop.map_or(self.gain * u, |droop| self.gain * u - droop[joint]);
+                let (theta, rate) = self.turn(joint, from, rate);
                 rates += square(rate);
                 theta
             };

@@ -1,0 +1,185 @@
+//! The arm SO-101 of The Robot Studio, as its joints move: five joints between stops that turn at commanded rates, and
+//! targets in three dimensions.
+//!
+//! Joint origins, axes and limits are those of `Simulation/SO101/so101_new_calib.urdf` in the repository
+//! TheRobotStudio/SO-ARM100 (Apache-2.0): all joints but the gripper's own, and `gripper_frame` as end-effector. The
+//! model has no mass; `[plant.timing]` gives its motors a lag.
+
+use rand::RngExt as _;
+use serde::{Deserialize, Serialize};
+
+use super::state_space::{SimulatedModel, StateSpace, StateSpacePlant};
+use crate::MAX_MEASURES;
+use crate::seed::Rng;
+
+/// Number of joints.
+pub(super) const JOINTS: usize = 5;
+/// Names of the joints, from the base on.
+pub(super) const NAMES: [&str; JOINTS] = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"];
+/// Least and greatest angle of each joint, rad.
+pub(super) const LIMITS: [[f64; 2]; JOINTS] =
+    [[-1.91986, 1.91986], [-1.74533, 1.74533], [-1.69, 1.69], [-1.65806, 1.65806], [-2.74385, 2.84121]];
+/// Targets lie within this coordinate on every axis, m.
+pub(super) const REACH: f64 = 0.5;
+/// Least height of a target above the table, m.
+const TABLE: f64 = 0.03;
+/// Targets are drawn from this share of each joint's range.
+const SHARE: f64 = 0.8;
+
+/// Position, m, and roll, pitch and yaw, rad, of each joint in the frame before it.
+const ORIGINS: [([f64; 3], [f64; 3]); JOINTS] = [
+    ([0.0388353, -8.97657e-09, 0.0624], [3.14159, 4.18253e-17, -3.14159]),
+    ([-0.0303992, -0.0182778, -0.0542], [-1.5708, -1.5708, 0.0]),
+    ([-0.11257, -0.028, 1.73763e-16], [-3.63608e-16, 8.74301e-16, 1.5708]),
+    ([-0.1349, 0.0052, 3.62355e-17], [4.02456e-15, 8.67362e-16, -1.5708]),
+    ([5.55112e-17, -0.0611, 0.0181], [1.5708, 0.0486795, 3.14159]),
+];
+/// Position of the end-effector in the frame of the last joint, m.
+const END: [f64; 3] = [-0.0079, -0.000218121, -0.0981274];
+
+/// `[plant.so101]`: `r = -scale (|e|^2 + speed |theta_dot|^2 + angle |theta|^2)`, with the error `e`, m, rates, rad/s,
+/// and angles, rad.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct So101Config {
+    /// Ticks between new targets.
+    pub target_every: u64,
+    /// Angular rate for a command of 1, rad/s. The default is the no-load speed of the servo STS3215 at 7.4 V.
+    pub gain: f64,
+    /// Factor of the whole reward.
+    pub scale: f64,
+    /// Weight of the squared rates.
+    pub speed: f64,
+    /// Weight of the squared angles.
+    pub angle: f64,
+}
+
+impl Default for So101Config {
+    fn default() -> Self {
+        Self { target_every: 80, gain: 5.3, scale: 10.0, speed: 0.0005, angle: 0.0001 }
+    }
+}
+
+/// The model. State: the joints' angles, rad, then the target, m. Commands: rates in units of `gain`.
+#[derive(Debug, Clone)]
+pub struct So101Model {
+    config: So101Config,
+    period: f64,
+    /// Rotation of each joint's origin.
+    turns: [Rotation; JOINTS],
+}
+
+/// The simulated arm.
+pub type So101 = StateSpacePlant<So101Model>;
+
+type Rotation = [[f64; 3]; 3];
+
+impl So101Model {
+    /// The model for ticks of `period_s`, s.
+    pub fn new(config: &So101Config, period_s: f64) -> Self {
+        Self { config: config.clone(), period: period_s, turns: ORIGINS.map(|(_, angles)| by_angles(angles)) }
+    }
+
+    /// The end-effector for these angles, m: x ahead of the base, y to its left, z up.
+    pub fn end(&self, theta: &[f64]) -> [f64; 3] {
+        let mut point = END;
+        for joint in (0..JOINTS).rev() {
+            let (sin, cos) = libm::sincos(theta[joint]);
+            let turned = [cos * point[0] - sin * point[1], sin * point[0] + cos * point[1], point[2]];
+            let (origin, turn) = (&ORIGINS[joint].0, &self.turns[joint]);
+            point = std::array::from_fn(|i| {
+                origin[i] + turn[i][0] * turned[0] + turn[i][1] * turned[1] + turn[i][2] * turned[2]
+            });
+        }
+        point
+    }
+
+    fn error(&self, state: &[f64]) -> ([f64; 3], f64) {
+        let end = self.end(state);
+        let square = (0..3).map(|i| (end[i] - state[JOINTS + i]) * (end[i] - state[JOINTS + i])).sum();
+        (end, square)
+    }
+}
+
+/// The rotation by roll, pitch and yaw about the fixed axes x, y and z, in this order.
+fn by_angles([roll, pitch, yaw]: [f64; 3]) -> Rotation {
+    let ((sr, cr), (sp, cp), (sy, cy)) = (libm::sincos(roll), libm::sincos(pitch), libm::sincos(yaw));
+    [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+}
+
+impl So101 {
+    /// The arm of a validated configuration, for ticks of `period_s`, s.
+    pub fn new(config: &So101Config, period_s: f64, seed: u64) -> Self {
+        Self::with_model(So101Model::new(config, period_s), seed)
+    }
+}
+
+impl StateSpace for So101Model {
+    fn states(&self) -> usize {
+        JOINTS + 3
+    }
+
+    fn dynamic_states(&self) -> usize {
+        JOINTS
+    }
+
+    fn wraps(&self, _i: usize) -> bool {
+        false
+    }
+
+    fn commands(&self) -> usize {
+        JOINTS
+    }
+
+    fn step(&self, state: &mut [f64], command: &[f64]) -> f64 {
+        let (mut rates, mut angles) = (0.0, 0.0);
+        for joint in 0..JOINTS {
+            let [low, high] = LIMITS[joint];
+            let reached = (state[joint] + self.config.gain * command[joint] * self.period).clamp(low, high);
+            let rate = (reached - state[joint]) / self.period;
+            state[joint] = reached;
+            rates += rate * rate;
+            angles += reached * reached;
+        }
+        let (_, error) = self.error(state);
+        -self.config.scale * (error + self.config.speed * rates + self.config.angle * angles)
+    }
+}
+
+impl SimulatedModel for So101Model {
+    const RESETS: bool = false;
+
+    fn trial_ticks(&self) -> u64 {
+        self.config.target_every
+    }
+
+    /// A target is where the end-effector is for random angles.
+    fn begin(&self, rng: &mut Rng, state: &mut [f64], first: bool) {
+        if first {
+            state.fill(0.0);
+        }
+        loop {
+            let theta = LIMITS.map(|[low, high]| SHARE * (low + (high - low) * rng.random::<f64>()));
+            let target = self.end(&theta);
+            if target[2] >= TABLE {
+                state[JOINTS..].copy_from_slice(&target);
+                return;
+            }
+        }
+    }
+
+    fn sense(&self, state: &[f64], inputs: &mut [f32]) {
+        for (input, value) in inputs.iter_mut().zip(state[JOINTS..JOINTS + 3].iter().chain(&state[..JOINTS])) {
+            *input = *value as f32;
+        }
+    }
+
+    fn measures(&self, state: &[f64]) -> [f64; MAX_MEASURES] {
+        let (end, error) = self.error(state);
+        [libm::sqrt(error), end[0], end[1], end[2], 0.0, 0.0]
+    }
+}
