@@ -141,6 +141,11 @@ impl Refit {
         self.phase = Phase::Idle;
     }
 
+    /// Adam steps: more where points are few.
+    fn steps(&self, layout: &Layout) -> u64 {
+        (150_000_000 / self.evidence.cost(layout).max(1)).clamp(self.settings.steps, 4 * self.settings.steps)
+    }
+
     /// The least noise.
     fn floor(&self) -> f64 {
         self.settings.noise_floor * self.evidence.amplitude
@@ -265,10 +270,10 @@ impl Refit {
         let RefitSettings { width, step, noise_floor, .. } = self.settings;
         match self.evidence.step(layout, width, step, noise_floor) {
             Some(evidence) => self.log_evidence = evidence,
-            None => self.at = self.settings.steps,
+            None => self.at = u64::MAX - 1,
         }
         self.at += 1;
-        if self.at >= self.settings.steps {
+        if self.at >= self.steps(layout) {
             self.next.features.scales.copy_from_slice(&self.evidence.scales);
             self.measure_components(layout);
             self.next.features.build(layout);
