@@ -14,7 +14,7 @@ fn main() {
     let inputs: Vec<_> = signals
         .inputs
         .iter()
-        .map(|s| InputRange { min: s.min, max: s.max, wraps: s.unit == "rad" && (s.max - s.min - std::f64::consts::TAU).abs() < 1e-6 })
+        .map(|s| InputRange { min: s.min, max: s.max, wraps: s.unit == "rad" && (s.max - s.min - std::f64::consts::TAU).abs() < 1e-6, radians: (s.unit == "rad").then_some(1.0) })
         .collect();
     let (n, m) = (inputs.len(), signals.outputs.len());
     let window: u64 = match name.as_str() { "pendulum" | "pendulum-random" | "cart-pole" => 200, "reacher" => 50, "furuta" => 500, _ => 80 };

@@ -98,6 +98,7 @@ pub struct ModelPredictive {
     worst: f64,
     command: [f64; MAX_OUTPUTS],
     next_refit: u64,
+    refits: u64,
     changed_at: u64,
     planned: bool,
     /// Counts of guards.
@@ -159,6 +160,7 @@ impl ModelPredictive {
             worst: f64::INFINITY,
             command: [0.0; MAX_OUTPUTS],
             next_refit: 25,
+            refits: 0,
             changed_at: 0,
             planned: false,
             counts: Counts::default(),
@@ -377,7 +379,14 @@ impl ModelPredictive {
     fn refit(&mut self) {
         if self.tick >= self.next_refit && !self.dynamics.refit.busy() && !self.rewards.iter().any(|r| r.refit.busy()) {
             self.dynamics.refit.begin();
-            self.rewards.iter_mut().for_each(|r| r.refit.begin());
+            // The reward model that predicts much worse is fitted anew in every third refit only.
+            let clear = (self.scores[1] - self.scores[0]).abs() > 0.5;
+            for (k, model) in self.rewards.iter_mut().enumerate() {
+                if k == usize::from(self.scores[1] > self.scores[0]) || !clear || self.refits % 3 == 0 {
+                    model.refit.begin();
+                }
+            }
+            self.refits += 1;
             self.next_refit = self.tick + (0.35 * self.tick as f64).min(1000.0) as u64 + 5;
         }
         let mut left = (self.config.refit_operations * 1e6) as u64;
@@ -511,6 +520,7 @@ impl Persist for ModelPredictive {
         visitor.boolean("boundary", &mut self.boundary);
         visitor.boolean("planned", &mut self.planned);
         visitor.number("next_refit", &mut self.next_refit);
+        visitor.number("refits", &mut self.refits);
         visitor.number("changed_at", &mut self.changed_at);
         visitor.number("rival_kind", &mut self.rival_kind);
         let Counts { input_outliers, reward_outliers, alarms, rivals, clipped, unusable } = &mut self.counts;

@@ -69,6 +69,10 @@ pub struct InputRange {
     pub max: f64,
     /// Whether the input comes round, as an angle does.
     pub wraps: bool,
+    /// Radians in one unit of the input, if it is known to be an angle: 1 for rad, pi / 180 for degrees. Without it
+    /// the learner finds out by itself whether the input acts through its sine and cosine, and with which period, and
+    /// needs more ticks for it.
+    pub radians: Option<f64>,
 }
 
 /// What the learner is built from.
