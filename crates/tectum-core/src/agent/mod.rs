@@ -242,3 +242,6 @@ impl<A: Agent + ?Sized> Agent for Box<A> {
         (**self).policy()
     }
 }
+
+#[cfg(test)]
+mod tests;
