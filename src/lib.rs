@@ -21,7 +21,8 @@
 //!
 //! A plant of your own needs two traits. Here it runs in one process, with the same ticks as three processes in
 //! lockstep. To run it as a process, hand it to [`runtime::run_plant`] in a program whose `main` is
-//! [`process::main`], and name that program under `[plant]` in the scenario.
+//! [`process::main`], and name that program under `[plant]` in the scenario. `tectum new plant NAME` writes a project
+//! that does; the crate `tectum-testkit` tests such processes.
 //!
 //! ```
 //! use tectum::plant::{Outcome, Plant};
@@ -103,6 +104,8 @@ pub mod checkpoint;
 pub mod clock;
 #[doc(hidden)]
 pub mod doctor;
+#[doc(hidden)]
+pub mod new_project;
 #[doc(hidden)]
 pub mod reference;
 #[doc(hidden)]

@@ -58,7 +58,9 @@ impl ControlLoop {
 #[test]
 fn a_tick_allocates_nothing() {
     // A tick of `arm` takes a thousand times longer: its learner improves the policy from the 20th tick on.
-    for (name, ticks) in [("paper", 10_000), ("eye", 10_000), ("arm", 60), ("office", 300)] {
+    for (name, ticks) in
+        [("paper", 10_000), ("eye", 10_000), ("arm", 60), ("office", 300), ("pendulum", 1000), ("so101", 60)]
+    {
         let mut control_loop = ControlLoop::new(name);
         let before = allocations();
         for tick in 0..ticks {

@@ -156,7 +156,10 @@ fn a_run_is_an_environment_that_gymnasiums_checker_accepts() {
 fn servos_are_an_environment_in_real_time() {
     let test_folder = TestFolder::new();
     let done = start(&test_folder, "gym_env.py", &["servo-emulated", "40", "realtime"]).wait().expect(0).json();
-    assert_eq!((&done["lost"], &done["ticks"]), (&json!(0), &json!(40)), "{done}");
+    assert_eq!(done["lost"], 0, "{done}");
+    // Each step is a tick, or has passed over some.
+    let steps: u64 = done["reasons"].as_object().unwrap().values().map(|n| n.as_u64().unwrap()).sum();
+    assert_eq!(steps, 38, "{done}");
 }
 
 #[test]

@@ -99,15 +99,10 @@ fn launch(arguments: &Arguments) -> Result<RunSummary, LaunchError> {
     for warning in &launch.plan.warnings {
         print_error_line(&format!("tectum: warning: {warning}"));
     }
-    let summary = match launch.mode {
-        Mode::InProcess => run_in_process(&launch)?,
-        Mode::Lockstep | Mode::Realtime => run(&launch)?,
-    };
-    // What only the run has shown.
-    for warning in summary.warnings.iter().skip(launch.plan.warnings.len()) {
-        print_error_line(&format!("tectum: warning: {warning}"));
+    match launch.mode {
+        Mode::InProcess => run_in_process(&launch),
+        Mode::Lockstep | Mode::Realtime => run(&launch),
     }
-    Ok(summary)
 }
 
 /// Turns the arguments into a launch. Every check that needs no started process happens here.

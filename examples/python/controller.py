@@ -24,15 +24,21 @@ class Follow(tectum.Controller):
     def act(self, percept):
         position, target = percept.inputs
         error, noise = float(target - position), SIGMA * float(self.noise.normal())
-        self.score, self.fresh = noise * error / SIGMA**2, percept.new_target
+        self.score, self.fresh = noise * error / SIGMA**2, percept.boundary == "new target"
         mean = self.gain * error
-        return tectum.Answer(drawn=[mean + noise], mean=[mean])
+        return tectum.Answer(command=[mean + noise], mean=[mean])
 
-    def learn(self, transition):
-        rise, self.last_reward = transition.reward - self.last_reward, transition.reward
-        if transition.why_not or transition.limited or self.fresh:
-            return  # not what it asked for was applied, or the last reward was another target's
+    def learn(self, experience):
+        rise, self.last_reward = experience.reward - self.last_reward, experience.reward
+        if experience.withheld or experience.limited or self.fresh:
+            return False  # not what it asked for was applied, or the last reward was another target's
         self.gain += STEP * rise * self.score
+        return True
+
+    columns = ("gain",)  # in the log's learning record
+
+    def record(self):
+        return [self.gain]
 
     def state(self):
         return {"numbers": [self.gain, self.last_reward, self.score, self.fresh], "noise": self.noise}

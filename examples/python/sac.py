@@ -35,7 +35,7 @@ class Counted(gymnasium.Wrapper):
 
     def step(self, action):
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self.missed += info["why_not"] == "missed"
+        self.missed += info["withheld"] == "missed"
         self.loss -= reward
         if terminated or truncated:
             self.losses, self.loss = (*self.losses, self.loss), 0.0

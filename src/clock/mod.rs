@@ -35,6 +35,11 @@ pub(crate) fn wall_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::Realtime))
 }
 
+/// The processor time that the calling thread has used, ns.
+pub(crate) fn thread_cpu_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::ThreadCPUTime))
+}
+
 /// Sleeps until the absolute instant `at` on CLOCK_MONOTONIC, ns; returns at once if it has passed. A signal
 /// ends the sleep early, so callers check their flags and call again.
 pub(crate) fn sleep_until(at: u64) {

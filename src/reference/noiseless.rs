@@ -62,7 +62,7 @@ impl<P: Plant> Rollout<P> {
 
     /// Senses the plant at the beginning of `tick`. True if a new target (or trial) begins.
     pub fn sense(&mut self, tick: u64) -> bool {
-        self.plant.sense(tick, &mut self.inputs)
+        self.plant.sense(tick, &mut self.inputs[..self.used.0])
     }
 
     /// Answers the inputs that were sensed last with `control`, and applies its command in `tick`.

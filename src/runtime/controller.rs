@@ -1,5 +1,6 @@
 //! The controller's side of the tick: an agent behind the faults of its channel, with statistics and report.
 
+use super::run_counts::RunCounter;
 use super::statistics::FinishedStatistics;
 use super::{ControllerReport, FaultyChannel, RunStatistics};
 use crate::agent::{
@@ -42,6 +43,7 @@ pub struct Controller<A = LinearAgent> {
     /// Observations in a row whose inputs the plant could not read.
     age: u32,
     statistics: RunStatistics,
+    counter: RunCounter,
     pub(super) report: ControllerReport,
 }
 
@@ -92,6 +94,7 @@ impl<A: Agent> Controller<A> {
             acted: false,
             age: 0,
             statistics: RunStatistics::new(plan),
+            counter: RunCounter::new(plan),
             report: ControllerReport::default(),
         }
     }
@@ -225,6 +228,7 @@ impl<A: Agent> Controller<A> {
             self.report.diverged_at.get_or_insert(observation.header.tick);
         }
         self.statistics.observe(observation);
+        self.counter.observe(observation, self.flags & flag::LEARNED != 0, &self.asked);
         self.report.ticks += 1;
     }
 
@@ -268,11 +272,19 @@ impl<A: Agent> Controller<A> {
     }
 
     /// Ends the run and returns the report, with the hash of what was learned.
-    pub fn finish(mut self) -> ControllerReport {
+    pub fn finish(self) -> ControllerReport {
+        self.finish_with_agent().0
+    }
+
+    /// Like [`finish`](Self::finish), and gives the agent back.
+    pub fn finish_with_agent(mut self) -> (ControllerReport, A) {
         let weights_hash = format!("{:016x}", learned_hash(&mut self.agent));
         let FinishedStatistics { windows, first_switch, last_switch, targets } =
             self.statistics.finish(self.report.ticks + self.report.unseen);
-        ControllerReport { weights_hash, windows, first_switch, last_switch, targets, ..self.report }
+        let counts = self.counter.finish(self.agent.outliers(), self.agent.policy().is_some_and(|p| p.norm() == 0.0));
+        let report =
+            ControllerReport { weights_hash, windows, first_switch, last_switch, targets, counts, ..self.report };
+        (report, self.agent)
     }
 }
 
@@ -293,6 +305,7 @@ impl<A: Agent> Persist for Controller<A> {
         visitor.boolean("acted", &mut self.acted);
         visitor.number("age", &mut self.age);
         visitor.nested("tally", &mut self.statistics);
+        visitor.nested("counter", &mut self.counter);
         visitor.nested("report", &mut self.report);
     }
 }

@@ -5,9 +5,14 @@
 //! it continues to receive, so that no process waits for it in vain, and closes the log with a statement of the
 //! samples that are missing.
 
+use std::collections::BTreeMap;
+
 use super::faults::FaultyChannel;
 use super::merge::{LogMerger, MergeOutcome};
-use super::{LoggerReport, Mode, Participant, ResumePoint, RuntimeError, Session, read_columns, read_realtime};
+use super::{
+    ControllerReport, LoggerReport, Mode, Participant, PlantReport, ResumePoint, RuntimeError, Session, judge,
+    read_columns, read_realtime, read_report,
+};
 use crate::channel::{LogTail, LoggerPorts};
 use crate::clock::{TimeSource, machine_facts, monotonic_ns, pause, wall_ns};
 use crate::log::{LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWriter, segment_path};
@@ -64,7 +69,8 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
 
     let ended = follow(&mut merger, &mut ports, &mut senders, &mut session, &time);
     let complete = senders.boards[Role::Plant as usize].ticks >= session.participant.plan.scenario.ticks;
-    let MergeOutcome { totals, written, failure, timings } = merger.close(senders.sent, complete);
+    let MergeOutcome { totals, written, failure, timings } =
+        merger.close(senders.sent, complete, warnings(&session, &senders));
     ended?;
     let [wake_up_lateness, observation_to_command, command_to_applied] =
         timings.map_or([None; 3], |timings| timings.percentiles());
@@ -83,6 +89,17 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
     session.finish(&report)?;
     check_losses(&session, &time, &report)?;
     Ok(report)
+}
+
+/// What did not go well in the run, a sentence for each name. Plant and controller have left their reports by the time
+/// at which they have finished; of a run that ends otherwise, the launcher's summary tells.
+fn warnings(session: &Session, senders: &SenderProgress) -> BTreeMap<String, String> {
+    let participant = &session.participant;
+    let plant: Option<PlantReport> = read_report(&participant.folder, Role::Plant);
+    let Some(plant) = plant.filter(|_| senders.finished()) else { return BTreeMap::new() };
+    let controller: Option<ControllerReport> = read_report(&participant.folder, Role::Controller);
+    let warnings = judge(&participant.plan, &plant, controller.as_ref());
+    warnings.into_iter().map(|warning| (warning.key(), warning.text)).collect()
 }
 
 /// What the log already contains: the segments of earlier incarnations, from the point at which the run

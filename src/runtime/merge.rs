@@ -5,6 +5,8 @@
 //! logger continues after the existing log ([`LogRecovery`]). When the log can no longer be written (its disk
 //! is full), the merger still consumes samples, so that no process waits for the logger.
 
+use std::collections::BTreeMap;
+
 use crate::log::{LatencyHistograms, LogError, LogRecord, LogRecovery, LogTotals, LogWriter};
 use crate::wire::{Gap, Header};
 
@@ -246,8 +248,9 @@ impl LogMerger {
         self.inputs.iter().map(MergeInput::consumed).min().unwrap_or(0)
     }
 
-    /// States the samples that were sent, by the senders' own counts, and never arrived. Then closes the log.
-    pub fn close(mut self, sent: [u64; 3], complete: bool) -> MergeOutcome {
+    /// States the samples that were sent, by the senders' own counts, and never arrived, and the run's `warnings` by
+    /// name. Then closes the log.
+    pub fn close(mut self, sent: [u64; 3], complete: bool, warnings: BTreeMap<String, String>) -> MergeOutcome {
         let gaps: Vec<Gap> = self.inputs.iter_mut().zip(sent).filter_map(|(input, sent)| input.end(sent)).collect();
         let inputs = &self.inputs;
         let totals = LogTotals {
@@ -266,6 +269,7 @@ impl LogMerger {
             .iter()
             .try_for_each(|gap| log.append(&LogRecord::Gap(*gap)))
             .and_then(|()| outcome.timings.as_ref().map_or(Ok(()), |timings| log.timings(timings)))
+            .and_then(|()| log.warnings(warnings))
             .and_then(|()| log.finish(&totals));
         if let Err(error) = ended {
             outcome.failure.get_or_insert_with(|| error.to_string());

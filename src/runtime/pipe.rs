@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use super::{Controller, ControllerReport, RuntimeError, exit};
+use super::{Controller, ControllerReport, RuntimeError, exit, wire_manifest};
 use crate::agent::Agent;
 use crate::programs;
 use crate::scenario::{Plan, Scenario, ScenarioError};
@@ -49,6 +49,9 @@ struct Start {
     scenario: String,
     /// Where the scenario comes from, for messages.
     source: String,
+    /// For controllers in other languages: the scenario as JSON, names and ranges ([`wire_manifest::facts`]).
+    #[serde(default)]
+    run: serde_json::Value,
 }
 
 /// The child's answer to it.
@@ -180,6 +183,7 @@ impl PipedController {
             schema: schema_text(),
             scenario: plan.scenario.to_toml(),
             source: plan.scenario.source.name().to_owned(),
+            run: wire_manifest::facts(plan),
         };
         controller.send(kind::START, &json(&start))?;
         let ready: Ready = controller.receive_json(kind::READY)?;

@@ -16,6 +16,7 @@ pub struct PlantSide<P> {
     /// The ranges that the position limits leave, where the plant cannot report its joints and a replay knows
     /// the ranges.
     known_ranges: Option<CommandRanges>,
+    inputs: usize,
     outputs: usize,
     outcome: Outcome,
     applied: OutputValues,
@@ -33,6 +34,7 @@ impl<P: Plant> PlantSide<P> {
             gate: Gate::new(&plan.scenario.gate, outputs),
             commands: FaultyChannel::of(plan),
             known_ranges: None,
+            inputs: plan.inputs.len(),
             outputs,
             outcome: Outcome::default(),
             applied: [0.0; MAX_OUTPUTS],
@@ -167,7 +169,7 @@ impl<P: Plant> PlantSide<P> {
     /// Senses at the start of `tick` and fills the observation. `more` are flags that the loop adds; `skipped`
     /// ticks were skipped right before this one.
     pub fn observe(&mut self, tick: u64, more: u32, skipped: u32, observation: &mut Observation) {
-        let fresh = self.body.sense(tick, &mut observation.inputs);
+        let fresh = self.body.sense(tick, &mut observation.inputs[..self.inputs]);
         let skip = if skipped > 0 { flag::SKIPPED } else { 0 };
         let target = if fresh { flag::NEW_TARGET } else { 0 };
         observation.header.tick = tick;

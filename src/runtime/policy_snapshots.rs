@@ -102,7 +102,9 @@ pub fn change_ticks(arm: &ArmConfig, ticks: u64) -> Vec<u64> {
     let blocks = arm.block.iter().map(|change| change.tick);
     let lengths = arm.shorten.iter().map(|change| change.tick);
     let mirrors = arm.mirror.iter().map(|change| change.tick);
-    let mut all: Vec<u64> = blocks.chain(lengths).chain(mirrors).filter(|tick| (1..ticks).contains(tick)).collect();
+    let loads = arm.payload.iter().map(|change| change.tick);
+    let all = blocks.chain(lengths).chain(mirrors).chain(loads);
+    let mut all: Vec<u64> = all.filter(|tick| (1..ticks).contains(tick)).collect();
     all.sort_unstable();
     all.dedup();
     all

@@ -1,13 +1,13 @@
 //! The reports that processes write into the run's folder when their loops are over, for the launcher's
 //! summary.
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
+use super::run_counts::RunCounts;
 use super::{RuntimeError, Snapshot, TargetsAround, TickBudget};
 use crate::clock::RealtimeReport;
 use crate::state::{Persist, StateVisitor};
@@ -36,9 +36,6 @@ pub struct PlantReport {
     pub ramped: u64,
     /// Commands with a value that is not finite.
     pub non_finite: u64,
-    /// Ticks in which an input was outside its range, by the input's name. A plant may leave it out.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub outside: BTreeMap<String, u64>,
     /// Checkpoints written by the process that ended the run.
     pub checkpoints: u64,
     /// Why a checkpoint could not be written, one sentence; null where all could.
@@ -91,6 +88,8 @@ pub struct ControllerReport {
     pub invalid: u64,
     /// The first tick at which learning met a number that is not finite.
     pub diverged_at: Option<u64>,
+    /// Counts from which the run is judged.
+    pub counts: RunCounts,
     /// Checkpoints written by the process that ended the run.
     pub checkpoints: u64,
     /// Why a checkpoint could not be written, one sentence; null where all could.

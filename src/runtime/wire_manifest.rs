@@ -67,6 +67,25 @@ pub struct Services {
     pub boards: [String; 3],
 }
 
+/// What a controller in another language needs to know of a run of `plan` when there is no manifest: on a pipe.
+pub(super) fn facts(plan: &Plan) -> Value {
+    let names =
+        |signals: &[crate::scenario::SignalConfig]| -> Vec<_> { signals.iter().map(|s| s.name.clone()).collect() };
+    serde_json::json!({
+        "period_ns": plan.period_ns,
+        "inputs": names(&plan.inputs),
+        "outputs": names(&plan.outputs),
+        "measures": plan.measures,
+        "signals": signals(plan),
+        "settings": plan.scenario.to_json(),
+    })
+}
+
+/// Inputs and outputs with name, unit and range, and the index of the measure with the role `error`.
+fn signals(plan: &Plan) -> Value {
+    serde_json::json!({ "inputs": plan.inputs, "outputs": plan.outputs, "error": plan.error })
+}
+
 impl WireManifest {
     /// The table for a run of `plan` in `domain`.
     pub fn of(plan: &Plan, domain: &DomainName) -> Self {
@@ -97,7 +116,7 @@ impl WireManifest {
             inputs: names(&plan.inputs),
             outputs: names(&plan.outputs),
             measures: plan.measures.clone(),
-            signals: serde_json::json!({ "inputs": plan.inputs, "outputs": plan.outputs, "error": plan.error }),
+            signals: signals(plan),
             settings: plan.scenario.to_json(),
         }
     }

@@ -280,7 +280,7 @@ fn names_in_backticks(list: &str) -> Vec<&str> {
 }
 
 /// The names as a list in a sentence: `a, b or c`, where `word` is `or`.
-pub(super) fn word_list(names: &[impl AsRef<str>], word: &str) -> String {
+pub(crate) fn word_list(names: &[impl AsRef<str>], word: &str) -> String {
     let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
     match names.split_last() {
         Some((last, [])) => (*last).to_owned(),
@@ -305,8 +305,20 @@ fn remedy_for_unknown(table: &str, unknown: &str, known: &[&str]) -> String {
     }
 }
 
+/// The name among `names` that is nearest to `name`, if it is near enough to be a misspelling: the first one with the
+/// smallest edit distance.
+pub(crate) fn nearest_name<'n>(name: &str, names: impl Iterator<Item = &'n str>) -> Option<&'n str> {
+    /// Limits the cost of the comparisons, which grows with the length. A longer text is not a misspelt name.
+    const MAX_CHARS: usize = 60;
+    if name.is_empty() || name.chars().count() > MAX_CHARS {
+        return None;
+    }
+    let best = names.map(|known| (distance(name, known), known)).min_by_key(|(edits, _)| *edits);
+    best.filter(|(edits, known)| *edits <= 1 + known.len() / 4).map(|(_, known)| known)
+}
+
 /// Edit distance of two words. An edit inserts, deletes or replaces a character, or swaps two neighbours.
-pub(super) fn distance(a: &str, b: &str) -> usize {
+fn distance(a: &str, b: &str) -> usize {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
     let mut rows = vec![vec![0; b.len() + 1]; a.len() + 1];
     for i in 0..=a.len() {

@@ -42,6 +42,7 @@ mod tests;
 pub use controller::{ControllerConfig, LearnerTable};
 pub use encoder::{EncoderConfig, MapConfig};
 pub use error::{FilePosition, ScenarioError};
+pub(crate) use error::{nearest_name, word_list};
 pub use faults::{
     ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsConfig, ProcessFault, ProcessFaultKind,
 };
@@ -118,6 +119,7 @@ impl Plan {
             maps: self.maps.clone(),
             normalise: self.scenario.encoder.normalise,
             sigma: self.scenario.policy.sigma,
+            max_command: std::array::from_fn(|output| self.scenario.gate.max_command.of(output) as f32),
             seed: self.scenario.seed,
             learner: self.scenario.learner.clone(),
         }

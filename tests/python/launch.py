@@ -4,14 +4,14 @@ import json
 
 import tectum
 
-summary = tectum.run("paper", ticks=500, seed=3, out="whole")
+summary = tectum.run("arm", ticks=500, seed=3, out="whole")
 log = tectum.read_log("whole")
 with tectum.start("paper", ticks=10_000_000, out="stopped") as handle:
     viewer = tectum.Viewer(handle.join())
     seen = [observation.header.tick for observation, _ in zip(viewer, range(200))]
     ended = handle.stop()
 mistakes = []
-for scenario, options in (("no-such-scenario", {}), ("paper", {"out": "whole"}), ("paper", {"arguments": ["--what"]})):
+for scenario, options in (("no-such-scenario", {}), ("arm", {"out": "whole"}), ("arm", {"arguments": ["--what"]})):
     try:
         tectum.run(scenario, **options)
     except tectum.Failed as failed:

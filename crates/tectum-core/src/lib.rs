@@ -47,6 +47,7 @@
 //!         reward,
 //!         next_features: next.as_slice(),
 //!         next_inputs: &[0.2],
+//!         new_target: false,
 //!     },
 //! );
 //! assert!(policy.norm() > 0.0);

@@ -1,7 +1,7 @@
 """Plants, controllers, viewers and trackers of Tectum runs in Python; runs themselves, and their logs.
 
     class Cart(tectum.Plant): ...        # sense(tick, inputs), advance(tick, applied)
-    class Follow(tectum.Controller): ... # act(percept), and if it learns: learn(transition), improve()
+    class Follow(tectum.Controller): ... # act(percept), and if it learns: learn(experience), improve()
     tectum.main(Cart)
 
     tectum.run("arm", ticks=2000)        # launches a run and gives its summary
@@ -10,7 +10,7 @@
 `tectum.gym` makes a Gymnasium environment a plant, and a run a Gymnasium environment. docs/python.md has the details.
 """
 
-from .controller import Answer, Controller, Percept, Transition
+from .controller import Answer, Controller, Experience, Percept
 from .errors import Ended, Mistake, Refused
 from .gate import Gate, f32
 from .launch import Failed, RunHandle, Summary, run, start
@@ -28,6 +28,7 @@ __all__ = [
     "Command",
     "Controller",
     "Ended",
+    "Experience",
     "Failed",
     "Flag",
     "Gate",
@@ -44,7 +45,6 @@ __all__ = [
     "Stream",
     "Summary",
     "Tracker",
-    "Transition",
     "Viewer",
     "f32",
     "generator",

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from .errors import Ended, Mistake, Refused
-from .transport import JoinedRun
+from .facts import RunFacts
 
 PACKAGE = str(Path(__file__).resolve().parent)
 FOREIGN = tuple({PACKAGE, *(sysconfig.get_paths()[key] for key in ("stdlib", "platstdlib", "purelib", "platlib"))})
@@ -48,11 +48,9 @@ def place(trace: TracebackType | None) -> str | None:
 class Author:
     """The methods that the author wrote, with checks."""
 
-    def __init__(self, body: Any, run: JoinedRun, role: str) -> None:
+    def __init__(self, body: Any, run: RunFacts, role: str) -> None:
         self.body, self.run, self.role = body, run, role
         self.name = type(body).__name__
-        self.outside = dict.fromkeys(run.inputs, 0)
-        self.low, self.high = np.array(run.input_ranges, dtype=np.float32).reshape(-1, 2).T
 
     # --- calls -------------------------------------------------------------------------------------------------
 
@@ -90,16 +88,13 @@ class Author:
     # --- values ------------------------------------------------------------------------------------------------
 
     def check_inputs(self, tick: int, inputs: Any) -> None:
-        """Requires a number in every input, and counts those outside their range."""
+        """Requires a number in every input."""
         if not np.isfinite(inputs).all():
             names = [f"`{n}`" for n, value in zip(self.run.inputs, inputs.tolist()) if not math.isfinite(value)]
             if len(names) == len(self.run.inputs):
                 text = "left all inputs unset, or not a number; it sets them in place: `inputs[:] = a, b`"
                 self.wrong("sense", tick, f"{text} (`inputs = ..` or `return [..]` sets nothing)")
             self.wrong("sense", tick, f"left the input {' and '.join(names)} unset, or not a finite number")
-        if ((inputs < self.low) | (inputs > self.high)).any():
-            for name, low, high, value in zip(self.run.inputs, self.low, self.high, inputs):
-                self.outside[name] += bool(value < low or value > high)
 
     def number(self, method: str, tick: int, what: str, value: Any) -> float:
         """`value` as a finite number."""
@@ -127,17 +122,10 @@ class Author:
             self.wrong(method, tick, text)
         return [self.number(method, tick, f"`{name}`", value) for name, value in zip(names, values)]
 
-    def outside_sentence(self) -> str | None:
-        """What to say of inputs outside their range; None if there were none."""
-        counts = [f"`{name}` in {count:,} tick{'s' * (count > 1)}" for name, count in self.outside.items() if count]
-        if not counts:
-            return None
-        return f"inputs were outside their range: {', '.join(counts)}; give wider ranges under [[plant.inputs]]"
 
-
-def traceback_place(run: JoinedRun, role: str) -> str:
+def traceback_place(run: RunFacts, role: str) -> str:
     """Where the traceback is that this process has printed."""
-    if sys.stderr.isatty():
+    if run.folder is None or sys.stderr.isatty():
         return "the traceback is above"
     return f"the traceback is in {run.folder / f'{role}.stderr'}"
 

@@ -1,6 +1,6 @@
 """A controller in the place of Tectum's own: what its author writes, and what it is told.
 
-The loop around it is in `controller_loop.py`.
+As in Rust (docs/controllers.md): an `Agent` with `act`, `learn` and `improve`. What calls it is in `controller_core.py`.
 """
 
 from abc import ABC, abstractmethod
@@ -10,88 +10,75 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .layouts import Flag, Observation
+from .layouts import Flag
 
-TERMINATED = int(getattr(Flag, "TERMINATED", 0))
-TRUNCATED = int(getattr(Flag, "TRUNCATED", 0))
-# Why nothing may be learned from a tick, in the order in which the reasons are given.
-REASONS = (
-    (Flag.FIRST, "first"),
-    (Flag.SKIPPED, "skipped"),
-    (Flag.NON_FINITE, "non-finite"),
-    (Flag.MISSED, "missed"),
-    (Flag.UNARMED, "unarmed"),
-    (Flag.TRIPPED, "tripped"),
-    (Flag.BLIND, "blind"),
+NEW_TARGET, TERMINATED, TRUNCATED = int(Flag.NEW_TARGET), int(Flag.TERMINATED), int(Flag.TRUNCATED)
+# Why nothing may be learned from a tick, by the flags that say so; the first that fits.
+WITHHELD = (
+    (int(Flag.FIRST), "first"),
+    (int(Flag.UNARMED | Flag.TRIPPED), "not driven"),
+    (int(Flag.BLIND), "blind"),
+    (int(Flag.SKIPPED), "skipped"),
+    (int(Flag.MISSED), "missed"),
 )
-NOT_THE_CONTROLLERS = int(
-    Flag.FIRST | Flag.MISSED | Flag.SKIPPED | Flag.UNARMED | Flag.TRIPPED | Flag.BLIND | Flag.NON_FINITE
-)
+
+
+def boundary(flags: int) -> str | None:
+    """What begins with the inputs of an observation with these flags."""
+    if flags & TERMINATED:
+        return "terminated"
+    if flags & TRUNCATED:
+        return "truncated"
+    return "new target" if flags & NEW_TARGET else None
 
 
 class Percept(NamedTuple):
-    """What the controller sees at a tick."""
+    """What the controller perceives at the beginning of a tick."""
 
     tick: int
     inputs: np.ndarray
-    """The inputs, in the scenario's order and units."""
-    age: float
-    """Seconds since the plant sensed them; 0 in lockstep."""
+    """The inputs, in the scenario's order and units. All are finite."""
+    age: int
+    """Age of the inputs, ticks: 0 unless the plant could not be read and repeats what it sensed before."""
     flags: int
     """Bits of `Flag`: what happened in the tick before."""
 
     @property
-    def new_target(self) -> bool:
-        """Whether a new target (or trial) begins with these inputs."""
-        return bool(self.flags & Flag.NEW_TARGET)
+    def boundary(self) -> str | None:
+        """What begins with these inputs: `terminated`, `truncated` (another episode), `new target`, or None."""
+        return boundary(self.flags)
 
 
 class Answer(NamedTuple):
-    """The outputs of a controller that says what part of them is exploration. The plant applies `drawn`; `mean` is for
+    """The outputs of a controller that says what part of them is exploration. The plant applies `command`; `mean` is for
     viewers and the log."""
 
-    drawn: Sequence[float]
+    command: Sequence[float]
     mean: Sequence[float]
 
 
 @dataclass(frozen=True)
-class Transition:
-    """What came of one tick."""
+class Experience:
+    """What became of the last command."""
 
     tick: int
     inputs: np.ndarray
-    """The inputs that the controller answered."""
+    """The inputs that it answered."""
     asked: np.ndarray
-    """What it asked for."""
+    """The command as the controller gave it."""
     applied: np.ndarray
-    """What was applied, after hold policy and gate."""
+    """The command as it was applied, after hold policy and gate."""
+    limited: bool
+    """Whether the gate limited it; `applied` then differs from `asked`."""
     reward: float
     next_inputs: np.ndarray
-    """The inputs now. Where `terminated` or `truncated` is set they are those of the next episode."""
-    flags: int
-    """Bits of `Flag`."""
-    why_not: str | None
-    """Why nothing may be learned from this tick: `missed`, `skipped`, `lost`, ..; None if it may."""
-
-    @property
-    def limited(self) -> bool:
-        """Whether the gate limited the command; `applied` is what it let through."""
-        return bool(self.flags & Flag.CLAMPED)
-
-    @property
-    def new_target(self) -> bool:
-        """Whether a new target begins with `next_inputs`: no credit may cross."""
-        return bool(self.flags & Flag.NEW_TARGET)
-
-    @property
-    def terminated(self) -> bool:
-        """Whether the episode ended, and the value after it is 0."""
-        return bool(self.flags & TERMINATED)
-
-    @property
-    def truncated(self) -> bool:
-        """Whether the episode was cut off: the value after it is not 0, but no credit may cross."""
-        return bool(self.flags & TRUNCATED)
+    """The inputs of the next tick. Those of another episode where `boundary` is `terminated` or `truncated`."""
+    boundary: str | None
+    """`terminated`: the episode has ended, and the value after it is zero. `truncated`: it was cut off, and the value
+    after it is unknown. `new target`: the reward still belongs to the target before. None: the next inputs follow."""
+    withheld: str | None
+    """Why nothing may be learned from it: `first`, `missed`, `skipped`, `lost`, `not driven`, `blind`, `corrupted` or
+    `invalid`; None if it may."""
 
 
 class Controller(ABC):
@@ -105,6 +92,8 @@ class Controller(ABC):
 
     keep_every = 64
     """Observations between two calls of `state`."""
+    columns: Sequence[str] = ()
+    """Names of at most 8 numbers of the controller's own in the learning record and the log; `record` gives them."""
 
     @abstractmethod
     def act(self, percept: Percept) -> "Answer | Sequence[float] | np.ndarray | float":
@@ -112,11 +101,16 @@ class Controller(ABC):
 
     # For a controller that learns:
 
-    def learn(self, transition: Transition) -> None:
-        """Learns from the tick before. Called before `act`, so the command waits for it."""
+    def learn(self, experience: Experience) -> bool | None:
+        """Learns from the tick before. Called before `act`, so the command waits for it, and also where nothing may be
+        learned. Returns whether something was learned; None stands for whatever may be."""
 
     def improve(self) -> None:
         """The work for which no command waits. Called after the command has been sent, once a tick."""
+
+    def record(self) -> Sequence[float]:
+        """The numbers of `columns`."""
+        return ()
 
     # For a controller with a state; give both, or neither for one that depends on the percept alone.
 
@@ -126,13 +120,3 @@ class Controller(ABC):
 
     def restore(self, state: Any) -> None:
         """Continues from a state that `state` gave."""
-
-
-def why_not(observation: Observation, expected: int | None) -> str | None:
-    """Why nothing may be learned from the tick before an observation; `expected` is the tick after the last answer."""
-    flags = observation.header.flags
-    if expected is None:
-        return "first"
-    if flags & NOT_THE_CONTROLLERS:
-        return next(word for flag, word in REASONS if flags & flag)
-    return None if observation.header.tick == expected else "lost"

@@ -8,10 +8,6 @@ has it drops it. So no tick is learned twice, and none is lost.
 
 import ctypes
 import gc
-import hashlib
-import math
-import os
-import struct
 import sys
 import time
 from pathlib import Path
@@ -19,19 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from .checks import Author
-from .controller import Answer, Controller, Percept, Transition, why_not
+from .controller_core import ControllerCore
 from .crash_store import CrashStore, Ring
 from .errors import Mistake, Refused, error_text
-from .layouts import Command, Flag, Learning, Observation, Role, State
-from .participant import Participant, program
-from .reports import Spread, Windows, write
+from .layouts import Command, Learning, Observation, Role, State
+from .participant import Backoff, Participant, program
+from .reports import Spread, write
 from .shared_memory import WakeWord
 from .state import pack, unpack
 from .transport import JoinedRun
 
-FIRST, NEW_TARGET = int(Flag.FIRST), int(Flag.NEW_TARGET)
-AGE = struct.Struct("<d")  # of an observation, s
 WAKE_TIMEOUT_MS = 100  # the longest time until the end of a run is noticed
 
 
@@ -60,7 +53,7 @@ class ControllerPorts(Participant):
 
     def await_observation(self) -> Observation | None:
         """Waits for the next observation; in real time for the newest. None when the plant has finished."""
-        turns = 0
+        backoff = Backoff()
         while True:
             # Read before the channel is, so that samples sent before the plant finished are still received.
             finished = self.plant.get().state == State.FINISHED
@@ -70,129 +63,28 @@ class ControllerPorts(Participant):
                 return newest
             if finished:
                 return None
-            turns += 1
             if self.run.real:
                 self.wake.wait(WAKE_TIMEOUT_MS)
-            elif turns < 4096:
-                os.sched_yield()
-                if turns % 64:
-                    continue
-            else:
-                time.sleep(0.00005)
+            elif not backoff.pause():
+                continue
             self.heartbeat()
             self.returned(self.plant, Role.PLANT)
 
 
-class ControllerLoop:
+class ControllerLoop(ControllerCore):
     """The loop of ticks around a controller."""
 
-    def __init__(self, run: JoinedRun, body: Controller, handle_signals: bool = True) -> None:
-        self.run, self.body, self.author = run, body, Author(body, run, "controller")
-        self.author.requires("act", "act(percept)", 1)
-        if any(fault["channel"] == "observation" for fault in run.settings.get("faults", {}).get("channel", [])):
-            text = f"{program()} cannot make faults on its observations; take them out of [faults]"
-            raise Refused(f"{text}, or have commands faulty")
-        kind = type(body)
-        self.learns = getattr(kind, "learn", Controller.learn) is not Controller.learn
-        self.improves = getattr(kind, "improve", Controller.improve) is not Controller.improve
-        has = [getattr(kind, name, None) is not getattr(Controller, name) and hasattr(body, name)
-               for name in ("state", "restore")]  # fmt: skip
-        if has[0] != has[1]:
-            given, missing = ("state", "restore") if has[0] else ("restore", "state")
-            raise Refused(f"{self.author.name} has {given}() and no {missing}(); give both, or neither")
-        self.keeps = has[0]
+    run: JoinedRun
+
+    def __init__(self, run: JoinedRun, body: Any, handle_signals: bool = True) -> None:
+        super().__init__(run, body)
         self.keep_every = max(int(getattr(body, "keep_every", 64)), 1)
         self.ports = ControllerPorts(run, handle_signals)
-        self.command, self.learning = Command(), Learning()
-        # Observations answered, and the last of them.
-        self.count = 0
-        self.answered: Observation | None = None
-        self.asked = np.zeros(len(run.outputs), dtype=np.float32)
-        self.report: dict[str, Any] = dict.fromkeys(
-            ("ticks", "unseen", "unheard", "stale", "learned", "cuts", "invalid", "checkpoints"), 0
-        )
-        self.windows = Windows(run.ticks, run.error)
+        self.incarnation = self.ports.incarnation
+        if self.columns:
+            write(run.folder / "controller.columns.json", self.columns)
         self.spreads = {"answer": Spread(), "learner": Spread(), "slack": Spread()}
         self.learner_ns = self.overruns = self.done = 0
-
-    # --- one tick ----------------------------------------------------------------------------------------------
-
-    def call(self, method: str, tick: int, *arguments: Any) -> Any:
-        try:
-            return getattr(self.body, method)(*arguments)
-        except Exception as cause:
-            self.author.failed(method, tick, cause)
-
-    def respond(self, observation: Observation, age: float) -> None:
-        """Learns from the tick before, and computes the command."""
-        header, author, tick = observation.header, self.author, observation.header.tick
-        inputs = np.array(observation.inputs[: len(self.run.inputs)], dtype=np.float32)
-        expected = self.answered.header.tick + 1 if self.answered is not None else None
-        self.report["unseen"] += header.sequence - (self.answered.header.sequence + 1 if self.answered else 0)
-        flags = 0
-        if self.answered is not None:
-            reason = why_not(observation, expected)
-            if self.learns:
-                self.call("learn", tick, self.transition(observation, inputs, reason))
-                flags = int(Flag.TRACE_CUT if reason else Flag.LEARNED)
-                self.report["cuts" if reason else "learned"] += 1
-        command = self.command
-        command.header.flags = 0
-        if np.isfinite(inputs).all():
-            answer = self.call("act", tick, Percept(tick, inputs, age, header.flags))
-            drawn, mean = (answer.drawn, answer.mean) if isinstance(answer, Answer) else (answer, answer)
-            outputs = author.numbers("act", tick, "outputs", drawn, self.run.outputs)
-            means = outputs if mean is drawn else author.numbers("act", tick, "means", mean, self.run.outputs)
-        else:  # a plant in another language sent a number that is none
-            outputs = means = [0.0] * len(self.run.outputs)
-            command.header.flags = int(Flag.INVALID)
-            self.report["invalid"] += 1
-        command.drawn[: len(outputs)] = outputs
-        command.mean[: len(means)] = means
-        self.asked = np.array(outputs, dtype=np.float32)
-        self.answered = observation
-        self.record(observation, flags)
-
-    def transition(self, observation: Observation, inputs: np.ndarray, reason: str | None) -> Transition:
-        answered, n, m = self.answered, len(self.run.inputs), len(self.run.outputs)
-        assert answered is not None
-        return Transition(
-            tick=answered.header.tick,
-            inputs=np.array(answered.inputs[:n], dtype=np.float32),
-            asked=self.asked,
-            applied=np.array(observation.applied[:m], dtype=np.float32),
-            reward=float(observation.reward),
-            next_inputs=inputs,
-            flags=observation.header.flags,
-            why_not=reason,
-        )
-
-    def record(self, observation: Observation, flags: int) -> None:
-        """Fills the learning record, and the headers of both samples."""
-        learning, command, tick = self.learning, self.command, observation.header.tick
-        for i in range(len(self.run.outputs)):
-            learning.noise[i] = command.drawn[i] - command.mean[i]
-        hashed = self.keeps and (tick % self.run.settings["log"]["hash_every"] == 0 or tick + 1 == self.run.ticks)
-        learning.weights_hash = self.state_hash(tick) if hashed else 0
-        learning.header.flags = flags | (int(Flag.HASHED) if hashed else 0)
-        learning.reward = observation.reward if flags & Flag.LEARNED else 0.0
-        for header in (command.header, learning.header):
-            header.run, header.incarnation = self.run.id, self.ports.incarnation
-            header.tick, header.sequence = tick, self.count
-            header.scheduled_ns = observation.header.scheduled_ns
-            header.sensed_ns = observation.header.sensed_ns
-
-    def after_command(self, observation: Observation) -> None:
-        """The work for which the plant does not wait."""
-        if self.improves:
-            self.call("improve", observation.header.tick)
-        flags = observation.header.flags
-        if not flags & FIRST:
-            error = self.windows.error
-            measured = float(observation.measures[error]) if error is not None else math.nan
-            self.windows.add(observation.header.tick - 1, observation.reward, measured, bool(flags & NEW_TARGET))
-        self.report["ticks"] += 1
-        self.count += 1
 
     # --- what outlives the process -----------------------------------------------------------------------------
 
@@ -200,36 +92,25 @@ class ControllerLoop:
         """The journals, in the run's part of shared memory. They reach back to the older of the two kept states."""
         root, entries = Path(self.run.wire["root"]), 4 * self.keep_every
         self.store = CrashStore(root, "controller.python")
-        self.observed = Ring(root / "controller.python.observed", entries, ctypes.sizeof(Observation) + AGE.size)
+        self.observed = Ring(root / "controller.python.observed", entries, ctypes.sizeof(Observation))
         answer = ctypes.sizeof(Command) + ctypes.sizeof(Learning)
         self.answers = Ring(root / "controller.python.answers", entries, answer)
 
-    def packed_state(self, tick: int) -> list[bytes]:
-        try:
-            return pack(self.call("state", tick) if self.keeps else {})
-        except Refused as cause:
-            if isinstance(cause, Mistake):
-                raise
-            self.author.wrong("state", tick, str(cause).replace("state()", "gave a state in which it", 1))
-
-    def state_hash(self, tick: int) -> int:
-        digest = hashlib.blake2b(digest_size=8)
-        for part in self.packed_state(tick):
-            digest.update(part)
-        return int.from_bytes(digest.digest(), "little")
-
     def keep(self) -> None:
         """Keeps the whole state."""
-        tick = self.answered.header.tick if self.answered is not None else 0
         own = {
             "answered": bytes(self.answered) if self.answered is not None else None,
+            "acted": self.acted,
+            "age": self.age,
             "asked": self.asked,
+            "before": self.before,
             "report": self.report,
             "windows": self.windows.state(),
+            "counts": self.counts.state(),
         }
         parts = pack(own)
         size = sum(len(part) for part in parts)
-        self.store.store(self.count, [size.to_bytes(8, "little"), *parts, *self.packed_state(tick)])
+        self.store.store(self.count, [size.to_bytes(8, "little"), *parts, *self.packed_state(self.tick())])
 
     def recall(self) -> None:
         """Restores the newest state that was kept, and repeats the ticks since then."""
@@ -238,8 +119,10 @@ class ControllerLoop:
             self.count, data = record
             size = int.from_bytes(data[:8], "little")
             own = unpack(data[8 : 8 + size])
-            self.asked, self.report = own["asked"], own["report"]
+            self.asked, self.before, self.report = own["asked"], own["before"], own["report"]
+            self.acted, self.age = own["acted"], own["age"]
             self.windows.restore(own["windows"])
+            self.counts.restore(own["counts"])
             if own["answered"] is not None:
                 self.answered = Observation.from_buffer_copy(own["answered"])
             if self.keeps:
@@ -247,7 +130,7 @@ class ControllerLoop:
         differs = None
         while (entry := self.observed.entry(self.count)) is not None:
             observation, number = Observation.from_buffer_copy(entry), self.count
-            self.respond(observation, *AGE.unpack_from(entry, ctypes.sizeof(Observation)))
+            self.respond(observation)
             self.after_command(observation)
             sent = self.answers.entry(number)
             if sent is not None and sent[: ctypes.sizeof(Command)] != self.unstamped():
@@ -297,15 +180,14 @@ class ControllerLoop:
                 # A plant that came back sends its last observation again, and may not have received the command.
                 self.send()
                 continue
-            self.tick(observation, time.monotonic_ns())
+            self.go_through(observation, time.monotonic_ns())
         self.finish()
 
-    def tick(self, observation: Observation, arrived: int) -> None:
+    def go_through(self, observation: Observation, arrived: int) -> None:
         """Answers an observation, then does the work for which the plant does not wait."""
         number, real = self.count, self.run.real
-        age = max(arrived - observation.header.sensed_ns, 0) / 1e9 if real else 0.0
-        self.observed.append(number, [bytes(observation), AGE.pack(age)])
-        self.respond(observation, age)
+        self.observed.append(number, [bytes(observation)])
+        self.respond(observation)
         self.answers.append(number, [self.unstamped(), bytes(self.learning)])
         self.send()
         answered = time.monotonic_ns()
@@ -341,14 +223,14 @@ class ControllerLoop:
     def learning_out(self) -> None:
         """Sends the last learning record."""
         self.stamp(self.learning)
-        self.ports.command.log.append(self.command)
-        self.ports.learning.log.append(self.learning)
+        self.ports.command.append(self.command)
+        self.ports.learning.append(self.learning)
         self.ports.learning.send_if_read(self.learning)
 
     def publish(self) -> None:
         """Puts the counts on the controller's board."""
         status = self.ports.status
-        status.ticks = self.answered.header.tick + 1 if self.answered is not None else 0
+        status.ticks = self.tick() + 1 if self.answered is not None else 0
         status.sent, status.lost = self.count, self.report["unseen"]
         status.loss, status.end_error = self.windows.now()
         self.ports.publish_status()
@@ -360,19 +242,7 @@ class ControllerLoop:
 
     def write_report(self) -> None:
         """Writes the report, when the last tick has been answered."""
-        self.windows.close()
-        tick = self.answered.header.tick if self.answered is not None else 0
-        report = self.report | {
-            "diverged_at": None,
-            "checkpoint_failure": None,
-            "tick_budget": self.budget(),
-            "weights_hash": f"{self.state_hash(tick):016x}" if self.keeps else "",
-            "windows": self.windows.windows,
-            "first_switch": [],
-            "last_switch": [],
-            "targets": [],
-        }
-        write(self.run.folder / "controller.json", report)
+        write(self.run.folder / "controller.json", self.full_report(self.budget()))
 
     def budget(self) -> dict[str, Any] | None:
         """In real time: the tick budget of the summary."""

@@ -84,7 +84,8 @@ class RunHandle:
             summary = Summary(json.loads(out), code, said)
         except ValueError:
             lines = said.strip().splitlines() or [f"tectum run ended with exit code {code}"]
-            raise Failed(lines[-1].removeprefix("tectum: "), code) from None
+            text = next((line for line in lines if line.startswith("error: ")), lines[-1])
+            raise Failed(text.removeprefix("tectum: "), code) from None
         if check and code not in (0, 130, 143):
             text = summary.facts.get("failure") or f"the run failed with exit code {code}"
             raise Failed(text, code, summary)

@@ -70,6 +70,7 @@ class Log:
         table |= {"incarnation": rows["incarnation"], "flags": rows["flags"]}
         lists = {"inputs": ("", self.inputs), "measures": ("", self.measures)}
         lists |= {name: (f"{name} ", self.outputs) for name in ("applied", "mean", "drawn", "noise")}
+        lists["columns"] = "", [str(name) for name in json.loads(self.facts.get("columns", "[]"))]
         for name in (rows.dtype.names or ())[8:]:
             if name in lists:
                 prefix, names = lists[name]

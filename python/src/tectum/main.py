@@ -10,24 +10,22 @@ from typing import Any, NoReturn
 from .checks import place, sentence, traceback_place, where_class
 from .controller_loop import ControllerLoop
 from .errors import Ended, Mistake, Refused
+from .facts import RunFacts
 from .participant import program
+from .pipe import serve
 from .plant import PlantLoop
 from .transport import JoinedRun
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that explains why `--run` is needed."""
+    """A parser whose errors are one sentence."""
 
     def error(self, message: str) -> NoReturn:
-        if "--run" in message:
-            name = program()
-            text = f"is one process of a run and was given none; start the run: `tectum run SCENARIO`, where {name}"
-            message = f"{text} stands under [plant] or [controller], or join one with --run RUN (--by-hand)"
         self.exit(2, f"{program()}: {message}\n")
 
 
 def main(
-    build: Callable[[JoinedRun], Any],
+    build: Callable[[Any], Any],
     about: str | None = None,
     options: Callable[[argparse.ArgumentParser], None] | None = None,
 ) -> NoReturn:
@@ -38,17 +36,23 @@ def main(
     codes are those of all processes of a run: 2 for bad input, 3 where process and run do not fit, 4 for a failure.
     """
     parser = Parser(description=about or inspect.getdoc(build))
-    parser.add_argument("--run", required=True, help="the run to join: its folder, or its name under runs/")
+    parser.add_argument("--run", help="the run to join: its folder, or its name under runs/")
+    parser.add_argument("--pipe", action="store_true", help="serve a run in one process, or a replay, on a pipe")
     if options is not None:
         options(parser)
     arguments = parser.parse_args()
-    code, run = 0, None
+    if arguments.run is None and not arguments.pipe:
+        text = f"is one process of a run and was given none; start the run: `tectum run SCENARIO`, where {program()}"
+        parser.error(f"{text} stands under [plant] or [controller], or join one with --run RUN (--by-hand)")
+    if arguments.pipe:
+        sys.exit(serve(lambda run: made(build, run), arguments))
+    code = 0
     try:
-        run = JoinedRun(arguments.run)
-        run.arguments = arguments
-        body = made(build, run)
-        loop: PlantLoop | ControllerLoop = ControllerLoop(run, body) if hasattr(body, "act") else PlantLoop(run, body)
-        loop.go()
+        joined = JoinedRun(arguments.run)
+        joined.arguments = arguments
+        body = made(build, joined)
+        of: type[ControllerLoop | PlantLoop] = ControllerLoop if hasattr(body, "act") else PlantLoop
+        of(joined, body).go()
     except (Refused, Ended) as cause:
         print(f"{program()}: {cause}", file=sys.stderr)
         code = cause.code
@@ -56,7 +60,7 @@ def main(
     sys.exit(code)
 
 
-def made(build: Callable[[JoinedRun], Any], run: JoinedRun) -> Any:
+def made(build: Callable[[Any], Any], run: RunFacts) -> Any:
     """The body that the author's code makes."""
     name = getattr(build, "__name__", "the body")
     try:
@@ -66,19 +70,20 @@ def made(build: Callable[[JoinedRun], Any], run: JoinedRun) -> Any:
     except TypeError as cause:
         missing = sorted(getattr(build, "__abstractmethods__", ()))
         if missing:
-            raise Refused(f"{name} ({where_class(build)}) has no method {' and no method '.join(f'{m}()' for m in missing)}; add it") from None
-        raise failed(build, run, cause) from None
+            methods = " and no method ".join(f"{method}()" for method in missing)
+            raise Refused(f"{name} ({where_class(build)}) has no method {methods}; add it") from None
+        raise failed(name, run, cause) from None
     except Exception as cause:
-        raise failed(build, run, cause) from None
+        raise failed(name, run, cause) from None
 
 
-def failed(build: Callable[[JoinedRun], Any], run: JoinedRun, cause: Exception) -> Refused:
-    name, at = getattr(build, "__name__", "the body"), place(cause.__traceback__)
+def failed(name: str, run: RunFacts, cause: Exception) -> Refused:
+    """What the author's code raised while the body was made, as a sentence."""
     if isinstance(cause, TypeError) and len(traceback.extract_tb(cause.__traceback__)) == 1:  # raised by the call itself
         return Refused(f"{name} is made with one argument, the run: {cause}")
     traceback.print_exception(cause)
     # A program that failed before it took a role: the scenario says which one it was to take.
-    controller = run.settings.get("controller", {})
-    mine = any(program() in argument for argument in (controller.get("program", ""), *controller.get("args", ())))
+    table = run.settings.get("controller", {})
+    mine = any(program() in word for word in (table.get("program", ""), *table.get("args", ())))
     seen = traceback_place(run, "controller" if mine else "plant")
-    return Mistake(f"{sentence(cause)}, at {at}, in {name}, before the first tick; {seen}")
+    return Mistake(f"{sentence(cause)}, at {place(cause.__traceback__)}, in {name}, before the first tick; {seen}")

@@ -16,6 +16,28 @@ from .reports import write
 from .transport import Board, JoinedRun
 
 
+YIELDS_NS = 2_000_000  # how long a wait in lockstep yields the processor before it naps
+
+
+class Backoff:
+    """The pauses of a wait in lockstep: first it yields the processor, then it naps."""
+
+    def __init__(self) -> None:
+        self.began, self.turns, self.naps = time.monotonic_ns(), 0, False
+
+    def pause(self) -> bool:
+        """Pauses. True if it is time to look at the run's phase."""
+        self.turns += 1
+        if self.naps:
+            time.sleep(0.00005)
+            return True
+        os.sched_yield()
+        look = self.turns % 64 == 0
+        # On a busy machine a yield takes long, so the time counts, not the turns.
+        self.naps = time.monotonic_ns() - self.began > YIELDS_NS
+        return look
+
+
 def program() -> str:
     """The name of the script that is running."""
     return Path(sys.argv[0]).name or "python"

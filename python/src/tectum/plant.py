@@ -3,7 +3,6 @@
 import ctypes
 import gc
 import math
-import os
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ from .crash_store import CrashStore
 from .errors import Mistake, Refused, error_text
 from .gate import Gate
 from .layouts import CREDIT, LOG_BUFFER, Command, Flag, Observation, Role, State
-from .participant import Participant, program
+from .participant import Backoff, Participant, program
 from .reports import Spread, write
 from .shared_memory import WakeWord
 from .state import pack, unpack
@@ -26,7 +25,8 @@ from .transport import JoinedRun
 MISSED, SKIPPED, UNHEARD, LATE, NEW_TARGET = (
     int(flag) for flag in (Flag.MISSED, Flag.SKIPPED, Flag.UNHEARD, Flag.LATE, Flag.NEW_TARGET)
 )
-TERMINATED, TRUNCATED = int(getattr(Flag, "TERMINATED", 0)), int(getattr(Flag, "TRUNCATED", 0))
+ENDS = {"terminated": int(Flag.TERMINATED), "truncated": int(Flag.TRUNCATED)}
+EPISODE_END = int(Flag.TERMINATED | Flag.TRUNCATED)
 COUNTED = {
     "missed": MISSED,
     "clamped": int(Flag.CLAMPED),
@@ -38,14 +38,13 @@ COUNTED = {
 
 
 class Outcome(NamedTuple):
-    """What a tick came to. `measures` has a number for each measure of the scenario. `terminated`: an episode ended with
-    this tick, and the value after it is 0. `truncated`: it was cut off there. The inputs that follow are those of the next
-    episode."""
+    """What a tick came to. `measures` has a number for each measure of the scenario. `end` is `terminated` where an
+    episode ended with this tick and the value after it is 0, and `truncated` where it was cut off; the inputs that follow
+    are those of the next episode."""
 
     reward: float
     measures: Sequence[float] = ()
-    terminated: bool = False
-    truncated: bool = False
+    end: str | None = None
 
 
 class Plant(ABC):
@@ -143,7 +142,10 @@ class PlantLoop:
         """Advances by `tick` with the command found for it. A command flagged UNHEARD counts as none."""
         command, self.found, author = self.found, None, self.author
         drawn = None if command is None or command.header.flags & UNHEARD else list(command.drawn)
+        # An episode that ended in a tick that the plant passed over is told with the next observation.
+        ended = self.flags & EPISODE_END
         applied, self.flags = self.gate.go(drawn, self.joints(tick) if self.gate.positions else None)
+        self.flags |= ended
         for key, bit in COUNTED.items():
             self.report[key] += bool(self.flags & bit)
         try:
@@ -163,11 +165,11 @@ class PlantLoop:
                 pair = f"(reward, [{', '.join(names)}])"
                 author.wrong("advance", tick, f"gave {outcome!r}; it returns a pair: {pair}")
             outcome = (outcome, ())
-        if isinstance(outcome, Outcome):
-            ends = (outcome.terminated, TERMINATED), (outcome.truncated, TRUNCATED)
-            self.flags |= sum(flag for ended, flag in ends if ended)
+        if len(outcome) == 3 and outcome[2] in (None, *ENDS):
+            self.flags |= ENDS.get(outcome[2], 0)
         elif len(outcome) != 2:
-            author.wrong("advance", tick, f"gave {len(outcome)} values; it returns a pair: reward, measures")
+            text = "it returns reward, measures, and `terminated` or `truncated` where an episode ended"
+            author.wrong("advance", tick, f"gave {len(outcome)} values; {text}")
         reward = author.number("advance", tick, "reward", outcome[0])
         return reward, author.numbers("advance", tick, "measures", outcome[1], names)
 
@@ -199,6 +201,7 @@ class PlantLoop:
         header = self.observation.header
         header.tick = tick
         header.flags = self.flags | (LATE if late else 0) | (SKIPPED if skipped else 0) | (NEW_TARGET if fresh else 0)
+        self.flags &= ~EPISODE_END
         self.report["ticks"] += 1
 
     # --- what outlives the process -----------------------------------------------------------------------------
@@ -212,7 +215,6 @@ class PlantLoop:
             "gate": self.gate.state(),
             "flags": self.flags,
             "report": self.report,
-            "outside": self.author.outside,
             "expected": self.expected,
             "observation": bytes(self.observation),
         }
@@ -242,7 +244,6 @@ class PlantLoop:
             self.author.failed("restore", tick, cause)
         self.gate.restore(state["gate"])
         self.flags, self.report, self.expected = state["flags"], state["report"], state["expected"]
-        self.author.outside = state["outside"]
         ctypes.memmove(ctypes.addressof(self.observation), state["observation"], ctypes.sizeof(Observation))
         self.observation.header.incarnation = self.participant.incarnation
         return True
@@ -252,7 +253,7 @@ class PlantLoop:
     def wait(self, t0: int, tick: int, advanced: bool) -> bool:
         """Waits until `tick` begins: for its instant in real time, for the command of the tick before in lockstep.
         False when the run ends first."""
-        participant, turns = self.participant, 0
+        participant, backoff = self.participant, Backoff()
         if self.run.real:
             due = t0 + tick * self.run.period_ns
             while (now := time.monotonic_ns()) < due:
@@ -261,12 +262,7 @@ class PlantLoop:
                     return False
             return not participant.heartbeat()
         while not (advanced or self.receive_command(tick - 1)):
-            turns += 1
-            if turns < 4096:
-                os.sched_yield()
-            else:
-                time.sleep(0.00005)
-            if turns % 64 == 0 or turns >= 4096:
+            if backoff.pause():
                 # The command is on its way, unless the controller was killed before it received the observation.
                 if participant.returned(participant.controller, Role.CONTROLLER):
                     participant.out.send(self.observation)
@@ -296,7 +292,7 @@ class PlantLoop:
             participant.status.sent = header.sequence + 1
             # It may have died before it sent it. Who has it already drops it.
             participant.out.send(self.observation)
-            participant.out.log.append(self.observation)
+            participant.out.append(self.observation)
             return t0, header.tick + 1, False
         if participant.before is not None and participant.before.sent:
             # The body stood still while no process drove it: the ticks in between are missed.
@@ -378,15 +374,14 @@ class PlantLoop:
         if run.real:
             participant.wake.notify()
             self.spreads["work"].add(time.monotonic_ns() - woken)
-        participant.out.log.append(self.observation)
+        participant.out.append(self.observation)
         participant.status.sent += 1
 
     def finish(self) -> None:
         """Leaves the run in good order: the report first."""
         if self.participant.status.state == State.FINISHED:
             return
-        outside = {name: count for name, count in self.author.outside.items() if count}
-        report = self.report | {"checkpoint_failure": None, "outside": outside}
+        report = self.report | {"checkpoint_failure": None}
         report |= {name: spread.percentiles() if self.run.real else None for name, spread in self.spreads.items()}
         write(self.run.folder / "plant.json", report)
         self.participant.enter(State.FINISHED)

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from .errors import Refused, error_text
+from .facts import RunFacts
 from .layouts import ICEORYX2, SCHEMA, Control, Observation, Phase, Role, Status
 from .shared_memory import LogRing
-from .streams import Stream, generator, stream
 
 Kind = TypeVar("Kind", bound=ctypes.Structure)
 
@@ -76,8 +76,8 @@ class Reader(Generic[Kind]):
 class Writer(Generic[Kind]):
     """The writing end of a channel, with the channel's log ring. It never waits for a reader."""
 
-    def __init__(self, iox: Any, factory: Any, log: LogRing) -> None:
-        self.log = log
+    def __init__(self, iox: Any, factory: Any, log: LogRing | None) -> None:
+        self.ring = log
         self.readers = factory.dynamic_config
         self.port = (
             factory.publisher_builder()
@@ -90,6 +90,11 @@ class Writer(Generic[Kind]):
         """Sends a copy of the sample."""
         self.port.send_copy(sample)
 
+    def append(self, sample: Kind) -> None:
+        """Notes a sample that has been sent in the channel's log ring."""
+        if self.ring is not None:
+            self.ring.append(sample)
+
     def send_if_read(self, sample: Kind) -> None:
         """Sends a copy of the sample if there is any reader."""
         if self.readers.number_of_subscribers:
@@ -101,47 +106,32 @@ class Writer(Generic[Kind]):
         return int(self.readers.number_of_subscribers)
 
 
-class JoinedRun:
-    """A run that this process has found and joined: its manifest, its scenario and its channels.
+class JoinedRun(RunFacts):
+    """A run that this process has found and joined: its facts and its channels.
 
     `run` is the run's folder, or its name under `runs/`.
     """
 
+    folder: Path
+
     def __init__(self, run: str | os.PathLike[str]) -> None:
         named = Path("runs") / run
-        self.folder = named if not (Path(run) / "run.json").exists() and (named / "run.json").exists() else Path(run)
+        folder = named if not (Path(run) / "run.json").exists() and (named / "run.json").exists() else Path(run)
         try:
-            self.manifest: dict[str, Any] = json.loads((self.folder / "run.json").read_text())
-            self.wire, self.mode = self.manifest["wire"], self.manifest["mode"]
-        except (OSError, ValueError, KeyError) as cause:
-            raise Refused(f"there is no run to join in {self.folder}: {cause}") from None
+            self.manifest: dict[str, Any] = json.loads((folder / "run.json").read_text())
+        except (OSError, ValueError) as cause:
+            raise Refused(f"there is no run to join in {folder}: {cause}") from None
         try:
             self.launcher = os.pidfd_open(self.manifest["launcher"])
         except OSError:
-            raise Refused(f"there is no run to join in {self.folder}: the run is over") from None
+            raise Refused(f"there is no run to join in {folder}: the run is over") from None
         try:
-            self._read()
+            super().__init__(self.manifest["wire"], self.manifest["mode"], folder)
+            self.id = int(self.manifest["run"], 16)
         except KeyError as cause:
-            text = f"{self.folder / 'run.json'} has no key {cause}: the run is of another version than this package"
+            text = f"{folder / 'run.json'} has no key {cause}: the run is of another version than this package"
             raise Refused(f"{text}; install the package from the checkout that `tectum` was built from", 3) from None
-        self.arguments: Any = None
         self._join(load_iceoryx2(self.wire["iceoryx2"]))
-
-    def _read(self) -> None:
-        self.settings: dict[str, Any] = self.wire["settings"]
-        self.period_ns: int = self.wire["period_ns"]
-        self.period: float = self.period_ns / 1e9
-        self.seed: int = self.settings["seed"]
-        self.ticks: int = self.settings["ticks"]
-        self.inputs: list[str] = self.wire["inputs"]
-        self.outputs: list[str] = self.wire["outputs"]
-        self.measures: list[str] = self.wire["measures"]
-        signals = self.wire["signals"]
-        self.input_ranges: list[tuple[float, float]] = [(s["min"], s["max"]) for s in signals["inputs"]]
-        self.output_ranges: list[tuple[float, float]] = [(s["min"], s["max"]) for s in signals["outputs"]]
-        self.error: int | None = signals["error"]  # the measure with the role `error`
-        self.real = self.mode == "realtime"
-        self.id = int(self.manifest["run"], 16)
 
     def _join(self, iox: Any) -> None:
         self.iox = iox
@@ -207,8 +197,9 @@ class JoinedRun:
 
     def writer(self, name: str, kind: type[Kind]) -> Writer[Kind]:
         """The writing end of a channel."""
-        ring = self.wire["log_rings"][("observation", "command", "learning").index(name)]
-        return Writer(self.iox, self.channel(name, kind), LogRing(ring, kind))
+        rings = dict(zip(("observation", "command", "learning"), self.wire["log_rings"]))
+        log = LogRing(rings[name], kind) if name in rings else None
+        return Writer(self.iox, self.channel(name, kind), log)
 
     def orphaned(self) -> bool:
         """Whether the launcher has ended. A killed launcher cannot announce its end."""
@@ -217,14 +208,6 @@ class JoinedRun:
     def over(self) -> bool:
         """Whether the run has ended, or is about to."""
         return bool(self.control.get().phase >= Phase.STOP) or self.orphaned()
-
-    def stream(self, name: str) -> Stream:
-        """The random stream `name` of this run; the numbers of a Rust plant's stream of that name."""
-        return stream(self.seed, name)
-
-    def generator(self, name: str) -> Any:
-        """A numpy generator that depends on the run's seed and `name` alone."""
-        return generator(self.seed, name)
 
     def close(self) -> None:
         """Leaves the run: gives every port back."""

@@ -163,7 +163,7 @@ fn another_layout_is_refused_by_name() {
     let error = open(&bytes).err().unwrap();
     assert!(matches!(error, LogError::Version { .. }));
     let text = error.to_string();
-    for part in ["log.mcap", "tectum.Observation.v9 on /observation", "reads tectum.Observation.v1", "(test)"] {
+    for part in ["log.mcap", "tectum.Observation.v9 on /observation", "reads tectum.Observation.v2", "(test)"] {
         assert!(text.contains(part), "{part} in {text}");
     }
     // A definition that was changed without a new version.
@@ -171,7 +171,7 @@ fn another_layout_is_refused_by_name() {
     let at = bytes.windows(13).position(|w| w == b"weights_norm\n").unwrap();
     bytes[at..at + 7].copy_from_slice(b"heights");
     let text = open(&bytes).err().unwrap().to_string();
-    assert!(text.contains("another definition of tectum.Learning.v1 on /learning"), "{text}");
+    assert!(text.contains("another definition of tectum.Learning.v2 on /learning"), "{text}");
 }
 
 #[test]

@@ -199,7 +199,7 @@ impl<'a> LoggedRun<'a> {
         let merger = self.merger.take();
         let mut merger = merger.unwrap_or_else(|| logger(self.folder, self.number + 1, self.every));
         drain(&mut merger, &mut self.waiting, TICKS);
-        merger.close([TICKS; 3], true)
+        merger.close([TICKS; 3], true, BTreeMap::from([("some-warning".to_owned(), "3 of 5 ticks".to_owned())]))
     }
 
     /// The segments together contain every sample or state that it is missing, in the order of ticks.
@@ -216,6 +216,8 @@ impl<'a> LoggedRun<'a> {
         prop_assert!(order.is_sorted(), "{:?}", order);
         let totals = log.totals().unwrap();
         prop_assert_eq!(totals, outcome.totals);
+        let warnings = log.current_segment().metadata().get(crate::log::WARNINGS_METADATA).unwrap();
+        prop_assert_eq!(&warnings["some-warning"], "3 of 5 ticks");
         for (i, channel) in counts.channels.iter().enumerate() {
             let (written, lost, thinned) = (outcome.written[i], totals.lost[i], totals.thinned[i]);
             prop_assert_eq!((channel.messages, channel.stated, channel.contradictions), (written, lost, 0));

@@ -64,7 +64,7 @@ impl Plant for ReplayedPlant {
         match self {
             Self::Simulated(body) => body.sense(tick, inputs),
             Self::Logged { inputs: logged, fresh, .. } => {
-                inputs.copy_from_slice(logged);
+                inputs.copy_from_slice(&logged[..inputs.len()]);
                 *fresh
             }
         }

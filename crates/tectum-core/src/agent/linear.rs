@@ -150,6 +150,7 @@ impl Agent for LinearAgent {
             reward: experience.reward,
             next_features: self.next.as_slice(),
             next_inputs: experience.next_inputs,
+            new_target: experience.boundary == Boundary::NewTarget,
         };
         let end = match experience.boundary {
             Boundary::Terminated => EpisodeEnd::Terminated,
@@ -180,6 +181,10 @@ impl Agent for LinearAgent {
 
     fn halted(&self) -> bool {
         self.rule.halted()
+    }
+
+    fn outliers(&self) -> u64 {
+        self.rule.outliers()
     }
 
     fn policy(&self) -> Option<&LinearPolicy> {

@@ -191,6 +191,11 @@ pub trait Agent: Persist {
         false
     }
 
+    /// Number of rewards that were not learned from, because the agent took them for outliers.
+    fn outliers(&self) -> u64 {
+        0
+    }
+
     /// The linear policy over encoded features, if that is what the agent has. The hash of a run's result is then that
     /// of its weights, and otherwise that of the agent's whole state ([`learned_hash`]).
     fn policy(&self) -> Option<&LinearPolicy> {
@@ -236,6 +241,10 @@ impl<A: Agent + ?Sized> Agent for Box<A> {
 
     fn halted(&self) -> bool {
         (**self).halted()
+    }
+
+    fn outliers(&self) -> u64 {
+        (**self).outliers()
     }
 
     fn policy(&self) -> Option<&LinearPolicy> {

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use tectum_encoder::{Axis, Map};
 
 use super::{LearnerConfig, LearnerSpec};
-use crate::SignalConfig;
+use crate::{MAX_OUTPUTS, SignalConfig};
 
 /// Two target coordinates and four joint angles, on a plane and four lines of sixteen units.
 pub(crate) fn arm() -> LearnerSpec {
@@ -21,5 +21,14 @@ pub(crate) fn arm() -> LearnerSpec {
     let axis = |input: usize, range: f64| Axis { input, units: 16, min: -range, max: range, radius: 0.5 };
     let mut maps = vec![Map::Plane(axis(0, 1.0), axis(1, 1.0))];
     maps.extend((2..6).map(|input| Map::Line(axis(input, PI))));
-    LearnerSpec { inputs, outputs: 4, maps, normalise: true, sigma: 0.003, seed: 1, learner: LearnerConfig::default() }
+    LearnerSpec {
+        inputs,
+        outputs: 4,
+        maps,
+        normalise: true,
+        sigma: 0.003,
+        max_command: [0.05; MAX_OUTPUTS],
+        seed: 1,
+        learner: LearnerConfig::default(),
+    }
 }

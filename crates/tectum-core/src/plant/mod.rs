@@ -87,7 +87,7 @@ impl EpisodeEnd {
 /// plant lists all of its state. A plant on hardware lists almost nothing, since the hardware keeps its own
 /// state.
 pub trait Plant: Persist {
-    /// Senses at the beginning of `tick`: writes the inputs in the scenario's order and units. Returns whether
+    /// Senses at the beginning of `tick`: writes all `inputs`, in the scenario's order and units. Returns whether
     /// a new target (or trial) begins. Ticks increase, and may skip numbers when the plant was late.
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool;
 

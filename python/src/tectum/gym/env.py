@@ -13,14 +13,12 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from ..controller import TERMINATED, TRUNCATED, Controller, Percept, why_not
+from ..controller import NEW_TARGET, TERMINATED, TRUNCATED, Controller, Percept
 from ..controller_loop import ControllerLoop
 from ..errors import Ended, Refused
 from ..launch import Failed, RunHandle, Summary, start
 from ..layouts import Flag, Observation, Phase, State
 from ..transport import JoinedRun
-
-NEW_TARGET = int(Flag.NEW_TARGET)
 
 
 class Asked(Controller):
@@ -37,7 +35,7 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """The plant of a run, with its gate, as an environment.
 
     A step is a tick: it answers the newest observation with the action and waits for the next one; in real time that is
-    the scenario's period later, and an action that comes too late is missed (`info["why_not"]`). Observations are the
+    the scenario's period later, and an action that comes too late is missed (`info["withheld"]`). Observations are the
     inputs and actions the outputs, in the scenario's units and ranges.
 
     An episode ends when the plant says so, when a new target begins (truncated; `info["new_target"]`), after
@@ -96,7 +94,6 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         if not self.begun or self.last is None or self.last.header.tick + 1 >= self.run.ticks:
             raise gymnasium.error.ResetNeeded("call reset() before step(): no episode is going on")
-        expected = self.last.header.tick + 1
         assert self.loop is not None
         self._answer(self.loop, np.asarray(action, dtype=np.float32).ravel().tolist())
         observation = self._next()
@@ -109,7 +106,7 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self.episode_ticks is not None and self.steps >= self.episode_ticks,
             observation.header.tick + 1 >= self.run.ticks,
         )
-        info = self._info(observation, why_not(observation, expected))
+        info = self._info(observation, self.loop.withheld(observation, True))
         return self._inputs(observation), float(observation.reward), terminated, any(map(bool, ends)), info
 
     def close(self) -> None:
@@ -167,7 +164,7 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if not all(map(math.isfinite, outputs)):
             raise ValueError(f"the action {outputs} has a value that is not finite")
         loop.body.outputs = outputs
-        loop.respond(self.last, 0.0)
+        loop.respond(self.last)
         loop.send()
         loop.after_command(self.last)
         loop.learning_out()
@@ -258,6 +255,6 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             "applied": np.array(observation.applied[: len(self.run.outputs)], dtype=np.float32),
             "limited": bool(flags & Flag.CLAMPED),
             "new_target": bool(flags & NEW_TARGET),
-            "why_not": reason,
+            "withheld": reason,
             **dict(zip(self.run.measures, observation.measures)),
         }

@@ -90,7 +90,7 @@ class GymBody(Plant):
         measures = [float(self.totals.get(name, self.info.get(name, 0.0))) for name in self.run.measures]
         if terminated or truncated:
             self.reset()
-        return Outcome(reward, measures, terminated, truncated)
+        return Outcome(reward, measures, "terminated" if terminated else "truncated" if truncated else None)
 
     def state(self) -> dict[str, Any]:
         """The episode and its actions so far: enough to repeat it. Nothing for an episode that is too long for that."""

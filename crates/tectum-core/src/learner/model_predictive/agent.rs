@@ -1,7 +1,5 @@
 //! The learner: acts from a plan that was made a tick ahead, and then learns and plans.
 
-use rand::RngExt as _;
-
 use super::belief::{Belief, Verdict};
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
 use super::exploration::Noise;
@@ -12,6 +10,7 @@ use super::memory::{Changes, Entry, Lesson, Memory, Rewards};
 use super::model::{Model, ModelSize, normal};
 use super::planner::{Plan, Planner};
 use super::refit::RefitSettings;
+use super::rivals;
 use super::world::{CHANGE, LearnedWorld, Ranges, World, WorldScratch, wrap};
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
@@ -91,12 +90,15 @@ pub struct ModelPredictive {
     before: Vec<f64>,
     /// Whether the transition from `before` to `state` may be learned.
     teaches: bool,
+    /// Whether a new target or trial began with the observation.
+    boundary: bool,
     reward: f64,
     last_reward: f64,
     best: f64,
     worst: f64,
     command: [f64; MAX_OUTPUTS],
     next_refit: u64,
+    refits: u64,
     changed_at: u64,
     planned: bool,
     /// Counts of guards.
@@ -105,6 +107,8 @@ pub struct ModelPredictive {
     start: Vec<f64>,
     apart: Vec<f64>,
     rival_kind: u32,
+    /// Rivals of a tick.
+    rivals: usize,
 }
 
 impl ModelPredictive {
@@ -122,11 +126,13 @@ impl ModelPredictive {
             noise_floor: config.noise_floor,
             standardise: false,
         };
-        let size = ModelSize { outputs: n, pairs: config.pairs, products: config.dynamics_products };
-        let dynamics = Model::new(dynamics_layout(places, &spec.inputs), size, settings, &mut rng);
-        let size = ModelSize { outputs: 1, pairs: config.pairs, products: config.reward_products };
+        let layout = dynamics_layout(places, &spec.inputs);
+        let size = ModelSize::within(&layout, n, config.dynamics_products, config.dynamics_features);
+        let dynamics = Model::new(layout, size, settings, &mut rng);
+        let layout = reward_layout(places, &spec.inputs);
+        let size = ModelSize::within(&layout, 1, config.reward_products, config.reward_features);
         let settings = RefitSettings { standardise: true, ..settings };
-        let rewards = [0, 1].map(|_| Model::new(reward_layout(places, &spec.inputs), size, settings, &mut rng));
+        let rewards = [0, 1].map(|_| Model::new(layout.clone(), size, settings, &mut rng));
         let horizon = if config.horizon > 0 { config.horizon } else { (480 / places.len()).clamp(20, 40) };
         let ends = |sign: f64| spec.inputs.iter().map(|_| sign).collect::<Vec<_>>();
         Self {
@@ -147,12 +153,14 @@ impl ModelPredictive {
             state: vec![0.0; places.state()],
             before: vec![0.0; places.len()],
             teaches: false,
+            boundary: false,
             reward: 0.0,
             last_reward: 0.0,
             best: f64::NEG_INFINITY,
             worst: f64::INFINITY,
             command: [0.0; MAX_OUTPUTS],
             next_refit: 25,
+            refits: 0,
             changed_at: 0,
             planned: false,
             counts: Counts::default(),
@@ -160,6 +168,7 @@ impl ModelPredictive {
             start: vec![0.0; places.state()],
             apart: vec![0.0; places.state()],
             rival_kind: 0,
+            rivals: 1,
             scores: [0.0; 2],
             dynamics,
             rewards,
@@ -233,6 +242,7 @@ impl ModelPredictive {
             self.state[2 * n + j] = self.before[nx + j];
         }
         self.teaches = usable && !fresh && !flags.missed;
+        self.boundary = flags.new_target;
         self.last_reward = self.reward;
         self.reward = observed.reward;
     }
@@ -266,6 +276,16 @@ impl ModelPredictive {
             }
             let error = lesson.heed(i, self.dynamics.error(i, changes[i]));
             let surprise = if error == 0.0 { 0.0 } else { self.dynamics.surprise(i, changes[i]) };
+            if self.boundary {
+                // Neither a jump nor a new start is a movement.
+                lesson.missing |= bit;
+                if surprise >= 25.0 && error * error > 16.0 * self.beliefs[i].usual {
+                    self.after[n + i] = self.dynamics.predicted[i];
+                    self.after[i] = self.ranges.bring_in(i, self.before[i] + CHANGE * self.dynamics.predicted[i]);
+                    self.state[n + i] = 0.0;
+                }
+                continue;
+            }
             match self.beliefs[i].judge(surprise, error, changes[i], 0.2) {
                 Verdict::Believed => {}
                 Verdict::Both => *self.memory.missing(self.memory.stored - 1) &= !bit,
@@ -359,7 +379,14 @@ impl ModelPredictive {
     fn refit(&mut self) {
         if self.tick >= self.next_refit && !self.dynamics.refit.busy() && !self.rewards.iter().any(|r| r.refit.busy()) {
             self.dynamics.refit.begin();
-            self.rewards.iter_mut().for_each(|r| r.refit.begin());
+            // The reward model that predicts much worse is fitted anew in every third refit only.
+            let clear = (self.scores[1] - self.scores[0]).abs() > 0.5;
+            for (k, model) in self.rewards.iter_mut().enumerate() {
+                if k == usize::from(self.scores[1] > self.scores[0]) || !clear || self.refits % 3 == 0 {
+                    model.refit.begin();
+                }
+            }
+            self.refits += 1;
             self.next_refit = self.tick + (0.35 * self.tick as f64).min(1000.0) as u64 + 5;
         }
         let mut left = (self.config.refit_operations * 1e6) as u64;
@@ -380,7 +407,9 @@ impl ModelPredictive {
         let reward = &mut self.rewards[better];
         reward.take(self.config.sampled);
         self.scratch.active.clear();
+        let mut moving = 0;
         for i in (0..n).filter(|&i| self.beliefs[i].usual > 1e-9) {
+            moving |= 1 << i;
             self.scratch.active.extend([i, n + i]);
         }
         self.scratch.active.sort_unstable();
@@ -405,15 +434,27 @@ impl ModelPredictive {
         for _ in 0..self.config.iterations {
             self.planner.improve(&mut world, &mut self.plan);
         }
-        draw_rival(&mut self.rng, &mut self.rival_kind, &self.plan, &mut self.rival, m);
-        self.planner.roll_out(&mut world, &mut self.rival, &self.start);
-        for _ in 0..self.config.rival_iterations {
-            self.planner.improve(&mut world, &mut self.rival);
-        }
-        let gap = (aim - self.plan.value).max(0.0);
-        if self.rival.value > self.plan.value + self.config.rival_gain * gap + 1e-9 {
-            self.counts.rivals += 1;
-            self.plan.copy_from(&self.rival);
+        for _ in 0..self.rivals {
+            self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
+            rivals::draw(
+                self.rival_kind,
+                &mut self.rng,
+                &mut world,
+                &self.memory,
+                moving,
+                &self.start,
+                &self.plan,
+                &mut self.rival,
+            );
+            self.planner.roll_out(&mut world, &mut self.rival, &self.start);
+            for _ in 0..self.config.rival_iterations {
+                self.planner.improve(&mut world, &mut self.rival);
+            }
+            let gap = (aim - self.plan.value).max(0.0);
+            if self.rival.value > self.plan.value + self.config.rival_gain * gap + 1e-9 {
+                self.counts.rivals += 1;
+                self.plan.copy_from(&self.rival);
+            }
         }
         self.planned = true;
     }
@@ -422,7 +463,8 @@ impl ModelPredictive {
     pub fn describe(&self) -> String {
         let model = |m: &Model| format!("{:.1}/{:.1e}", m.refit.log_evidence, m.fit.regression.lambda);
         format!(
-            "dyn {} {} before {} after {} scores {:.2} {:.2} value {:.3} mu {:.1e} {:?}",
+            "w {:.2?} dyn {} {} before {} after {} scores {:.2} {:.2} value {:.3} mu {:.1e} {:?}",
+            self.rewards[self.better()].fit.features.frequencies,
             self.beliefs.iter().map(|b| format!("{:.1}/{:.1e}", b.level(), b.usual)).collect::<Vec<_>>().join(" "),
             model(&self.dynamics),
             model(&self.rewards[0]),
@@ -450,29 +492,6 @@ impl Differences<'_> {
     }
 }
 
-/// The commands from which a rival plan begins: zeros, the plan and a square wave, or a square wave alone.
-fn draw_rival(rng: &mut Rng, kind: &mut u32, plan: &Plan, rival: &mut Plan, m: usize) {
-    *kind = (*kind + 1) % 3;
-    rival.commands.copy_from_slice(&plan.commands);
-    rival.mu = 1e-3;
-    if *kind != 1 {
-        rival.commands.fill(0.0);
-    }
-    if *kind == 0 {
-        return;
-    }
-    for j in 0..m {
-        let period = rng.random_range(2..=rival.horizon);
-        let phase = rng.random_range(0..2 * period);
-        let height = rng.random_range(-1.0..1.0);
-        for t in 0..rival.horizon {
-            let sign = if (t + phase) / period % 2 == 0 { 1.0 } else { -1.0 };
-            let u = &mut rival.commands[t * m + j];
-            *u = (*u + sign * height).clamp(-1.0, 1.0);
-        }
-    }
-}
-
 impl Persist for ModelPredictive {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.nested("dynamics", &mut self.dynamics);
@@ -496,8 +515,10 @@ impl Persist for ModelPredictive {
         visitor.numbers("rewards", &mut numbers);
         [self.reward, self.last_reward, self.best, self.worst] = numbers;
         visitor.boolean("teaches", &mut self.teaches);
+        visitor.boolean("boundary", &mut self.boundary);
         visitor.boolean("planned", &mut self.planned);
         visitor.number("next_refit", &mut self.next_refit);
+        visitor.number("refits", &mut self.refits);
         visitor.number("changed_at", &mut self.changed_at);
         visitor.number("rival_kind", &mut self.rival_kind);
         let Counts { input_outliers, reward_outliers, alarms, rivals, clipped, unusable } = &mut self.counts;

@@ -20,8 +20,10 @@ pub struct ModelPredictiveConfig {
     pub points: usize,
     /// Adam steps of a refit.
     pub steps: u64,
-    /// Random Fourier pairs of each model.
-    pub pairs: usize,
+    /// Features of the reward model, about.
+    pub reward_features: usize,
+    /// Features of the dynamics model, about.
+    pub dynamics_features: usize,
     /// Most products of the reward model.
     pub reward_products: usize,
     /// Most products of the dynamics model.
@@ -46,7 +48,8 @@ impl Default for ModelPredictiveConfig {
             memory: 2000,
             points: 160,
             steps: 15,
-            pairs: 100,
+            reward_features: 660,
+            dynamics_features: 400,
             reward_products: 400,
             dynamics_products: 100,
             sampled: 0.5,
@@ -66,6 +69,10 @@ pub struct InputRange {
     pub max: f64,
     /// Whether the input comes round, as an angle does.
     pub wraps: bool,
+    /// Radians in one unit of the input, if it is known to be an angle: 1 for rad, pi / 180 for degrees. Without it
+    /// the learner finds out by itself whether the input acts through its sine and cosine, and with which period, and
+    /// needs more ticks for it.
+    pub radians: Option<f64>,
 }
 
 /// What the learner is built from.

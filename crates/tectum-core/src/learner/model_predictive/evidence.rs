@@ -1,6 +1,6 @@
 //! Marginal likelihood of the scales on a few points, with its gradient, and Adam steps on it.
 //!
-//! For points `q_1 .. q_N`, outputs `y_j` (N each) and `A = K + lambda I` the logarithm of the evidence, with the
+//! For points `q_1 .. q_N`, outputs `y_j` (N each) and `A = K + lambda I`, `lambda = (floor + noise) tr K / N`, the logarithm of the evidence, with the
 //! scale `s_j = y_jᵀ A⁻¹ y_j / N` of each output at its optimum, is (Rasmussen & Williams 2006, 5.4.1)
 //!
 //! ```text
@@ -35,6 +35,7 @@ pub struct Evidence {
     good: Vec<f64>,
     /// Mean prior variance of the points.
     pub amplitude: f64,
+    floor: f64,
     // Scratch memory.
     matrix: Vec<f64>,
     gradient: Vec<f64>,
@@ -89,6 +90,7 @@ impl Evidence {
             steps: 0,
             good: layout.prior.clone(),
             amplitude: 1.0,
+            floor: 0.0,
             matrix: vec![0.0; packed(capacity)],
             gradient: vec![0.0; scales],
             alpha: vec![0.0; outputs * capacity],
@@ -128,6 +130,17 @@ impl Evidence {
         }
     }
 
+    /// The noise `lambda`: a part of the mean prior variance of the points, so that a common factor of all
+    /// amplitudes is without effect on the evidence.
+    pub fn noise(&self) -> f64 {
+        (self.floor + exp(self.scales[NOISE])) * self.amplitude
+    }
+
+    /// The scale that gives the noise `lambda`.
+    pub fn scale_of_noise(&self, lambda: f64) -> f64 {
+        libm::log((lambda / self.amplitude - self.floor).max(self.floor))
+    }
+
     /// Operations of one step.
     pub fn cost(&self, layout: &Layout) -> u64 {
         let n = self.len as u64;
@@ -136,8 +149,9 @@ impl Evidence {
 
     /// The log evidence with the prior of the scales; its gradient is then in `gradient`. `None` if the matrix is
     /// not positive definite.
-    fn evaluate(&mut self, layout: &Layout, width: f64) -> Option<f64> {
+    fn evaluate(&mut self, layout: &Layout, width: f64, floor: f64) -> Option<f64> {
         let (n, capacity) = (self.len, self.capacity);
+        self.floor = floor;
         self.angles(layout);
         let mut total = 0.0;
         for i in 0..n {
@@ -145,11 +159,10 @@ impl Evidence {
             let row = &mut self.matrix[packed(i)..packed(i + 1)];
             row.copy_from_slice(&self.row.kernel[..=i]);
             total += row[i];
-            row[i] += exp(self.scales[NOISE]);
         }
         self.amplitude = total / n as f64;
         for i in 0..n {
-            self.matrix[packed(i) + i] += 1e-10 * self.amplitude;
+            self.matrix[packed(i) + i] += self.noise();
         }
         if !cholesky(&mut self.matrix, n) {
             return None;
@@ -179,8 +192,18 @@ impl Evidence {
         }
         invert(&mut self.matrix, n, &mut self.plain);
         self.gradient.fill(0.0);
+        // The trace of dL/dK: the noise depends on the diagonal.
+        let mut trace = 0.0;
         for i in 0..n {
-            self.gradient_row(layout, i, f64::from(counted));
+            trace -= 0.5 * f64::from(counted) * self.matrix[packed(i) + i];
+            for j in 0..self.outputs {
+                trace += 0.5 * self.alpha[j * capacity + i] * self.alpha[j * capacity + i];
+            }
+        }
+        self.gradient[NOISE] = exp(self.scales[NOISE]) * self.amplitude * trace;
+        let diagonal = (floor + exp(self.scales[NOISE])) * trace / n as f64;
+        for i in 0..n {
+            self.gradient_row(layout, i, f64::from(counted), diagonal);
         }
         for (k, g) in self.gradient.iter_mut().enumerate() {
             let from = (self.scales[k] - layout.prior[k]) / width;
@@ -261,7 +284,7 @@ impl Evidence {
     }
 
     /// Adds to the gradient what the pairs of point `i` with the points up to itself give.
-    fn gradient_row(&mut self, layout: &Layout, i: usize, counted: f64) {
+    fn gradient_row(&mut self, layout: &Layout, i: usize, counted: f64, diagonal: f64) {
         let (n, capacity) = (i + 1, self.capacity);
         // dL/dK of the pairs; off the diagonal each pair counts twice.
         for (to, inverse) in self.outer.iter_mut().zip(&self.matrix[packed(i)..packed(n)]) {
@@ -271,8 +294,7 @@ impl Evidence {
             let alpha = &self.alpha[j * capacity..][..n];
             add_scaled(&mut self.outer[..n], alpha[i], alpha);
         }
-        self.outer[i] *= 0.5;
-        self.gradient[NOISE] += exp(self.scales[NOISE]) * self.outer[i];
+        self.outer[i] = 0.5 * self.outer[i] + diagonal;
         self.kernel_row(layout, i);
         let Self { row, scales, values, gradient, outer, plain, .. } = self;
         let outer = &outer[..n];
@@ -332,7 +354,7 @@ impl Evidence {
 
     /// One step of Adam uphill, of size `step` in the logarithms. Returns the log evidence before it.
     pub fn step(&mut self, layout: &Layout, width: f64, step: f64, noise_floor: f64) -> Option<f64> {
-        let Some(evidence) = self.evaluate(layout, width) else {
+        let Some(evidence) = self.evaluate(layout, width, noise_floor) else {
             // Scales that make the matrix singular: back to those before.
             self.scales.copy_from_slice(&self.good);
             return None;
@@ -349,7 +371,6 @@ impl Evidence {
             let size = (self.second[k] / second_total).sqrt() + 1e-8;
             self.scales[k] += step * self.first[k] / first_total / size;
         }
-        self.scales[NOISE] = self.scales[NOISE].max(libm::log(noise_floor * self.amplitude));
         Some(evidence)
     }
 }
@@ -367,6 +388,7 @@ impl Persist for Evidence {
         visitor.number("steps", &mut self.steps);
         visitor.numbers("good", &mut self.good);
         visitor.number("amplitude", &mut self.amplitude);
+        visitor.number("floor", &mut self.floor);
     }
 }
 
@@ -374,13 +396,13 @@ impl Persist for Evidence {
 impl Evidence {
     /// Compares the gradient with differences.
     pub fn check_gradient(&mut self, layout: &Layout) {
-        self.evaluate(layout, 2.5).unwrap();
+        self.evaluate(layout, 2.5, 1e-7).unwrap();
         let gradient = self.gradient.clone();
         for (k, g) in gradient.iter().enumerate().filter(|(k, _)| layout.learned[*k]) {
             let before = self.scales[k];
             let mut at = |x| {
                 self.scales[k] = x;
-                self.evaluate(layout, 2.5).unwrap()
+                self.evaluate(layout, 2.5, 1e-7).unwrap()
             };
             let slope = (at(before + 1e-5) - at(before - 1e-5)) / 2e-5;
             self.scales[k] = before;

@@ -57,6 +57,9 @@ pub struct Features {
     /// Frequencies of the Fourier pairs, by component, then pair.
     pub waves: Vec<f64>,
     draws: Vec<f64>,
+    /// Scales and mean squares of the last build.
+    built: Vec<f64>,
+    built_squares: Vec<f64>,
     /// The products.
     pub nodes: Vec<Node>,
     candidates: Vec<Candidate>,
@@ -137,6 +140,8 @@ impl Features {
             scales: layout.prior.clone(),
             frequencies: vec![0.0; layout.circles],
             amplitudes: vec![0.0; len],
+            built: layout.prior.clone(),
+            built_squares: mean_squares.clone(),
             mean_squares,
             waves: vec![0.0; layout.components * pairs],
             draws: orthogonal_draws(layout.components, pairs, &mut normal),
@@ -157,6 +162,8 @@ impl Features {
 
     /// Makes the features of `scales` and mean squares.
     pub fn build(&mut self, layout: &Layout) {
+        self.built.copy_from_slice(&self.scales);
+        self.built_squares.copy_from_slice(&self.mean_squares);
         let scale = |u: usize, s: Scale| {
             if layout.units[u].scales[s as usize] { exp(self.scales[Layout::scale(u, s)]) } else { 0.0 }
         };
@@ -274,7 +281,9 @@ impl Features {
     pub fn visit_scales(&mut self, layout: &Layout, visitor: &mut dyn StateVisitor) {
         visitor.numbers("scales", &mut self.scales);
         visitor.numbers("mean_squares", &mut self.mean_squares);
-        self.build(layout);
+        if self.built != self.scales || self.built_squares != self.mean_squares {
+            self.build(layout);
+        }
     }
 }
 

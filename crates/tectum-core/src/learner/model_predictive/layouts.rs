@@ -6,14 +6,19 @@ use super::layout::{Layout, Places, Priors};
 /// First frequency of an input that may be an angle, for a range of [-1, 1].
 const FREQUENCY: f64 = 2.5;
 
-/// Adds the inputs as angles, and then as numbers. Each input is a group of the products.
+/// Adds the inputs as angles, and then as numbers. Each input is a group of the products. What is known to be an angle
+/// is part of products as an angle alone; what may be one, mostly as a number.
 fn inputs(layout: &mut Layout, ranges: &[InputRange], priors: Priors, wrapped: Priors) {
     for (i, range) in ranges.iter().enumerate() {
-        let frequency = if range.wraps { std::f64::consts::PI } else { FREQUENCY };
-        layout.circle(i, frequency, !range.wraps, Some(i), priors);
+        let known = range.radians.map(|radians| radians * 0.5 * (range.max - range.min));
+        let known = if range.wraps { Some(std::f64::consts::PI) } else { known };
+        let doubtful = Priors { linear: 0.1 * priors.linear, product: 0.1 * priors.product, ..priors };
+        let own = if known.is_some() { priors } else { doubtful };
+        layout.circle(i, known.unwrap_or(FREQUENCY), known.is_none(), Some(i), own);
     }
     for (i, range) in ranges.iter().enumerate() {
-        layout.number(i, Some(i), if range.wraps { wrapped } else { priors });
+        let number = Priors { product: if range.radians.is_some() { 0.0 } else { priors.product }, ..priors };
+        layout.number(i, Some(i), if range.wraps { wrapped } else { number });
     }
 }
 

@@ -15,6 +15,7 @@ mod memory;
 mod model;
 mod planner;
 mod refit;
+mod rivals;
 mod regression;
 mod weighted;
 mod world;

@@ -55,6 +55,22 @@ pub struct ModelSize {
     pub products: usize,
 }
 
+impl ModelSize {
+    /// As many products of `layout` as there are, at most `products`, and Fourier pairs, from 60 to 200, so that there
+    /// are about `features` features.
+    pub fn within(layout: &Layout, outputs: usize, products: usize, features: usize) -> Self {
+        let mut all = 1.0;
+        for group in &layout.groups {
+            let components = group.iter().map(|&u| if layout.units[u].circle { 2.0 } else { 1.0 }).sum::<f64>();
+            all *= 1.0 + components;
+        }
+        let single = 1 + layout.components;
+        let products = (f64::min(all, 1e6) as usize).saturating_sub(single).min(products);
+        let left = features.saturating_sub(products + single + layout.units.len());
+        Self { outputs, pairs: (left / 2).clamp(60, 200), products }
+    }
+}
+
 impl Model {
     /// A model that knows nothing.
     pub fn new(layout: Layout, size: ModelSize, settings: RefitSettings, rng: &mut Rng) -> Self {

@@ -16,7 +16,6 @@ use rand::RngExt as _;
 
 use super::evidence::Evidence;
 use super::features::Basis;
-use super::functions::exp;
 use super::layout::{Layout, NOISE};
 use super::linalg::{
     add_outer, add_scaled, cholesky_row, dot, invert_lower_row, invert_row, packed, solve_lower, solve_lower_transposed,
@@ -140,6 +139,11 @@ impl Refit {
     /// Gives up the refit under way.
     pub fn abandon(&mut self) {
         self.phase = Phase::Idle;
+    }
+
+    /// Adam steps: more where points are few.
+    fn steps(&self, layout: &Layout) -> u64 {
+        (150_000_000 / self.evidence.cost(layout).max(1)).clamp(self.settings.steps, 4 * self.settings.steps)
     }
 
     /// The least noise.
@@ -266,10 +270,10 @@ impl Refit {
         let RefitSettings { width, step, noise_floor, .. } = self.settings;
         match self.evidence.step(layout, width, step, noise_floor) {
             Some(evidence) => self.log_evidence = evidence,
-            None => self.at = self.settings.steps,
+            None => self.at = u64::MAX - 1,
         }
         self.at += 1;
-        if self.at >= self.settings.steps {
+        if self.at >= self.steps(layout) {
             self.next.features.scales.copy_from_slice(&self.evidence.scales);
             self.measure_components(layout);
             self.next.features.build(layout);
@@ -278,7 +282,7 @@ impl Refit {
             self.squares.fill(0.0);
             self.gathered = 0.0;
             self.rounds = 0;
-            self.next.regression.lambda = exp(self.evidence.scales[NOISE]).max(self.floor());
+            self.next.regression.lambda = self.evidence.noise();
             if 2 * (self.range[1] - self.range[0]) < 3 * self.row.len() as u64 {
                 // Few ticks: recursion takes fewer operations than a factor of the whole matrix.
                 self.next.regression.forget(|| normal(rng));
@@ -295,7 +299,7 @@ impl Refit {
     fn measure_components(&mut self, layout: &Layout) {
         let features = &mut self.next.features;
         for u in 0..layout.circles {
-            features.frequencies[u] = exp(features.scales[Layout::scale(u, super::layout::Scale::Frequency)]);
+            features.frequencies[u] = super::functions::exp(features.scales[Layout::scale(u, super::layout::Scale::Frequency)]);
         }
         features.mean_squares.fill(1e-6);
         for point in 0..self.evidence.len {
@@ -384,7 +388,7 @@ impl Refit {
         if counted > 0.0 {
             regression.lambda = libm::exp(total / counted).max(floor);
         }
-        self.next.features.scales[NOISE] = libm::log(regression.lambda);
+        self.next.features.scales[NOISE] = self.evidence.scale_of_noise(regression.lambda);
         let cost = (3 * len * len * regression.outputs) as u64;
         self.enter(Phase::Again);
         cost
@@ -439,7 +443,7 @@ impl Refit {
                 let noise = regression.evident_noise().unwrap_or(0.0).max(floor);
                 if noise > 2.0 * regression.lambda || noise < 0.2 * regression.lambda {
                     regression.lambda = noise;
-                    self.next.features.scales[NOISE] = libm::log(noise);
+                    self.next.features.scales[NOISE] = self.evidence.scale_of_noise(noise);
                     regression.forget(|| normal(rng));
                     self.enter(Phase::CatchUp);
                     return (1, false);

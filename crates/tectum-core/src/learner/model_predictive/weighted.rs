@@ -185,7 +185,8 @@ impl Weighted {
         hessian.fill(0.0);
         self.wave_curves(layout, features, places, hessian);
         self.unit_curves(layout, features, places, hessian);
-        for (row, &at) in places.iter().enumerate() {
+        let in_products = |at: usize| layout.units.iter().any(|unit| unit.at == at && unit.group.is_some());
+        for (row, &at) in places.iter().enumerate().filter(|(_, at)| in_products(**at)) {
             self.product_curves(layout, features, at, places, &mut hessian[row * places.len()..][..places.len()]);
         }
         value[0]

@@ -56,7 +56,8 @@ pub fn wrap(z: f64) -> f64 {
 #[derive(Debug, Clone)]
 pub struct WorldScratch {
     after: Vec<f64>,
-    dynamics: Vec<f64>,
+    /// Jacobian of the changes.
+    pub dynamics: Vec<f64>,
     gradient: Vec<f64>,
     small: Vec<f64>,
     copy: Vec<f64>,
@@ -116,6 +117,21 @@ impl LearnedWorld<'_> {
         }
         next[2 * n..2 * n + m].copy_from_slice(&q[self.places.state()..]);
         next[2 * n + m..].copy_from_slice(&q[2 * n..2 * n + m]);
+    }
+
+    /// The Jacobian of the changes at `q`, into the scratch memory.
+    pub fn dynamics_jacobian(&mut self, q: &[f64]) {
+        let mut d = [0.0; MAX_MODEL_OUTPUTS];
+        let Model { layout, fit, weighted, .. } = &mut *self.dynamics;
+        weighted.jacobian(layout, &fit.features, q, &mut d[..self.places.inputs], &mut self.scratch.dynamics);
+    }
+
+    /// The reward of a point, as if it were before or after the tick, whichever the model looks at.
+    pub fn reward_of(&mut self, q: &[f64]) -> f64 {
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
+        let mut reward = [0.0];
+        weighted.value(layout, &fit.features, q, &mut reward);
+        reward[0].min(self.cap)
     }
 
     /// The point at which the reward model looks.
