@@ -10,11 +10,11 @@ use rand::RngExt as _;
 
 use super::small_matrix::Matrix;
 use super::true_model::TrueModel;
-use tectum_core::angle::wrap_f64;
 use crate::plant::MAX_STATES;
 use crate::policy::Outputs;
 use crate::seed::{Rng, stream};
 use crate::wire::MAX_OUTPUTS;
+use tectum_core::angle::wrap_f64;
 
 /// Step of the finite differences, in units of a state and of the largest command.
 const STEP: f64 = 1e-4;

@@ -3,8 +3,8 @@
 use super::belief::{Belief, Verdict};
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
 use super::exploration::Noise;
-use super::layouts::{dynamics_layout, reward_layout};
 use super::layout::Places;
+use super::layouts::{dynamics_layout, reward_layout};
 use super::linalg::dot;
 use super::memory::{Changes, Entry, Lesson, Memory, Rewards};
 use super::model::{Model, ModelSize, normal};
@@ -243,7 +243,9 @@ impl ModelPredictive {
         }
         self.teaches = usable && !fresh && !flags.missed;
         self.boundary = flags.new_target;
-        self.last_reward = self.reward;
+        if self.reward.is_finite() {
+            self.last_reward = self.reward;
+        }
         self.reward = observed.reward;
     }
 
@@ -461,9 +463,7 @@ impl ModelPredictive {
 
     /// For a look at what was learned: evidence and noise of the models, scores.
     pub fn describe(&self) -> String {
-        let model = |m: &Model| {
-            format!("{:.1}/{:.1e}", m.refit.log_evidence, m.fit.regression.lambda)
-        };
+        let model = |m: &Model| format!("{:.1}/{:.1e}", m.refit.log_evidence, m.fit.regression.lambda);
         format!(
             "w {:.2?} dyn {} {} before {} after {} scores {:.2} {:.2} value {:.3} mu {:.1e} {:?}",
             self.rewards[self.better()].fit.features.frequencies,

@@ -33,7 +33,7 @@ pub struct Weighted {
 impl Weighted {
     /// For `outputs` outputs.
     pub fn new(layout: &Layout, features: &Features, outputs: usize) -> Self {
-        let (nodes, pairs) = (features.nodes.capacity(), features.pairs);
+        let (nodes, pairs) = (features.most_nodes, features.pairs);
         Self {
             outputs,
             len: features.len,
@@ -220,8 +220,8 @@ impl Weighted {
             if unit.circle {
                 let w = features.frequencies[u];
                 for c in unit.component..unit.component + 2 {
-                    let slope = self.by_component[c]
-                        + dot(&self.slopes[..pairs], &features.waves[c * pairs..(c + 1) * pairs]);
+                    let slope =
+                        self.by_component[c] + dot(&self.slopes[..pairs], &features.waves[c * pairs..(c + 1) * pairs]);
                     hessian[r * n + r] -= w * w * self.basis.e[c] * slope;
                 }
             } else {
