@@ -15,13 +15,17 @@ mod memory;
 mod model;
 mod planner;
 mod refit;
-mod rivals;
 mod regression;
+mod rivals;
 mod weighted;
 mod world;
 
 pub use agent::{Counts, ModelPredictive, Observed, TickFlags};
 pub use config::{InputRange, ModelPredictiveConfig, ModelPredictiveSpec};
 
+#[cfg(test)]
+mod agent_tests;
+#[cfg(test)]
+mod plan_tests;
 #[cfg(test)]
 mod tests;

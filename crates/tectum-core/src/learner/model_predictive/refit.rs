@@ -103,12 +103,14 @@ impl Refit {
     /// No refit yet.
     pub fn new(layout: &Layout, fit: &Fit, settings: RefitSettings) -> Self {
         let (len, outputs) = (fit.regression.len, fit.regression.outputs);
+        let mut next = fit.clone();
+        next.features.reserve(layout);
         Self {
             settings,
             phase: Phase::Idle,
             at: 0,
             range: [0; 2],
-            next: fit.clone(),
+            next,
             evidence: Evidence::new(layout, settings.points, outputs),
             matrix: vec![0.0; packed(len)],
             right: vec![0.0; len * outputs],
@@ -299,7 +301,8 @@ impl Refit {
     fn measure_components(&mut self, layout: &Layout) {
         let features = &mut self.next.features;
         for u in 0..layout.circles {
-            features.frequencies[u] = super::functions::exp(features.scales[Layout::scale(u, super::layout::Scale::Frequency)]);
+            features.frequencies[u] =
+                super::functions::exp(features.scales[Layout::scale(u, super::layout::Scale::Frequency)]);
         }
         features.mean_squares.fill(1e-6);
         for point in 0..self.evidence.len {
