@@ -70,10 +70,7 @@ impl EnergySwingUp {
         match self.swing {
             Swing::Pendulum => -energy(15.0) * sign(rate),
             Swing::CartPole => 0.15 * energy(14.3) * sign(rate * libm::cos(angle)) - 0.2 * state[0] - 0.1 * state[2],
-            Swing::Furuta => {
-                // Beside pumping, the arm is led back to its middle.
-                -0.02 * energy(114.0) * sign(rate * libm::cos(angle)) - 0.1 * state[0] - 0.02 * state[2]
-            }
+            Swing::Furuta => -0.02 * energy(114.0) * sign(rate * libm::cos(angle)),
         }
     }
 }

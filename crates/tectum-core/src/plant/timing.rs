@@ -249,7 +249,9 @@ mod tests {
             plant.advance(tick, &[1.0, 0.0]);
         }
         let before = inputs;
-        (10..14).for_each(|tick| drop(plant.advance(tick, &[1.0, 0.0])));
+        for tick in 10..14 {
+            plant.advance(tick, &[1.0, 0.0]);
+        }
         plant.sense(14, &mut inputs);
         assert!(inputs[2] > before[2], "what was sensed in tick 9 comes before tick 14");
     }
