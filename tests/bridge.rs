@@ -17,7 +17,7 @@ use tectum::servo::bridge::{Bridge, BridgeError, SafetyState, joints_of};
 use tectum::servo::bus::Bus;
 use tectum::servo::emulator::{EmulatedChain, EmulatedPort, SteppedClock};
 use tectum::servo::model::{Protocol, ServoModel};
-use tectum::wire::{Command, Learning, Observation, Vision, flag};
+use tectum::wire::{Command, Learning, MAX_OUTPUTS, Observation, Vision, flag};
 
 /// The plan of `scenarios/servo-emulated.toml` with this emulator, this number of ticks, and `change` applied to its
 /// text.
@@ -167,7 +167,7 @@ fn an_unarmed_bridge_reads_and_keeps_torque_off() {
     assert_eq!(bridge.state(), SafetyState::ReadOnly);
     assert!(torque.iter().all(|on| !on));
     for observation in &all[1..] {
-        assert_eq!(observation.applied, [0.0; 8]);
+        assert_eq!(observation.applied, [0.0; MAX_OUTPUTS]);
         assert_ne!(observation.header.flags & flag::UNARMED, 0);
     }
 }
@@ -246,12 +246,12 @@ fn vision_sets_the_target_and_a_blind_arm_stands_still() {
     assert_eq!(torque.iter().position(|on| *on), Some(1));
     assert!(torque[1..].iter().all(|on| *on));
     for observation in &all[103..=151] {
-        assert_eq!(observation.applied, [0.0; 8], "tick {}", observation.header.tick);
+        assert_eq!(observation.applied, [0.0; MAX_OUTPUTS], "tick {}", observation.header.tick);
         assert_eq!(observation.inputs[2..6], all[105].inputs[2..6], "tick {}", observation.header.tick);
         let seen = observation.header.tick > 150;
         assert!(seen || observation.reward == all[102].reward, "tick {}", observation.header.tick);
     }
-    assert!(all[90..102].iter().chain(&all[153..]).all(|observation| observation.applied != [0.0; 8]));
+    assert!(all[90..102].iter().chain(&all[153..]).all(|observation| observation.applied != [0.0; MAX_OUTPUTS]));
     drop(samples);
     assert_eq!(bridge.report.armed, 1);
 }
@@ -400,7 +400,7 @@ fn an_hour_of_mixed_faults_stays_within_limits() {
     for (observation, on) in all[1..].iter().zip(&torque) {
         let off = observation.header.flags & (flag::UNARMED | flag::TRIPPED) != 0;
         assert!(observation.applied.iter().all(|u| u.abs() <= most), "{:?}", observation.applied);
-        assert!(!off || observation.applied == [0.0; 8], "tick {}", observation.header.tick);
+        assert!(!off || observation.applied == [0.0; MAX_OUTPUTS], "tick {}", observation.header.tick);
         assert!(!(off && *on) || observation.header.flags & flag::BLIND != 0, "tick {}", observation.header.tick);
     }
     let with_torque = torque.iter().filter(|on| **on).count();

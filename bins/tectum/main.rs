@@ -6,6 +6,7 @@ mod compare;
 mod doctor;
 mod film;
 mod log;
+mod new;
 mod replay;
 mod reproduce;
 mod run;
@@ -47,6 +48,8 @@ enum Command {
     Run(run::Arguments),
     /// List the built-in scenarios, or print one to copy and change
     Scenario(scenario::Arguments),
+    /// Make a small project for a plant or a controller of your own, in Rust or in Python
+    New(new::Arguments),
     /// Run the paper's experiments again over several seeds, with the paper's figures and tables
     Reproduce(reproduce::Arguments),
     /// Analyse the movements in a run's log: isochrony, speed profiles, straightness, settling
@@ -71,6 +74,7 @@ fn main() -> ExitCode {
     match Arguments::parse().command {
         Command::Run(arguments) => run::main(&arguments),
         Command::Scenario(arguments) => scenario::main(&arguments),
+        Command::New(arguments) => new::main(&arguments),
         Command::Reproduce(arguments) => reproduce::main(&arguments),
         Command::Analyse(arguments) => analyse::main(&arguments),
         Command::Film(arguments) => film::main(&arguments),

@@ -8,7 +8,7 @@ use super::small_matrix::Matrix;
 use super::true_model::TrueModel;
 use crate::plant::{BodyConfig, MAX_STATES};
 use crate::policy::Outputs;
-use crate::wire::MAX_OUTPUTS;
+use tectum_core::MAX_OUTPUTS;
 use tectum_core::angle::wrap_f64;
 
 /// Step of the finite differences.

@@ -6,7 +6,11 @@
 
 use std::fmt::{self, Display};
 
-use toml::de::DeTable;
+use serde::Deserialize as _;
+use serde::de::DeserializeOwned;
+use toml::de::{DeTable, DeValue, Deserializer};
+
+use crate::programs::is_shipped_controller;
 
 use super::{
     Scenario,
@@ -165,6 +169,39 @@ fn one_line(message: &str) -> String {
     message.chars().map(clean).take(4 * MAX_QUOTE).collect::<String>().trim().to_owned()
 }
 
+/// Reads `table`, which stands under `key` in the scenario of `source`, as settings of type `T`.
+pub(super) fn read_table<T: DeserializeOwned>(
+    table: toml::Table,
+    key: &str,
+    source: &ScenarioSource,
+) -> Result<T, ScenarioError> {
+    // Written and read again, because serde's errors only tell the place of a value in a text.
+    let text = toml::to_string(&table).unwrap_or_default();
+    toml::from_str(&text).map_err(|error| {
+        let document = DeTable::parse(&text).ok();
+        let span = error.span().unwrap_or_default();
+        let inner = document.and_then(|document| key_at(document.get_ref(), &span)).unwrap_or_default();
+        let key = full_key(key, &inner);
+        let key = key.trim_end_matches('.').to_owned();
+        let place = FilePosition { file: source.name().to_owned(), line: source.line_of(&key) };
+        from_serde(error.message(), place, key)
+    })
+}
+
+/// Takes `[learner]` out of the tables of a scenario whose controller is another program, which reads it by itself.
+fn take_own_learner(document: &mut DeTable<'_>, text: &str) -> Option<toml::Table> {
+    let DeValue::Table(controller) = document.get("controller")?.get_ref() else { return None };
+    let DeValue::String(program) = controller.get("program")?.get_ref() else { return None };
+    if is_shipped_controller(program) || !matches!(document.get("learner")?.get_ref(), DeValue::Table(_)) {
+        return None;
+    }
+    document.remove("learner");
+    match text.parse::<toml::Table>().ok()?.remove("learner")? {
+        toml::Value::Table(table) => Some(table),
+        _ => None,
+    }
+}
+
 /// Parses a text into the scenario's tables.
 pub(super) fn tables(source: &ScenarioSource) -> Result<Scenario, ScenarioError> {
     let place =
@@ -178,11 +215,14 @@ pub(super) fn tables(source: &ScenarioSource) -> Result<Scenario, ScenarioError>
         let (value, expected) = ("a list".to_owned(), expected_in_toml("struct "));
         return Err(ScenarioError::WrongType { place: place(start), key, value, expected });
     }
-    toml::from_str(source.text()).map_err(|error| {
+    let mut read = document.clone();
+    let own_learner = take_own_learner(read.get_mut(), source.text());
+    let scenario = Scenario::deserialize(Deserializer::from(read)).map_err(|error| {
         let span = error.span().unwrap_or_default();
         let key = key_at(document.get_ref(), &span).unwrap_or_default();
         from_serde(error.message(), place(span.start), key)
-    })
+    })?;
+    Ok(Scenario { own_learner, ..scenario })
 }
 
 /// Translates serde's message about the value of `key`.

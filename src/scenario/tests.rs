@@ -297,10 +297,10 @@ fn texts() -> Vec<String> {
     other.plant = PlantConfig {
         program: "./rig".to_owned(),
         inputs: ["angle", "speed"]
-            .map(|name| SignalConfig { name: name.into(), unit: "".into(), min: -1.0, max: 2.0 })
+            .map(|name| SignalConfig { name: name.into(), unit: "".into(), min: -1.0, max: 2.0, wraps: None })
             .into(),
-        outputs: vec![SignalConfig { name: "torque".into(), unit: "Nm".into(), min: -0.1, max: 0.1 }],
-        measures: vec!["error".to_owned(), "current".to_owned()],
+        outputs: vec![SignalConfig { name: "torque".into(), unit: "Nm".into(), min: -0.1, max: 0.1, wraps: None }],
+        measures: vec!["error".into(), "current".into()],
         ..other.plant
     };
     other.plant.arm = None;

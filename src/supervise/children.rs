@@ -214,14 +214,14 @@ impl SpawnCommand {
     fn locate(plan: &Plan, role: Role) -> Result<Self, LaunchError> {
         let (name, arguments): (&str, &[String]) = match role {
             Role::Plant => (&plan.scenario.plant.program, &plan.scenario.plant.args),
-            Role::Controller => (programs::CONTROLLER, &[]),
+            Role::Controller => (&plan.scenario.controller.program, &plan.scenario.controller.args),
             Role::Logger => (programs::LOGGER, &[]),
         };
-        let program = find(name).ok_or_else(|| LaunchError::Start {
+        let program = programs::find(name).ok_or_else(|| LaunchError::Start {
             role: role.name(),
             program: name.to_owned(),
             cause: "no such program beside `tectum` or in PATH; build all of them with `cargo build --release`, \
-                    or name the plant's program by its path"
+                    or name your own program by its path"
                 .to_owned(),
         })?;
         Ok(Self { program, arguments: arguments.to_owned() })
@@ -238,14 +238,19 @@ fn collect(mut pipe: impl Read) -> String {
     String::from_utf8_lossy(&text).into_owned()
 }
 
-/// Locates a program: given by path, beside this program, or in `PATH`.
-fn find(name: &str) -> Option<PathBuf> {
-    if name.contains('/') {
-        return Some(PathBuf::from(name)).filter(|p| p.is_file());
+/// The last line of what a process wrote to its standard error, without the program's name, which the launcher's
+/// message states already. To an exception that Python itself printed (a module that is missing, an error of syntax),
+/// adds where it was raised.
+fn last_words(stderr: &str, role: &str) -> Option<String> {
+    let last = stderr.trim().lines().last()?;
+    let (before, rest) = last.split_once(": ").unwrap_or(("", last));
+    let raised = stderr.lines().rev().find_map(|line| line.trim_start().strip_prefix("File \""));
+    if let (true, Some(frame)) = (before.ends_with("Error") || before.ends_with("Exception"), raised) {
+        let (file, line) = frame.split_once("\", line ").unwrap_or((frame, ""));
+        let line = line.split(',').next().unwrap_or_default();
+        return Some(format!("{last}, at {file}:{line}; the traceback is in {role}.stderr in the run's folder"));
     }
-    let beside = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(name)));
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    beside.into_iter().chain(std::env::split_paths(&path).map(|folder| folder.join(name))).find(|p| p.is_file())
+    Some(rest.to_owned())
 }
 
 fn ended_early(role: Role, tick: u64, kind: DeathKind) -> ProcessDeath {
@@ -266,8 +271,7 @@ fn death_of(
     }
     let stderr = stderr.and_then(|collector| collector.join().ok()).unwrap_or_default();
     let name = role.name();
-    // A program's message begins with the program's name, which the launcher's message states already.
-    let last = stderr.trim().lines().last().map(|line| line.split_once(": ").map_or(line, |(_, rest)| rest));
+    let last = last_words(&stderr, name);
     let message = match (status.signal(), last) {
         (Some(signal), _) => format!("the {name} was killed by signal {signal} at tick {tick}"),
         (None, Some(line)) => format!("the {name} ended: {line}"),

@@ -8,6 +8,7 @@ use super::Launch;
 use super::children::ProcessFailure;
 use super::evaluation::evaluate;
 use super::history::{ends, history};
+use super::in_process::StudyResult;
 use super::learning_progress::{reached, rows};
 use super::restarts::RestartIncident;
 use super::supervisor::RunEnd;
@@ -15,8 +16,8 @@ use crate::clock::RealtimeReport;
 use crate::log;
 use crate::report::{self, ProgressRow, Reached, RunHistory};
 use crate::runtime::{
-    ControllerReport, InProcess, LoggerReport, Mode, PlantReport, PolicySnapshot, TickBudget, exit, read_realtime,
-    read_report, read_snapshots, remove_unwritten_reports,
+    ControllerReport, LoggerReport, Mode, PlantReport, PolicySnapshot, RunWarning, TickBudget, exit, judge,
+    read_realtime, read_report, read_snapshots, remove_unwritten_reports,
 };
 use crate::stats::{Percentiles, Window};
 use crate::text::thousands;
@@ -157,8 +158,8 @@ pub struct RunSummary {
     pub figure: Option<PathBuf>,
     /// What was made to go wrong, on purpose: `[faults]` of the scenario in words. Empty for a clean run.
     pub faults: Vec<String>,
-    /// What the scenario's settings make likely to go wrong, one sentence each.
-    pub warnings: Vec<String>,
+    /// What did not go well, or may be a mistake; of the scenario's settings first.
+    pub warnings: Vec<RunWarning>,
     /// What went wrong, one sentence; null where nothing did.
     pub failure: Option<String>,
     #[serde(skip)]
@@ -206,6 +207,7 @@ impl RunSummary {
         remove_unwritten_reports(folder);
         let mut summary = Self::new(launch, folder, ended, seconds);
         summary.add_plant(&plant);
+        summary.warnings.extend(judge(&launch.plan, &plant, controller.as_ref()));
         summary.add_controller(launch, controller, &read_snapshots(folder, &launch.plan));
         summary.restarts = incidents;
         let report = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
@@ -226,17 +228,18 @@ impl RunSummary {
         summary
     }
 
-    /// The summary of a run in one process, with the policies that were copied on the way.
+    /// The summary of a run in one process.
     pub(super) fn of_study(
         launch: &Launch,
         folder: &Path,
         ended: RunOutcome,
-        (result, snapshots): (InProcess, Vec<PolicySnapshot>),
+        result: StudyResult,
         seconds: f64,
     ) -> Self {
         let mut summary = Self::new(launch, folder, ended, seconds);
         summary.add_plant(&result.plant);
-        summary.add_controller(launch, Some(result.controller), &snapshots);
+        summary.warnings.extend(judge(&launch.plan, &result.plant, Some(&result.controller)));
+        summary.add_controller(launch, Some(result.controller), &result.snapshots);
         summary.conclude();
         summary
     }
@@ -255,7 +258,7 @@ impl RunSummary {
             folder: folder.to_owned(),
             log_every: scenario.log.every,
             faults: scenario.faults.in_words(),
-            warnings: launch.plan.warnings.clone(),
+            warnings: launch.plan.warnings.iter().map(|text| RunWarning::of_settings(text)).collect(),
             code: match ended {
                 RunOutcome::Complete => exit::OK,
                 RunOutcome::Signal(number) => exit::by_signal(number),
@@ -333,14 +336,10 @@ impl RunSummary {
     /// Adds what is wrong with a run that came to its end, draws the figure and leaves the summary in the
     /// run's folder.
     fn conclude(&mut self) {
-        if let Some(tick) = self.diverged_at {
-            self.complain(
-                exit::ERROR,
-                format!(
-                    "the learner diverged at tick {} and has learned nothing since; try smaller steps under [learner]",
-                    thousands(tick)
-                ),
-            );
+        let failures: Vec<String> =
+            self.warnings.iter().filter(|warning| warning.failure).map(|warning| warning.text.clone()).collect();
+        for text in failures {
+            self.complain(if self.diverged_at.is_some() { exit::ERROR } else { exit::PROCESS }, text);
         }
         if let Some(cause) = self.checkpoint_failure.take() {
             self.complain(exit::INPUT, format!("not all checkpoints were written: {cause}"));

@@ -132,8 +132,8 @@ pub const CASES: &[Case] = &[
     (OTHER, "unit = \"rad\"", "units = \"rad\"",
         "x.toml:6: unknown key \"plant.inputs[0].units\"; did you mean \"plant.inputs[0].unit\"?"),
     (ARM, "seed = 1", "source = 1",
-        "x.toml:3: unknown key \"source\"; the keys here are name, seed, period_ms, ticks, plant, encoder, policy, \
-         learner, gate, log, channels, restart, realtime, overrun and faults"),
+        "x.toml:3: unknown key \"source\"; the keys here are name, seed, period_ms, ticks, plant, controller, encoder, \
+         policy, learner, gate, log, channels, restart, realtime, overrun and faults"),
     (EYE, "retina = \"log-polar\"", "\"a\\nb\" = \"log-polar\"",
         "x.toml:8: unknown key \"plant.eye.a\\nb\"; the keys here are retina, distortion, spread and bonus"),
     (ARM, "name = \"arm\"", "",
@@ -212,8 +212,8 @@ pub const CASES: &[Case] = &[
     (ARM, "[policy]", "[policy]\nsigma.x = 1\n[x]",
         "x.toml:41: policy.sigma is a table or a date; give a number"),
     (ARM, "name = \"arm\"", "\"\" = \"arm\"",
-        "x.toml:2: unknown key \"\"; the keys here are name, seed, period_ms, ticks, plant, encoder, policy, \
-         learner, gate, log, channels, restart, realtime, overrun and faults"),
+        "x.toml:2: unknown key \"\"; the keys here are name, seed, period_ms, ticks, plant, controller, encoder, \
+         policy, learner, gate, log, channels, restart, realtime, overrun and faults"),
     (ARM, "name = \"arm\"", "name = \"\"",
         "x.toml:2: name is \"\"; give 1 to 32 characters out of letters, digits, - and _"),
     (ARM, "name = \"arm\"", "name = \"my arm\"",
@@ -237,6 +237,10 @@ pub const CASES: &[Case] = &[
         "x.toml:8: plant.program is \"rig\\0\"; give at most 4096 characters, none of them a zero character"),
     (ARM, "program = \"tectum-simulator\"", "args = [\"a\", \"b\\u0000\"]",
         "x.toml:8: plant.args[1] is \"b\\0\"; give at most 4096 characters, none of them a zero character"),
+    (ARM, "[policy]", "[controller]\nprogram = \"\"\n\n[policy]",
+        "x.toml:41: controller.program is \"\"; give the name or the path of a program"),
+    (ARM, "[policy]", "[controller]\nargs = [\"\\u0000\"]\n\n[policy]",
+        "x.toml:41: controller.args[0] is \"\\0\"; give at most 4096 characters, none of them a zero character"),
     (OTHER, "\"./rig\"", "\"/opt/tectum-simulator\"",
         "x.toml:4: plant has neither an arm nor an eye to simulate; add [plant.arm] or [plant.eye]"),
     (ARM, "[plant.arm]", "[plant.eye]\n[plant.arm]",

@@ -108,7 +108,8 @@ mod tests {
             rates in proptest::array::uniform8(-100.0_f64..100.0), at in proptest::array::uniform4(-4.0_f64..4.0),
         ) {
             let joints: Vec<_> = (0..4).map(|_| joint(1, 2048, [-2.0, 2.5])).collect();
-            let mut limited = rates;
+            let mut limited = [0.0; MAX_OUTPUTS];
+            limited[..8].copy_from_slice(&rates);
             limit(&joints, &at, 0.05, &mut limited);
             for (rate, at) in limited.iter().zip(at) {
                 prop_assert!(rate.abs() <= 6.0 + 1e-9);

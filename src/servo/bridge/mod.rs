@@ -43,11 +43,11 @@ use tectum_core::angle::wrap_f64;
 
 use super::bus::{Bus, BusBudget};
 use crate::plant::{Arm, JointState, Outcome, Plant};
-use crate::policy::Outputs;
+
 use crate::scenario::{Angles, JointConfig, Plan, ServosConfig};
 use crate::state::{Persist, StateVisitor};
 use crate::stats::{Percentiles, histogram};
-use crate::wire::{MAX_MEASURES, MAX_OUTPUTS, Vision, flag};
+use crate::wire::{MAX_MEASURES, MAX_OUTPUTS, OutputValues, Vision, flag};
 use vision::VisionInput;
 
 /// Ticks over which commands grow after torque came on, if the gate has no ramp.
@@ -79,7 +79,7 @@ pub struct Bridge {
     command_within: u64,
     safety: SafetyMachine,
     /// Largest command of each output.
-    max_command: Outputs,
+    max_command: OutputValues,
     /// Ticks over which commands grow to the largest one after torque came on.
     ramp: u32,
     /// Ticks since torque came on.
@@ -87,7 +87,7 @@ pub struct Bridge {
     /// Angles of the motors, rad.
     motors: [f64; MAX_OUTPUTS],
     /// Angles of the outputs, rad.
-    theta: Outputs,
+    theta: OutputValues,
     /// Positions of the motors, steps.
     raw: [i32; MAX_OUTPUTS],
     /// Whether the last read failed.

@@ -4,7 +4,7 @@ use super::candidate::Candidate;
 use super::levels::{Level, level};
 use crate::plant::BodyConfig;
 use crate::plant::task::{self, Task};
-use crate::scenario::{FilePosition, LearnerConfig, MapConfig, Plan, Rule, Scenario, ScenarioError};
+use crate::scenario::{FilePosition, LearnerConfig, MapConfig, PerAxis, Plan, Rule, Scenario, ScenarioError};
 use crate::study::StudyError;
 
 /// A task with all that a study of it needs.
@@ -118,7 +118,12 @@ fn maps(task: &Task) -> Vec<MapConfig> {
     let is_plane = signals.seen >= 2;
     let radius = |i: usize| (signals.inputs[i].max - signals.inputs[i].min) / 12.0;
     let name = |i: usize| signals.inputs[i].name.clone();
-    let map = |inputs: Vec<String>, radius: f64| MapConfig { inputs, units: Vec::new(), radius, ranges: Vec::new() };
+    let map = |inputs: Vec<String>, radius: f64| MapConfig {
+        inputs,
+        units: Vec::new(),
+        radius: PerAxis::All(radius),
+        ranges: Vec::new(),
+    };
     let plane = is_plane.then(|| map(vec![name(0), name(1)], 3.0 * radius(0)));
     let first = if is_plane { 2 } else { 0 };
     plane.into_iter().chain((first..signals.inputs.len()).map(|i| map(vec![name(i)], radius(i)))).collect()

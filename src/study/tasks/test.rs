@@ -68,7 +68,8 @@ pub(super) fn drive(
         let states = side.body_mut().state(&mut state);
         let fresh = tick == first || observation.header.flags & flag::NEW_TARGET != 0;
         command.header.tick = tick;
-        command.drawn = control(&TestView { observation: &observation, state: &state[..states], fresh });
+        let outputs = control(&TestView { observation: &observation, state: &state[..states], fresh });
+        command.drawn[..outputs.len()].copy_from_slice(&outputs);
         side.step(tick, Some(&command));
     }
     Some(TestScore { reward: reward / ticks as f64, end: end / trials.max(1) as f64 })

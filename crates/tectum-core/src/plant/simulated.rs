@@ -3,8 +3,9 @@
 use super::state_space::MAX_STATES;
 use super::timing::{Begin, Timing};
 use super::{
-    Arm, ArmConfig, CartPole, CartPoleConfig, Eye, EyeConfig, Furuta, FurutaConfig, JointState, Outcome, Pendulum,
-    PendulumConfig, Plant, PointMass, PointMassConfig, Reacher, ReacherConfig, So101, So101Config, TimingConfig,
+    Arm, ArmConfig, CartPole, CartPoleConfig, EpisodeEnd, Eye, EyeConfig, Furuta, FurutaConfig, JointState, Outcome,
+    Pendulum, PendulumConfig, Plant, PointMass, PointMassConfig, Reacher, ReacherConfig, So101, So101Config,
+    TimingConfig,
 };
 use crate::MAX_OUTPUTS;
 use crate::state::{Persist, StateVisitor};
@@ -188,6 +189,10 @@ impl Plant for SimulatedPlant {
         let reward = timing.reward(outcome.reward);
         self.timing = Some(timing);
         Outcome { reward, ..outcome }
+    }
+
+    fn episode_end(&self) -> Option<EpisodeEnd> {
+        self.body().episode_end()
     }
 
     fn joints(&self) -> Option<JointState> {

@@ -1,0 +1,529 @@
+//! The learner: acts from a plan that was made a tick ahead, and then learns and plans.
+
+use super::belief::{Belief, Verdict};
+use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
+use super::exploration::Noise;
+use super::layout::Places;
+use super::layouts::{dynamics_layout, reward_layout};
+use super::linalg::dot;
+use super::memory::{Changes, Entry, Lesson, Memory, Rewards};
+use super::model::{Model, ModelSize, normal};
+use super::planner::{Plan, Planner};
+use super::refit::RefitSettings;
+use super::rivals;
+use super::world::{CHANGE, LearnedWorld, Ranges, World, WorldScratch, wrap};
+use crate::seed::{Rng, stream};
+use crate::state::{Persist, StateVisitor};
+use crate::{MAX_INPUTS, MAX_OUTPUTS};
+
+/// What happened in the tick before.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct TickFlags {
+    /// Ticks were passed over, so that inputs and commands do not belong together.
+    pub missed: bool,
+    /// The command was limited.
+    pub limited: bool,
+    /// A new target or trial begins with this observation.
+    pub new_target: bool,
+    /// The episode ended, and this observation is the first of another.
+    pub terminated: bool,
+    /// The episode was cut off, and this observation is the first of another.
+    pub truncated: bool,
+}
+
+/// An observation.
+#[derive(Debug, Clone, Copy)]
+pub struct Observed<'a> {
+    /// The inputs, in their units.
+    pub inputs: &'a [f64],
+    /// The reward of the tick before.
+    pub reward: f64,
+    /// The command that was applied in the tick before.
+    pub applied: &'a [f64],
+    /// What happened.
+    pub flags: TickFlags,
+}
+
+/// What the guards did, and how well the models predict.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Counts {
+    /// Inputs that were not believed.
+    pub input_outliers: u64,
+    /// Rewards that were not believed.
+    pub reward_outliers: u64,
+    /// Alarms: the world seemed to have changed.
+    pub alarms: u64,
+    /// Rival plans that were adopted.
+    pub rivals: u64,
+    /// Ticks in which the command was at its limit.
+    pub clipped: u64,
+    /// Observations that were not finite.
+    pub unusable: u64,
+}
+
+/// The model-predictive learner.
+#[derive(Debug, Clone)]
+pub struct ModelPredictive {
+    config: ModelPredictiveConfig,
+    places: Places,
+    middle: Vec<f64>,
+    half: Vec<f64>,
+    limits: Vec<f64>,
+    sigma: Vec<f64>,
+    ranges: Ranges,
+    dynamics: Model,
+    rewards: [Model; 2],
+    scores: [f64; 2],
+    memory: Memory,
+    beliefs: Vec<Belief>,
+    reward_belief: Belief,
+    plan: Plan,
+    rival: Plan,
+    planner: Planner,
+    scratch: WorldScratch,
+    noise: Noise,
+    rng: Rng,
+    /// Number of observations.
+    tick: u64,
+    /// The state of the observation, and of the one before with its command.
+    state: Vec<f64>,
+    before: Vec<f64>,
+    /// Whether the transition from `before` to `state` may be learned.
+    teaches: bool,
+    /// Whether a new target or trial began with the observation.
+    boundary: bool,
+    reward: f64,
+    last_reward: f64,
+    best: f64,
+    worst: f64,
+    command: [f64; MAX_OUTPUTS],
+    next_refit: u64,
+    refits: u64,
+    changed_at: u64,
+    planned: bool,
+    /// Counts of guards.
+    pub counts: Counts,
+    after: Vec<f64>,
+    start: Vec<f64>,
+    apart: Vec<f64>,
+    rival_kind: u32,
+    /// Rivals of a tick.
+    rivals: usize,
+}
+
+impl ModelPredictive {
+    /// A learner that knows nothing.
+    pub fn new(spec: &ModelPredictiveSpec) -> Self {
+        let config = spec.config.clone();
+        let places = Places { inputs: spec.inputs.len(), commands: spec.limits.len() };
+        let (n, m) = (places.inputs, places.commands);
+        let mut rng = stream(spec.seed, "models");
+        let settings = RefitSettings {
+            points: config.points,
+            steps: config.steps,
+            step: 0.25,
+            width: 2.5,
+            noise_floor: config.noise_floor,
+            standardise: false,
+        };
+        let layout = dynamics_layout(places, &spec.inputs);
+        let size = ModelSize::within(&layout, n, config.dynamics_products, config.dynamics_features);
+        let dynamics = Model::new(layout, size, settings, &mut rng);
+        let layout = reward_layout(places, &spec.inputs);
+        let size = ModelSize::within(&layout, 1, config.reward_products, config.reward_features);
+        let settings = RefitSettings { standardise: true, ..settings };
+        let rewards = [0, 1].map(|_| Model::new(layout.clone(), size, settings, &mut rng));
+        let horizon = if config.horizon > 0 { config.horizon } else { (480 / places.len()).clamp(20, 40) };
+        let ends = |sign: f64| spec.inputs.iter().map(|_| sign).collect::<Vec<_>>();
+        Self {
+            middle: spec.inputs.iter().map(|r| 0.5 * (r.min + r.max)).collect(),
+            half: spec.inputs.iter().map(|r| 0.5 * (r.max - r.min)).collect(),
+            sigma: spec.sigma.iter().zip(&spec.limits).map(|(s, l)| s / l).collect(),
+            limits: spec.limits.clone(),
+            ranges: Ranges { wraps: spec.inputs.iter().map(|r| r.wraps).collect(), low: ends(-1.0), high: ends(1.0) },
+            memory: Memory::new(places, config.memory),
+            beliefs: vec![Belief::default(); n],
+            reward_belief: Belief::default(),
+            plan: Plan::new(places, horizon),
+            rival: Plan::new(places, horizon),
+            planner: Planner::new(places, horizon),
+            scratch: WorldScratch::new(places),
+            noise: Noise::new(spec.seed),
+            tick: 0,
+            state: vec![0.0; places.state()],
+            before: vec![0.0; places.len()],
+            teaches: false,
+            boundary: false,
+            reward: 0.0,
+            last_reward: 0.0,
+            best: f64::NEG_INFINITY,
+            worst: f64::INFINITY,
+            command: [0.0; MAX_OUTPUTS],
+            next_refit: 25,
+            refits: 0,
+            changed_at: 0,
+            planned: false,
+            counts: Counts::default(),
+            after: vec![0.0; places.len()],
+            start: vec![0.0; places.state()],
+            apart: vec![0.0; places.state()],
+            rival_kind: 0,
+            rivals: 1,
+            scores: [0.0; 2],
+            dynamics,
+            rewards,
+            rng,
+            places,
+            config,
+            // `m` commands
+        }
+        .checked(m)
+    }
+
+    fn checked(self, m: usize) -> Self {
+        assert!(m <= MAX_OUTPUTS && self.places.inputs <= MAX_INPUTS);
+        self
+    }
+
+    /// Answers an observation with a command, in its unit: `u* + K (x - x*)` and noise, within the limits.
+    pub fn act(&mut self, observed: &Observed, command: &mut [f64]) {
+        self.take_in(observed);
+        let (nx, m) = (self.places.state(), self.places.commands);
+        let warm_up = 20.max((1.2 * self.places.len() as f64) as u64);
+        let u = &mut self.command[..m];
+        if self.planned {
+            let world = Differences(&self.ranges, self.places);
+            world.difference(&self.state, self.plan.state(0), &mut self.apart);
+            for (j, u) in u.iter_mut().enumerate() {
+                let back = dot(&self.plan.gains[j * nx..(j + 1) * nx], &self.apart);
+                *u = (self.plan.commands[j] + back).clamp(-1.0, 1.0);
+            }
+            self.noise.add(&self.sigma, u);
+        } else {
+            self.noise.wander(&self.sigma, self.config.first_noise, 6, u);
+        }
+        let _ = warm_up;
+        let mut clipped = false;
+        for (j, u) in u.iter_mut().enumerate() {
+            clipped |= u.abs() >= 1.0;
+            *u = u.clamp(-1.0, 1.0);
+            command[j] = *u * self.limits[j];
+        }
+        self.counts.clipped += u64::from(clipped);
+        self.tick += 1;
+    }
+
+    /// Scales the observation, and makes the state that follows from it.
+    fn take_in(&mut self, observed: &Observed) {
+        let (n, m, nx) = (self.places.inputs, self.places.commands, self.places.state());
+        let usable = observed.inputs.iter().chain(observed.applied).all(|x| x.is_finite());
+        self.counts.unusable += u64::from(!usable);
+        // The state before, with the command that was applied.
+        self.before[..nx].copy_from_slice(&self.state);
+        for j in 0..m {
+            let u = if usable { observed.applied[j] / self.limits[j] } else { self.command[j] };
+            self.before[nx + j] = u.clamp(-1.0, 1.0);
+        }
+        let flags = observed.flags;
+        let fresh = self.tick == 0 || flags.terminated || flags.truncated;
+        for i in 0..n {
+            // An input that is not known is taken to be where the plan expected it.
+            let z = if usable { (observed.inputs[i] - self.middle[i]) / self.half[i] } else { self.plan.state(0)[i] };
+            let z = if self.ranges.wraps[i] { wrap(z) } else { z.clamp(-2.0, 2.0) };
+            let mut apart = z - self.state[i];
+            if self.ranges.wraps[i] {
+                apart = wrap(apart);
+            }
+            self.state[i] = z;
+            self.state[n + i] = if fresh || flags.missed { 0.0 } else { apart / CHANGE };
+        }
+        for j in 0..m {
+            self.state[2 * n + m + j] = self.before[2 * n + j];
+            self.state[2 * n + j] = self.before[nx + j];
+        }
+        self.teaches = usable && !fresh && !flags.missed;
+        self.boundary = flags.new_target;
+        self.last_reward = self.reward;
+        self.reward = observed.reward;
+    }
+
+    /// Learns from the last tick and plans the next command: a fixed amount of work, after the command has gone out.
+    pub fn improve(&mut self) {
+        if self.teaches {
+            self.learn();
+        }
+        self.refit();
+        if self.dynamics.refit.completed > 0 && self.rewards.iter().all(|r| r.refit.completed > 0) {
+            self.make_plan();
+        }
+    }
+
+    fn learn(&mut self) {
+        let n = self.places.inputs;
+        let mut changes = [0.0; MAX_INPUTS];
+        changes[..n].copy_from_slice(&self.state[n..2 * n]);
+        self.dynamics.observe(&self.before);
+        let mut lesson = Lesson::default();
+        self.after.copy_from_slice(&self.before);
+        self.after[..2 * n].copy_from_slice(&self.state[..2 * n]);
+        let mut alarm = false;
+        for i in 0..n {
+            let bit = 1 << i;
+            let z = self.state[i];
+            if !self.ranges.wraps[i] {
+                lesson.upper_end |= if z >= self.ranges.high[i] - 1e-6 { bit } else { 0 };
+                lesson.lower_end |= if z <= self.ranges.low[i] + 1e-6 { bit } else { 0 };
+            }
+            let error = lesson.heed(i, self.dynamics.error(i, changes[i]));
+            let surprise = if error == 0.0 { 0.0 } else { self.dynamics.surprise(i, changes[i]) };
+            if self.boundary {
+                // Neither a jump nor a new start is a movement.
+                lesson.missing |= bit;
+                if surprise >= 25.0 && error * error > 16.0 * self.beliefs[i].usual {
+                    self.after[n + i] = self.dynamics.predicted[i];
+                    self.after[i] = self.ranges.bring_in(i, self.before[i] + CHANGE * self.dynamics.predicted[i]);
+                    self.state[n + i] = 0.0;
+                }
+                continue;
+            }
+            match self.beliefs[i].judge(surprise, error, changes[i], 0.2) {
+                Verdict::Believed => {}
+                Verdict::Both => *self.memory.missing(self.memory.stored - 1) &= !bit,
+                Verdict::Outlier => {
+                    lesson.missing |= bit;
+                    self.counts.input_outliers += 1;
+                    // What the input would be without the jump.
+                    let d = self.dynamics.predicted[i];
+                    self.after[n + i] = d;
+                    self.after[i] = self.ranges.bring_in(i, self.before[i] + CHANGE * d);
+                    // The jump is not a movement that goes on.
+                    self.state[n + i] = d;
+                }
+            }
+            alarm |= self.beliefs[i].alarmed(12.0);
+        }
+        self.dynamics.learn(&changes[..n], lesson, &mut self.rng);
+        if alarm {
+            self.dynamics.fit.regression.doubt(0.2, || normal(&mut self.rng));
+            self.beliefs.iter_mut().for_each(Belief::calm);
+            self.alarm();
+        }
+        let rewarded = self.reward.is_finite() && self.learn_reward();
+        let entry = Entry {
+            before: &self.before,
+            after: &self.after,
+            changes: &changes[..n],
+            reward: if self.reward.is_finite() { self.reward } else { 0.0 },
+            lesson,
+            rewarded,
+        };
+        self.memory.push(&entry);
+    }
+
+    fn alarm(&mut self) {
+        self.counts.alarms += 1;
+        self.changed_at = self.memory.stored;
+        self.next_refit = self.next_refit.min(self.tick + 40);
+    }
+
+    /// Learns the reward of the last tick. Returns whether it was believed.
+    fn learn_reward(&mut self) -> bool {
+        let reward = self.reward;
+        if self.memory.stored == 0 {
+            for model in &mut self.rewards {
+                model.fit.center = reward;
+            }
+        }
+        let mut surprises = [0.0; 2];
+        for (k, model) in self.rewards.iter_mut().enumerate() {
+            model.observe(if k == 0 { &self.before } else { &self.after });
+            surprises[k] = model.surprise(0, reward);
+        }
+        let better = self.better();
+        let model = &self.rewards[better];
+        let error = model.error(0, reward) * model.fit.scale;
+        let change = reward - self.last_reward;
+        let verdict = self.reward_belief.judge(surprises[better], error, change, 0.1);
+        if verdict == Verdict::Outlier {
+            self.counts.reward_outliers += 1;
+            return false;
+        }
+        if verdict == Verdict::Both {
+            self.memory.set_rewarded(self.memory.stored - 1, true);
+        }
+        self.best = self.best.max(reward);
+        self.worst = self.worst.min(reward);
+        let alarm = self.reward_belief.alarmed(14.0);
+        for (k, model) in self.rewards.iter_mut().enumerate() {
+            let spread = model.nu * model.fit.regression.scale(0) * model.fit.scale * model.fit.scale;
+            let score = -0.5 * (surprises[k].min(100.0) + libm::log(spread));
+            self.scores[k] += 0.01_f64.max(1.0 / (self.tick as f64)) * (score - self.scores[k]);
+            model.learn(&[reward], Lesson::default(), &mut self.rng);
+            if alarm {
+                model.fit.regression.doubt(0.1, || normal(&mut self.rng));
+            }
+        }
+        if alarm {
+            self.reward_belief.calm();
+            self.alarm();
+        }
+        true
+    }
+
+    /// The reward model that predicts better: 0 before the tick, 1 after it.
+    fn better(&self) -> usize {
+        usize::from(self.scores[1] > self.scores[0])
+    }
+
+    /// Works on refits.
+    fn refit(&mut self) {
+        if self.tick >= self.next_refit && !self.dynamics.refit.busy() && !self.rewards.iter().any(|r| r.refit.busy()) {
+            self.dynamics.refit.begin();
+            // The reward model that predicts much worse is fitted anew in every third refit only.
+            let clear = (self.scores[1] - self.scores[0]).abs() > 0.5;
+            for (k, model) in self.rewards.iter_mut().enumerate() {
+                if k == usize::from(self.scores[1] > self.scores[0]) || !clear || self.refits % 3 == 0 {
+                    model.refit.begin();
+                }
+            }
+            self.refits += 1;
+            self.next_refit = self.tick + (0.35 * self.tick as f64).min(1000.0) as u64 + 5;
+        }
+        let mut left = (self.config.refit_operations * 1e6) as u64;
+        let better = self.better();
+        let (used, _) = self.dynamics.work(&Changes(&self.memory), left, &mut self.rng);
+        left = left.saturating_sub(used);
+        for k in [better, 1 - better] {
+            let data = Rewards { memory: &self.memory, after: k == 1 };
+            let (used, _) = self.rewards[k].work(&data, left, &mut self.rng);
+            left = left.saturating_sub(used);
+        }
+    }
+
+    fn make_plan(&mut self) {
+        let (n, nx, m) = (self.places.inputs, self.places.state(), self.places.commands);
+        let better = self.better();
+        self.dynamics.take(self.config.sampled);
+        let reward = &mut self.rewards[better];
+        reward.take(self.config.sampled);
+        self.scratch.active.clear();
+        let mut moving = 0;
+        for i in (0..n).filter(|&i| self.beliefs[i].usual > 1e-9) {
+            moving |= 1 << i;
+            self.scratch.active.extend([i, n + i]);
+        }
+        self.scratch.active.sort_unstable();
+        self.scratch.active.extend((0..m).map(|j| self.places.command(j, 0)));
+        let cap = (2.0 * self.best - self.worst - reward.fit.center) / reward.fit.scale;
+        let aim = (self.best - reward.fit.center) / reward.fit.scale * self.plan.horizon as f64;
+        let mut world = LearnedWorld {
+            places: self.places,
+            dynamics: &mut self.dynamics,
+            reward,
+            after: better == 1,
+            cap,
+            ranges: &self.ranges,
+            scratch: &mut self.scratch,
+        };
+        // The state after the command that has just gone out.
+        self.after[..nx].copy_from_slice(&self.state);
+        self.after[nx..].copy_from_slice(&self.command[..m]);
+        world.step(&self.after, &mut self.start);
+        self.plan.shift();
+        self.planner.roll_out(&mut world, &mut self.plan, &self.start);
+        for _ in 0..self.config.iterations {
+            self.planner.improve(&mut world, &mut self.plan);
+        }
+        for _ in 0..self.rivals {
+            self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
+            rivals::draw(
+                self.rival_kind,
+                &mut self.rng,
+                &mut world,
+                &self.memory,
+                moving,
+                &self.start,
+                &self.plan,
+                &mut self.rival,
+            );
+            self.planner.roll_out(&mut world, &mut self.rival, &self.start);
+            for _ in 0..self.config.rival_iterations {
+                self.planner.improve(&mut world, &mut self.rival);
+            }
+            let gap = (aim - self.plan.value).max(0.0);
+            if self.rival.value > self.plan.value + self.config.rival_gain * gap + 1e-9 {
+                self.counts.rivals += 1;
+                self.plan.copy_from(&self.rival);
+            }
+        }
+        self.planned = true;
+    }
+
+    /// For a look at what was learned: evidence and noise of the models, scores.
+    pub fn describe(&self) -> String {
+        let model = |m: &Model| format!("{:.1}/{:.1e}", m.refit.log_evidence, m.fit.regression.lambda);
+        format!(
+            "w {:.2?} dyn {} {} before {} after {} scores {:.2} {:.2} value {:.3} mu {:.1e} {:?}",
+            self.rewards[self.better()].fit.features.frequencies,
+            self.beliefs.iter().map(|b| format!("{:.1}/{:.1e}", b.level(), b.usual)).collect::<Vec<_>>().join(" "),
+            model(&self.dynamics),
+            model(&self.rewards[0]),
+            model(&self.rewards[1]),
+            self.scores[0],
+            self.scores[1],
+            self.plan.value,
+            self.plan.mu,
+            self.counts
+        )
+    }
+}
+
+/// Differences of states.
+struct Differences<'a>(&'a Ranges, Places);
+
+impl Differences<'_> {
+    fn difference(&self, a: &[f64], b: &[f64], out: &mut [f64]) {
+        for (i, ((a, b), out)) in a.iter().zip(b).zip(out).enumerate() {
+            *out = a - b;
+            if i < self.1.inputs && self.0.wraps[i] {
+                *out = wrap(*out);
+            }
+        }
+    }
+}
+
+impl Persist for ModelPredictive {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("dynamics", &mut self.dynamics);
+        let [before, after] = &mut self.rewards;
+        visitor.nested("reward_before", before);
+        visitor.nested("reward_after", after);
+        visitor.numbers("scores", &mut self.scores);
+        visitor.nested("memory", &mut self.memory);
+        for belief in &mut self.beliefs {
+            belief.visit(visitor);
+        }
+        self.reward_belief.visit(visitor);
+        visitor.nested("plan", &mut self.plan);
+        visitor.nested("noise", &mut self.noise);
+        visitor.nested("rng", &mut self.rng);
+        visitor.number("tick", &mut self.tick);
+        visitor.numbers("state", &mut self.state);
+        visitor.numbers("before", &mut self.before);
+        visitor.numbers("command", &mut self.command);
+        let mut numbers = [self.reward, self.last_reward, self.best, self.worst];
+        visitor.numbers("rewards", &mut numbers);
+        [self.reward, self.last_reward, self.best, self.worst] = numbers;
+        visitor.boolean("teaches", &mut self.teaches);
+        visitor.boolean("boundary", &mut self.boundary);
+        visitor.boolean("planned", &mut self.planned);
+        visitor.number("next_refit", &mut self.next_refit);
+        visitor.number("refits", &mut self.refits);
+        visitor.number("changed_at", &mut self.changed_at);
+        visitor.number("rival_kind", &mut self.rival_kind);
+        let Counts { input_outliers, reward_outliers, alarms, rivals, clipped, unusable } = &mut self.counts;
+        for count in [input_outliers, reward_outliers, alarms, rivals, clipped, unusable] {
+            visitor.number("counts", count);
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! Settings of the learner; the defaults are one preset for all tasks.
+
+use serde::{Deserialize, Serialize};
+
+/// `[learner.plan]`: the model-predictive learner.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ModelPredictiveConfig {
+    /// Length of a plan, ticks; 0 for one that follows from the number of inputs and commands.
+    pub horizon: usize,
+    /// Iterations of the plan in every tick.
+    pub iterations: usize,
+    /// Iterations of a rival plan in every tick.
+    pub rival_iterations: usize,
+    /// By which part the gap to the best reward must be smaller for a rival to be adopted.
+    pub rival_gain: f64,
+    /// Ticks that are remembered.
+    pub memory: usize,
+    /// Points of the evidence.
+    pub points: usize,
+    /// Adam steps of a refit.
+    pub steps: u64,
+    /// Features of the reward model, about.
+    pub reward_features: usize,
+    /// Features of the dynamics model, about.
+    pub dynamics_features: usize,
+    /// Most products of the reward model.
+    pub reward_products: usize,
+    /// Most products of the dynamics model.
+    pub dynamics_products: usize,
+    /// How far planning follows a sample of the posterior in place of its mean.
+    pub sampled: f64,
+    /// Factor of the exploration noise in the first ticks.
+    pub first_noise: f64,
+    /// Millions of operations that refits may take in a tick.
+    pub refit_operations: f64,
+    /// Least noise of a model, as a part of its prior's scale.
+    pub noise_floor: f64,
+}
+
+impl Default for ModelPredictiveConfig {
+    fn default() -> Self {
+        Self {
+            horizon: 0,
+            iterations: 2,
+            rival_iterations: 8,
+            rival_gain: 0.03,
+            memory: 2000,
+            points: 160,
+            steps: 15,
+            reward_features: 660,
+            dynamics_features: 400,
+            reward_products: 400,
+            dynamics_products: 100,
+            sampled: 0.5,
+            first_noise: 3.0,
+            refit_operations: 20.0,
+            noise_floor: 1e-7,
+        }
+    }
+}
+
+/// An input: its range, and whether its ends are the same.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InputRange {
+    /// Lower end.
+    pub min: f64,
+    /// Upper end.
+    pub max: f64,
+    /// Whether the input comes round, as an angle does.
+    pub wraps: bool,
+    /// Radians in one unit of the input, if it is known to be an angle: 1 for rad, pi / 180 for degrees. Without it
+    /// the learner finds out by itself whether the input acts through its sine and cosine, and with which period, and
+    /// needs more ticks for it.
+    pub radians: Option<f64>,
+}
+
+/// What the learner is built from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelPredictiveSpec {
+    /// The inputs; at most [`MAX_INPUTS`](crate::MAX_INPUTS).
+    pub inputs: Vec<InputRange>,
+    /// Largest magnitude of each command; at most [`MAX_OUTPUTS`](crate::MAX_OUTPUTS).
+    pub limits: Vec<f64>,
+    /// Standard deviation of the exploration noise of each command.
+    pub sigma: Vec<f64>,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Settings.
+    pub config: ModelPredictiveConfig,
+}

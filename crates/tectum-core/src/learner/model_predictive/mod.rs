@@ -1,0 +1,27 @@
+//! wip
+#![allow(missing_docs, dead_code, clippy::too_many_arguments, clippy::needless_range_loop)]
+mod agent;
+mod belief;
+mod box_qp;
+mod config;
+mod evidence;
+mod exploration;
+mod features;
+mod functions;
+mod layout;
+mod layouts;
+mod linalg;
+mod memory;
+mod model;
+mod planner;
+mod refit;
+mod rivals;
+mod regression;
+mod weighted;
+mod world;
+
+pub use agent::{Counts, ModelPredictive, Observed, TickFlags};
+pub use config::{InputRange, ModelPredictiveConfig, ModelPredictiveSpec};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,177 @@
+//! A learned model: features, the posterior of their weights, and the refit that renews both.
+
+use super::features::{Basis, Features};
+use super::layout::{Layout, NOISE};
+use super::memory::{Data, Lesson};
+use super::refit::{Refit, RefitSettings};
+use super::regression::Regression;
+use super::weighted::Weighted;
+use crate::seed::Rng;
+use crate::state::{Persist, StateVisitor};
+
+/// Most outputs of a model.
+pub const MAX_MODEL_OUTPUTS: usize = crate::MAX_INPUTS;
+
+/// What is fitted: exchanged as a whole when a refit is done.
+#[derive(Debug, Clone)]
+pub struct Fit {
+    /// The features.
+    pub features: Features,
+    /// The posterior.
+    pub regression: Regression,
+    /// Outputs are `(y - center) / scale`.
+    pub center: f64,
+    /// See `center`.
+    pub scale: f64,
+}
+
+/// A model of some outputs.
+#[derive(Debug, Clone)]
+pub struct Model {
+    /// What it looks at.
+    pub layout: Layout,
+    /// The fit that predicts.
+    pub fit: Fit,
+    /// The work on the next one.
+    pub refit: Refit,
+    /// The planner's function.
+    pub weighted: Weighted,
+    basis: Basis,
+    phi: Vec<f64>,
+    /// Predictions for the last point.
+    pub predicted: [f64; MAX_MODEL_OUTPUTS],
+    /// `nu` of the last point.
+    pub nu: f64,
+}
+
+/// Sizes of a model.
+#[derive(Debug, Clone, Copy)]
+pub struct ModelSize {
+    /// Outputs.
+    pub outputs: usize,
+    /// Fourier pairs.
+    pub pairs: usize,
+    /// Most products.
+    pub products: usize,
+}
+
+impl ModelSize {
+    /// As many products of `layout` as there are, at most `products`, and Fourier pairs, from 60 to 200, so that there
+    /// are about `features` features.
+    pub fn within(layout: &Layout, outputs: usize, products: usize, features: usize) -> Self {
+        let mut all = 1.0;
+        for group in &layout.groups {
+            let components = group.iter().map(|&u| if layout.units[u].circle { 2.0 } else { 1.0 }).sum::<f64>();
+            all *= 1.0 + components;
+        }
+        let single = 1 + layout.components;
+        let products = (f64::min(all, 1e6) as usize).saturating_sub(single).min(products);
+        let left = features.saturating_sub(products + single + layout.units.len());
+        Self { outputs, pairs: (left / 2).clamp(60, 200), products }
+    }
+}
+
+impl Model {
+    /// A model that knows nothing.
+    pub fn new(layout: Layout, size: ModelSize, settings: RefitSettings, rng: &mut Rng) -> Self {
+        let features = Features::new(&layout, size.pairs, size.products, || normal(rng));
+        let lambda = super::functions::exp(layout.prior[NOISE]);
+        let regression = Regression::new(features.len, size.outputs, lambda);
+        let mut fit = Fit { features, regression, center: 0.0, scale: 1.0 };
+        fit.regression.forget(|| normal(rng));
+        let weighted = Weighted::new(&layout, &fit.features, size.outputs);
+        let basis = Basis::new(&layout, &fit.features);
+        let phi = vec![0.0; fit.features.len];
+        let refit = Refit::new(&layout, &fit, settings);
+        Self { layout, fit, refit, weighted, basis, phi, predicted: [0.0; MAX_MODEL_OUTPUTS], nu: 1.0 }
+    }
+
+    /// Number of outputs.
+    pub fn outputs(&self) -> usize {
+        self.fit.regression.outputs
+    }
+
+    /// Predicts at `q` and prepares to learn there.
+    pub fn observe(&mut self, q: &[f64]) {
+        let outputs = self.outputs();
+        self.fit.features.evaluate(&self.layout, q, &mut self.basis, &mut self.phi);
+        self.fit.regression.predict(&self.phi, &mut self.predicted[..outputs]);
+        self.nu = self.fit.regression.prepare(&self.phi);
+    }
+
+    /// The observed `y` of an output less its prediction, in the fit's units.
+    pub fn error(&self, output: usize, y: f64) -> f64 {
+        (y - self.fit.center) / self.fit.scale - self.predicted[output]
+    }
+
+    /// The squared error of an output, divided by its predictive variance.
+    pub fn surprise(&self, output: usize, y: f64) -> f64 {
+        let error = self.error(output, y);
+        error * error / (self.nu * self.fit.regression.scale(output))
+    }
+
+    /// Learns the outputs at the point that was observed.
+    pub fn learn(&mut self, y: &[f64], lesson: Lesson, rng: &mut Rng) {
+        let mut errors = [0.0; MAX_MODEL_OUTPUTS];
+        for (j, error) in errors.iter_mut().enumerate().take(self.outputs()) {
+            *error = lesson.heed(j, self.error(j, y[j]));
+        }
+        let outputs = self.outputs();
+        self.fit.regression.update(&self.phi, &errors[..outputs], || normal(rng));
+    }
+
+    /// The planner's function from now on: the mean and a part of what the sample differs.
+    pub fn take(&mut self, part: f64) {
+        let Fit { features, regression, .. } = &self.fit;
+        self.weighted.take(&self.layout, features, regression, part);
+    }
+
+    /// Works on the refit with about `operations`. Returns how many it took, and whether a new fit is in use.
+    pub fn work(&mut self, data: &dyn Data, operations: u64, rng: &mut Rng) -> (u64, bool) {
+        let Self { layout, fit, refit, basis, phi, .. } = self;
+        let mut done = 0;
+        while done < operations && refit.busy() {
+            let (cost, finished) = refit.step(layout, fit, data, basis, phi, rng);
+            done += cost;
+            if finished {
+                return (done, true);
+            }
+        }
+        (done, false)
+    }
+}
+
+impl Lesson {
+    /// The error that counts: 0 where the output teaches nothing, or where a prediction went beyond the end at which
+    /// the input stopped.
+    pub fn heed(&self, output: usize, error: f64) -> f64 {
+        let bit = 1 << output;
+        let ignored = self.missing & bit != 0
+            || (self.upper_end & bit != 0 && error < 0.0)
+            || (self.lower_end & bit != 0 && error > 0.0);
+        if ignored { 0.0 } else { error }
+    }
+}
+
+/// A draw from the normal distribution.
+pub fn normal(rng: &mut Rng) -> f64 {
+    use rand_distr::{Distribution, StandardNormal};
+    StandardNormal.sample(rng)
+}
+
+impl Fit {
+    /// Passes on the state.
+    pub fn visit(&mut self, layout: &Layout, visitor: &mut dyn StateVisitor) {
+        self.features.visit_scales(layout, visitor);
+        self.regression.visit_state(visitor);
+        visitor.number("center", &mut self.center);
+        visitor.number("scale", &mut self.scale);
+    }
+}
+
+impl Persist for Model {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        self.fit.visit(&self.layout, visitor);
+        self.refit.visit(&self.layout, visitor);
+    }
+}

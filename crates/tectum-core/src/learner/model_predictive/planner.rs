@@ -1,0 +1,299 @@
+//! Control-limited iLQR: a plan of commands that maximises the sum of predicted rewards over a horizon.
+//!
+//! Tassa, Mansard & Todorov 2014 ("Control-limited differential dynamic programming"), with Gauss-Newton second
+//! derivatives of the dynamics and concave rewards. Backwards from the horizon, with `V` (nx x nx) and `v` (nx) of the
+//! next step, Jacobian `F` (nx x D) of the next state and gradient `g`, Hessian `H` of the reward by `q = [x, u]`:
+//!
+//! ```text
+//! Q_qq = H + Fᵀ V F,   Q_q = g + Fᵀ v
+//! du = argmin of 1/2 duᵀ (mu I - Q_uu) du - Q_uᵀ du  within the limits;   K = (mu I - Q_uu)⁻¹ Q_ux where free
+//! v = Q_x + Kᵀ Q_uu du + Kᵀ Q_u + Q_xu du,   V = Q_xx + Kᵀ Q_uu K + Kᵀ Q_ux + Q_xu K
+//! ```
+//!
+//! Then forwards with `u + a du + K (x_new - x)`, for a = 1, 1/2, .. until the sum of rewards rises.
+
+use super::box_qp;
+use super::layout::Places;
+use super::linalg::{add_scaled, dot};
+use super::world::World;
+use crate::MAX_OUTPUTS;
+use crate::state::{Persist, StateVisitor};
+
+/// A plan: states, commands, gains.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    places: Places,
+    /// Number of commands.
+    pub horizon: usize,
+    /// States, one more than commands.
+    pub states: Vec<f64>,
+    /// Commands.
+    pub commands: Vec<f64>,
+    /// Gains `K` (m x nx) of each step.
+    pub gains: Vec<f64>,
+    /// The sum of predicted rewards.
+    pub value: f64,
+    /// The regularisation `mu`.
+    pub mu: f64,
+}
+
+impl Plan {
+    /// Commands of 0.
+    pub fn new(places: Places, horizon: usize) -> Self {
+        let (nx, m) = (places.state(), places.commands);
+        Self {
+            places,
+            horizon,
+            states: vec![0.0; (horizon + 1) * nx],
+            commands: vec![0.0; horizon * m],
+            gains: vec![0.0; horizon * m * nx],
+            value: 0.0,
+            mu: 1e-3,
+        }
+    }
+
+    /// The state of a step.
+    pub fn state(&self, step: usize) -> &[f64] {
+        let nx = self.places.state();
+        &self.states[step * nx..(step + 1) * nx]
+    }
+
+    /// The command of a step.
+    pub fn command(&self, step: usize) -> &[f64] {
+        let m = self.places.commands;
+        &self.commands[step * m..(step + 1) * m]
+    }
+
+    /// Drops the first command and repeats the last.
+    pub fn shift(&mut self) {
+        let m = self.places.commands;
+        self.commands.copy_within(m.., 0);
+    }
+
+    /// Takes over another plan.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.states.copy_from_slice(&other.states);
+        self.commands.copy_from_slice(&other.commands);
+        self.gains.copy_from_slice(&other.gains);
+        self.value = other.value;
+        self.mu = other.mu;
+    }
+}
+
+impl Persist for Plan {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.numbers("states", &mut self.states);
+        visitor.numbers("commands", &mut self.commands);
+        visitor.numbers("gains", &mut self.gains);
+        visitor.number("value", &mut self.value);
+        visitor.number("mu", &mut self.mu);
+    }
+}
+
+/// Scratch memory of the optimisation.
+#[derive(Debug, Clone)]
+pub struct Planner {
+    places: Places,
+    trial: Plan,
+    steps: Vec<f64>,
+    jacobian: Vec<f64>,
+    gradient: Vec<f64>,
+    hessian: Vec<f64>,
+    product: Vec<f64>,
+    value: Vec<f64>,
+    slope: Vec<f64>,
+    next_value: Vec<f64>,
+    q: Vec<f64>,
+    apart: Vec<f64>,
+    /// Least and greatest command.
+    pub limit: f64,
+    /// Steps of the world that were evaluated, and expanded, since the beginning.
+    pub work: [u64; 2],
+}
+
+impl Planner {
+    /// For plans of `horizon` commands.
+    pub fn new(places: Places, horizon: usize) -> Self {
+        let (nx, m, width) = (places.state(), places.commands, places.len());
+        Self {
+            places,
+            trial: Plan::new(places, horizon),
+            steps: vec![0.0; horizon * m],
+            jacobian: vec![0.0; nx * width],
+            gradient: vec![0.0; width],
+            hessian: vec![0.0; width * width],
+            product: vec![0.0; nx * width],
+            value: vec![0.0; nx * nx],
+            slope: vec![0.0; nx],
+            next_value: vec![0.0; nx * nx],
+            q: vec![0.0; width],
+            apart: vec![0.0; nx],
+            limit: 1.0,
+            work: [0; 2],
+        }
+    }
+
+    /// Predicts states and rewards of a plan from `start`.
+    pub fn roll_out(&mut self, world: &mut dyn World, plan: &mut Plan, start: &[f64]) {
+        let (nx, m) = (self.places.state(), self.places.commands);
+        plan.states[..nx].copy_from_slice(start);
+        plan.value = 0.0;
+        for t in 0..plan.horizon {
+            let (done, rest) = plan.states.split_at_mut((t + 1) * nx);
+            self.q[..nx].copy_from_slice(&done[t * nx..]);
+            self.q[nx..].copy_from_slice(&plan.commands[t * m..(t + 1) * m]);
+            plan.value += world.step(&self.q, &mut rest[..nx]);
+        }
+        self.work[0] += plan.horizon as u64;
+    }
+
+    /// One iteration. Returns whether the plan became better.
+    pub fn improve(&mut self, world: &mut dyn World, plan: &mut Plan) -> bool {
+        self.backward(world, plan);
+        for size in [1.0, 0.5, 0.2, 0.05] {
+            self.forward(world, plan, size);
+            if self.trial.value > plan.value {
+                plan.states.copy_from_slice(&self.trial.states);
+                plan.commands.copy_from_slice(&self.trial.commands);
+                plan.value = self.trial.value;
+                plan.mu = (plan.mu * if size == 1.0 { 0.3 } else { 1.0 }).max(1e-6);
+                return true;
+            }
+        }
+        plan.mu = (plan.mu * 5.0).min(1e4);
+        false
+    }
+
+    fn forward(&mut self, world: &mut dyn World, plan: &Plan, size: f64) {
+        let (nx, m) = (self.places.state(), self.places.commands);
+        self.trial.states[..nx].copy_from_slice(&plan.states[..nx]);
+        self.trial.value = 0.0;
+        for t in 0..plan.horizon {
+            let (done, rest) = self.trial.states.split_at_mut((t + 1) * nx);
+            let state = &done[t * nx..];
+            world.difference(state, plan.state(t), &mut self.apart);
+            for j in 0..m {
+                let at = t * m + j;
+                let back = dot(&plan.gains[at * nx..(at + 1) * nx], &self.apart);
+                let u = plan.commands[at] + size * self.steps[at] + back;
+                self.trial.commands[at] = u.clamp(-self.limit, self.limit);
+            }
+            self.q[..nx].copy_from_slice(state);
+            self.q[nx..].copy_from_slice(&self.trial.commands[t * m..(t + 1) * m]);
+            self.trial.value += world.step(&self.q, &mut rest[..nx]);
+        }
+        self.work[0] += plan.horizon as u64;
+    }
+
+    fn backward(&mut self, world: &mut dyn World, plan: &mut Plan) {
+        let (nx, m) = (self.places.state(), self.places.commands);
+        self.value.fill(0.0);
+        self.slope.fill(0.0);
+        for t in (0..plan.horizon).rev() {
+            self.q[..nx].copy_from_slice(plan.state(t));
+            self.q[nx..].copy_from_slice(plan.command(t));
+            world.expand(&self.q, &mut self.jacobian, &mut self.gradient, &mut self.hessian);
+            self.back_up();
+            self.optimise_step(plan, t, m);
+            self.pass_value(plan, t);
+        }
+        self.work[1] += plan.horizon as u64;
+    }
+
+    /// `Q_q` and `Q_qq`, in place of the reward's gradient and Hessian.
+    fn back_up(&mut self) {
+        let (nx, width) = (self.places.state(), self.places.len());
+        self.product.fill(0.0);
+        for r in 0..nx {
+            for c in 0..nx {
+                let factor = self.value[r * nx + c];
+                if factor != 0.0 {
+                    let row = &self.jacobian[c * width..(c + 1) * width];
+                    add_scaled(&mut self.product[r * width..(r + 1) * width], factor, row);
+                }
+            }
+            add_scaled(&mut self.gradient, self.slope[r], &self.jacobian[r * width..(r + 1) * width]);
+        }
+        for r in 0..nx {
+            let product = &self.product[r * width..(r + 1) * width];
+            for at in 0..width {
+                let factor = self.jacobian[r * width + at];
+                if factor != 0.0 {
+                    add_scaled(&mut self.hessian[at * width..(at + 1) * width], factor, product);
+                }
+            }
+        }
+    }
+
+    /// Step and gain of command `t`.
+    fn optimise_step(&mut self, plan: &mut Plan, t: usize, m: usize) {
+        let (nx, width) = (self.places.state(), self.places.len());
+        let (mut h, mut g) = ([0.0; MAX_OUTPUTS * MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
+        let (mut low, mut high) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
+        let mut mu = plan.mu;
+        let gains = &mut plan.gains[t * m * nx..(t + 1) * m * nx];
+        gains.fill(0.0);
+        for _ in 0..20 {
+            for i in 0..m {
+                for j in 0..m {
+                    h[i * m + j] = -self.hessian[(nx + i) * width + nx + j];
+                }
+                h[i * m + i] += mu;
+                g[i] = -self.gradient[nx + i];
+                low[i] = -self.limit - plan.commands[t * m + i];
+                high[i] = self.limit - plan.commands[t * m + i];
+            }
+            let Some(solution) = box_qp::solve(&h[..m * m], &g[..m], &low[..m], &high[..m], &[0.0; MAX_OUTPUTS][..m])
+            else {
+                mu = 10.0 * mu + 1e-6;
+                continue;
+            };
+            self.steps[t * m..(t + 1) * m].copy_from_slice(&solution.x[..m]);
+            for x in 0..nx {
+                let mut column = [0.0; MAX_OUTPUTS];
+                let mut at = 0;
+                for i in (0..m).filter(|&i| solution.free[i]) {
+                    column[at] = self.hessian[(nx + i) * width + x];
+                    at += 1;
+                }
+                super::linalg::solve_lower(&solution.factor, &mut column[..at]);
+                super::linalg::solve_lower_transposed(&solution.factor, &mut column[..at]);
+                let mut at = 0;
+                for i in (0..m).filter(|&i| solution.free[i]) {
+                    gains[i * nx + x] = column[at];
+                    at += 1;
+                }
+            }
+            return;
+        }
+        self.steps[t * m..(t + 1) * m].fill(0.0);
+    }
+
+    /// `v` and `V` of step `t`.
+    fn pass_value(&mut self, plan: &Plan, t: usize) {
+        let (nx, m, width) = (self.places.state(), self.places.commands, self.places.len());
+        let gains = &plan.gains[t * m * nx..(t + 1) * m * nx];
+        let steps = &self.steps[t * m..(t + 1) * m];
+        for x in 0..nx {
+            self.slope[x] = self.gradient[x];
+            self.next_value[x * nx..(x + 1) * nx].copy_from_slice(&self.hessian[x * width..x * width + nx]);
+        }
+        for i in 0..m {
+            let row = &self.hessian[(nx + i) * width..(nx + i + 1) * width];
+            // Q_uu du + Q_u, and Q_uu K + Q_ux, of command i.
+            let pull = self.gradient[nx + i] + dot(&row[nx..], steps);
+            add_scaled(&mut self.slope, pull, &gains[i * nx..(i + 1) * nx]);
+            add_scaled(&mut self.slope, steps[i], &row[..nx]);
+            self.apart.copy_from_slice(&row[..nx]);
+            for j in 0..m {
+                add_scaled(&mut self.apart, row[nx + j], &gains[j * nx..(j + 1) * nx]);
+            }
+            for x in 0..nx {
+                let to = &mut self.next_value[x * nx..(x + 1) * nx];
+                add_scaled(to, gains[i * nx + x], &self.apart);
+                add_scaled(to, row[x], &gains[i * nx..(i + 1) * nx]);
+            }
+        }
+        std::mem::swap(&mut self.value, &mut self.next_value);
+    }
+}

@@ -1,0 +1,492 @@
+//! The refit of a model: new scales by evidence on some ticks, then new weights from all ticks, in slices.
+//!
+//! ```text
+//! points   160: the newest third, and others at random
+//! ascend   15 Adam steps on the evidence
+//! gather   A = sum phi phiᵀ, b_j = sum phi y_j over the memory
+//! solve    L Lᵀ = A + lambda I, w_j = A⁻¹ b_j; the noise lambda from the residuals, then once more
+//! invert   P = lambda (A + lambda I)⁻¹
+//! catch up the ticks since the beginning, by recursion
+//! ```
+//!
+//! The model in use goes on learning meanwhile. A slice is some rows or ticks; what it takes is counted in
+//! operations, so that the same ticks always end a refit in the same tick.
+
+use rand::RngExt as _;
+
+use super::evidence::Evidence;
+use super::features::Basis;
+use super::layout::{Layout, NOISE};
+use super::linalg::{
+    add_outer, add_scaled, cholesky_row, dot, invert_lower_row, invert_row, packed, solve_lower, solve_lower_transposed,
+};
+use super::memory::Data;
+use super::model::{Fit, MAX_MODEL_OUTPUTS, normal};
+use crate::seed::Rng;
+use crate::state::StateVisitor;
+
+/// How models are fitted anew.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RefitSettings {
+    /// Points of the evidence.
+    pub points: usize,
+    /// Adam steps.
+    pub steps: u64,
+    /// Size of a step.
+    pub step: f64,
+    /// Width of the prior of the scales' logarithms.
+    pub width: f64,
+    /// Least noise, as a part of the prior's scale.
+    pub noise_floor: f64,
+    /// Whether outputs are centred and scaled.
+    pub standardise: bool,
+}
+
+/// What is done next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    Idle,
+    Points,
+    Ascend,
+    Gather,
+    Factor,
+    Weigh,
+    Again,
+    InvertLower,
+    Invert,
+    CatchUp,
+}
+
+const PHASES: [Phase; 10] = [
+    Phase::Idle,
+    Phase::Points,
+    Phase::Ascend,
+    Phase::Gather,
+    Phase::Factor,
+    Phase::Weigh,
+    Phase::Again,
+    Phase::InvertLower,
+    Phase::Invert,
+    Phase::CatchUp,
+];
+
+/// A refit under way.
+#[derive(Debug, Clone)]
+pub struct Refit {
+    settings: RefitSettings,
+    phase: Phase,
+    /// Progress within the phase.
+    at: u64,
+    /// The ticks that are gathered.
+    range: [u64; 2],
+    /// Next fit; its covariance is where `A` is factored.
+    next: Fit,
+    evidence: Evidence,
+    matrix: Vec<f64>,
+    right: Vec<f64>,
+    squares: Vec<f64>,
+    gathered: f64,
+    /// Times that the noise was adapted.
+    rounds: u64,
+    // Scratch memory.
+    row: Vec<f64>,
+    q: Vec<f64>,
+    y: [f64; MAX_MODEL_OUTPUTS],
+    phi: Vec<f64>,
+    /// Number of refits that were completed.
+    pub completed: u64,
+    /// The evidence before the last step.
+    pub log_evidence: f64,
+}
+
+impl Refit {
+    /// No refit yet.
+    pub fn new(layout: &Layout, fit: &Fit, settings: RefitSettings) -> Self {
+        let (len, outputs) = (fit.regression.len, fit.regression.outputs);
+        Self {
+            settings,
+            phase: Phase::Idle,
+            at: 0,
+            range: [0; 2],
+            next: fit.clone(),
+            evidence: Evidence::new(layout, settings.points, outputs),
+            matrix: vec![0.0; packed(len)],
+            right: vec![0.0; len * outputs],
+            squares: vec![0.0; outputs],
+            gathered: 0.0,
+            rounds: 0,
+            row: vec![0.0; len],
+            q: vec![0.0; layout.width],
+            y: [0.0; MAX_MODEL_OUTPUTS],
+            phi: vec![0.0; len],
+            completed: 0,
+            log_evidence: 0.0,
+        }
+    }
+
+    /// Whether a refit is under way.
+    pub fn busy(&self) -> bool {
+        self.phase != Phase::Idle
+    }
+
+    /// Begins a refit, unless one is under way.
+    pub fn begin(&mut self) {
+        if !self.busy() {
+            self.enter(Phase::Points);
+        }
+    }
+
+    /// Gives up the refit under way.
+    pub fn abandon(&mut self) {
+        self.phase = Phase::Idle;
+    }
+
+    /// Adam steps: more where points are few.
+    fn steps(&self, layout: &Layout) -> u64 {
+        (150_000_000 / self.evidence.cost(layout).max(1)).clamp(self.settings.steps, 4 * self.settings.steps)
+    }
+
+    /// The least noise.
+    fn floor(&self) -> f64 {
+        self.settings.noise_floor * self.evidence.amplitude
+    }
+
+    fn enter(&mut self, phase: Phase) {
+        self.phase = phase;
+        self.at = 0;
+    }
+
+    /// One slice. Returns its operations, and whether `fit` is a new one now.
+    pub fn step(
+        &mut self,
+        layout: &Layout,
+        fit: &mut Fit,
+        data: &dyn Data,
+        basis: &mut Basis,
+        phi: &mut [f64],
+        rng: &mut Rng,
+    ) -> (u64, bool) {
+        let len = fit.regression.len;
+        let cost = match self.phase {
+            Phase::Idle => 0,
+            Phase::Points => self.choose_points(layout, fit, data, basis, phi, rng),
+            Phase::Ascend => self.ascend(layout, rng),
+            Phase::Gather => self.gather(layout, fit, data, basis, phi),
+            Phase::Factor | Phase::Again => self.factor(len),
+            Phase::Weigh => self.weigh(len),
+            Phase::InvertLower => self.invert_lower(len, rng),
+            Phase::Invert => self.invert(len),
+            Phase::CatchUp => return self.catch_up(layout, fit, data, basis, phi, rng),
+        };
+        (cost, false)
+    }
+
+    /// Reads a tick into `q` and `y`, with what it does not teach filled in by `fit`. Returns whether it teaches.
+    fn read(
+        &mut self,
+        layout: &Layout,
+        fit: &Fit,
+        data: &dyn Data,
+        tick: u64,
+        basis: &mut Basis,
+        phi: &mut [f64],
+    ) -> bool {
+        let outputs = fit.regression.outputs;
+        let Some(lesson) = data.get(tick, &mut self.q, &mut self.y[..outputs]) else { return false };
+        if lesson.missing | lesson.upper_end | lesson.lower_end != 0 {
+            fit.features.evaluate(layout, &self.q, basis, phi);
+            let mut predicted = [0.0; MAX_MODEL_OUTPUTS];
+            fit.regression.predict(phi, &mut predicted[..outputs]);
+            for j in 0..outputs {
+                let value = fit.center + fit.scale * predicted[j];
+                self.y[j] = value + lesson.heed(j, self.y[j] - value);
+            }
+        }
+        true
+    }
+
+    fn choose_points(
+        &mut self,
+        layout: &Layout,
+        fit: &Fit,
+        data: &dyn Data,
+        basis: &mut Basis,
+        phi: &mut [f64],
+        rng: &mut Rng,
+    ) -> u64 {
+        let (first, end) = data.range();
+        self.range = [first, end];
+        self.next.features.scales.copy_from_slice(&fit.features.scales);
+        self.evidence.restart(&fit.features.scales);
+        self.standardise(fit, data);
+        let wanted = self.settings.points.min((end - first) as usize);
+        let newest = (wanted / 3) as u64;
+        let outputs = fit.regression.outputs;
+        // The newest third; of the others as many as are needed, each with equal chance.
+        let (mut left, mut needed) = (end - first - newest, wanted as u64 - newest);
+        for tick in first..end {
+            let take = if tick >= end - newest {
+                true
+            } else {
+                let take = rng.random_range(0..left) < needed;
+                left -= 1;
+                needed -= u64::from(take);
+                take
+            };
+            if take && self.read(layout, fit, data, tick, basis, phi) {
+                for y in &mut self.y[..outputs] {
+                    *y = (*y - self.next.center) / self.next.scale;
+                }
+                self.evidence.push(&self.q, &self.y[..outputs]);
+            }
+        }
+        self.enter(if self.evidence.len < 8 { Phase::Idle } else { Phase::Ascend });
+        (wanted * fit.regression.len) as u64
+    }
+
+    /// Centre and scale of the outputs from now on.
+    fn standardise(&mut self, fit: &Fit, data: &dyn Data) {
+        (self.next.center, self.next.scale) = (0.0, 1.0);
+        if !self.settings.standardise {
+            return;
+        }
+        let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
+        let outputs = fit.regression.outputs;
+        for tick in self.range[0]..self.range[1] {
+            if data.get(tick, &mut self.q, &mut self.y[..outputs]).is_some() {
+                count += 1.0;
+                let y = self.y[0] - fit.center;
+                sum += y;
+                squares += y * y;
+            }
+        }
+        let mean = sum / f64::max(count, 1.0);
+        let variance = squares / f64::max(count, 1.0) - mean * mean;
+        self.next.center = fit.center + mean;
+        self.next.scale = if variance > 0.0 { variance.sqrt() } else { fit.scale };
+    }
+
+    fn ascend(&mut self, layout: &Layout, rng: &mut Rng) -> u64 {
+        let RefitSettings { width, step, noise_floor, .. } = self.settings;
+        match self.evidence.step(layout, width, step, noise_floor) {
+            Some(evidence) => self.log_evidence = evidence,
+            None => self.at = u64::MAX - 1,
+        }
+        self.at += 1;
+        if self.at >= self.steps(layout) {
+            self.next.features.scales.copy_from_slice(&self.evidence.scales);
+            self.measure_components(layout);
+            self.next.features.build(layout);
+            self.matrix.fill(0.0);
+            self.right.fill(0.0);
+            self.squares.fill(0.0);
+            self.gathered = 0.0;
+            self.rounds = 0;
+            self.next.regression.lambda = self.evidence.noise();
+            if 2 * (self.range[1] - self.range[0]) < 3 * self.row.len() as u64 {
+                // Few ticks: recursion takes fewer operations than a factor of the whole matrix.
+                self.next.regression.forget(|| normal(rng));
+                self.range[1] = self.range[0];
+                self.enter(Phase::CatchUp);
+            } else {
+                self.enter(Phase::Gather);
+            }
+        }
+        self.evidence.cost(layout)
+    }
+
+    /// Mean squares of the components over the points.
+    fn measure_components(&mut self, layout: &Layout) {
+        let features = &mut self.next.features;
+        for u in 0..layout.circles {
+            features.frequencies[u] = super::functions::exp(features.scales[Layout::scale(u, super::layout::Scale::Frequency)]);
+        }
+        features.mean_squares.fill(1e-6);
+        for point in 0..self.evidence.len {
+            self.evidence.point(point, &mut self.q);
+            let e = &mut self.row[..layout.components];
+            layout.components(&features.frequencies, &self.q, e, None);
+            for (to, e) in features.mean_squares.iter_mut().zip(e) {
+                *to += *e * *e / self.evidence.len as f64;
+            }
+        }
+    }
+
+    fn gather(&mut self, layout: &Layout, fit: &Fit, data: &dyn Data, basis: &mut Basis, phi: &mut [f64]) -> u64 {
+        let tick = self.range[0] + self.at;
+        self.at += 1;
+        if tick >= self.range[1] || tick < data.range().0 {
+            if tick >= self.range[1] {
+                self.enter(Phase::Factor);
+            }
+            return 1;
+        }
+        if !self.read(layout, fit, data, tick, basis, phi) {
+            return 1;
+        }
+        let outputs = fit.regression.outputs;
+        self.next.features.evaluate(layout, &self.q, basis, &mut self.phi);
+        add_outer(&mut self.matrix, 1.0, &self.phi);
+        for j in 0..outputs {
+            let y = (self.y[j] - self.next.center) / self.next.scale;
+            add_scaled(&mut self.right[j * self.phi.len()..][..self.phi.len()], y, &self.phi);
+            self.squares[j] += y * y;
+        }
+        self.gathered += 1.0;
+        (self.phi.len() * (self.phi.len() + 2 * outputs)) as u64
+    }
+
+    fn factor(&mut self, len: usize) -> u64 {
+        let r = self.at as usize;
+        let rows = packed(r)..packed(r + 1);
+        let factor = &mut self.next.regression.covariance;
+        factor[rows.clone()].copy_from_slice(&self.matrix[rows.clone()]);
+        factor[rows.end - 1] += self.next.regression.lambda;
+        self.at += 1;
+        if !cholesky_row(factor, r) {
+            // Rounding made it singular: more noise, from the beginning.
+            self.next.regression.lambda = 10.0 * self.next.regression.lambda + 1e-12;
+            self.at = 0;
+        } else if self.at as usize == len {
+            self.enter(if self.phase == Phase::Factor { Phase::Weigh } else { Phase::InvertLower });
+            if self.phase == Phase::InvertLower {
+                self.solve(len);
+            }
+        }
+        (r * r + 2 * r + 1) as u64
+    }
+
+    /// Weights, and the sums behind the scales.
+    fn solve(&mut self, len: usize) {
+        let regression = &mut self.next.regression;
+        for j in 0..regression.outputs {
+            let w = &mut regression.weights[j * len..(j + 1) * len];
+            let b = &self.right[j * len..(j + 1) * len];
+            w.copy_from_slice(b);
+            solve_lower(&regression.covariance, w);
+            solve_lower_transposed(&regression.covariance, w);
+            regression.squares[j] = ((self.squares[j] - dot(w, b)) / regression.lambda).max(0.0);
+        }
+        regression.count = self.gathered;
+    }
+
+    /// Solves, and adapts the noise to the residuals.
+    fn weigh(&mut self, len: usize) -> u64 {
+        self.solve(len);
+        let floor = self.floor();
+        let regression = &mut self.next.regression;
+        let (mut total, mut counted) = (0.0, 0.0);
+        for j in 0..regression.outputs {
+            let w = &regression.weights[j * len..(j + 1) * len];
+            if !regression.moves(j) {
+                continue;
+            }
+            let residuals = (regression.squares[j] - dot(w, w)).max(0.0) * regression.lambda;
+            total += libm::log(residuals / (regression.scale(j) * self.gathered) + 1e-12);
+            counted += 1.0;
+        }
+        if counted > 0.0 {
+            regression.lambda = libm::exp(total / counted).max(floor);
+        }
+        self.next.features.scales[NOISE] = self.evidence.scale_of_noise(regression.lambda);
+        let cost = (3 * len * len * regression.outputs) as u64;
+        self.enter(Phase::Again);
+        cost
+    }
+
+    fn invert_lower(&mut self, len: usize, rng: &mut Rng) -> u64 {
+        let r = self.at as usize;
+        let regression = &mut self.next.regression;
+        if r == 0 {
+            let root = regression.lambda.sqrt();
+            regression.deviation.iter_mut().for_each(|w| *w = root * normal(rng));
+            for deviation in regression.deviation.chunks_exact_mut(len) {
+                solve_lower_transposed(&regression.covariance, deviation);
+            }
+        }
+        invert_lower_row(&mut regression.covariance, r, &mut self.row);
+        self.at += 1;
+        if self.at as usize == len {
+            self.enter(Phase::Invert);
+        }
+        (r * r + 2 * r + 1) as u64
+    }
+
+    fn invert(&mut self, len: usize) -> u64 {
+        let r = self.at as usize;
+        let regression = &mut self.next.regression;
+        invert_row(&mut regression.covariance, len, r, regression.lambda, &mut self.row);
+        self.at += 1;
+        if self.at as usize == len {
+            self.enter(Phase::CatchUp);
+        }
+        (2 * (len - r) * (r + 1)) as u64
+    }
+
+    fn catch_up(
+        &mut self,
+        layout: &Layout,
+        fit: &mut Fit,
+        data: &dyn Data,
+        basis: &mut Basis,
+        phi: &mut [f64],
+        rng: &mut Rng,
+    ) -> (u64, bool) {
+        let tick = self.range[1] + self.at;
+        self.at += 1;
+        if tick >= data.range().1 {
+            if self.range[0] == self.range[1] && self.rounds == 0 {
+                // Recursion from the beginning; once more if the noise turns out to be another.
+                self.rounds = 1;
+                let floor = self.floor();
+                let regression = &mut self.next.regression;
+                let noise = regression.evident_noise().unwrap_or(0.0).max(floor);
+                if noise > 2.0 * regression.lambda || noise < 0.2 * regression.lambda {
+                    regression.lambda = noise;
+                    self.next.features.scales[NOISE] = self.evidence.scale_of_noise(noise);
+                    regression.forget(|| normal(rng));
+                    self.enter(Phase::CatchUp);
+                    return (1, false);
+                }
+            }
+            std::mem::swap(fit, &mut self.next);
+            self.completed += 1;
+            self.enter(Phase::Idle);
+            return (1, true);
+        }
+        if !self.read(layout, fit, data, tick, basis, phi) {
+            return (1, false);
+        }
+        let outputs = fit.regression.outputs;
+        let mut errors = [0.0; MAX_MODEL_OUTPUTS];
+        self.next.features.evaluate(layout, &self.q, basis, &mut self.phi);
+        let regression = &mut self.next.regression;
+        regression.predict(&self.phi, &mut errors[..outputs]);
+        for (error, y) in errors[..outputs].iter_mut().zip(&self.y) {
+            *error = (y - self.next.center) / self.next.scale - *error;
+        }
+        regression.prepare(&self.phi);
+        regression.update(&self.phi, &errors[..outputs], || normal(rng));
+        (regression.cost(), false)
+    }
+
+    /// Passes on the state.
+    pub fn visit(&mut self, layout: &Layout, visitor: &mut dyn StateVisitor) {
+        let mut phase = PHASES.iter().position(|p| *p == self.phase).unwrap_or(0) as u32;
+        visitor.number("phase", &mut phase);
+        self.phase = PHASES.get(phase as usize).copied().unwrap_or(Phase::Idle);
+        visitor.number("at", &mut self.at);
+        visitor.numbers("range", &mut self.range);
+        visitor.enter("next");
+        self.next.visit(layout, visitor);
+        visitor.leave();
+        visitor.nested("evidence", &mut self.evidence);
+        visitor.numbers("matrix", &mut self.matrix);
+        visitor.numbers("right", &mut self.right);
+        visitor.numbers("squares", &mut self.squares);
+        visitor.number("gathered", &mut self.gathered);
+        visitor.number("rounds", &mut self.rounds);
+        visitor.number("completed", &mut self.completed);
+        visitor.number("log_evidence", &mut self.log_evidence);
+    }
+}

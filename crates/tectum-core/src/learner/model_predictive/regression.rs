@@ -1,0 +1,163 @@
+//! Bayesian linear regression by recursive least squares.
+//!
+//! For features `phi` (F) and outputs `y_j = w_jᵀ phi + noise` with `w_j ~ N(0, s_j I)` and noise of variance `lambda
+//! s_j`, the posterior after some data is `N(w_j, s_j P)` with one `P` (F x F, packed) for all outputs (Bishop 2006,
+//! 3.3; recursion: Ljung 1999, 11.2):
+//!
+//! ```text
+//! nu = lambda + phiᵀ P phi,   g = P phi / nu,   w_j += g (y_j - w_jᵀ phi),   P -= nu g gᵀ
+//! s_j = (sum of (y_j - w_jᵀ phi)^2 / nu, each before its update) / (number of data)
+//! ```
+//!
+//! Besides the mean, one sample of the posterior is carried along with the same gain, for exploration: it sees the
+//! outputs with noise drawn for it (Matheron's rule). What is kept is its deviation from the mean over `sqrt s_j`,
+//! `delta_j -= g (phiᵀ delta_j + sqrt lambda epsilon)`.
+
+use super::linalg::{add_outer, add_scaled, dot, multiply_symmetric, packed};
+use crate::state::{Persist, StateVisitor};
+
+/// The posterior of the weights of all outputs of a model.
+#[derive(Debug, Clone)]
+pub struct Regression {
+    /// Number of features.
+    pub len: usize,
+    /// Number of outputs.
+    pub outputs: usize,
+    /// Noise as a part of the prior's scale.
+    pub lambda: f64,
+    /// `P`, packed.
+    pub covariance: Vec<f64>,
+    /// Mean weights, by output, then feature.
+    pub weights: Vec<f64>,
+    /// Deviation of the sample of the weights, over the root of the output's scale.
+    pub deviation: Vec<f64>,
+    /// Sum of the normalised squared errors of each output, and their number.
+    pub squares: Vec<f64>,
+    /// Number of data behind `squares`.
+    pub count: f64,
+    /// `P phi` of the last point.
+    gain: Vec<f64>,
+    nu: f64,
+}
+
+impl Regression {
+    /// The prior.
+    pub fn new(len: usize, outputs: usize, lambda: f64) -> Self {
+        let mut regression = Self {
+            len,
+            outputs,
+            lambda,
+            covariance: vec![0.0; packed(len)],
+            weights: vec![0.0; len * outputs],
+            deviation: vec![0.0; len * outputs],
+            squares: vec![0.0; outputs],
+            count: 0.0,
+            gain: vec![0.0; len],
+            nu: 1.0,
+        };
+        for r in 0..len {
+            regression.covariance[packed(r) + r] = 1.0;
+        }
+        regression
+    }
+
+    /// Back to the prior; `normal` draws the sample.
+    pub fn forget(&mut self, mut normal: impl FnMut() -> f64) {
+        self.covariance.fill(0.0);
+        for r in 0..self.len {
+            self.covariance[packed(r) + r] = 1.0;
+        }
+        self.weights.fill(0.0);
+        self.deviation.iter_mut().for_each(|w| *w = normal());
+        self.squares.fill(0.0);
+        self.count = 0.0;
+    }
+
+    /// The predictions of all outputs.
+    pub fn predict(&self, phi: &[f64], out: &mut [f64]) {
+        for (y, w) in out.iter_mut().zip(self.weights.chunks_exact(self.len)) {
+            *y = dot(w, phi);
+        }
+    }
+
+    /// The scale `s_j` of an output.
+    pub fn scale(&self, output: usize) -> f64 {
+        ((self.squares[output] + 1e-12) / (self.count + 1.0)).max(1e-14)
+    }
+
+    /// Whether an output has ever differed from 0 by more than rounding.
+    pub fn moves(&self, output: usize) -> bool {
+        self.scale(output) > 1e-9
+    }
+
+    /// Prepares an update with `phi`: the gain, and the returned `nu`, by which `scale` is the predictive variance.
+    pub fn prepare(&mut self, phi: &[f64]) -> f64 {
+        multiply_symmetric(&self.covariance, phi, &mut self.gain);
+        self.nu = self.lambda + dot(phi, &self.gain).max(0.0);
+        self.nu
+    }
+
+    /// Updates with the point that was prepared; `errors` are the outputs less their predictions, 0 for an output
+    /// that teaches nothing. `normal` draws for the sample.
+    pub fn update(&mut self, phi: &[f64], errors: &[f64], mut normal: impl FnMut() -> f64) {
+        let nu = self.nu;
+        for (j, error) in errors.iter().enumerate() {
+            let w = &mut self.weights[j * self.len..(j + 1) * self.len];
+            add_scaled(w, error / nu, &self.gain);
+            let deviation = &mut self.deviation[j * self.len..(j + 1) * self.len];
+            let apart = dot(deviation, phi) + self.lambda.sqrt() * normal();
+            add_scaled(deviation, -apart / nu, &self.gain);
+            self.squares[j] += error * error / nu;
+        }
+        self.count += 1.0;
+        add_outer(&mut self.covariance, -1.0 / nu, &self.gain);
+    }
+
+    /// The noise that explains the residuals (MacKay 1992): with `gamma = F - tr P` weights that the data determine,
+    /// `lambda = (sum of squared residuals / (N - gamma)) / (|w|^2 / gamma)`, as the geometric mean over
+    /// the outputs that move.
+    pub fn evident_noise(&self) -> Option<f64> {
+        let mut determined = self.len as f64;
+        for r in 0..self.len {
+            determined -= self.covariance[packed(r) + r].min(1.0);
+        }
+        let free = (self.count - determined).max(0.05 * self.count);
+        let (mut sum, mut counted) = (0.0, 0.0);
+        for j in 0..self.outputs {
+            let w = &self.weights[j * self.len..(j + 1) * self.len];
+            let square = dot(w, w);
+            if self.moves(j) && square > 0.0 {
+                let residuals = self.lambda * (self.squares[j] - square).max(0.0);
+                sum += libm::log(residuals / free / square * determined + 1e-12);
+                counted += 1.0;
+            }
+        }
+        (counted > 0.0).then(|| libm::exp(sum / counted))
+    }
+
+    /// Operations of one update.
+    pub fn cost(&self) -> u64 {
+        (4 * self.len * self.len + 8 * self.len * self.outputs) as u64
+    }
+
+    /// Makes the posterior less certain: `P <- (1 - part) P + part I`.
+    pub fn doubt(&mut self, part: f64, mut normal: impl FnMut() -> f64) {
+        let (kept, new) = ((1.0 - part).sqrt(), part.sqrt());
+        self.deviation.iter_mut().for_each(|w| *w = kept * *w + new * normal());
+        self.covariance.iter_mut().for_each(|p| *p *= 1.0 - part);
+        for r in 0..self.len {
+            self.covariance[packed(r) + r] += part;
+        }
+    }
+}
+
+impl Persist for Regression {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.number("lambda", &mut self.lambda);
+        visitor.numbers("covariance", &mut self.covariance);
+        visitor.numbers("weights", &mut self.weights);
+        visitor.numbers("deviation", &mut self.deviation);
+        visitor.numbers("squares", &mut self.squares);
+        visitor.number("count", &mut self.count);
+    }
+}

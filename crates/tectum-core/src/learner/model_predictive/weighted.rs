@@ -1,0 +1,266 @@
+//! A model's mean as a function of `q`, with the derivatives that the planner needs.
+//!
+//! For outputs `y_j(q) = w_jᵀ phi(q)`: values (O), the Jacobian `dy / dq` (O x D), and for a single output the Hessian
+//! over chosen places of `q`. Products are differentiated backwards through their tree; their Hessian is the forward
+//! derivative of that (Griewank & Walther 2008).
+
+use super::features::{Basis, Features, has_feature, parent};
+use super::layout::Layout;
+use super::linalg::{add_scaled, dot};
+use super::regression::Regression;
+
+/// A model's weights, times the amplitudes of the features.
+#[derive(Debug, Clone)]
+pub struct Weighted {
+    outputs: usize,
+    len: usize,
+    /// By output, then feature.
+    pub weights: Vec<f64>,
+    /// Weights of the nodes of the products, by node, then output.
+    nodes: Vec<f64>,
+    basis: Basis,
+    // Scratch memory of derivatives.
+    projected: Vec<f64>,
+    slopes: Vec<f64>,
+    curves: Vec<f64>,
+    adjoint: Vec<f64>,
+    along: Vec<f64>,
+    along_adjoint: Vec<f64>,
+    by_component: Vec<f64>,
+    row: Vec<f64>,
+}
+
+impl Weighted {
+    /// For `outputs` outputs.
+    pub fn new(layout: &Layout, features: &Features, outputs: usize) -> Self {
+        let (nodes, pairs) = (features.nodes.capacity(), features.pairs);
+        Self {
+            outputs,
+            len: features.len,
+            weights: vec![0.0; outputs * features.len],
+            nodes: vec![0.0; outputs * nodes],
+            basis: Basis::new(layout, features),
+            projected: vec![0.0; layout.width * pairs],
+            slopes: vec![0.0; outputs * pairs],
+            curves: vec![0.0; pairs],
+            adjoint: vec![0.0; outputs * nodes],
+            along: vec![0.0; nodes],
+            along_adjoint: vec![0.0; nodes],
+            by_component: vec![0.0; outputs.max(2) * layout.components],
+            row: vec![0.0; pairs],
+        }
+    }
+
+    /// Takes the weights `mean + part (sample - mean)` of a posterior.
+    pub fn take(&mut self, layout: &Layout, features: &Features, posterior: &Regression, part: f64) {
+        for j in 0..self.outputs {
+            let at = j * self.len;
+            let part = part * posterior.scale(j).sqrt();
+            for k in 0..self.len {
+                let w = posterior.weights[at + k] + part * posterior.deviation[at + k];
+                self.weights[at + k] = w * features.amplitudes[k];
+            }
+        }
+        let products = features.parts(layout).products;
+        for (k, node) in features.nodes.iter().enumerate() {
+            for j in 0..self.outputs {
+                let weight = has_feature(node).map_or(0.0, |f| self.weights[j * self.len + products + f]);
+                self.nodes[k * self.outputs + j] = weight;
+            }
+        }
+    }
+
+    /// The values of all outputs at `q`.
+    pub fn value(&mut self, layout: &Layout, features: &Features, q: &[f64], out: &mut [f64]) {
+        self.basis.evaluate(layout, features, q);
+        self.value_of_basis(layout, features, out);
+    }
+
+    fn value_of_basis(&self, layout: &Layout, features: &Features, out: &mut [f64]) {
+        let parts = features.parts(layout);
+        let (basis, pairs) = (&self.basis, features.pairs);
+        for (j, y) in out.iter_mut().enumerate() {
+            let w = &self.weights[j * self.len..(j + 1) * self.len];
+            let mut sum = w[0] + dot(&w[1..parts.squares], &basis.e);
+            for (c, unit) in w[parts.squares..parts.waves].iter().zip(&layout.units) {
+                sum += c * basis.e[unit.component] * basis.e[unit.component];
+            }
+            sum += dot(&w[parts.waves..parts.waves + pairs], &basis.cosines);
+            sum += dot(&w[parts.waves + pairs..parts.products], &basis.sines);
+            *y = sum;
+        }
+        for k in 0..features.nodes.len() {
+            add_scaled(out, basis.nodes[k], &self.nodes[k * self.outputs..(k + 1) * self.outputs]);
+        }
+    }
+
+    /// Values and Jacobian (by output, then place of `q`) at `q`.
+    pub fn jacobian(&mut self, layout: &Layout, features: &Features, q: &[f64], out: &mut [f64], jacobian: &mut [f64]) {
+        self.value(layout, features, q, out);
+        jacobian.fill(0.0);
+        self.project(layout, features);
+        self.wave_slopes(layout, features);
+        self.component_slopes(layout, features);
+        let (pairs, width) = (features.pairs, layout.width);
+        for j in 0..self.outputs {
+            let row = &mut jacobian[j * width..(j + 1) * width];
+            for unit in &layout.units {
+                for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
+                    row[unit.at] += self.by_component[j * layout.components + c] * self.basis.slopes[c];
+                }
+            }
+            let slopes = &self.slopes[j * pairs..(j + 1) * pairs];
+            for (to, projected) in row.iter_mut().zip(self.projected.chunks_exact(pairs)) {
+                *to += dot(slopes, projected);
+            }
+        }
+    }
+
+    /// For each place of `q`, the derivative of the phase of each wave.
+    fn project(&mut self, layout: &Layout, features: &Features) {
+        let pairs = features.pairs;
+        self.projected.fill(0.0);
+        for unit in &layout.units {
+            let to = &mut self.projected[unit.at * pairs..(unit.at + 1) * pairs];
+            for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
+                add_scaled(to, self.basis.slopes[c], &features.waves[c * pairs..(c + 1) * pairs]);
+            }
+        }
+    }
+
+    /// The derivative of each output by the phase of each wave.
+    fn wave_slopes(&mut self, layout: &Layout, features: &Features) {
+        let (parts, pairs) = (features.parts(layout), features.pairs);
+        for j in 0..self.outputs {
+            let w = &self.weights[j * self.len..(j + 1) * self.len];
+            let (cosines, sines) = (&w[parts.waves..parts.waves + pairs], &w[parts.waves + pairs..parts.products]);
+            for (k, to) in self.slopes[j * pairs..(j + 1) * pairs].iter_mut().enumerate() {
+                *to = sines[k] * self.basis.cosines[k] - cosines[k] * self.basis.sines[k];
+            }
+        }
+    }
+
+    /// The derivative of each output by each component, the waves left out.
+    fn component_slopes(&mut self, layout: &Layout, features: &Features) {
+        let (parts, outputs, components) = (features.parts(layout), self.outputs, layout.components);
+        for j in 0..outputs {
+            let w = &self.weights[j * self.len..(j + 1) * self.len];
+            let to = &mut self.by_component[j * components..(j + 1) * components];
+            to.copy_from_slice(&w[1..parts.squares]);
+            for (c, unit) in w[parts.squares..parts.waves].iter().zip(&layout.units) {
+                to[unit.component] += 2.0 * c * self.basis.e[unit.component];
+            }
+        }
+        let used = features.nodes.len() * outputs;
+        self.adjoint[..used].copy_from_slice(&self.nodes[..used]);
+        for (k, node) in features.nodes.iter().enumerate().rev() {
+            let c = node.component as usize;
+            let e = self.basis.e[c];
+            let (before, rest) = self.adjoint.split_at_mut(k * outputs);
+            let adjoint = &rest[..outputs];
+            let above = parent(node);
+            let value = above.map_or(1.0, |p| self.basis.nodes[p]);
+            for (j, a) in adjoint.iter().enumerate() {
+                self.by_component[j * components + c] += a * value;
+            }
+            if let Some(p) = above {
+                add_scaled(&mut before[p * outputs..(p + 1) * outputs], e, adjoint);
+            }
+        }
+    }
+
+    /// Value, gradient (by place of `q`) and Hessian of the single output at `q`. The Hessian is full, over `places`,
+    /// in rows of `places.len()`.
+    pub fn hessian(
+        &mut self,
+        layout: &Layout,
+        features: &Features,
+        q: &[f64],
+        places: &[usize],
+        gradient: &mut [f64],
+        hessian: &mut [f64],
+    ) -> f64 {
+        let mut value = [0.0];
+        self.jacobian(layout, features, q, &mut value, gradient);
+        hessian.fill(0.0);
+        self.wave_curves(layout, features, places, hessian);
+        self.unit_curves(layout, features, places, hessian);
+        let in_products = |at: usize| layout.units.iter().any(|unit| unit.at == at && unit.group.is_some());
+        for (row, &at) in places.iter().enumerate().filter(|(_, at)| in_products(**at)) {
+            self.product_curves(layout, features, at, places, &mut hessian[row * places.len()..][..places.len()]);
+        }
+        value[0]
+    }
+
+    /// Second derivatives of the waves by two places.
+    fn wave_curves(&mut self, layout: &Layout, features: &Features, places: &[usize], hessian: &mut [f64]) {
+        let (parts, pairs, n) = (features.parts(layout), features.pairs, places.len());
+        let w = &self.weights;
+        for k in 0..pairs {
+            let (cosine, sine) = (w[parts.waves + k], w[parts.waves + pairs + k]);
+            self.curves[k] = -(cosine * self.basis.cosines[k] + sine * self.basis.sines[k]);
+        }
+        for (r, &at) in places.iter().enumerate() {
+            for (k, to) in self.row.iter_mut().enumerate() {
+                *to = self.curves[k] * self.projected[at * pairs + k];
+            }
+            for (c, &other) in places[..=r].iter().enumerate() {
+                let sum = dot(&self.row, &self.projected[other * pairs..(other + 1) * pairs]);
+                hessian[r * n + c] = sum;
+                hessian[c * n + r] = sum;
+            }
+        }
+    }
+
+    /// What the curvature of single units gives: squares, and that of cosines and sines.
+    fn unit_curves(&mut self, layout: &Layout, features: &Features, places: &[usize], hessian: &mut [f64]) {
+        let (parts, pairs, n) = (features.parts(layout), features.pairs, places.len());
+        for (u, unit) in layout.units.iter().enumerate() {
+            let Some(r) = places.iter().position(|&at| at == unit.at) else { continue };
+            if unit.circle {
+                let w = features.frequencies[u];
+                for c in unit.component..unit.component + 2 {
+                    let slope =
+                        self.by_component[c] + dot(&self.slopes[..pairs], &features.waves[c * pairs..(c + 1) * pairs]);
+                    hessian[r * n + r] -= w * w * self.basis.e[c] * slope;
+                }
+            } else {
+                hessian[r * n + r] += 2.0 * self.weights[parts.squares + u];
+            }
+        }
+    }
+
+    /// Adds one row of the products' Hessian: the derivative along place `at`.
+    fn product_curves(&mut self, layout: &Layout, features: &Features, at: usize, places: &[usize], row: &mut [f64]) {
+        let mut moved = [false; 256];
+        for unit in layout.units.iter().filter(|unit| unit.at == at) {
+            moved[unit.component..unit.component + if unit.circle { 2 } else { 1 }].fill(true);
+        }
+        let nodes = &features.nodes;
+        let basis = &self.basis;
+        for (k, node) in nodes.iter().enumerate() {
+            let c = node.component as usize;
+            let (value, along) = parent(node).map_or((1.0, 0.0), |p| (basis.nodes[p], self.along[p]));
+            self.along[k] = along * basis.e[c] + if moved[c] { value * basis.slopes[c] } else { 0.0 };
+        }
+        self.along_adjoint[..nodes.len()].fill(0.0);
+        let change = &mut self.by_component[layout.components..2 * layout.components];
+        change.fill(0.0);
+        for (k, node) in nodes.iter().enumerate().rev() {
+            let c = node.component as usize;
+            let (adjoint, turned) = (self.adjoint[k], self.along_adjoint[k]);
+            if let Some(p) = parent(node) {
+                change[c] += turned * basis.nodes[p] + adjoint * self.along[p];
+                self.along_adjoint[p] += turned * basis.e[c] + if moved[c] { adjoint * basis.slopes[c] } else { 0.0 };
+            } else {
+                change[c] += turned;
+            }
+        }
+        for unit in layout.units.iter().filter(|unit| unit.group.is_some()) {
+            let Some(to) = places.iter().position(|&p| p == unit.at) else { continue };
+            for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
+                row[to] += change[c] * basis.slopes[c];
+            }
+        }
+    }
+}

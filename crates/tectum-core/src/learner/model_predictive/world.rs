@@ -1,0 +1,256 @@
+//! The learned models as a world in which the planner moves.
+//!
+//! ```text
+//! x = [z, d, u before, u before that],  q = [x, u]
+//! d' = dynamics(q),   z' = clamp(z + CHANGE d'),   x' = [z', d', u, u before]
+//! r = reward(q), or reward([z', d', u])
+//! ```
+//!
+//! Where a prediction is clamped, derivatives are those without the clamp, so that a plan can leave a stop.
+
+use super::layout::Places;
+use super::linalg::{add_scaled, clip_to_concave};
+use super::model::{MAX_MODEL_OUTPUTS, Model};
+use crate::MAX_INPUTS;
+
+/// Changes are in units of this part of half of the range.
+pub const CHANGE: f64 = 0.3;
+
+/// A world with expansions of second order.
+pub trait World {
+    /// The parts of `q`.
+    fn places(&self) -> Places;
+    /// The state after `q`, and the reward.
+    fn step(&mut self, q: &[f64], next: &mut [f64]) -> f64;
+    /// Writes the Jacobian of the next state (rows of `D`), and gradient and concave Hessian (rows of `D`) of the
+    /// reward, all by `q`.
+    fn expand(&mut self, q: &[f64], jacobian: &mut [f64], gradient: &mut [f64], hessian: &mut [f64]);
+    /// Writes `a - b` for states, the short way round for inputs that come round.
+    fn difference(&self, a: &[f64], b: &[f64], out: &mut [f64]);
+}
+
+/// What is known of the inputs.
+#[derive(Debug, Clone)]
+pub struct Ranges {
+    /// Whether each input comes round.
+    pub wraps: Vec<bool>,
+    /// Least value that each input can have.
+    pub low: Vec<f64>,
+    /// Greatest value.
+    pub high: Vec<f64>,
+}
+
+impl Ranges {
+    /// `z` of input `i` within its range.
+    pub fn bring_in(&self, i: usize, z: f64) -> f64 {
+        if self.wraps[i] { wrap(z) } else { z.clamp(self.low[i], self.high[i]) }
+    }
+}
+
+/// `z` less whole turns of 2, in [-1, 1).
+pub fn wrap(z: f64) -> f64 {
+    if (-1.0..1.0).contains(&z) { z } else { z - 2.0 * libm::floor(0.5 * (z + 1.0)) }
+}
+
+/// Scratch memory of a learned world.
+#[derive(Debug, Clone)]
+pub struct WorldScratch {
+    after: Vec<f64>,
+    /// Jacobian of the changes.
+    pub dynamics: Vec<f64>,
+    gradient: Vec<f64>,
+    small: Vec<f64>,
+    copy: Vec<f64>,
+    vectors: Vec<f64>,
+    chain: Vec<f64>,
+    product: Vec<f64>,
+    /// Places of the reward's Hessian: moving inputs, their changes, commands.
+    pub active: Vec<usize>,
+}
+
+impl WorldScratch {
+    /// For worlds of these places.
+    pub fn new(places: Places) -> Self {
+        let (width, most) = (places.len(), 2 * places.inputs + places.commands);
+        Self {
+            after: vec![0.0; width],
+            dynamics: vec![0.0; places.inputs * width],
+            gradient: vec![0.0; width],
+            small: vec![0.0; most * most],
+            copy: vec![0.0; most * most],
+            vectors: vec![0.0; most * most],
+            chain: vec![0.0; most * width],
+            product: vec![0.0; most * width],
+            active: Vec::with_capacity(most),
+        }
+    }
+}
+
+/// The world of the learned models.
+#[derive(Debug)]
+pub struct LearnedWorld<'a> {
+    /// The parts of `q`.
+    pub places: Places,
+    /// Changes of inputs.
+    pub dynamics: &'a mut Model,
+    /// Rewards.
+    pub reward: &'a mut Model,
+    /// Whether rewards depend on what comes after the tick.
+    pub after: bool,
+    /// Largest reward that is believed, in the model's units.
+    pub cap: f64,
+    /// What is known of the inputs.
+    pub ranges: &'a Ranges,
+    /// Scratch memory.
+    pub scratch: &'a mut WorldScratch,
+}
+
+impl LearnedWorld<'_> {
+    /// Writes the next state for the changes `d`.
+    fn advance(&self, q: &[f64], d: &[f64], next: &mut [f64]) {
+        let (n, m) = (self.places.inputs, self.places.commands);
+        for i in 0..n {
+            let free = q[i] + CHANGE * d[i];
+            let z = self.ranges.bring_in(i, free);
+            next[i] = z;
+            next[n + i] = if self.ranges.wraps[i] { d[i] } else { (z - q[i]) / CHANGE };
+        }
+        next[2 * n..2 * n + m].copy_from_slice(&q[self.places.state()..]);
+        next[2 * n + m..].copy_from_slice(&q[2 * n..2 * n + m]);
+    }
+
+    /// The Jacobian of the changes at `q`, into the scratch memory.
+    pub fn dynamics_jacobian(&mut self, q: &[f64]) {
+        let mut d = [0.0; MAX_MODEL_OUTPUTS];
+        let Model { layout, fit, weighted, .. } = &mut *self.dynamics;
+        weighted.jacobian(layout, &fit.features, q, &mut d[..self.places.inputs], &mut self.scratch.dynamics);
+    }
+
+    /// The reward of a point, as if it were before or after the tick, whichever the model looks at.
+    pub fn reward_of(&mut self, q: &[f64]) -> f64 {
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
+        let mut reward = [0.0];
+        weighted.value(layout, &fit.features, q, &mut reward);
+        reward[0].min(self.cap)
+    }
+
+    /// The point at which the reward model looks.
+    fn look(&mut self, q: &[f64], next: &[f64]) {
+        let after = &mut self.scratch.after;
+        after.copy_from_slice(q);
+        if self.after {
+            after[..2 * self.places.inputs].copy_from_slice(&next[..2 * self.places.inputs]);
+        }
+    }
+}
+
+impl World for LearnedWorld<'_> {
+    fn places(&self) -> Places {
+        self.places
+    }
+
+    fn step(&mut self, q: &[f64], next: &mut [f64]) -> f64 {
+        let n = self.places.inputs;
+        let mut d = [0.0; MAX_MODEL_OUTPUTS];
+        let Model { layout, fit, weighted, .. } = &mut *self.dynamics;
+        weighted.value(layout, &fit.features, q, &mut d[..n]);
+        self.advance(q, &d[..n], next);
+        self.look(q, next);
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
+        let mut reward = [0.0];
+        weighted.value(layout, &fit.features, &self.scratch.after, &mut reward);
+        reward[0].min(self.cap)
+    }
+
+    fn expand(&mut self, q: &[f64], jacobian: &mut [f64], gradient: &mut [f64], hessian: &mut [f64]) {
+        let (n, m, width) = (self.places.inputs, self.places.commands, self.places.len());
+        let mut d = [0.0; MAX_INPUTS];
+        let Model { layout, fit, weighted, .. } = &mut *self.dynamics;
+        weighted.jacobian(layout, &fit.features, q, &mut d[..n], &mut self.scratch.dynamics);
+        jacobian.fill(0.0);
+        for i in 0..n {
+            let row = &self.scratch.dynamics[i * width..(i + 1) * width];
+            jacobian[(n + i) * width..][..width].copy_from_slice(row);
+            add_scaled(&mut jacobian[i * width..][..width], CHANGE, row);
+            jacobian[i * width + i] += 1.0;
+        }
+        for j in 0..m {
+            jacobian[(2 * n + j) * width + self.places.state() + j] = 1.0;
+            jacobian[(2 * n + m + j) * width + 2 * n + j] = 1.0;
+        }
+        let mut next = [0.0; 2 * MAX_INPUTS + 2 * crate::MAX_OUTPUTS];
+        let next = &mut next[..self.places.state()];
+        self.advance(q, &d[..n], next);
+        self.look(q, next);
+        self.expand_reward(jacobian, gradient, hessian);
+    }
+
+    fn difference(&self, a: &[f64], b: &[f64], out: &mut [f64]) {
+        for (i, ((a, b), out)) in a.iter().zip(b).zip(out).enumerate() {
+            *out = a - b;
+            if i < self.places.inputs && self.ranges.wraps[i] {
+                *out = wrap(*out);
+            }
+        }
+    }
+}
+
+impl LearnedWorld<'_> {
+    /// Gradient and Hessian of the reward by `q`; the reward model's point is in `after`.
+    fn expand_reward(&mut self, jacobian: &[f64], gradient: &mut [f64], hessian: &mut [f64]) {
+        let (n, width) = (self.places.inputs, self.places.len());
+        let WorldScratch { after, gradient: by_look, small, copy, vectors, chain, product, active, .. } =
+            &mut *self.scratch;
+        let order = active.len();
+        let small = &mut small[..order * order];
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
+        let value = weighted.hessian(layout, &fit.features, after, active, by_look, small);
+        gradient.fill(0.0);
+        hessian.fill(0.0);
+        if value > self.cap {
+            return;
+        }
+        clip_to_concave(small, order, copy, vectors);
+        if !self.after {
+            gradient.copy_from_slice(by_look);
+            for (r, &row) in active.iter().enumerate() {
+                for (c, &column) in active.iter().enumerate() {
+                    hessian[row * width + column] = small[r * order + c];
+                }
+            }
+            return;
+        }
+        // By `q` through the next inputs and changes.
+        for (at, slope) in by_look.iter().enumerate() {
+            if at < 2 * n {
+                add_scaled(gradient, *slope, &jacobian[at * width..(at + 1) * width]);
+            } else {
+                gradient[at] += slope;
+            }
+        }
+        chain[..order * width].fill(0.0);
+        for (r, &at) in active.iter().enumerate() {
+            let row = &mut chain[r * width..(r + 1) * width];
+            if at < 2 * n {
+                row.copy_from_slice(&jacobian[at * width..(at + 1) * width]);
+            } else {
+                row[at] = 1.0;
+            }
+        }
+        product[..order * width].fill(0.0);
+        for r in 0..order {
+            for c in 0..order {
+                let row = &chain[c * width..(c + 1) * width];
+                add_scaled(&mut product[r * width..(r + 1) * width], small[r * order + c], row);
+            }
+        }
+        for r in 0..order {
+            for at in 0..width {
+                let factor = chain[r * width + at];
+                if factor != 0.0 {
+                    add_scaled(&mut hessian[at * width..(at + 1) * width], factor, &product[r * width..][..width]);
+                }
+            }
+        }
+    }
+}
