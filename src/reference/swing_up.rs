@@ -1,5 +1,5 @@
-//! Reference controller for pendulums: energy swing-up (Åström & Furuta 2000), and a linear-quadratic regulator near the
-//! top.
+//! Reference controller for pendulums: energy swing-up (Åström & Furuta 2000), and a linear-quadratic regulator near
+//! the top.
 //!
 //! Below, the command works with the swing until the pendulum has the energy that it has at rest at the top. Near the
 //! top, the regulator of the true model, linearised there, takes over.

@@ -33,7 +33,8 @@ impl Level {
 }
 
 /// The mean reward of iLQR on the test, by arm: without a change, and after `block`, `shorten`, `mirror` and `payload`.
-/// The test after a change has other targets. What iLQR reaches does not depend on a lag of up to 200 ms by more than 3 %.
+/// The test after a change has other targets. What iLQR reaches does not depend on a lag of up to 200 ms by more than 3
+/// %.
 const ILQR: [(&str, [f64; 5]); 4] = [
     ("arm", [-0.0231, -0.0381, -0.0319, -0.0322, -0.0322]),
     ("arm-relative", [-0.0107, -0.0151, -0.0123, -0.0123, -0.0123]),

@@ -1,8 +1,8 @@
 //! A Furuta pendulum: a motor turns an arm in the horizontal plane, and at the arm's end a pendulum swings freely.
 //!
 //! Equations: Cazzolato & Prime 2011, "On the dynamics of the Furuta pendulum", for slender rods. Parameters: Quanser
-//! QUBE-Servo 2, whose motor is driven by a voltage, with the viscous friction of the package quanser_robots. The reward has the form of dm_control's cart-pole: a product of
-//! upright, centred, slow and a small command.
+//! QUBE-Servo 2, whose motor is driven by a voltage, with the viscous friction of the package quanser_robots. The
+//! reward has the form of dm_control's cart-pole: a product of upright, centred, slow and a small command.
 
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;

@@ -1,8 +1,8 @@
 //! Delays and lag between a plant and its controller.
 //!
 //! A real arm's picture is processed for a while, its reward comes later than its joints' angles, and its motors do not
-//! reach a commanded rate at once. [`Timing`] stands around a plant and makes it late in these ways. The measures, which
-//! an outside observer notes, stay in time.
+//! reach a commanded rate at once. [`Timing`] stands around a plant and makes it late in these ways. The measures,
+//! which an outside observer notes, stay in time.
 
 use serde::{Deserialize, Serialize};
 
