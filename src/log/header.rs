@@ -218,7 +218,7 @@ pub(crate) fn flag_words(flags: u32) -> String {
 }
 
 /// Names of the bits of a header's flags.
-const FLAGS: [(&str, u32); 19] = [
+const FLAGS: [(&str, u32); 22] = [
     ("FIRST", flag::FIRST),
     ("MISSED", flag::MISSED),
     ("HELD", flag::HELD),
@@ -235,6 +235,9 @@ const FLAGS: [(&str, u32); 19] = [
     ("POSITION_LIMITED", flag::POSITION_LIMITED),
     ("RAMPED", flag::RAMPED),
     ("UNHEARD", flag::UNHEARD),
+    ("UNARMED", flag::UNARMED),
+    ("TRIPPED", flag::TRIPPED),
+    ("BLIND", flag::BLIND),
     ("LEARNED", flag::LEARNED),
     ("TRACE_CUT", flag::TRACE_CUT),
     ("HASHED", flag::HASHED),
@@ -307,6 +310,7 @@ pub(super) mod tests {
     fn flags_have_names() {
         assert_eq!(flag_words(0), "");
         assert_eq!(flag_words(flag::MISSED | flag::HELD | flag::DIVERGED), "MISSED|HELD|DIVERGED");
+        assert_eq!(flag_words(flag::UNARMED | flag::TRIPPED | flag::BLIND), "UNARMED|TRIPPED|BLIND");
         assert_eq!(flag_words(flag::LEARNED | 1 << 30), "LEARNED|0x40000000");
     }
 

@@ -73,6 +73,10 @@ pub trait Plant: Persist {
     fn joints(&self) -> Option<JointState> {
         None
     }
+
+    /// The run is over: called once after the last tick, before checkpoint and reports are written. A plant that is
+    /// hardware stops here.
+    fn stop(&mut self) {}
 }
 
 /// The simulated plants.
