@@ -54,7 +54,7 @@ pub use plant::PlantConfig;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeConfig, RealtimeProcess};
 pub use restart::{RestartConfig, RestartPolicy};
-pub use servos::{JointConfig, PoseSource, ServoGoal, ServosConfig, check_joints};
+pub use servos::{JointConfig, PoseSource, Rearm, ServoGoal, ServosConfig, check_joints};
 pub use source::ScenarioSource;
 pub use tectum_core::SignalConfig;
 pub use tectum_core::learner::{
