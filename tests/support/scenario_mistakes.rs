@@ -245,9 +245,9 @@ pub const CASES: &[Case] = &[
         "x.toml:4: plant has nothing to simulate; add [plant.arm], [plant.eye], [plant.pendulum], [plant.cart-pole], \
          [plant.reacher], [plant.furuta], [plant.point-mass] or [plant.so101]"),
     (ARM, "[plant.arm]", "[plant.pendulum]\n[plant.arm]",
-        "x.toml:5: plant.pendulum stands beside plant.arm; keep one of the two"),
+        "x.toml:10: plant.pendulum stands beside plant.arm; keep one of the two"),
     (ARM, "[plant.arm]", "[plant.timing]\ndelay = 11\n[plant.arm]",
-        "x.toml:6: plant.timing.delay is 11; give 0 to 10 ticks"),
+        "x.toml:11: plant.timing.delay is 11; give 0 to 10 ticks"),
     (ARM, "[plant.arm]", "[plant.eye]\n[plant.arm]",
         "x.toml:10: plant.eye stands beside plant.arm; keep one of the two"),
     (ARM, "[plant.arm]", "measures = [\"error\"]\n[plant.arm]",
