@@ -14,10 +14,20 @@ fn main() {
     let inputs: Vec<_> = signals
         .inputs
         .iter()
-        .map(|s| InputRange { min: s.min, max: s.max, wraps: s.unit == "rad" && (s.max - s.min - std::f64::consts::TAU).abs() < 1e-6, radians: (s.unit == "rad").then_some(1.0) })
+        .map(|s| InputRange {
+            min: s.min,
+            max: s.max,
+            wraps: s.unit == "rad" && (s.max - s.min - std::f64::consts::TAU).abs() < 1e-6,
+            radians: (s.unit == "rad").then_some(1.0),
+        })
         .collect();
     let (n, m) = (inputs.len(), signals.outputs.len());
-    let window: u64 = match name.as_str() { "pendulum" | "pendulum-random" | "cart-pole" => 200, "reacher" => 50, "furuta" => 500, _ => 80 };
+    let window: u64 = match name.as_str() {
+        "pendulum" | "pendulum-random" | "cart-pole" => 200,
+        "reacher" => 50,
+        "furuta" => 500,
+        _ => 80,
+    };
     for seed in first..first + seeds {
         let mut plant = task.plant(seed);
         let spec = ModelPredictiveSpec {
@@ -32,7 +42,10 @@ fn main() {
         let mut reward = 0.0;
         let (mut sum, mut end) = (0.0, 0.0);
         let mut line = String::new();
-        let cpu = || { let s = std::fs::read_to_string("/proc/self/schedstat").unwrap(); s.split(' ').next().unwrap().parse::<f64>().unwrap() / 1e6 };
+        let cpu = || {
+            let s = std::fs::read_to_string("/proc/self/schedstat").unwrap();
+            s.split(' ').next().unwrap().parse::<f64>().unwrap() / 1e6
+        };
         let begin = cpu();
         let _ = Instant::now();
         let mut worst = 0f64;
@@ -49,11 +62,16 @@ fn main() {
             let o = plant.advance(tick, &v);
             reward = o.reward as f64;
             sum += reward;
-            if tick % window >= window - window / 8 { end += o.measures[0] as f64 / (window / 8) as f64; }
+            if tick % window >= window - window / 8 {
+                end += o.measures[0] as f64 / (window / 8) as f64;
+            }
             if (tick + 1) % window == 0 {
                 line += &format!(" {:.4}({:.3})", sum / window as f64, end);
-                if verbose { println!("{tick} {:.4} end {end:.3} | {}", sum / window as f64, agent.describe()); }
-                sum = 0.0; end = 0.0;
+                if verbose {
+                    println!("{tick} {:.4} end {end:.3} | {}", sum / window as f64, agent.describe());
+                }
+                sum = 0.0;
+                end = 0.0;
             }
         }
         println!("{name} {seed}: {:.1} ms max {worst:.1} {:?}{line}", (cpu() - begin) / ticks as f64, agent.counts);

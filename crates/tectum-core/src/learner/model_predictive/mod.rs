@@ -15,8 +15,8 @@ mod memory;
 mod model;
 mod planner;
 mod refit;
-mod rivals;
 mod regression;
+mod rivals;
 mod weighted;
 mod world;
 

@@ -299,7 +299,8 @@ impl Refit {
     fn measure_components(&mut self, layout: &Layout) {
         let features = &mut self.next.features;
         for u in 0..layout.circles {
-            features.frequencies[u] = super::functions::exp(features.scales[Layout::scale(u, super::layout::Scale::Frequency)]);
+            features.frequencies[u] =
+                super::functions::exp(features.scales[Layout::scale(u, super::layout::Scale::Frequency)]);
         }
         features.mean_squares.fill(1e-6);
         for point in 0..self.evidence.len {
