@@ -310,10 +310,7 @@ fn texts() -> Vec<String> {
     presets().iter().map(|preset| preset.text.to_owned()).chain(built).collect()
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
-
-    /// A file may say which inputs wrap, which measure is the error, and the radius along each axis. What it leaves out is
+/// A file may say which inputs wrap, which measure is the error, and the radius along each axis. What it leaves out is
 /// as before.
 #[test]
 fn roles_wrapping_and_radii_are_explicit() {
@@ -341,7 +338,10 @@ fn roles_wrapping_and_radii_are_explicit() {
     assert!(message.contains("plant.inputs[0].wraps is true, and the range is"), "{message}");
 }
 
-#[test]
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
     fn an_edited_file_gives_a_plan_or_a_message(
         which in any::<prop::sample::Index>(),
         edits in prop::collection::vec(edit(), 1..4),
