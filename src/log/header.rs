@@ -297,6 +297,7 @@ pub(super) mod tests {
     fn flags_have_names() {
         assert_eq!(flag_words(0), "");
         assert_eq!(flag_words(flag::MISSED | flag::HELD | flag::DIVERGED), "MISSED|HELD|DIVERGED");
+        assert_eq!(flag_words(flag::UNARMED | flag::TRIPPED | flag::BLIND), "UNARMED|TRIPPED|BLIND");
         assert_eq!(flag_words(flag::LEARNED | 1 << 30), "LEARNED|0x40000000");
     }
 

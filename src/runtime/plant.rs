@@ -84,6 +84,11 @@ impl<P: Plant> PlantSide<P> {
         &mut self.body
     }
 
+    /// Tells the plant that the run is over.
+    pub(crate) fn stop(&mut self) {
+        self.body.stop();
+    }
+
     /// The plant, after the run.
     pub fn into_body(self) -> P {
         self.body

@@ -386,6 +386,7 @@ impl<P: Plant> PlantLoop<P> {
 
     /// Ends the loop: writes the last checkpoint and the report.
     fn finish(mut self) -> Result<PlantReport, RuntimeError> {
+        self.state.side.stop();
         self.session.publish_status();
         self.session.check()?;
         self.state.expected = self.inbox.expected;

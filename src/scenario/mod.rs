@@ -54,7 +54,7 @@ pub use plant::PlantConfig;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeConfig, RealtimeProcess};
 pub use restart::{RestartConfig, RestartPolicy};
-pub use servos::{JointConfig, PoseSource, ServoGoal, ServosConfig, check_joints};
+pub use servos::{JointConfig, PoseSource, Rearm, ServoGoal, ServosConfig, check_joints};
 pub use source::ScenarioSource;
 pub use tectum_core::SignalConfig;
 pub use tectum_core::learner::{
@@ -128,7 +128,12 @@ impl Plan {
     /// The same plan, whose messages about `[learner]` name `file`, if that still has the same table: a process of a
     /// run reads a copy of the scenario, and its user wrote that file.
     pub(crate) fn with_origin(mut self, file: &str) -> Self {
-        let original = Scenario::load(Path::new(file)).ok();
+        // Only a regular file can be read a second time, and only the messages about `[learner]` come so late.
+        let path = Path::new(file);
+        if self.scenario.own_learner.is_none() || !path.is_file() {
+            return self;
+        }
+        let original = Scenario::load(path).ok();
         if let Some(original) = original.filter(|original| original.own_learner == self.scenario.own_learner) {
             self.scenario.source = original.source;
         }

@@ -31,7 +31,7 @@ fn assert_bounds(plan: &Plan) {
     }
     assert!(!s.plant.program.trim().is_empty());
     if s.plant.program == "tectum-simulator" {
-        assert!(s.plant.arm.is_some() != s.plant.eye.is_some());
+        assert!(s.plant.body().is_some());
     }
     if let Some(arm) = &s.plant.arm {
         assert_arm(arm);

@@ -1,5 +1,6 @@
 //! The summary of a run: one object for programs, a table and a figure for people.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -104,6 +105,8 @@ pub struct RunSummary {
     pub unheard: u64,
     /// Observations that a fault of the channel let come to it after their tick.
     pub stale: u64,
+    /// A plant on hardware: ticks without torque, by the reason. Empty where there were none.
+    pub without_torque: BTreeMap<String, u64>,
     /// Samples that did not reach the log, all channels together.
     pub lost: u64,
     /// The same by channel: observation, command, learning.
@@ -208,6 +211,7 @@ impl RunSummary {
         let mut summary = Self::new(launch, folder, ended, seconds);
         summary.add_plant(&plant);
         summary.warnings.extend(judge(&launch.plan, &plant, controller.as_ref()));
+        summary.add_bridge(folder);
         summary.add_controller(launch, controller, &read_snapshots(folder, &launch.plan));
         summary.restarts = incidents;
         let report = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
@@ -282,6 +286,18 @@ impl RunSummary {
         self.observation_to_command_us = plant.observation_to_command;
         self.plant_work_us = plant.work;
         self.checkpoint_failure = plant.checkpoint_failure.clone();
+    }
+
+    /// What the bridge on servos reported, if the plant was one.
+    fn add_bridge(&mut self, folder: &Path) {
+        #[derive(serde::Deserialize)]
+        struct TorqueReport {
+            without_torque: BTreeMap<String, u64>,
+        }
+        let text = std::fs::read_to_string(folder.join("bridge.json")).unwrap_or_default();
+        if let Ok(report) = serde_json::from_str::<TorqueReport>(&text) {
+            self.without_torque = report.without_torque;
+        }
     }
 
     /// What the controller reported, if it did, and the tests of its policies. After the plant's report:

@@ -15,8 +15,7 @@ pub fn angle(joint: &JointConfig, raw: i32) -> f64 {
     middle + wrap_f64(angle - middle)
 }
 
-/// The raw position of a motor at an angle, rad.
-#[cfg(test)]
+/// The raw position of a motor at an angle, rad. It may lie outside 0 to 4095.
 pub fn raw(joint: &JointConfig, angle: f64) -> i32 {
     joint.zero + libm::round(f64::from(joint.direction) * angle / STEP) as i32
 }
@@ -77,7 +76,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn joint(direction: i32, zero: i32, range: [f64; 2]) -> JointConfig {
-        JointConfig { id: 1, direction, zero, range, max_speed: 6.0 }
+        JointConfig { id: 1, direction, zero, range, max_speed: 6.0, registers: Default::default() }
     }
 
     #[test]

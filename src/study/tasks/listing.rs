@@ -5,7 +5,6 @@ use serde::Serialize;
 use super::candidate::Candidate;
 use super::levels::level;
 use crate::plant::task::{self, Task};
-use crate::text::columns;
 
 /// One task of the list.
 #[derive(Debug, Serialize)]
@@ -49,15 +48,15 @@ pub fn listing() -> String {
     let rows: Vec<Vec<String>> = list
         .tasks
         .iter()
-        .map(|task| vec![format!("{} {}", if task.usual { "*" } else { " " }, task.task), task.about.clone()])
+        .map(|task| {
+            let name = format!("{} {}", if task.usual { "*" } else { " " }, task.task);
+            vec![name, task.level.clone(), task.about.clone()]
+        })
         .collect();
-    let mut text = "Tasks; those with a star are measured when none is named:\n\n".to_owned();
-    for row in columns(&rows[..0]).lines() {
-        text.push_str(row);
-    }
+    let mut text = "Tasks with their levels; those with a star are measured when none is named:\n\n".to_owned();
     let width = rows.iter().map(|row| row[0].chars().count()).max().unwrap_or(0);
     for row in &rows {
-        text.push_str(&format!("{:<width$}  {}\n", row[0], row[1]));
+        text.push_str(&format!("{:<width$}  {:<15}  {}\n", row[0], row[1], row[2]));
     }
     text.push_str(&format!("\nLearners and reference controllers: {}\n", list.learners.join(", ")));
     text

@@ -58,9 +58,8 @@ fn horizon(body: &BodyConfig) -> usize {
     match body {
         BodyConfig::Arm(_) | BodyConfig::So101(_) | BodyConfig::Eye(_) => 20,
         BodyConfig::Reacher(_) | BodyConfig::PointMass(_) => 30,
-        BodyConfig::Pendulum(_) => 40,
+        BodyConfig::Pendulum(_) | BodyConfig::Furuta(_) => 40,
         BodyConfig::CartPole(_) => 50,
-        BodyConfig::Furuta(_) => 60,
     }
 }
 

@@ -28,8 +28,8 @@ pub(super) struct TestView<'a> {
     pub fresh: bool,
 }
 
-/// Drives the plant of `task` with `control`, after the change if `changed`. `in_time` takes delays away, for references
-/// that know the true state. Calls `go_on` every tick; the result is `None` once that returns false.
+/// Drives the plant of `task` with `control`, after the change if `changed`. `in_time` takes delays away, for
+/// references that know the true state. Calls `go_on` every tick; the result is `None` once that returns false.
 pub(super) fn drive(
     task: &TaskPlan,
     changed: bool,

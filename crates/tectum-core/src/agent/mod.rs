@@ -251,3 +251,6 @@ impl<A: Agent + ?Sized> Agent for Box<A> {
         (**self).policy()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -276,4 +276,4 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
 #[cfg(test)]
 mod gradient_tests;
 #[cfg(test)]
-mod test_specs;
+pub(crate) mod test_specs;

@@ -124,4 +124,8 @@ pub trait Plant: Persist {
     fn joints(&self) -> Option<JointState> {
         None
     }
+
+    /// The run is over: called once after the last tick, before checkpoint and reports are written. A plant that is
+    /// hardware stops here.
+    fn stop(&mut self) {}
 }

@@ -3,11 +3,11 @@
 use super::state_space::MAX_STATES;
 use super::timing::{Begin, Timing};
 use super::{
-    Arm, ArmConfig, CartPole, CartPoleConfig, EpisodeEnd, Eye, EyeConfig, Furuta, FurutaConfig, JointState, Outcome,
-    Pendulum, PendulumConfig, Plant, PointMass, PointMassConfig, Reacher, ReacherConfig, So101, So101Config,
-    TimingConfig,
+    Arm, ArmConfig, CartPole, CartPoleConfig, Eye, EyeConfig, Furuta, FurutaConfig, JointState, Outcome, Pendulum,
+    PendulumConfig, Plant, PointMass, PointMassConfig, Reacher, ReacherConfig, So101, So101Config, TimingConfig,
 };
 use crate::MAX_OUTPUTS;
+use crate::flag;
 use crate::state::{Persist, StateVisitor};
 
 /// The configuration of a body.
@@ -191,8 +191,9 @@ impl Plant for SimulatedPlant {
         Outcome { reward, ..outcome }
     }
 
-    fn episode_end(&self) -> Option<EpisodeEnd> {
-        self.body().episode_end()
+    /// An episode that was cut off is stated with the inputs of the new start, however late these are.
+    fn sensing_flags(&self) -> u32 {
+        if self.truncated { flag::TRUNCATED } else { 0 }
     }
 
     fn joints(&self) -> Option<JointState> {

@@ -20,7 +20,7 @@ pub(super) const NAMES: [&str; JOINTS] = ["shoulder_pan", "shoulder_lift", "elbo
 pub(super) const LIMITS: [[f64; 2]; JOINTS] =
     [[-1.91986, 1.91986], [-1.74533, 1.74533], [-1.69, 1.69], [-1.65806, 1.65806], [-2.74385, 2.84121]];
 /// Targets lie within this coordinate on every axis, m.
-pub(super) const REACH: f64 = 0.5;
+pub(super) const REACH: f64 = 0.6;
 /// Least height of a target above the table, m.
 const TABLE: f64 = 0.03;
 /// Targets are drawn from this share of each joint's range.

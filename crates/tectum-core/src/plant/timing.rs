@@ -1,8 +1,8 @@
 //! Delays and lag between a plant and its controller.
 //!
 //! A real arm's picture is processed for a while, its reward comes later than its joints' angles, and its motors do not
-//! reach a commanded rate at once. [`Timing`] stands around a plant and makes it late in these ways. The measures, which
-//! an outside observer notes, stay in time.
+//! reach a commanded rate at once. [`Timing`] stands around a plant and makes it late in these ways. The measures,
+//! which an outside observer notes, stay in time.
 
 use serde::{Deserialize, Serialize};
 
@@ -249,7 +249,9 @@ mod tests {
             plant.advance(tick, &[1.0, 0.0]);
         }
         let before = inputs;
-        (10..14).for_each(|tick| drop(plant.advance(tick, &[1.0, 0.0])));
+        for tick in 10..14 {
+            plant.advance(tick, &[1.0, 0.0]);
+        }
         plant.sense(14, &mut inputs);
         assert!(inputs[2] > before[2], "what was sensed in tick 9 comes before tick 14");
     }

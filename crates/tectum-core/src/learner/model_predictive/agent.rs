@@ -243,7 +243,9 @@ impl ModelPredictive {
         }
         self.teaches = usable && !fresh && !flags.missed;
         self.boundary = flags.new_target;
-        self.last_reward = self.reward;
+        if self.reward.is_finite() {
+            self.last_reward = self.reward;
+        }
         self.reward = observed.reward;
     }
 

@@ -46,6 +46,8 @@ pub struct Features {
     pub pairs: usize,
     /// Most products.
     products: usize,
+    /// Most nodes of their tree.
+    pub most_nodes: usize,
     /// Logarithms of the scales.
     pub scales: Vec<f64>,
     /// Frequencies of the angles.
@@ -102,7 +104,7 @@ impl Basis {
             cosines: vec![0.0; features.pairs],
             sines: vec![0.0; features.pairs],
             phases: vec![0.0; features.pairs],
-            nodes: vec![0.0; features.nodes.capacity()],
+            nodes: vec![0.0; features.most_nodes],
         }
     }
 
@@ -131,12 +133,12 @@ impl Features {
         for unit in &layout.units {
             mean_squares.resize(mean_squares.len() + if unit.circle { 2 } else { 1 }, mean(unit));
         }
-        let beam = products + 1 + layout.components;
         let len = 1 + layout.components + layout.units.len() + 2 * pairs + products;
         let mut features = Self {
             len,
             pairs,
             products,
+            most_nodes: products * layout.groups.len().max(1),
             scales: layout.prior.clone(),
             frequencies: vec![0.0; layout.circles],
             amplitudes: vec![0.0; len],
@@ -145,12 +147,21 @@ impl Features {
             mean_squares,
             waves: vec![0.0; layout.components * pairs],
             draws: orthogonal_draws(layout.components, pairs, &mut normal),
-            nodes: Vec::with_capacity(products * layout.groups.len().max(1)),
-            candidates: Vec::with_capacity(4 * beam),
-            spare: Vec::with_capacity(4 * beam),
+            nodes: Vec::new(),
+            candidates: Vec::new(),
+            spare: Vec::new(),
         };
+        features.reserve(layout);
         features.build(layout);
         features
+    }
+
+    /// Takes the memory that any build needs; a clone has less.
+    pub fn reserve(&mut self, layout: &Layout) {
+        let beam = self.products + 1 + layout.components;
+        self.nodes.reserve(self.most_nodes - self.nodes.len());
+        self.candidates.reserve(4 * beam);
+        self.spare.reserve(4 * beam);
     }
 
     /// Where the parts begin.
@@ -204,7 +215,7 @@ impl Features {
                     let unit = &layout.units[u];
                     let v = exp(self.scales[Layout::scale(u, Scale::Product)]);
                     for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
-                        if self.spare.len() == self.spare.capacity() {
+                        if self.spare.len() == 4 * beam {
                             break;
                         }
                         let mut next = *candidate;

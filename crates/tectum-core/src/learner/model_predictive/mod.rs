@@ -24,4 +24,8 @@ pub use agent::{Counts, ModelPredictive, Observed, TickFlags};
 pub use config::{InputRange, ModelPredictiveConfig, ModelPredictiveSpec};
 
 #[cfg(test)]
+mod agent_tests;
+#[cfg(test)]
+mod plan_tests;
+#[cfg(test)]
 mod tests;

@@ -103,12 +103,14 @@ impl Refit {
     /// No refit yet.
     pub fn new(layout: &Layout, fit: &Fit, settings: RefitSettings) -> Self {
         let (len, outputs) = (fit.regression.len, fit.regression.outputs);
+        let mut next = fit.clone();
+        next.features.reserve(layout);
         Self {
             settings,
             phase: Phase::Idle,
             at: 0,
             range: [0; 2],
-            next: fit.clone(),
+            next,
             evidence: Evidence::new(layout, settings.points, outputs),
             matrix: vec![0.0; packed(len)],
             right: vec![0.0; len * outputs],

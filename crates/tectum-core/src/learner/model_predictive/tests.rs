@@ -124,3 +124,98 @@ fn recursion_gives_what_the_normal_equations_give() {
     // The sum of normalised squared errors is the quadratic form of the evidence.
     assert!((total / regression.squares[0] - 1.0).abs() < 1e-6, "{total} {}", regression.squares[0]);
 }
+
+/// The kernel as the documentation of the layout states it.
+fn kernel(layout: &Layout, scales: &[f64], a: &[f64], b: &[f64]) -> f64 {
+    use super::layout::Scale;
+    let at =
+        |u: usize, s: Scale| if layout.units[u].scales[s as usize] { scales[Layout::scale(u, s)].exp() } else { 0.0 };
+    let inner = |u: usize| {
+        let unit = &layout.units[u];
+        if unit.circle { (at(u, Scale::Frequency) * (a[unit.at] - b[unit.at])).cos() } else { a[unit.at] * b[unit.at] }
+    };
+    let mut k = scales[0].exp();
+    let (mut apart, mut singles) = (0.0_f64, 0.0);
+    for (u, unit) in layout.units.iter().enumerate() {
+        k += at(u, Scale::Linear) * inner(u) + at(u, Scale::Square) * inner(u).powi(2);
+        singles += if unit.group.is_some() { at(u, Scale::Product) * inner(u) } else { 0.0 };
+        let square = if unit.circle { 2.0 - 2.0 * inner(u) } else { (a[unit.at] - b[unit.at]).powi(2) };
+        apart += at(u, Scale::Smooth) * square;
+    }
+    let factor = |units: &Vec<usize>| 1.0 + units.iter().map(|&u| at(u, Scale::Product) * inner(u)).sum::<f64>();
+    let product: f64 = layout.groups.iter().map(factor).product();
+    k + scales[1].exp() * (product - 1.0 - singles) + scales[2].exp() * (-0.5 * apart).exp()
+}
+
+/// `log |A|` and `yᵀ A⁻¹ y`, by Gaussian elimination.
+fn dense(mut a: Vec<Vec<f64>>, mut y: Vec<f64>) -> (f64, f64) {
+    let (n, right) = (y.len(), y.clone());
+    let mut log_determinant = 0.0;
+    for k in 0..n {
+        log_determinant += a[k][k].ln();
+        for r in k + 1..n {
+            let factor = a[r][k] / a[k][k];
+            for c in k..n {
+                a[r][c] -= factor * a[k][c];
+            }
+            y[r] -= factor * y[k];
+        }
+    }
+    for k in (0..n).rev() {
+        y[k] = (y[k] - (k + 1..n).map(|c| a[k][c] * y[c]).sum::<f64>()) / a[k][k];
+    }
+    (log_determinant, right.iter().zip(&y).map(|(a, b)| a * b).sum())
+}
+
+#[test]
+fn the_evidence_is_that_of_a_dense_computation() {
+    let layout = layout();
+    let mut rng = stream(5, "test");
+    let (n, floor) = (12, 1e-7);
+    let mut evidence = Evidence::new(&layout, n, 2);
+    let (mut points, mut targets) = (Vec::new(), [Vec::new(), Vec::new()]);
+    for _ in 0..n {
+        let q: Vec<f64> = (0..5).map(|_| 0.6 * normal(&mut rng)).collect();
+        let y = [q[0] * q[1] + 0.2, q[2] + 0.1 * normal(&mut rng)];
+        evidence.push(&q, &y);
+        targets[0].push(y[0]);
+        targets[1].push(y[1]);
+        points.push(q);
+    }
+    let scales = layout.prior.clone();
+    let mut matrix: Vec<Vec<f64>> =
+        points.iter().map(|a| points.iter().map(|b| kernel(&layout, &scales, a, b)).collect()).collect();
+    let amplitude = (0..n).map(|i| matrix[i][i]).sum::<f64>() / n as f64;
+    for (i, row) in matrix.iter_mut().enumerate() {
+        row[i] += (floor + scales[3].exp()) * amplitude;
+    }
+    let expected: f64 = targets
+        .iter()
+        .map(|y| {
+            let (log_determinant, square) = dense(matrix.clone(), y.clone());
+            -0.5 * (log_determinant + n as f64 * (square / n as f64).ln())
+        })
+        .sum();
+    // At the prior's mean the prior of the scales adds nothing.
+    let found = evidence.step(&layout, 2.5, 0.0, floor).unwrap();
+    assert!((found - expected).abs() < 1e-6 * expected.abs(), "{found} {expected}");
+}
+
+#[test]
+fn features_give_the_kernel_where_there_is_no_smooth_part() {
+    let mut layout = layout();
+    layout.prior[2] = -60.0;
+    let mut rng = stream(6, "test");
+    let features = Features::new(&layout, 4, 200, || normal(&mut rng));
+    let mut basis = Basis::new(&layout, &features);
+    let (mut a, mut b) = (vec![0.0; features.len], vec![0.0; features.len]);
+    for _ in 0..20 {
+        let q: Vec<f64> = (0..5).map(|_| 0.6 * normal(&mut rng)).collect();
+        let r: Vec<f64> = (0..5).map(|_| 0.6 * normal(&mut rng)).collect();
+        features.evaluate(&layout, &q, &mut basis, &mut a);
+        features.evaluate(&layout, &r, &mut basis, &mut b);
+        let found: f64 = a.iter().zip(&b).map(|(a, b)| a * b).sum();
+        let expected = kernel(&layout, &layout.prior, &q, &r);
+        assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+    }
+}

@@ -33,7 +33,7 @@ pub struct Weighted {
 impl Weighted {
     /// For `outputs` outputs.
     pub fn new(layout: &Layout, features: &Features, outputs: usize) -> Self {
-        let (nodes, pairs) = (features.nodes.capacity(), features.pairs);
+        let (nodes, pairs) = (features.most_nodes, features.pairs);
         Self {
             outputs,
             len: features.len,

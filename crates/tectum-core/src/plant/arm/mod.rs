@@ -120,8 +120,8 @@ impl Arm {
         (stop, if stop == reached { rate } else { (stop - from) / self.period })
     }
 
-    /// How much slower each joint turns in `tick` under the load, rad/s: in proportion to the load's lever, which is how
-    /// much the end-effector rises for a turn of the joint.
+    /// How much slower each joint turns in `tick` under the load, rad/s: in proportion to the load's lever, which is
+    /// how much the end-effector rises for a turn of the joint.
     fn droop(&self, tick: u64) -> [f32; MAX_OUTPUTS] {
         let per_metre = self.config.droop(tick) as f32;
         let chain = self.chain();

@@ -1,0 +1,174 @@
+//! Tests of the learner as a whole, on a small plant: a position that follows its command, and a target that jumps.
+
+use rand::RngExt as _;
+
+use super::{InputRange, ModelPredictive, ModelPredictiveConfig, ModelPredictiveSpec, Observed, TickFlags};
+use crate::seed::{Rng, stream};
+use crate::state::{load, save, size};
+
+/// The plant, and what the learner saw of it last.
+#[derive(Clone)]
+struct Reach {
+    rng: Rng,
+    position: f64,
+    target: f64,
+    tick: u64,
+    reward: f64,
+    applied: f64,
+    /// Factors of inputs, commands and rewards.
+    units: [f64; 3],
+}
+
+impl Reach {
+    fn new(units: [f64; 3]) -> Self {
+        Self { rng: stream(7, "targets"), position: 0.0, target: 0.0, tick: 0, reward: 0.0, applied: 0.0, units }
+    }
+
+    /// One tick, with `change` applied to the reward that is reported. Returns the command and the true reward.
+    fn tick(&mut self, agent: &mut ModelPredictive, change: impl FnOnce(u64, f64) -> f64) -> (f64, f64) {
+        let new_target = self.tick % 20 == 0;
+        if new_target {
+            self.target = self.rng.random_range(-0.9..0.9);
+        }
+        let inputs = [self.target, self.position].map(|x| x * self.units[0]);
+        let reward = change(self.tick, self.reward * self.units[2]);
+        let flags = TickFlags { new_target, ..TickFlags::default() };
+        let mut command = [0.0];
+        agent.act(&Observed { inputs: &inputs, reward, applied: &[self.applied], flags }, &mut command);
+        self.applied = command[0];
+        agent.improve();
+        let u = command[0] / self.units[1];
+        self.position = (self.position + 0.4 * u).clamp(-1.0, 1.0);
+        let apart = self.position - self.target;
+        self.reward = -(apart * apart + 0.02 * u * u);
+        self.tick += 1;
+        (command[0], self.reward)
+    }
+}
+
+fn agent(units: [f64; 3]) -> ModelPredictive {
+    let range = InputRange { min: -units[0], max: units[0], wraps: false, radians: None };
+    ModelPredictive::new(&ModelPredictiveSpec {
+        inputs: vec![range; 2],
+        limits: vec![units[1]],
+        sigma: vec![0.02 * units[1]],
+        seed: 3,
+        config: ModelPredictiveConfig {
+            horizon: 8,
+            memory: 400,
+            points: 40,
+            reward_features: 150,
+            dynamics_features: 150,
+            refit_operations: 2.0,
+            ..ModelPredictiveConfig::default()
+        },
+    })
+}
+
+/// Mean reward of the ticks from `first` to `last`.
+fn mean(rewards: &[f64], first: usize, last: usize) -> f64 {
+    rewards[first..last].iter().sum::<f64>() / (last - first) as f64
+}
+
+fn run(units: [f64; 3], ticks: usize, mut change: impl FnMut(u64, f64) -> f64) -> (Vec<f64>, ModelPredictive) {
+    let (mut plant, mut agent) = (Reach::new(units), agent(units));
+    let rewards = (0..ticks).map(|_| plant.tick(&mut agent, &mut change).1).collect();
+    (rewards, agent)
+}
+
+#[test]
+fn it_learns_to_reach() {
+    let (rewards, _) = run([1.0; 3], 200, |_, r| r);
+    // Each target has twenty ticks, and moves take less than ten. Standing still in the middle gives -0.27.
+    for target in 5..10 {
+        let settled = mean(&rewards, 20 * target + 10, 20 * target + 20);
+        assert!(settled > -0.004, "target {target}: {settled}");
+    }
+}
+
+#[test]
+fn units_are_without_effect() {
+    // A power of two scales without rounding, so that every bit is the same.
+    let units = [1024.0, 4096.0, 0.125];
+    let (mut plain, mut scaled) = (Reach::new([1.0; 3]), Reach::new(units));
+    let (mut a, mut b) = (agent([1.0; 3]), agent(units));
+    for tick in 0..120 {
+        let command = plain.tick(&mut a, |_, r| r).0;
+        let other = scaled.tick(&mut b, |_, r| r).0;
+        // Rewards are centred and scaled by sums whose rounding depends on the unit.
+        assert!((command - other / units[1]).abs() < 1e-6, "tick {tick}: {command} {}", other / units[1]);
+    }
+    let (rewards, _) = run([1.0; 3], 200, |_, r| r);
+    let (others, _) = run([1000.0, 1000.0, 1000.0], 200, |_, r| r);
+    let (a, b) = (mean(&rewards, 60, 200), mean(&others, 60, 200));
+    assert!((a - b).abs() < 0.1 * a.abs(), "{a} {b}");
+}
+
+#[test]
+fn a_restored_learner_goes_on_as_the_other() {
+    let mut rng = stream(11, "test");
+    let (mut plant, mut original) = (Reach::new([1.0; 3]), agent([1.0; 3]));
+    for _ in 0..6 {
+        for _ in 0..rng.random_range(5..40) {
+            plant.tick(&mut original, |_, r| r);
+        }
+        let mut bytes = vec![0; size(&mut original)];
+        save(&mut original, &mut bytes).unwrap();
+        let mut restored = agent([1.0; 3]);
+        assert!(load(&mut restored, &bytes));
+        let mut twin = plant.clone();
+        for _ in 0..15 {
+            let (a, b) = (plant.tick(&mut original, |_, r| r).0, twin.tick(&mut restored, |_, r| r).0);
+            if a.to_bits() != b.to_bits() {
+                panic!("tick {}: {:?}", plant.tick, differing(&mut original, &mut restored));
+            }
+            let d = differing(&mut original, &mut restored);
+            assert!(d.is_empty(), "tick {} {d:?}", plant.tick);
+        }
+        let mut other = vec![0; size(&mut restored)];
+        bytes.resize(size(&mut original), 0);
+        save(&mut original, &mut bytes).unwrap();
+        save(&mut restored, &mut other).unwrap();
+        assert!(bytes == other, "states differ at tick {}", plant.tick);
+    }
+}
+
+#[test]
+fn a_wild_reward_and_unusable_inputs_do_no_harm() {
+    let (rewards, _) = run([1.0; 3], 260, |_, r| r);
+    let (disturbed, agent) = run([1.0; 3], 260, |tick, r| if tick == 120 { -1000.0 } else { r });
+    assert!(agent.counts.reward_outliers > 0);
+    let (a, b) = (mean(&rewards, 140, 260), mean(&disturbed, 140, 260));
+    assert!((a - b).abs() < 0.25 * a.abs(), "{a} {b}");
+    let (lost, _) = run([1.0; 3], 260, |tick, r| if (120..170).contains(&tick) { f64::NAN } else { r });
+    assert!(lost.iter().all(|r| r.is_finite()));
+    assert!((a - mean(&lost, 140, 260)).abs() < 0.25 * a.abs());
+}
+
+#[derive(Default)]
+struct Rows(Vec<(&'static str, Vec<u8>)>);
+impl crate::state::StateVisitor for Rows {
+    fn row(&mut self, name: &'static str, _: crate::state::NumberKind, bytes: &mut [u8]) {
+        self.0.push((name, bytes.to_vec()));
+    }
+    fn count(&mut self, _: &'static str, _: &mut u64) {}
+    fn enter(&mut self, name: &'static str) {
+        self.0.push((name, vec![]));
+    }
+}
+fn differing(a: &mut ModelPredictive, b: &mut ModelPredictive) -> Vec<String> {
+    use crate::state::Persist;
+    let (mut x, mut y) = (Rows::default(), Rows::default());
+    a.visit_state(&mut x);
+    b.visit_state(&mut y);
+    let mut at = "";
+    x.0.iter()
+        .zip(&y.0)
+        .filter_map(|(x, y)| {
+            if x.1.is_empty() {
+                at = x.0;
+            }
+            (x.1 != y.1).then(|| format!("{at}.{}", x.0))
+        })
+        .collect()
+}
