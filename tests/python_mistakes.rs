@@ -1,6 +1,6 @@
 //! The mistakes that an author of a plant or controller in Python may make, and what they see: one sentence with file
-//! and line, once, with the right exit code, and no pointless restart. The table of docs/python.md is made from these rows
-//! (`TECTUM_BLESS=1` writes it). Ignored by default, because they need a Python with the package `tectum`:
+//! and line, once, with the right exit code, and no pointless restart. The table of docs/python.md is made from these
+//! rows (`TECTUM_BLESS=1` writes it). Ignored by default, because they need a Python with the package `tectum`:
 //!
 //! ```text
 //! TECTUM_PYTHON=path/to/python cargo test --locked --test python_mistakes -- --ignored
