@@ -1,6 +1,6 @@
-//! The mistakes that an author of a plant or controller in Python may make, and what he sees: one sentence with file and
-//! line, once, with the right exit code, and no pointless restart. The table of docs/python.md is made from these rows
-//! (`TECTUM_BLESS=1` writes it). Ignored by default, because they need a Python with the package `tectum`:
+//! The mistakes that an author of a plant or controller in Python may make, and what they see: one sentence with file
+//! and line, once, with the right exit code, and no pointless restart. The table of docs/python.md is made from these
+//! rows (`TECTUM_BLESS=1` writes it). Ignored by default, because they need a Python with the package `tectum`:
 //!
 //! ```text
 //! TECTUM_PYTHON=path/to/python cargo test --locked --test python_mistakes -- --ignored
@@ -63,8 +63,8 @@ args = [\"mine.py\"]
 max_command = 1
 ";
 
-/// A mistake: in words, the change of a file that makes it, the sentence, and the exit code. `\n` in the first two stands
-/// for a line's end. The sentence begins after `the plant ended: ` or `the controller ended: `.
+/// A mistake: in words, the change of a file that makes it, the sentence, and the exit code. `\n` in the change
+/// is a line's end. The sentence begins after `the plant ended: ` or `the controller ended: `.
 struct Mistake {
     what: &'static str,
     file: &'static str,
@@ -91,7 +91,8 @@ const MISTAKES: [Mistake; 27] = [
         "an exception",
         "body.py",
         ("self.x += 0.01", "self.x += 1 / tick"),
-        "ZeroDivisionError: division by zero, at body.py:9, in Body.advance, tick 0; the traceback is in runs/body-1/plant.stderr",
+        "ZeroDivisionError: division by zero, at body.py:9, in Body.advance, tick 0; \
+         the traceback is in runs/body-1/plant.stderr",
         4,
     ),
     mistake(
@@ -113,7 +114,8 @@ const MISTAKES: [Mistake; 27] = [
         "an error of syntax, or a module that is missing",
         "body.py",
         ("import tectum\n", "import tectum, no_such_module\n"),
-        "ModuleNotFoundError: No module named 'no_such_module', at body.py:1; the traceback is in plant.stderr in the run's folder",
+        "ModuleNotFoundError: No module named 'no_such_module', at body.py:1; \
+         the traceback is in plant.stderr in the run's folder",
         4,
     ),
     mistake(
@@ -244,8 +246,8 @@ const MISTAKES: [Mistake; 27] = [
         "a state that cannot be kept",
         "mine.py",
         ("{\"n\": self.n}", "{\"n\": self}"),
-        "Mine.state (mine.py:10) gave a state in which it['n'] is a Mine; a state holds numbers, texts, bytes, numpy arrays, \
-         and lists and dicts of these, at tick 0",
+        "Mine.state (mine.py:10) gave a state in which it['n'] is a Mine; a state holds numbers, texts, bytes, numpy \
+         arrays, and lists and dicts of these, at tick 0",
         4,
     ),
     mistake(
@@ -359,7 +361,7 @@ fn a_program_that_no_launcher_started_says_how() {
     let outcome = test_folder.start(python(), &["body.py"]).wait().expect(2);
     assert_eq!(
         outcome.stderr.trim(),
-        "body.py: is one process of a run and was given none; start the run: `tectum run SCENARIO`, where body.py stands \
-         under [plant] or [controller], or join one with --run RUN (--by-hand)"
+        "body.py: is one process of a run and was given none; start the run: `tectum run SCENARIO`, where body.py \
+         stands under [plant] or [controller], or join one with --run RUN (--by-hand)"
     );
 }

@@ -52,4 +52,5 @@ finally:
     env.close()
 tenth = max(len(losses) // 10, 1)
 print(f"{arguments.steps} ticks in {seconds:.0f} s, {env.missed} missed; {len(losses)} episodes:")
-print(f"loss of an episode {np.mean(losses[:tenth]):.2f} in the first tenth, {np.mean(losses[-tenth:]):.2f} in the last")
+first, last = np.mean(losses[:tenth]), np.mean(losses[-tenth:])
+print(f"loss of an episode {first:.2f} in the first tenth, {last:.2f} in the last")

@@ -127,8 +127,8 @@ fn check_map(key: &str, map: &MapConfig, inputs: &[SignalConfig]) -> Result<usiz
     let lists = [("units", map.units.len()), ("ranges", map.ranges.len()), ("radius", radii.unwrap_or(0))];
     for (list, length) in lists {
         if length != 0 && length != n {
-            let text =
-                format!("has length {length} and inputs has length {n}; give one for each input, or leave it out");
+            let otherwise = if list == "radius" { "or one number for all" } else { "or leave it out" };
+            let text = format!("has length {length} and inputs has length {n}; give one for each input, {otherwise}");
             return Err(Violation::new(format_args!("{key}.{list}"), text));
         }
     }

@@ -60,6 +60,10 @@ impl<'de> Deserialize<'de> for PerAxis {
                 Ok(PerAxis::All(value as f64))
             }
 
+            fn visit_u64<E: Error>(self, value: u64) -> Result<PerAxis, E> {
+                Ok(PerAxis::All(value as f64))
+            }
+
             fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<PerAxis, A::Error> {
                 let mut numbers = Vec::new();
                 while let Some(number) = list.next_element()? {

@@ -310,6 +310,34 @@ fn texts() -> Vec<String> {
     presets().iter().map(|preset| preset.text.to_owned()).chain(built).collect()
 }
 
+/// A file may say which inputs wrap, which measure is the error, and the radius along each axis. What it leaves out is
+/// as before.
+#[test]
+fn roles_wrapping_and_radii_are_explicit() {
+    let text = |measures: &str, wraps: &str, radius: &str| {
+        format!(
+            "name = \"x\"\n[plant]\nprogram = \"p\"\nmeasures = {measures}\n\
+             inputs = [{{ name = \"a\", unit = \"deg\", min = -3.141592653589793, max = 3.141592653589793{wraps} }},\n\
+             {{ name = \"b\", unit = \"rad\", min = -3.141592653589793, max = 3.141592653589793 }}]\n\
+             outputs = [{{ name = \"c\", min = -1, max = 1 }}]\n\
+             [encoder]\nmaps = [{{ inputs = [\"a\", \"b\"], radius = {radius} }}]\n"
+        )
+    };
+    let plan = |text: &str| Scenario::parse(text, "x.toml").unwrap().plan().unwrap();
+    let usual = plan(&text("[\"size\", \"error\"]", "", "1"));
+    assert_eq!((usual.error, usual.inputs[0].wraps(), usual.inputs[1].wraps()), (Some(1), false, true));
+    let other = plan(&text("[{ name = \"size\", role = \"error\" }, \"error\"]", ", wraps = true", "[1, 2]"));
+    assert_eq!((other.error, other.inputs[0].wraps()), (Some(0), true));
+    assert_eq!(other.measures, ["size", "error"]);
+    let Map::Plane(a, b) = &other.maps[0] else { panic!("{:?}", other.maps) };
+    assert_eq!((a.radius, b.radius), (1.0, 2.0));
+    // The file with every default written out is the same scenario.
+    assert_eq!(plan(&other.scenario.to_toml()).hash, other.hash);
+    let wrong = text("[]", ", wraps = true", "1").replacen("max = 3.141592653589793", "max = 3.2", 1);
+    let message = Scenario::parse(&wrong, "x.toml").unwrap().plan().unwrap_err().to_string();
+    assert!(message.contains("plant.inputs[0].wraps is true, and the range is"), "{message}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 1500, failure_persistence: None, ..ProptestConfig::default() })]
 

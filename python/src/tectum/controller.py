@@ -1,6 +1,6 @@
 """A controller in the place of Tectum's own: what its author writes, and what it is told.
 
-As in Rust (docs/controllers.md): an `Agent` with `act`, `learn` and `improve`. What calls it is in `controller_core.py`.
+As in Rust (docs/controllers.md): an `Agent` with `act`, `learn` and `improve`. `controller_core.py` calls it.
 """
 
 from abc import ABC, abstractmethod
@@ -50,8 +50,8 @@ class Percept(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """The outputs of a controller that says what part of them is exploration. The plant applies `command`; `mean` is for
-    viewers and the log."""
+    """The outputs of a controller that says what part of them is exploration. The plant applies `command`; `mean` is
+    for viewers and the log."""
 
     command: Sequence[float]
     mean: Sequence[float]
@@ -84,9 +84,9 @@ class Experience:
 class Controller(ABC):
     """Answers every observation with outputs, and may learn. It is made with the run that it takes part in.
 
-    A controller that is killed comes back as it was: with what `state` last gave, and the observations since then, which
-    it answers and learns from once more without sending anything. So its answers may depend on its observations, on its
-    state and on the run's seed alone: not on a clock, and not on an unseeded generator (`run.generator(name)` is a
+    A controller that is killed comes back as it was: with what `state` last gave, and the observations since then,
+    which it answers and learns from once more without sending anything. So its answers may depend on its observations,
+    on its state and on the run's seed alone: not on a clock, and not on an unseeded generator (`run.generator(name)` is a
     seeded one, which belongs into the state).
     """
 

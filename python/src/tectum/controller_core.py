@@ -128,7 +128,7 @@ class ControllerCore:
         return None if valid and self.acted and math.isfinite(observation.reward) else "invalid"
 
     def gate_could_apply(self, observation: Observation) -> bool:
-        """Whether a gate could have made what was applied: it moves a command towards zero, or towards the one before."""
+        """Whether a gate could have made what was applied: it moves a command to zero, or to the one before."""
         applied = np.array(observation.applied[: len(self.asked)], dtype=np.float32)
         low, high = (f(f(self.asked, self.before), np.float32(0.0)) for f in (np.minimum, np.maximum))
         return bool(((low <= applied) & (applied <= high)).all())

@@ -1,4 +1,4 @@
-"""What a controller counts of a run, from which the summary judges whether it went well: `src/runtime/run_counts.rs`."""
+"""What a controller counts of a run, by which the summary judges it: `src/runtime/run_counts.rs`."""
 
 import math
 from typing import Any
@@ -31,8 +31,8 @@ class Counts:
         self.not_learned = [0] * 10
 
     def add(self, observation: Observation, inputs: np.ndarray, asked: np.ndarray, withheld: str | None) -> None:
-        """Counts an observation. `asked` is the command of the tick before, and `withheld` why nothing may be learned from
-        that tick."""
+        """Counts an observation. `asked` is the command of the tick before, and `withheld` why nothing may be
+        learned from that tick."""
         flags, reward = observation.header.flags, float(observation.reward)
         np.fmin(self.least, inputs, out=self.least)
         np.fmax(self.greatest, inputs, out=self.greatest)

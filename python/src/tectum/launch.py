@@ -98,7 +98,9 @@ class RunHandle:
     def __enter__(self) -> "RunHandle":
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self.running():
             self.stop()
 

@@ -1,7 +1,7 @@
 """Reads a run's log into numpy arrays, with the scenario's names and units.
 
-The log is MCAP, unchunked, with fixed-size messages whose schema stands in the log itself (docs/studies.md). So a log of
-another version can be read, too.
+The log is MCAP, unchunked, with fixed-size messages whose schema stands in the log itself (docs/studies.md). So a log
+of another version can be read, too.
 """
 
 import json
@@ -59,8 +59,8 @@ class Log:
         return int(self.facts.get("period_ns", 0)) / 1e9
 
     def columns(self, channel: str = "observation") -> dict[str, np.ndarray]:
-        """A channel as named columns, as `tectum log csv` names them: `theta_1 (rad)`, `applied rate_1 (1)`, ..; `time (s)`
-        is the tick's scheduled instant from the start of the run."""
+        """A channel as named columns, as `tectum log csv` names them: `theta_1 (rad)`, `applied rate_1 (1)`, ..;
+        `time (s)` is the tick's scheduled instant from the start of the run."""
         rows = self.rows(channel)
         if channel == "gap":
             return {name: rows[name] for name in ("channel", "first", "count", "total")}
@@ -98,7 +98,8 @@ class Log:
 def read_log(run: str | os.PathLike[str]) -> Log:
     """Reads a log: a run's folder, its name under `runs/`, or one file.
 
-    Segments of one run (`log.mcap`, `log-1.mcap`, ..) are read as one log. A log of a run in progress, or of one that was killed, is read up to its last whole record.
+    Segments of one run (`log.mcap`, `log-1.mcap`, ..) are read as one log. A log of a run in progress, or of
+    one that was killed, is read up to its last whole record.
     """
     path = Path(run)
     if not path.exists() and (Path("runs") / run).exists():
@@ -164,7 +165,8 @@ def read_file(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], bool]:
     arrays: dict[str, np.ndarray] = {}
     for short in ("observation", "command", "learning", "gap"):
         found = [number for number, name in channels.items() if name.lower().endswith(f"/{short}")]
-        row = next((of for name, of in types.items() if name.lower().endswith(f"/{short}")), np.dtype([("tick", "<u8")]))
+        empty = np.dtype([("tick", "<u8")])
+        row = next((of for name, of in types.items() if name.lower().endswith(f"/{short}")), empty)
         body = b"".join(bytes(part[: row.itemsize]) for number in found for part in bodies[number])
         arrays[short] = np.frombuffer(body, dtype=row)
     return arrays, facts, complete
@@ -208,7 +210,10 @@ def sample_type(text: str) -> np.dtype:
             words = line.split("#")[0].split()
             if len(words) != 2:
                 continue
-            (kind, count), name = re.fullmatch(r"([\w/]+)(?:\[(\d+)\])?", words[0]).groups(), words[1]  # type: ignore[union-attr]
+            match = re.fullmatch(r"([\w/]+)(?:\[(\d+)\])?", words[0])
+            if match is None:
+                continue
+            kind, count, name = match[1], match[2], words[1]
             if kind in TYPES:
                 found.append((name, TYPES[kind], (int(count),)) if count else (name, TYPES[kind]))
             else:

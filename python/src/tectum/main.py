@@ -79,7 +79,8 @@ def made(build: Callable[[Any], Any], run: RunFacts) -> Any:
 
 def failed(name: str, run: RunFacts, cause: Exception) -> Refused:
     """What the author's code raised while the body was made, as a sentence."""
-    if isinstance(cause, TypeError) and len(traceback.extract_tb(cause.__traceback__)) == 1:  # raised by the call itself
+    # With one frame it was raised by the call itself.
+    if isinstance(cause, TypeError) and len(traceback.extract_tb(cause.__traceback__)) == 1:
         return Refused(f"{name} is made with one argument, the run: {cause}")
     traceback.print_exception(cause)
     # A program that failed before it took a role: the scenario says which one it was to take.

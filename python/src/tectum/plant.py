@@ -39,8 +39,8 @@ COUNTED = {
 
 class Outcome(NamedTuple):
     """What a tick came to. `measures` has a number for each measure of the scenario. `end` is `terminated` where an
-    episode ended with this tick and the value after it is 0, and `truncated` where it was cut off; the inputs that follow
-    are those of the next episode."""
+    episode ended with this tick and the value after it is 0, and `truncated` where it was cut off; the inputs that
+    follow are those of the next episode."""
 
     reward: float
     measures: Sequence[float] = ()

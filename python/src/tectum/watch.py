@@ -22,7 +22,9 @@ class Viewer(Generic[Sample]):
     A viewer that is behind by more than `buffer` samples loses the oldest. `lost` counts them.
     """
 
-    def __init__(self, run: "str | os.PathLike[str] | JoinedRun", channel: str = "observation", buffer: int = 64) -> None:
+    def __init__(
+        self, run: "str | os.PathLike[str] | JoinedRun", channel: str = "observation", buffer: int = 64
+    ) -> None:
         if channel not in KINDS:
             raise Refused(f"there is no channel {channel!r} to view; the channels are {', '.join(KINDS)}")
         self.run = join(run)

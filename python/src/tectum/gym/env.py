@@ -40,8 +40,8 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     An episode ends when the plant says so, when a new target begins (truncated; `info["new_target"]`), after
     `episode_ticks`, and with the run's last tick. `reset()` goes on with the same run from where the plant is: an arm
-    cannot be put anywhere else. `reset(seed=..)`, and a reset after the run's last tick, start a new run; in lockstep the
-    same seed and actions give the same numbers.
+    cannot be put anywhere else. `reset(seed=..)`, and a reset after the run's last tick, start a new run; in lockstep
+    the same seed and actions give the same numbers.
 
     Runs lie in a folder of their own, which is removed at the end; `out` names one to keep.
     """

@@ -34,8 +34,8 @@ class GymBody(Plant):
     """The environment, step by step: a tick is a step.
 
     An episode that ends is followed by the next one at once: the reward of its last step, with `terminated` or
-    `truncated`, comes with the first inputs of the next. Each episode has a seed of its own, from the run's seed and the
-    episode's number. Measures of the scenario are `return` and `steps`, of the episode so far, or numbers that the
+    `truncated`, comes with the first inputs of the next. Each episode has a seed of its own, from the run's seed and
+    the episode's number. Measures of the scenario are `return` and `steps`, of the episode so far, or numbers that the
     environment gives in `info` under that name.
     """
 
@@ -49,7 +49,8 @@ class GymBody(Plant):
         for name, low, high, (least, most) in zip(run.outputs, limits.low, limits.high, run.output_ranges):
             if least < low - 1e-6 or most > high + 1e-6:
                 text = f"{self.name} takes actions from {low:g} to {high:g} there; give that range, and max_command"
-                raise Refused(f"the output `{name}` of the scenario goes from {least:g} to {most:g}; {text} under [gate]")
+                ours = f"the output `{name}` of the scenario goes from {least:g} to {most:g}"
+                raise Refused(f"{ours}; {text} under [gate]")
         self.shape, self.kind = actions.shape, actions.dtype
         self.episode, self.fresh = -1, False
         self.totals = {"return": 0.0, "steps": 0.0}

@@ -54,8 +54,9 @@ def make(environment: Any, arguments: dict[str, Any]) -> "gymnasium.Env[Any, Any
     if str(environment).startswith("dm_control/"):
         try:
             import shimmy
-        except ImportError:
-            raise Refused("dm_control's environments need shimmy: pip install 'shimmy[dm-control]'") from None
+        except ImportError as cause:
+            text = f"dm_control's environments need shimmy ({cause})"
+            raise Refused(f"{text}: pip install 'shimmy[dm-control]' packaging") from None
         gymnasium.register_envs(shimmy)
     try:
         return gymnasium.make(environment, **arguments)
