@@ -118,7 +118,8 @@ impl ModelPredictive {
     pub fn new(spec: &ModelPredictiveSpec) -> Self {
         let config = spec.config.clone();
         let places = Places { inputs: spec.inputs.len(), commands: spec.limits.len() };
-        let (n, m) = (places.inputs, places.commands);
+        assert!(places.commands <= MAX_OUTPUTS && places.inputs <= MAX_INPUTS);
+        let n = places.inputs;
         let mut rng = stream(spec.seed, "models");
         let settings = RefitSettings {
             points: config.points,
@@ -177,21 +178,13 @@ impl ModelPredictive {
             rng,
             places,
             config,
-            // `m` commands
         }
-        .checked(m)
-    }
-
-    fn checked(self, m: usize) -> Self {
-        assert!(m <= MAX_OUTPUTS && self.places.inputs <= MAX_INPUTS);
-        self
     }
 
     /// Answers an observation with a command, in its unit: `u* + K (x - x*)` and noise, within the limits.
     pub fn act(&mut self, observed: &Observed, command: &mut [f64]) {
         self.take_in(observed);
         let (nx, m) = (self.places.state(), self.places.commands);
-        let warm_up = 20.max((1.2 * self.places.len() as f64) as u64);
         let u = &mut self.command[..m];
         if self.planned {
             let world = Differences(&self.ranges, self.places);
@@ -204,7 +197,6 @@ impl ModelPredictive {
         } else {
             self.noise.wander(&self.sigma, self.config.first_noise, 6, u);
         }
-        let _ = warm_up;
         let mut clipped = false;
         for (j, u) in u.iter_mut().enumerate() {
             clipped |= u.abs() >= 1.0;
@@ -389,7 +381,7 @@ impl ModelPredictive {
             // The reward model that predicts much worse is fitted anew in every third refit only.
             let clear = (self.scores[1] - self.scores[0]).abs() > 0.5;
             for (k, model) in self.rewards.iter_mut().enumerate() {
-                if k == usize::from(self.scores[1] > self.scores[0]) || !clear || self.refits % 3 == 0 {
+                if k == usize::from(self.scores[1] > self.scores[0]) || !clear || self.refits.is_multiple_of(3) {
                     model.refit.begin();
                 }
             }
@@ -469,9 +461,7 @@ impl ModelPredictive {
                 self.rival_kind,
                 &mut self.rng,
                 &mut world,
-                &self.memory,
-                moving,
-                &self.start,
+                (&self.memory, moving),
                 &self.plan,
                 &mut self.rival,
             );

@@ -41,10 +41,8 @@ pub fn solve(h: &[f64], g: &[f64], low: &[f64], high: &[f64], start: &[f64]) -> 
         }
         // Newton step of the free coordinates.
         let mut step = [0.0; MAX_OUTPUTS];
-        let mut at = 0;
-        for i in (0..n).filter(|&i| s.free[i]) {
+        for (at, i) in (0..n).filter(|&i| s.free[i]).enumerate() {
             step[at] = -gradient[i];
-            at += 1;
         }
         solve_lower(&s.factor, &mut step[..s.order]);
         solve_lower_transposed(&s.factor, &mut step[..s.order]);
@@ -56,10 +54,8 @@ pub fn solve(h: &[f64], g: &[f64], low: &[f64], high: &[f64], start: &[f64]) -> 
         let mut moved = 0.0;
         for _ in 0..8 {
             let mut x = s.x;
-            let mut at = 0;
-            for i in (0..n).filter(|&i| s.free[i]) {
+            for (at, i) in (0..n).filter(|&i| s.free[i]).enumerate() {
                 x[i] = (x[i] + size * step[at]).clamp(low[i], high[i]);
-                at += 1;
             }
             if value(&x) < before {
                 moved = (0..n).map(|i| (x[i] - s.x[i]).abs()).fold(0.0, f64::max);
@@ -79,10 +75,8 @@ pub fn solve(h: &[f64], g: &[f64], low: &[f64], high: &[f64], start: &[f64]) -> 
 fn factor_free(h: &[f64], n: usize, s: &mut Solution) -> bool {
     s.order = 0;
     for i in (0..n).filter(|&i| s.free[i]) {
-        let mut at = 0;
-        for j in (0..=i).filter(|&j| s.free[j]) {
+        for (at, j) in (0..=i).filter(|&j| s.free[j]).enumerate() {
             s.factor[packed(s.order) + at] = h[i * n + j];
-            at += 1;
         }
         s.order += 1;
     }

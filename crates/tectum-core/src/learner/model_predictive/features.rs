@@ -232,7 +232,7 @@ impl Features {
         }
         self.candidates.retain(|c| c.order >= 2);
         self.candidates.truncate(self.products);
-        self.candidates.sort_unstable_by(|a, b| a.choice.cmp(&b.choice));
+        self.candidates.sort_unstable_by_key(|candidate| candidate.choice);
         self.plant_nodes(layout);
     }
 

@@ -128,7 +128,7 @@ pub struct Priors {
 impl Layout {
     /// An empty layout for `width` numbers; amplitudes of bias, products, smooth part, and the noise.
     pub fn new(width: usize, amplitudes: [f64; 4]) -> Self {
-        let prior = amplitudes.map(|a| libm::log(a)).to_vec();
+        let prior = amplitudes.map(libm::log).to_vec();
         let learned = vec![true; GLOBAL];
         Self { width, units: Vec::new(), circles: 0, components: 0, groups: Vec::new(), prior, learned }
     }

@@ -101,11 +101,6 @@ impl Memory {
         let at = (tick % self.capacity as u64) as usize * self.places.len();
         &self.before[at..at + self.places.len()]
     }
-
-    /// The reward of a stored tick.
-    pub fn reward(&self, tick: u64) -> f64 {
-        self.rewards[(tick % self.capacity as u64) as usize]
-    }
 }
 
 /// The memory as data of the dynamics model.

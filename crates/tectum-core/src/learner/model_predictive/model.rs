@@ -139,10 +139,11 @@ impl Model {
                 }
             }
         }
-        let parts = sums[..outputs].iter().filter(|sums| sums[0] >= 20.0).filter_map(|[count, sum, squares, errors]| {
-            let variance = squares - sum * sum / count;
-            (variance > 1e-8 * count).then(|| errors / variance)
-        });
+        let parts =
+            sums[..outputs].iter().filter(|sums| sums[0] >= 20.0).filter_map(|[count, sum, squares, errors]| {
+                let variance = squares - sum * sum / count;
+                (variance > 1e-8 * count).then(|| errors / variance)
+            });
         parts.reduce(f64::max)
     }
 

@@ -11,10 +11,6 @@ const PLACES: Places = Places { inputs: 2, commands: 2 };
 const GOAL: [f64; 2] = [0.8, -0.5];
 
 impl World for Linear {
-    fn places(&self) -> Places {
-        PLACES
-    }
-
     fn step(&mut self, q: &[f64], next: &mut [f64]) -> f64 {
         for i in 0..2 {
             next[2 + i] = 0.8 * q[2 + i] + 0.3 * q[8 + i] + 0.05 * q[9 - i];

@@ -14,7 +14,7 @@
 
 use super::box_qp;
 use super::layout::Places;
-use super::linalg::{add_scaled, dot};
+use super::linalg::{add_scaled, dot, solve_lower, solve_lower_transposed};
 use super::world::World;
 use crate::MAX_OUTPUTS;
 use crate::state::{Persist, StateVisitor};
@@ -251,17 +251,14 @@ impl Planner {
             self.steps[t * m..(t + 1) * m].copy_from_slice(&solution.x[..m]);
             for x in 0..nx {
                 let mut column = [0.0; MAX_OUTPUTS];
-                let mut at = 0;
-                for i in (0..m).filter(|&i| solution.free[i]) {
+                let free = || (0..m).filter(|&i| solution.free[i]).enumerate();
+                for (at, i) in free() {
                     column[at] = self.hessian[(nx + i) * width + x];
-                    at += 1;
                 }
-                super::linalg::solve_lower(&solution.factor, &mut column[..at]);
-                super::linalg::solve_lower_transposed(&solution.factor, &mut column[..at]);
-                let mut at = 0;
-                for i in (0..m).filter(|&i| solution.free[i]) {
+                solve_lower(&solution.factor, &mut column[..solution.order]);
+                solve_lower_transposed(&solution.factor, &mut column[..solution.order]);
+                for (at, i) in free() {
                     gains[i * nx + x] = column[at];
-                    at += 1;
                 }
             }
             return;

@@ -138,11 +138,6 @@ impl Refit {
         }
     }
 
-    /// Gives up the refit under way.
-    pub fn abandon(&mut self) {
-        self.phase = Phase::Idle;
-    }
-
     /// Adam steps: more where points are few.
     fn steps(&self, layout: &Layout) -> u64 {
         (150_000_000 / self.evidence.cost(layout).max(1)).clamp(self.settings.steps, 4 * self.settings.steps)

@@ -26,17 +26,17 @@ pub const KINDS: u32 = 4;
 /// Remembered postures that are compared.
 const POSTURES: usize = 32;
 
-/// Writes the commands from which a rival of `kind` begins.
+/// Writes the commands from which a rival of `kind` begins, in the first state of `plan`. The bits of `moving` are the
+/// inputs that move.
 pub fn draw(
     kind: u32,
     rng: &mut Rng,
     world: &mut LearnedWorld,
-    memory: &Memory,
-    moving: u32,
-    start: &[f64],
+    (memory, moving): (&Memory, u32),
     plan: &Plan,
     rival: &mut Plan,
 ) {
+    let start = plan.state(0);
     rival.mu = 1e-3;
     match kind {
         0 => rival.commands.fill(0.0),

@@ -18,8 +18,6 @@ pub const CHANGE: f64 = 0.3;
 
 /// A world with expansions of second order.
 pub trait World {
-    /// The parts of `q`.
-    fn places(&self) -> Places;
     /// The state after `q`, and the reward.
     fn step(&mut self, q: &[f64], next: &mut [f64]) -> f64;
     /// Writes the Jacobian of the next state (rows of `D`), and gradient and concave Hessian (rows of `D`) of the
@@ -145,10 +143,6 @@ impl LearnedWorld<'_> {
 }
 
 impl World for LearnedWorld<'_> {
-    fn places(&self) -> Places {
-        self.places
-    }
-
     fn step(&mut self, q: &[f64], next: &mut [f64]) -> f64 {
         let n = self.places.inputs;
         let mut d = [0.0; MAX_MODEL_OUTPUTS];
