@@ -3,9 +3,8 @@
 use super::state_space::MAX_STATES;
 use super::timing::{Begin, Timing};
 use super::{
-    Arm, ArmConfig, CartPole, CartPoleConfig, Eye, EyeConfig, Furuta, FurutaConfig, JointState, Outcome,
-    Pendulum, PendulumConfig, Plant, PointMass, PointMassConfig, Reacher, ReacherConfig, So101, So101Config,
-    TimingConfig,
+    Arm, ArmConfig, CartPole, CartPoleConfig, Eye, EyeConfig, Furuta, FurutaConfig, JointState, Outcome, Pendulum,
+    PendulumConfig, Plant, PointMass, PointMassConfig, Reacher, ReacherConfig, So101, So101Config, TimingConfig,
 };
 use crate::MAX_OUTPUTS;
 use crate::flag;
