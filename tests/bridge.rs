@@ -482,20 +482,20 @@ fn each_fault_has_its_recorded_effect() {
     assert_snapshot("tests/snapshots/servo_faults.txt", &table);
 }
 
-/// A joint that stands at the end of its range next to the encoder's 0, where a reading may come from the other end of the
-/// turn: no goal leads the long way round.
+/// A joint stands at the end of its range next to the encoder's 0, where a reading may come from the other end of the
+/// turn. No goal leads the long way round.
 #[test]
 fn no_goal_leads_across_the_encoders_zero() {
     for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
         let plan = plan("noise = 1.0", 400, |text| {
             let text = with_protocol(&text, protocol).replace("goal = \"speed\"", "goal = \"position\"");
-            let text = text.replace("max_speed = 12.0", "zero = 700\nrange = [-1.07, 1.07]\nmax_speed = 12.0");
+            let text = text.replace("max_speed = 12.0", "zero = 698\nrange = [-1.07, 1.07]\nmax_speed = 12.0");
             text.replace("\"learned-reward\"", "\"paper\"").replace("sigma = 0.001", "sigma = 0.01")
         });
         let mut setup = set_up(&plan);
         for id in 1..=4 {
-            // 2 steps: the lower end.
-            setup.chain.lock().unwrap().move_by_hand(0, id, 2.0);
+            // The lower end is at 1 step.
+            setup.chain.lock().unwrap().move_by_hand(0, id, 3.0);
         }
         setup.bridge.arm().unwrap();
         let (chain, clock) = (Arc::clone(&setup.chain), setup.clock.clone());
@@ -514,8 +514,8 @@ fn no_goal_leads_across_the_encoders_zero() {
 /// The last check, where the packet is made: a goal outside the written limits is not sent, whoever asks for it.
 #[test]
 fn a_goal_outside_the_limits_is_not_sent() {
-    let plan = plan("", 10, |text| text);
     for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
+        let plan = plan("", 10, |text| with_protocol(&text, protocol));
         let chain = EmulatedChain::new(protocol, &[1, 2], 1_000_000, &EmulatorConfig::default(), 1);
         let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
         let mut bus = bus_to(&chain, &clock, &plan);

@@ -17,8 +17,8 @@ fn programs() -> &'static Path {
     Path::new(TECTUM).parent().unwrap()
 }
 
-/// Makes a project and returns its folder. Its name differs from those of the other tests, with which it shares a target
-/// folder.
+/// Makes a project and returns its folder. Its name differs from those of the other tests, with which it shares a
+/// target folder.
 fn new_project(test_folder: &tectum_testkit::TestFolder, kind: &str, language: &str) -> PathBuf {
     let name = format!("mine-{kind}");
     let made = test_folder.tectum("new", &[kind, &name, "--lang", language, "--json"]).expect(0).json();

@@ -242,7 +242,12 @@ pub const CASES: &[Case] = &[
     (ARM, "[policy]", "[controller]\nargs = [\"\\u0000\"]\n\n[policy]",
         "x.toml:41: controller.args[0] is \"\\0\"; give at most 4096 characters, none of them a zero character"),
     (OTHER, "\"./rig\"", "\"/opt/tectum-simulator\"",
-        "x.toml:4: plant has neither an arm nor an eye to simulate; add [plant.arm] or [plant.eye]"),
+        "x.toml:4: plant has nothing to simulate; add [plant.arm], [plant.eye], [plant.pendulum], [plant.cart-pole], \
+         [plant.reacher], [plant.furuta], [plant.point-mass] or [plant.so101]"),
+    (ARM, "[plant.arm]", "[plant.pendulum]\n[plant.arm]",
+        "x.toml:10: plant.pendulum stands beside plant.arm; keep one of the two"),
+    (ARM, "[plant.arm]", "[plant.timing]\ndelay = 11\n[plant.arm]",
+        "x.toml:11: plant.timing.delay is 11; give 0 to 10 ticks"),
     (ARM, "[plant.arm]", "[plant.eye]\n[plant.arm]",
         "x.toml:10: plant.eye stands beside plant.arm; keep one of the two"),
     (ARM, "[plant.arm]", "measures = [\"error\"]\n[plant.arm]",

@@ -3,10 +3,12 @@
 use super::outcome::{PhaseTest, RunResult};
 use super::plan::TaskPlan;
 use super::test::drive;
+use crate::agent::{Agent, LinearAgent};
 use crate::clock::thread_cpu_ns;
+use crate::policy::Outputs;
 use crate::reference::MeanPolicy;
 use crate::runtime::{Controller, PlantSide};
-use crate::scenario::Rule;
+use crate::scenario::{Plan, Rule};
 use crate::wire::{Command, Observation};
 
 /// Ticks between two reports of progress, so that a slow learner's run stops soon.
@@ -23,12 +25,36 @@ pub(super) fn test_interval(since: u64) -> u64 {
     }
 }
 
-/// Runs a rule and tests it at intervals, at the change and at the end. `None` once `go_on` returns false.
+/// An agent that can be tested: what it has learned so far answers inputs, without exploration noise, and learns nothing
+/// from the test.
+pub(super) trait TestedAgent: Agent {
+    /// The answers of the agent as it is now.
+    fn answers(&self, plan: &Plan) -> impl FnMut(&Observation) -> Outputs;
+}
+
+impl TestedAgent for LinearAgent {
+    fn answers(&self, plan: &Plan) -> impl FnMut(&Observation) -> Outputs {
+        let mut mean = MeanPolicy::new(plan);
+        let inputs = plan.inputs.len();
+        move |observation| mean.command(self.linear_policy(), &observation.inputs[..inputs])
+    }
+}
+
+/// Runs a rule and tests it. `None` once `go_on` returns false.
 pub(super) fn run(task: &TaskPlan, rule: Rule, seed: u64, go_on: &dyn Fn(u64) -> bool) -> Option<RunResult> {
     let plan = task.of_run(rule, seed)?;
-    let mut side = PlantSide::new(plan.simulated_plant()?, &plan);
-    let mut controller = Controller::new(&plan);
-    let mut mean = MeanPolicy::new(&plan);
+    run_agent(task, &plan, plan.linear_agent(), go_on)
+}
+
+/// Runs an agent and tests it at intervals, at the change and at the end. `None` once `go_on` returns false.
+pub(super) fn run_agent<A: TestedAgent>(
+    task: &TaskPlan,
+    plan: &Plan,
+    agent: A,
+    go_on: &dyn Fn(u64) -> bool,
+) -> Option<RunResult> {
+    let mut side = PlantSide::new(plan.simulated_plant()?, plan);
+    let mut controller = Controller::with_agent(plan, agent);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let change = task.change();
     let (mut tests, mut begins, mut next, mut used_ns) = (Vec::new(), 0, test_interval(0), 0);
@@ -46,10 +72,8 @@ pub(super) fn run(task: &TaskPlan, rule: Rule, seed: u64, go_on: &dyn Fn(u64) ->
         }
         if done == next || done == task.ticks || change == Some(done) {
             let changed = begins > 0;
-            let inputs = plan.inputs.len();
-            let policy = controller.policy();
-            let control = |view: &super::test::TestView| mean.command(policy, &view.observation.inputs[..inputs]);
-            let score = drive(task, changed, false, control, &|| go_on(0))?;
+            let mut answers = controller.agent().answers(plan);
+            let score = drive(task, changed, false, |view| answers(view.observation), &|| go_on(0))?;
             tests.push(PhaseTest { tick: done, changed, score });
             if change == Some(done) {
                 begins = done;

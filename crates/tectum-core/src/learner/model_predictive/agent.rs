@@ -6,8 +6,8 @@ use super::exploration::Noise;
 use super::layout::Places;
 use super::layouts::{dynamics_layout, reward_layout};
 use super::linalg::dot;
-use super::memory::{Changes, Entry, Lesson, Memory, Rewards};
-use super::model::{Model, ModelSize, normal};
+use super::memory::{Changes, Data, Entry, Lesson, Memory, Rewards};
+use super::model::{Model, ModelSize};
 use super::planner::{Plan, Planner};
 use super::refit::RefitSettings;
 use super::rivals;
@@ -53,6 +53,8 @@ pub struct Counts {
     pub reward_outliers: u64,
     /// Alarms: the world seemed to have changed.
     pub alarms: u64,
+    /// Times that ticks from before an alarm were forgotten.
+    pub worlds: u64,
     /// Rival plans that were adopted.
     pub rivals: u64,
     /// Ticks in which the command was at its limit.
@@ -306,7 +308,7 @@ impl ModelPredictive {
         }
         self.dynamics.learn(&changes[..n], lesson, &mut self.rng);
         if alarm {
-            self.dynamics.fit.regression.doubt(0.2, || normal(&mut self.rng));
+            self.dynamics.fit.regression.doubt(10.0, 3.0);
             self.beliefs.iter_mut().for_each(Belief::calm);
             self.alarm();
         }
@@ -324,7 +326,9 @@ impl ModelPredictive {
 
     fn alarm(&mut self) {
         self.counts.alarms += 1;
-        self.changed_at = self.memory.stored;
+        if self.memory.stored >= self.changed_at + 100 {
+            self.changed_at = self.memory.stored;
+        }
         self.next_refit = self.next_refit.min(self.tick + 40);
     }
 
@@ -362,7 +366,7 @@ impl ModelPredictive {
             self.scores[k] += 0.01_f64.max(1.0 / (self.tick as f64)) * (score - self.scores[k]);
             model.learn(&[reward], Lesson::default(), &mut self.rng);
             if alarm {
-                model.fit.regression.doubt(0.1, || normal(&mut self.rng));
+                model.fit.regression.doubt(5.0, 2.0);
             }
         }
         if alarm {
@@ -380,6 +384,7 @@ impl ModelPredictive {
     /// Works on refits.
     fn refit(&mut self) {
         if self.tick >= self.next_refit && !self.dynamics.refit.busy() && !self.rewards.iter().any(|r| r.refit.busy()) {
+            self.forget_another_world();
             self.dynamics.refit.begin();
             // The reward model that predicts much worse is fitted anew in every third refit only.
             let clear = (self.scores[1] - self.scores[0]).abs() > 0.5;
@@ -399,6 +404,28 @@ impl ModelPredictive {
             let data = Rewards { memory: &self.memory, after: k == 1 };
             let (used, _) = self.rewards[k].work(&data, left, &mut self.rng);
             left = left.saturating_sub(used);
+        }
+    }
+
+    /// After an alarm: ticks from before it are left out from now on, if the models have adapted to those since the
+    /// alarm, and now leave much of the older ones unexplained.
+    fn forget_another_world(&mut self) {
+        let (first, change, end) = (self.memory.first, self.changed_at, self.memory.stored);
+        if change <= first || end < change + 30 || end > change + 300 {
+            return;
+        }
+        let better = self.better();
+        let memory = &self.memory;
+        let rewards = Rewards { memory, after: better == 1 };
+        let q = &mut self.after;
+        let mut another = |model: &mut Model, data: &dyn Data| {
+            let new = model.unexplained(data, change, end, q).unwrap_or(1.0);
+            let old = model.unexplained(data, first, change, q).unwrap_or(0.0);
+            new < 0.1 && old > 0.3
+        };
+        if another(&mut self.dynamics, &Changes(memory)) | another(&mut self.rewards[better], &rewards) {
+            self.memory.first = change;
+            self.counts.worlds += 1;
         }
     }
 
@@ -523,8 +550,8 @@ impl Persist for ModelPredictive {
         visitor.number("refits", &mut self.refits);
         visitor.number("changed_at", &mut self.changed_at);
         visitor.number("rival_kind", &mut self.rival_kind);
-        let Counts { input_outliers, reward_outliers, alarms, rivals, clipped, unusable } = &mut self.counts;
-        for count in [input_outliers, reward_outliers, alarms, rivals, clipped, unusable] {
+        let Counts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable } = &mut self.counts;
+        for count in [input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable] {
             visitor.number("counts", count);
         }
     }

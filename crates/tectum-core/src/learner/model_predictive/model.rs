@@ -120,6 +120,32 @@ impl Model {
         self.fit.regression.update(&self.phi, &errors[..outputs], || normal(rng));
     }
 
+    /// The part of the outputs' variance that the fit leaves unexplained in the ticks from `first` to `end`, at most 100
+    /// of them: the largest of all outputs that move. `None` where there are fewer than 20 ticks.
+    pub fn unexplained(&mut self, data: &dyn Data, first: u64, end: u64, q: &mut [f64]) -> Option<f64> {
+        let outputs = self.outputs();
+        let step = (end.saturating_sub(first) / 100).max(1) as usize;
+        let mut y = [0.0; MAX_MODEL_OUTPUTS];
+        let mut sums = [[0.0; 4]; MAX_MODEL_OUTPUTS];
+        for tick in (first..end).step_by(step) {
+            let Some(lesson) = data.get(tick, q, &mut y[..outputs]) else { continue };
+            self.fit.features.evaluate(&self.layout, q, &mut self.basis, &mut self.phi);
+            self.fit.regression.predict(&self.phi, &mut self.predicted[..outputs]);
+            for j in (0..outputs).filter(|j| lesson.missing & (1 << j) == 0) {
+                let error = lesson.heed(j, self.error(j, y[j]));
+                let value = (y[j] - self.fit.center) / self.fit.scale;
+                for (sum, x) in sums[j].iter_mut().zip([1.0, value, value * value, error * error]) {
+                    *sum += x;
+                }
+            }
+        }
+        let parts = sums[..outputs].iter().filter(|sums| sums[0] >= 20.0).filter_map(|[count, sum, squares, errors]| {
+            let variance = squares - sum * sum / count;
+            (variance > 1e-8 * count).then(|| errors / variance)
+        });
+        parts.reduce(f64::max)
+    }
+
     /// The planner's function from now on: the mean and a part of what the sample differs.
     pub fn take(&mut self, part: f64) {
         let Fit { features, regression, .. } = &self.fit;

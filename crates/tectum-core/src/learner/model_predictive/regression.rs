@@ -140,13 +140,26 @@ impl Regression {
         (4 * self.len * self.len + 8 * self.len * self.outputs) as u64
     }
 
-    /// Makes the posterior less certain: `P <- (1 - part) P + part I`.
-    pub fn doubt(&mut self, part: f64, mut normal: impl FnMut() -> f64) {
-        let (kept, new) = ((1.0 - part).sqrt(), part.sqrt());
-        self.deviation.iter_mut().for_each(|w| *w = kept * *w + new * normal());
-        self.covariance.iter_mut().for_each(|p| *p *= 1.0 - part);
+    /// Makes the posterior less certain: covariance and noise grow by these factors, so that new data count more and
+    /// surprise less. What the data never determined stays as uncertain as its prior.
+    pub fn doubt(&mut self, covariance: f64, noise: f64) {
+        let root = covariance.sqrt();
+        self.deviation.iter_mut().for_each(|w| *w *= root);
+        self.covariance.iter_mut().for_each(|p| *p *= covariance);
+        self.lambda *= noise;
+        // No direction may become less certain than the prior: rows and columns are scaled back.
         for r in 0..self.len {
-            self.covariance[packed(r) + r] += part;
+            let variance = self.covariance[packed(r) + r];
+            if variance > 1.0 {
+                let factor = 1.0 / variance.sqrt();
+                self.covariance[packed(r)..packed(r + 1)].iter_mut().for_each(|p| *p *= factor);
+                for below in r..self.len {
+                    self.covariance[packed(below) + r] *= factor;
+                }
+                for deviation in self.deviation.chunks_exact_mut(self.len) {
+                    deviation[r] *= factor;
+                }
+            }
         }
     }
 }
