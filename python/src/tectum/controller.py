@@ -86,8 +86,8 @@ class Controller(ABC):
 
     A controller that is killed comes back as it was: with what `state` last gave, and the observations since then,
     which it answers and learns from once more without sending anything. So its answers may depend on its observations,
-    on its state and on the run's seed alone: not on a clock, and not on an unseeded generator (`run.generator(name)` is a
-    seeded one, which belongs into the state).
+    on its state and on the run's seed alone: not on a clock, and not on an unseeded generator (`run.generator(name)` is
+    a seeded one, which belongs into the state).
     """
 
     keep_every = 64
