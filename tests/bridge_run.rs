@@ -88,7 +88,7 @@ fn an_unarmed_bridge_only_reads() {
     let report = read_json(test_folder.run_folder().join("bridge.json"));
     assert_eq!(report["armed"], 0, "{report}");
     assert!(report["bus_read"]["count"].as_u64() > Some(20), "{report}");
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     replays(&test_folder);
 }
 
@@ -115,7 +115,7 @@ fn torque_is_off_however_a_run_ends() {
         }
         chain.wait_for_torque(false);
         run.wait().expect(code);
-        assert_no_debris(&test_folder.run_folder());
+        assert_no_debris(test_folder.run_folder());
     }
 }
 

@@ -76,7 +76,7 @@ fn it_gives_the_same_numbers_in_lockstep_in_one_process_and_in_a_replay_and_surv
     let summary = run.wait().expect(0).json();
     assert_eq!(summary["weights_hash"], hash, "{summary}");
     assert_eq!(summary["restarts"].as_array().unwrap().len(), 2, "{summary}");
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
 
     let replay = test_folder.tectum("replay", &["run", "--json"]).expect(0).json();
     assert_eq!((&replay["weights_hash"], &replay["difference"]), (&hash, &serde_json::Value::Null));

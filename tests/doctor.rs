@@ -128,7 +128,7 @@ fn only_the_unused_domain_of_a_killed_launcher_is_removed() {
         let controller = test_folder.start(env!("CARGO_BIN_EXE_tectum-controller"), &["--run", "run"]);
         run.wait_until_ticking();
         let children = ["tectum-simulator", "tectum-logger"].map(|program| run.child_pid(program));
-        let domain = domain(&test_folder.run_folder());
+        let domain = domain(test_folder.run_folder());
         let found = doctor(&test_folder, &[]).json();
         assert_eq!(entry_of(&found, "domains", &domain).unwrap()["pid"], run.id(), "{found}");
 
@@ -148,7 +148,7 @@ fn only_the_unused_domain_of_a_killed_launcher_is_removed() {
         check_removal(&test_folder, &domain, by_run);
         assert!(shared_memory(&domain).is_empty(), "by a run: {by_run}");
         let found = doctor(&other_folder, &["--clean"]).json();
-        let entry = entry_of(&found, "domains", &support::domain(&other_folder.run_folder()))
+        let entry = entry_of(&found, "domains", &support::domain(other_folder.run_folder()))
             .expect("an active run is never touched");
         assert_eq!((&entry["owner"], &entry["pid"]), (&"launcher".into(), &other_run.id().into()), "{found}");
     }
@@ -156,7 +156,7 @@ fn only_the_unused_domain_of_a_killed_launcher_is_removed() {
     other_run.signal("INT");
     let summary = other_run.wait().expect(130).json();
     assert!(summary["weights_hash"].is_string() && summary["lost"] == 0, "{summary}");
-    assert_no_debris(&other_folder.run_folder());
+    assert_no_debris(other_folder.run_folder());
 }
 
 /// Scheduling policy and priority of a process, from the kernel.
@@ -229,7 +229,7 @@ fn the_summary_reports_the_real_time_set_up_that_holds() {
     let header = &log.metadata()["tectum.run"];
     assert_eq!(serde_json::from_str::<Value>(&header["realtime.plant"]).unwrap(), report);
     assert!(header.contains_key("realtime.controller") && header.contains_key("realtime.logger"));
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
 }
 
 /// Without permission for a priority, the run continues under the ordinary scheduler and warns.

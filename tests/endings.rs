@@ -163,5 +163,5 @@ fn clean(test_folder: &TestFolder) {
     let manifest = read_json(test_folder.run_folder().join("run.json"));
     let name: tectum::channel::DomainName = serde_json::from_value(manifest["domain"].clone()).unwrap();
     tectum::channel::remove_domain(&name);
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
 }

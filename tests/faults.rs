@@ -107,7 +107,7 @@ fn faults_are_equal_in_one_process_and_in_three_and_replay() {
         assert!(three[key].as_u64() != Some(0), "{key}: {three}");
     }
     assert_eq!(three["lost"], 0, "the log has what was sent");
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     assert_eq!(replays(&test_folder)["weights_hash"], three["weights_hash"]);
 
     // The summary and the log show that the run had faults.
@@ -218,7 +218,7 @@ fn too_many_skipped_ticks_in_a_row_end_the_run_cleanly() {
     ] {
         assert!(message.contains(words), "{words}: {message}");
     }
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     let mut log = LogReader::open(&test_folder.log_path()).unwrap();
     assert!(log.by_ref().all(|record| record.is_ok()) && log.finished());
     assert!(!log.totals().unwrap().complete);

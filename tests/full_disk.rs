@@ -16,7 +16,7 @@ fn check(test_folder: &TestFolder, outcome: &ProcessOutcome, ticks: u64, why: &s
     let summary = outcome.json();
     assert_eq!((&summary["ticks"], &summary["ended"]), (&ticks.into(), &"complete".into()), "{outcome:#?}");
     assert!(summary["weights_hash"].is_string(), "the controller came to its end: {summary}");
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     let (reader, content) = read_log(&test_folder.log_path());
     let missing = reader.missing_from().unwrap();
     assert!(reader.finished() && missing > 1000, "{missing}");

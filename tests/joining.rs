@@ -21,7 +21,7 @@ fn point(test_folder: &TestFolder) -> String {
 fn another_plant_program_replaces_the_simulator() {
     let test_folder = TestFolder::new();
     let summary = test_folder.run(&[&point(&test_folder), "--ticks", "60000", "--json"]).wait().expect(0).json();
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     assert_eq!(summary["ticks"], 60000);
     let error = |span: &str| summary[span]["end_error_m"].as_f64().unwrap();
     assert!(error("last") < 0.6 * error("first"), "the point learns to follow: {summary}");
@@ -62,7 +62,7 @@ fn every_process_can_be_started_by_hand() {
         if role != "logger" {
             assert_eq!(report["ticks"], 500);
         }
-        assert_no_debris(&test_folder.path().join("runs/demo"));
+        assert_no_debris(test_folder.path().join("runs/demo"));
     }
 }
 
@@ -95,7 +95,7 @@ fn a_role_can_be_taken_only_once() {
     assert!(outcome.stderr.contains("another process already has this role in the run"), "{outcome:#?}");
     run.signal("INT");
     run.wait().expect(130);
-    assert_no_debris(&test_folder.path().join("runs/demo"));
+    assert_no_debris(test_folder.path().join("runs/demo"));
 }
 
 #[test]

@@ -10,7 +10,7 @@ fn a_lockstep_log_holds_every_tick_in_order() {
     let test_folder = TestFolder::new();
     let scenario = test_folder.arm_scenario(&[("every", "1")]);
     let summary = test_folder.run(&[&scenario, "--ticks", "20000", "--json"]).wait().expect(0).json();
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     let (reader, content) = read_log(&test_folder.log_path());
     assert!(reader.finished());
     let expected: Vec<(u64, u8)> = (0..20000).flat_map(|tick| [(tick, 0), (tick, 1), (tick, 2)]).collect();
@@ -92,7 +92,7 @@ fn lockstep_waits_for_a_stopped_logger() {
 fn a_stopped_logger_states_which_samples_it_lost() {
     let test_folder = TestFolder::new();
     let summary = run_with_a_stopped_logger(&test_folder, 3000);
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     assert!(summary["lost"].as_u64() > Some(500), "{summary}");
     let (reader, content) = read_log(&test_folder.log_path());
     assert!(reader.finished());

@@ -10,7 +10,6 @@
 mod support;
 
 use std::fs;
-use std::path::Path;
 
 use serde_json::{Value, json};
 use support::python::{example, python, python_name, scenario, script};
@@ -128,7 +127,7 @@ fn a_python_plant_is_deterministic_and_its_gate_equals_the_rust_gate() {
         let test_folder = TestFolder::new();
         let scenario = scenario(&test_folder, "plant.toml", &changes, faults);
         let summary = test_folder.run(&[&scenario, "--ticks", "1500", "--json"]).wait().expect(0).json();
-        assert_no_debris(&test_folder.run_folder());
+        assert_no_debris(test_folder.run_folder());
         (test_folder, summary)
     };
     let ((test_folder, first), (_, second)) = (run(), run());
@@ -199,7 +198,7 @@ fn a_python_plant_runs_in_real_time_and_restarts() {
     run.wait_until("a viewer that sees the other plant", || lines() > before + 2);
     run.signal("INT");
     let summary = run.wait().expect(130).json();
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     assert_eq!(summary["restarts"][0]["process"], "plant", "{summary}");
     assert_eq!(summary["lost"], 0, "{summary}");
     // The ticks without a plant are skipped and counted as missed.
@@ -243,7 +242,7 @@ fn a_python_tracker_gives_the_arm_vision() {
     run.signal("INT");
     run.wait().expect(130);
     second.wait().expect(0);
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
 }
 
 #[test]
@@ -269,7 +268,7 @@ fn what_python_does_not_support_is_refused_in_one_sentence() {
     signal_process(plant, "KILL");
     let outcome = run.wait().expect(2);
     assert!(outcome.stderr.contains("in lockstep it cannot come back"), "{outcome:#?}");
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
 }
 
 #[test]
@@ -281,7 +280,7 @@ fn the_mujoco_arm_is_deterministic_and_runs_in_real_time() {
         let mut all = vec![scenario.as_str(), "--json"];
         all.extend(arguments);
         let summary = test_folder.run(&all).wait().expect(0).json();
-        assert_no_debris(&test_folder.run_folder());
+        assert_no_debris(test_folder.run_folder());
         summary
     };
     let (first, second) = (run(&["--ticks", "600"]), run(&["--ticks", "600"]));

@@ -86,7 +86,7 @@ fn a_controller_and_a_plant_in_python_come_back_as_they_were() {
             kill(&mut run, name, 2);
         }
         let summary = run.wait().expect(0).json();
-        assert_no_debris(&test_folder.run_folder());
+        assert_no_debris(test_folder.run_folder());
         let restarts = summary["restarts"].as_array().unwrap().len();
         assert_eq!(restarts, killed.map_or(0, |_| 2), "{summary}");
         (summary["weights_hash"].clone(), ["observation", "command", "learning"].map(|name| rows(&test_folder, name)))
@@ -106,7 +106,7 @@ fn a_controller_in_python_comes_back_in_real_time() {
     run.wait_until_ticking();
     run.signal("INT");
     let summary = run.wait().expect(130).json();
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     assert_eq!(summary["restarts"][0]["process"], "controller", "{summary}");
     assert_eq!(summary["lost"], 0, "{summary}");
     assert!(summary["missed"].as_u64().unwrap() > 0, "{summary}");
@@ -174,7 +174,7 @@ fn environments_are_plants() {
                 kill(&mut run, "tectum.gym", kills);
             }
             let summary = run.wait().expect(0).json();
-            assert_no_debris(&test_folder.run_folder());
+            assert_no_debris(test_folder.run_folder());
             assert_eq!((&summary["lost"], &summary["missed"]), (&json!(0), &json!(0)), "{summary}");
             summary["weights_hash"].clone()
         };

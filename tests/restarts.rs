@@ -58,7 +58,7 @@ fn check(test_folder: &TestFolder, outcome: &ProcessOutcome, program: &str, hash
     let summary = outcome.json();
     assert_eq!(summary["weights_hash"], hash, "{outcome:#?}");
     assert_eq!(summary["lost"], 0, "{outcome:#?}");
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     let restarts = summary["restarts"].as_array().unwrap();
     assert!(restarts.iter().all(|incident| incident["process"] == program), "{outcome:#?}");
     restarts.len()
@@ -148,7 +148,7 @@ fn in_real_time_a_run_continues_and_counts_missed_ticks() {
     let report = read_json(test_folder.run_folder().join("controller.json"));
     let (learned, cuts) = (report["learned"].as_u64().unwrap(), report["cuts"].as_u64().unwrap());
     assert!(cuts >= 2 && learned + missed < 1500, "{report}");
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
 }
 
 #[test]
@@ -162,7 +162,7 @@ fn too_many_restarts_end_the_run() {
     let outcome = run.wait().expect(4);
     assert_eq!(outcome.json()["restarts"].as_array().unwrap().len(), 2, "{outcome:#?}");
     assert!(outcome.json()["failure"].as_str().unwrap().contains("the controller was killed by signal 9"));
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
 }
 
 /// The process faults of a scenario happen in the given order and change no number in lockstep.
@@ -205,5 +205,5 @@ at = [18000]
         summary["restarts"].as_array().unwrap().iter().map(|r| r["process"].as_str().unwrap()).collect();
     assert_eq!(restarts, ["controller", "plant", "controller", "controller", "plant"], "{outcome:#?}");
     assert!(summary["faults"].as_array().unwrap().len() == 5, "{outcome:#?}");
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
 }

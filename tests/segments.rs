@@ -67,7 +67,7 @@ fn check(test_folder: &TestFolder, summary: &Value, ticks: u64) -> Vec<PathBuf> 
         // A file whose logger was killed before it had described the run is not a log.
         assert!(LogInfo::of(std::slice::from_ref(file)).map_or(true, |alone| alone.agrees()), "{}", file.display());
     }
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
     files
 }
 
@@ -148,7 +148,7 @@ fn in_real_time_segments_report_the_runs_durations_and_losses() {
     assert!(info.command_to_applied_us.unwrap().count <= written[1]);
     let table = test_folder.tectum("log", &["csv", "run"]).expect(0).stdout;
     assert_eq!(table.lines().filter(|line| !line.starts_with(',')).count() as u64, 1 + written[0]);
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
 }
 
 /// In lockstep, restarts of plant and controller change nothing in the log except the incarnation numbers.

@@ -9,7 +9,7 @@ fn run(arguments: &[&str]) -> Value {
     let test_folder = TestFolder::new();
     let outcome = test_folder.run(&[arguments, &["--json"]].concat()).wait().expect(0);
     if !arguments.contains(&"in-process") {
-        assert_no_debris(&test_folder.run_folder());
+        assert_no_debris(test_folder.run_folder());
     }
     outcome.json()
 }

@@ -70,7 +70,8 @@ enum SampleKind {
     Gap,
 }
 
-/// A record as the iterator sees it.
+/// A record as the iterator sees it. One exists at a time, so that its size does not matter.
+#[allow(clippy::large_enum_variant)]
 enum ReadStep {
     Message(LogRecord),
     Other,

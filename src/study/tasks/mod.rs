@@ -114,16 +114,19 @@ fn jobs<'a>(study: &TaskStudy, plans: &'a [TaskPlan], candidates: &[Candidate]) 
     jobs
 }
 
+/// The runs of a controller on a task, with their seeds.
+type TaskRuns<'a> = (&'a TaskPlan, Vec<(u64, RunResult)>);
+
 /// The results by task and controller, in the order in which they were asked for.
 fn outcomes(jobs: &[Job], results: Vec<Option<RunResult>>) -> Vec<TaskOutcome> {
-    let mut found: BTreeMap<(usize, Candidate), (&TaskPlan, Vec<(u64, RunResult)>)> = BTreeMap::new();
+    let mut found: BTreeMap<(usize, Candidate), TaskRuns> = BTreeMap::new();
     for (job, result) in jobs.iter().zip(results) {
         if let Some(result) = result {
             let entry = found.entry((job.task.number, job.candidate)).or_insert_with(|| (job.task, Vec::new()));
             entry.1.push((job.seed, result));
         }
     }
-    let of = |((_, candidate), (task, mut runs)): ((usize, Candidate), (&TaskPlan, Vec<(u64, RunResult)>))| {
+    let of = |((_, candidate), (task, mut runs)): ((usize, Candidate), TaskRuns)| {
         runs.sort_by_key(|(seed, _)| *seed);
         TaskOutcome::of(task, candidate, &runs)
     };

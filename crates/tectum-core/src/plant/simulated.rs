@@ -12,6 +12,8 @@ use crate::state::{Persist, StateVisitor};
 
 /// The configuration of a body.
 #[derive(Debug, Clone, PartialEq)]
+// A run has one of them, so that its size does not matter.
+#[allow(clippy::large_enum_variant)]
 pub enum BodyConfig {
     /// The planar arm.
     Arm(ArmConfig),
