@@ -30,6 +30,7 @@ fn header() -> LogHeader {
         inputs: Vec::new(),
         outputs: Vec::new(),
         measures: Vec::new(),
+        columns: Vec::new(),
         channels: ChannelNames::default(),
         machine: BTreeMap::new(),
         realtime: Default::default(),

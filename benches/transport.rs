@@ -35,7 +35,7 @@ fn serve(task: &str) {
     let (run, wait) = task.split_once(' ').unwrap();
     let plan = plan();
     let name = DomainName::of(run.parse().unwrap());
-    let (ports, _status) = ControllerPorts::open(&name, &identity(&plan), &plan.scenario.channels).unwrap();
+    let (mut ports, _status) = ControllerPorts::open(&name, &identity(&plan), &plan.scenario.channels).unwrap();
     let parent = ProcessHandle::of(rustix::process::getppid().unwrap().as_raw_pid() as u32).unwrap();
     precise_timers();
     println!("ready");

@@ -2,13 +2,14 @@
 
 use std::process::ExitCode;
 
+use tectum::process;
 use tectum::runtime::run_controller;
 use tectum::wire::Role;
 
 fn main() -> ExitCode {
-    tectum::process::main(
+    process::main(
         Role::Controller,
         "Answers a plant's observations with commands, and learns while it does",
-        run_controller,
+        |participant| run_controller(participant, process::shipped_agent),
     )
 }

@@ -41,6 +41,13 @@ struct Arguments {
     /// several times
     #[arg(long = "fault", value_name = "FAULT")]
     faults: Vec<String>,
+    /// A register before the start, as `SERVO:ADDRESS:WIDTH:VALUE`, as another program may have left it; may be
+    /// given several times
+    #[arg(long = "set", value_name = "REGISTER")]
+    registers: Vec<String>,
+    /// The servos' positions at the start, steps
+    #[arg(long, default_value_t = 2048.0)]
+    at: f64,
     /// Create this symbolic link to the terminal
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
@@ -104,7 +111,15 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
         Some(link) => bad(format!("{}: no terminal can be put there: {error}", link.display())),
         None => own(format!("there is no terminal to be had: {error}")),
     })?;
-    let chain = EmulatedChain::new(protocol, &arguments.ids, arguments.baud, &settings, arguments.seed.unwrap_or(seed));
+    let mut chain =
+        EmulatedChain::new(protocol, &arguments.ids, arguments.baud, &settings, arguments.seed.unwrap_or(seed));
+    for &id in &arguments.ids {
+        chain.move_by_hand(0, id, arguments.at);
+    }
+    for text in &arguments.registers {
+        let (servo, address, bytes) = register(text).map_err(bad)?;
+        chain.overwrite(servo, address, &bytes);
+    }
     let path = arguments.link.as_deref().unwrap_or(terminal.path()).display().to_string();
     let mut out = std::io::stdout();
     let line = if arguments.json {
@@ -116,6 +131,18 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
     let _ = writeln!(out, "{line}").and_then(|()| out.flush());
     let tasks = EmulatorTasks { control: arguments.control, trace: arguments.trace, json: arguments.json, parent };
     terminal.serve(chain, &signals, &tasks).map_err(|error| own(format!("the terminal failed: {error}")))
+}
+
+/// Parses a register: `SERVO:ADDRESS:WIDTH:VALUE`. Negative values are two's complement.
+fn register(text: &str) -> Result<(u8, u8, Vec<u8>), String> {
+    let wrong = || format!("--set {text}: give SERVO:ADDRESS:WIDTH:VALUE, as in 1:31:2:300, with a width of 1, 2 or 4");
+    let parts: Vec<i64> = text.split(':').map(|part| part.parse().map_err(|_| wrong())).collect::<Result<_, _>>()?;
+    match parts[..] {
+        [servo @ 0..254, address @ 0..256, width @ (1 | 2 | 4), value] => {
+            Ok((servo as u8, address as u8, value.to_le_bytes()[..width as usize].to_vec()))
+        }
+        _ => Err(wrong()),
+    }
 }
 
 /// Parses a fault: `KIND[:SERVO[:FROM_S[:UNTIL_S]]]`.

@@ -14,9 +14,10 @@
 #define TECTUM_ASSERT(what) _Static_assert(what, #what)
 #endif
 
-#define TECTUM_MAX_INPUTS 16
-#define TECTUM_MAX_OUTPUTS 8
+#define TECTUM_MAX_INPUTS 32
+#define TECTUM_MAX_OUTPUTS 16
 #define TECTUM_MAX_MEASURES 6
+#define TECTUM_MAX_COLUMNS 8
 
 /* The start of every sample: its writer, its tick and its instants. */
 typedef struct tectum_header {
@@ -53,9 +54,9 @@ typedef struct tectum_observation {
     /* Writer, tick and instants. */
     tectum_header header;
     /* The controller's inputs, in the scenario's order and units; unused entries are 0. */
-    float inputs[16];
+    float inputs[32];
     /* The command that was applied during tick k-1, after hold policy and gate; unused entries are 0. */
-    float applied[8];
+    float applied[16];
     /* The reward of tick k-1. */
     float reward;
     /* Ticks skipped right before this one because the plant itself was late. */
@@ -64,37 +65,37 @@ typedef struct tectum_observation {
      * The arm gives its error (m) and its end-effector's x and y (m). */
     float measures[6];
 } tectum_observation;
-#define TECTUM_TYPE_OBSERVATION "tectum.Observation.v1"
-TECTUM_ASSERT(sizeof(tectum_observation) == 184);
+#define TECTUM_TYPE_OBSERVATION "tectum.Observation.v2"
+TECTUM_ASSERT(sizeof(tectum_observation) == 280);
 TECTUM_ASSERT(offsetof(tectum_observation, header) == 0);
 TECTUM_ASSERT(offsetof(tectum_observation, inputs) == 56);
-TECTUM_ASSERT(offsetof(tectum_observation, applied) == 120);
-TECTUM_ASSERT(offsetof(tectum_observation, reward) == 152);
-TECTUM_ASSERT(offsetof(tectum_observation, skipped) == 156);
-TECTUM_ASSERT(offsetof(tectum_observation, measures) == 160);
+TECTUM_ASSERT(offsetof(tectum_observation, applied) == 184);
+TECTUM_ASSERT(offsetof(tectum_observation, reward) == 248);
+TECTUM_ASSERT(offsetof(tectum_observation, skipped) == 252);
+TECTUM_ASSERT(offsetof(tectum_observation, measures) == 256);
 
 /* The controller's answer to the observation of the same tick. */
 typedef struct tectum_command {
     /* Writer, tick and instants. */
     tectum_header header;
     /* The policy's mean output. */
-    float mean[8];
+    float mean[16];
     /* The drawn output: mean plus exploration noise. This is the command for the plant. */
-    float drawn[8];
+    float drawn[16];
 } tectum_command;
-#define TECTUM_TYPE_COMMAND "tectum.Command.v1"
-TECTUM_ASSERT(sizeof(tectum_command) == 120);
+#define TECTUM_TYPE_COMMAND "tectum.Command.v2"
+TECTUM_ASSERT(sizeof(tectum_command) == 184);
 TECTUM_ASSERT(offsetof(tectum_command, header) == 0);
 TECTUM_ASSERT(offsetof(tectum_command, mean) == 56);
-TECTUM_ASSERT(offsetof(tectum_command, drawn) == 88);
+TECTUM_ASSERT(offsetof(tectum_command, drawn) == 120);
 
 /* The learner's record of tick k: its step with the reward of tick k-1, and the exploration noise for tick k. */
 typedef struct tectum_learning {
     /* Writer, tick and instants. */
     tectum_header header;
     /* The exploration noise in the command of this tick. */
-    float noise[8];
-    /* The reward that was used; valid only if `flag::LEARNED` is set. */
+    float noise[16];
+    /* The reward that was used; valid only if the flag `LEARNED` is set. */
     float reward;
     /* The factor by which the trace was multiplied before it was added to the weights. */
     float step;
@@ -102,18 +103,22 @@ typedef struct tectum_learning {
     float weights_norm;
     /* Euclidean norm of the eligibility trace after the step. */
     float trace_norm;
-    /* 64-bit hash of the weights after the step; 0 unless `flag::HASHED` is set. */
+    /* Numbers of the agent's own; the log's description of the run has their names (`columns`). Unused entries are
+     * 0. */
+    float columns[8];
+    /* 64-bit hash of the weights after the step; 0 unless the flag `HASHED` is set. */
     uint64_t weights_hash;
 } tectum_learning;
-#define TECTUM_TYPE_LEARNING "tectum.Learning.v1"
-TECTUM_ASSERT(sizeof(tectum_learning) == 112);
+#define TECTUM_TYPE_LEARNING "tectum.Learning.v2"
+TECTUM_ASSERT(sizeof(tectum_learning) == 176);
 TECTUM_ASSERT(offsetof(tectum_learning, header) == 0);
 TECTUM_ASSERT(offsetof(tectum_learning, noise) == 56);
-TECTUM_ASSERT(offsetof(tectum_learning, reward) == 88);
-TECTUM_ASSERT(offsetof(tectum_learning, step) == 92);
-TECTUM_ASSERT(offsetof(tectum_learning, weights_norm) == 96);
-TECTUM_ASSERT(offsetof(tectum_learning, trace_norm) == 100);
-TECTUM_ASSERT(offsetof(tectum_learning, weights_hash) == 104);
+TECTUM_ASSERT(offsetof(tectum_learning, reward) == 120);
+TECTUM_ASSERT(offsetof(tectum_learning, step) == 124);
+TECTUM_ASSERT(offsetof(tectum_learning, weights_norm) == 128);
+TECTUM_ASSERT(offsetof(tectum_learning, trace_norm) == 132);
+TECTUM_ASSERT(offsetof(tectum_learning, columns) == 136);
+TECTUM_ASSERT(offsetof(tectum_learning, weights_hash) == 168);
 
 /* A tracker's measurement: the target and the arm's end-effector. In its header, `tick`, `scheduled_ns`,
  * `incarnation` and `flags` are 0. */
@@ -258,6 +263,12 @@ enum tectum_flag {
     TECTUM_RAMPED = 1 << 14,
     /* Command: the controller received no observation of this tick. The sample states this, and counts as missed. */
     TECTUM_UNHEARD = 1 << 15,
+    /* Learning: the weights were changed with the reward of tick k-1. */
+    TECTUM_LEARNED = 1 << 16,
+    /* Learning: the trace was cleared, because the command applied in tick k-1 was not the policy's. */
+    TECTUM_TRACE_CUT = 1 << 17,
+    /* Learning: `weights_hash` is valid. */
+    TECTUM_HASHED = 1 << 18,
     /* Observation: the plant is hardware with torque off, because it has not been armed. Nothing was applied. */
     TECTUM_UNARMED = 1 << 19,
     /* Observation: the plant is hardware, and its own safety has turned torque off. Nothing was applied. */
@@ -265,12 +276,12 @@ enum tectum_flag {
     /* Observation: the plant could not be read, or its tracker had no measurement new enough, in tick k-1 or for
      * this observation. Values that could not be updated, and the reward, are the previous ones. */
     TECTUM_BLIND = 1 << 21,
-    /* Learning: the weights were changed with the reward of tick k-1. */
-    TECTUM_LEARNED = 1 << 16,
-    /* Learning: the trace was cleared, because the command applied in tick k-1 was not the policy's. */
-    TECTUM_TRACE_CUT = 1 << 17,
-    /* Learning: `weights_hash` is valid. */
-    TECTUM_HASHED = 1 << 18,
+    /* Observation: the episode ended with tick k-1, in a state after which nothing more can be earned: its value is
+     * zero. The inputs are the first of the next episode. */
+    TECTUM_TERMINATED = 1 << 22,
+    /* Observation: the episode was cut off after tick k-1, for a reason that is not in the inputs, such as a limit
+     * of time. The value after it is not zero, but unknown. The inputs are the first of the next episode. */
+    TECTUM_TRUNCATED = 1 << 23,
 };
 
 /* Phases of a run, in order; a number beyond them reads as ABORT. */

@@ -9,6 +9,7 @@
 //! | module | what it is for |
 //! |---|---|
 //! | [`scenario`] | TOML files that describe a run, and the validated [`Plan`](scenario::Plan) |
+//! | [`agent`] | the trait [`Agent`](agent::Agent), which your controller implements |
 //! | [`plant`] | the trait [`Plant`](plant::Plant), which your plant implements; the simulated arm and eye |
 //! | [`process`] | the `main` function of a process that joins a run: arguments, errors, exit codes |
 //! | [`runtime`] | the processes' loops, [`Tracker`](runtime::Tracker), [`in_process`](runtime::in_process()) |
@@ -20,7 +21,8 @@
 //!
 //! A plant of your own needs two traits. Here it runs in one process, with the same ticks as three processes in
 //! lockstep. To run it as a process, hand it to [`runtime::run_plant`] in a program whose `main` is
-//! [`process::main`], and name that program under `[plant]` in the scenario.
+//! [`process::main`], and name that program under `[plant]` in the scenario. `tectum new plant NAME` writes a project
+//! that does; the crate `tectum-testkit` tests such processes.
 //!
 //! ```
 //! use tectum::plant::{Outcome, Plant};
@@ -83,7 +85,7 @@ pub mod scenario;
 pub mod study;
 pub mod wire;
 
-pub use tectum_core::{learner, plant, policy, seed, state};
+pub use tectum_core::{agent, learner, plant, policy, seed, state};
 pub use tectum_encoder as encoder;
 
 // The programs, tests and benches of this package are crates of their own and need the following modules, so
@@ -102,6 +104,8 @@ pub mod checkpoint;
 pub mod clock;
 #[doc(hidden)]
 pub mod doctor;
+#[doc(hidden)]
+pub mod new_project;
 #[doc(hidden)]
 pub mod reference;
 #[doc(hidden)]

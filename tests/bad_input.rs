@@ -157,7 +157,7 @@ fn a_step_size_that_may_diverge_causes_a_warning() {
     let scenario = test_folder.arm_scenario(&[("alpha_over_variance", "0.5")]);
     let outcome = test_folder.run(&[&scenario, "--ticks", "20", "--mode", "in-process", "--json"]).wait().expect(0);
     let warnings = outcome.json()["warnings"].clone();
-    let warning = warnings[0].as_str().unwrap();
+    let warning = warnings[0]["text"].as_str().unwrap();
     assert!(warning.starts_with("learner.alpha_over_variance is 0.5"), "{warning}");
     assert_eq!(outcome.stderr.matches(&format!("tectum: warning: {warning}")).count(), 1, "{}", outcome.stderr);
 }

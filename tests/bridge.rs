@@ -14,10 +14,10 @@ use snapshot::assert_snapshot;
 use tectum::runtime::{Controller, PlantSide};
 use tectum::scenario::{EmulatorConfig, Plan, Scenario};
 use tectum::servo::bridge::{Bridge, BridgeError, SafetyState, joints_of};
-use tectum::servo::bus::Bus;
+use tectum::servo::bus::{Bus, BusError};
 use tectum::servo::emulator::{EmulatedChain, EmulatedPort, SteppedClock};
 use tectum::servo::model::{Protocol, ServoModel};
-use tectum::wire::{Command, Learning, Observation, Vision, flag};
+use tectum::wire::{Command, Learning, MAX_OUTPUTS, Observation, Vision, flag};
 
 /// The plan of `scenarios/servo-emulated.toml` with this emulator, this number of ticks, and `change` applied to its
 /// text.
@@ -89,7 +89,7 @@ fn run_learning(
     mut command_arrives: impl FnMut(u64) -> bool,
 ) -> (Vec<Observation>, Vec<bool>, Bridge, Vec<Learning>) {
     let Setup { chain, clock, bridge } = setup;
-    let t0 = clock.now();
+    let mut t0 = clock.now();
     let mut side = PlantSide::new(bridge, plan);
     let mut controller = Controller::new(plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
@@ -102,7 +102,11 @@ fn run_learning(
         let mut learning = Learning::default();
         controller.record(&observation, &mut learning);
         learned.push(learning);
-        side.apply(tick, command_arrives(tick).then_some(&command), true);
+        let before = clock.now();
+        let arrives = command_arrives(tick);
+        // A test may let time pass here, as if the process had been stopped.
+        t0 += clock.now() - before;
+        side.apply(tick, arrives.then_some(&command), true);
         let end = t0 + (tick + 1) * plan.period_ns;
         assert!(clock.now() <= end, "tick {tick}: the bus took longer than the tick");
         clock.step_to(end);
@@ -167,7 +171,7 @@ fn an_unarmed_bridge_reads_and_keeps_torque_off() {
     assert_eq!(bridge.state(), SafetyState::ReadOnly);
     assert!(torque.iter().all(|on| !on));
     for observation in &all[1..] {
-        assert_eq!(observation.applied, [0.0; 8]);
+        assert_eq!(observation.applied, [0.0; MAX_OUTPUTS]);
         assert_ne!(observation.header.flags & flag::UNARMED, 0);
     }
 }
@@ -246,12 +250,12 @@ fn vision_sets_the_target_and_a_blind_arm_stands_still() {
     assert_eq!(torque.iter().position(|on| *on), Some(1));
     assert!(torque[1..].iter().all(|on| *on));
     for observation in &all[103..=151] {
-        assert_eq!(observation.applied, [0.0; 8], "tick {}", observation.header.tick);
+        assert_eq!(observation.applied, [0.0; MAX_OUTPUTS], "tick {}", observation.header.tick);
         assert_eq!(observation.inputs[2..6], all[105].inputs[2..6], "tick {}", observation.header.tick);
         let seen = observation.header.tick > 150;
         assert!(seen || observation.reward == all[102].reward, "tick {}", observation.header.tick);
     }
-    assert!(all[90..102].iter().chain(&all[153..]).all(|observation| observation.applied != [0.0; 8]));
+    assert!(all[90..102].iter().chain(&all[153..]).all(|observation| observation.applied != [0.0; MAX_OUTPUTS]));
     drop(samples);
     assert_eq!(bridge.report.armed, 1);
 }
@@ -400,7 +404,7 @@ fn an_hour_of_mixed_faults_stays_within_limits() {
     for (observation, on) in all[1..].iter().zip(&torque) {
         let off = observation.header.flags & (flag::UNARMED | flag::TRIPPED) != 0;
         assert!(observation.applied.iter().all(|u| u.abs() <= most), "{:?}", observation.applied);
-        assert!(!off || observation.applied == [0.0; 8], "tick {}", observation.header.tick);
+        assert!(!off || observation.applied == [0.0; MAX_OUTPUTS], "tick {}", observation.header.tick);
         assert!(!(off && *on) || observation.header.flags & flag::BLIND != 0, "tick {}", observation.header.tick);
     }
     let with_torque = torque.iter().filter(|on| **on).count();
@@ -462,5 +466,161 @@ fn each_fault_has_its_recorded_effect() {
         }
         writeln!(table, "{}", row("commands away", "", protocol, true)).unwrap();
     }
+    table += "\nA loss at tick 100 of 400, of 50 ms each, over at tick 120 (by itself, or when armed by hand).\n\n";
+    for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
+        for (name, loss) in [
+            ("cable out", Loss::CableOut),
+            ("asleep", Loss::Asleep),
+            ("frozen", Loss::Frozen),
+            ("guard dead", Loss::GuardDead),
+        ] {
+            for rearm in ["automatic", "by-hand"] {
+                writeln!(table, "{}", loss_row(name, loss, protocol, rearm)).unwrap();
+            }
+        }
+    }
     assert_snapshot("tests/snapshots/servo_faults.txt", &table);
+}
+
+/// A joint stands at the end of its range next to the encoder's 0, where a reading may come from the other end of the
+/// turn. No goal leads the long way round.
+#[test]
+fn no_goal_leads_across_the_encoders_zero() {
+    for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
+        let plan = plan("noise = 1.0", 400, |text| {
+            let text = with_protocol(&text, protocol).replace("goal = \"speed\"", "goal = \"position\"");
+            let text = text.replace("max_speed = 12.0", "zero = 698\nrange = [-1.07, 1.07]\nmax_speed = 12.0");
+            text.replace("\"learned-reward\"", "\"paper\"").replace("sigma = 0.001", "sigma = 0.01")
+        });
+        let mut setup = set_up(&plan);
+        for id in 1..=4 {
+            // The lower end is at 1 step.
+            setup.chain.lock().unwrap().move_by_hand(0, id, 3.0);
+        }
+        setup.bridge.arm().unwrap();
+        let (chain, clock) = (Arc::clone(&setup.chain), setup.clock.clone());
+        let mut farthest: f64 = 0.0;
+        let (_, torque, _) = run(&plan, setup, |_| {
+            let state = chain.lock().unwrap().state(clock.now());
+            let beyond = |at: f64| (at + 100.0).rem_euclid(4096.0) - 100.0;
+            farthest = state.iter().map(|servo| beyond(servo.position)).fold(farthest, f64::max);
+            true
+        });
+        assert!(torque.iter().filter(|on| **on).count() > 300, "{protocol:?}");
+        assert!((10.0..=1399.0).contains(&farthest), "{protocol:?}: {farthest}");
+    }
+}
+
+/// The last check, where the packet is made: a goal outside the written limits is not sent, whoever asks for it.
+#[test]
+fn a_goal_outside_the_limits_is_not_sent() {
+    for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
+        let plan = plan("", 10, |text| with_protocol(&text, protocol));
+        let chain = EmulatedChain::new(protocol, &[1, 2], 1_000_000, &EmulatorConfig::default(), 1);
+        let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
+        let mut bus = bus_to(&chain, &clock, &plan);
+        let series = bus.series();
+        bus.limit_goals(vec![(2, [1000, 3000])]);
+        for (goal, fits) in [(1000, true), (999, false), (3000, true), (3001, false)] {
+            assert_eq!(bus.sync_set(&[1, 2], series.goal_position, |_| goal).is_ok(), fits, "{goal}");
+            assert_eq!(bus.write(2, series.goal_position, goal).is_ok(), fits, "{goal}");
+            assert!(bus.write(1, series.goal_position, goal).is_ok());
+        }
+        assert_eq!(bus.read(2, series.goal_position).unwrap(), 3000);
+    }
+}
+
+/// Registers that other programs left behind are named before torque comes on.
+#[test]
+fn registers_that_others_left_are_refused() {
+    for (protocol, address, bytes, name) in [
+        (Protocol::Feetech, 31, &[44_u8, 9][..], "homing_offset (address 31) is -300 and should be 0"),
+        (Protocol::Feetech, 30, &[2][..], "angular_resolution (address 30) is 2"),
+        (Protocol::Feetech, 21, &[3][..], "p_coefficient (address 21) is 3 and should be 32, as when"),
+        (Protocol::Dynamixel, 20, &[44, 1, 0, 0][..], "homing_offset (address 20) is 300 and should be 0"),
+        (Protocol::Dynamixel, 10, &[1][..], "drive_mode (address 10) is 1"),
+        (Protocol::Dynamixel, 12, &[3][..], "secondary_id (address 12) is 3"),
+    ] {
+        let plan = plan("", 10, |text| {
+            let text = with_protocol(&text, protocol);
+            let gain = if protocol == Protocol::Feetech { "p_coefficient = 32" } else { "pwm_limit = 885" };
+            text.replace("max_speed = 12.0", &format!("max_speed = 12.0\nregisters = {{ {gain} }}"))
+        });
+        let mut setup = set_up(&plan);
+        setup.chain.lock().unwrap().overwrite(2, address, bytes);
+        let error = setup.bridge.arm().unwrap_err();
+        assert!(error.is_configuration() && error.to_string().contains(name), "{name}: {error}");
+        assert!(error.to_string().starts_with("servo 2"), "{error}");
+    }
+    // A register that the calibration states is as it should be; a mode that makes times of speeds never is.
+    let recorded = |register: &str| {
+        plan("", 10, |text| {
+            text.replace("max_speed = 12.0", &format!("max_speed = 12.0\nregisters = {{ {register} }}"))
+        })
+    };
+    for (register, address, bytes, fits) in
+        [("homing_offset = 300", 20, &[44_u8, 1, 0, 0][..], true), ("drive_mode = 4", 10, &[4][..], false)]
+    {
+        let mut setup = set_up(&recorded(register));
+        (1..=4).for_each(|id| setup.chain.lock().unwrap().overwrite(id, address, bytes));
+        assert_eq!(setup.bridge.arm().is_ok(), fits, "{register}");
+    }
+}
+
+/// What happens to a bridge that loses its port, its guard, or time, from tick 100 on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Loss {
+    CableOut,
+    Asleep,
+    Frozen,
+    GuardDead,
+}
+
+/// Runs a loss that is over at tick 120, and describes its effect in a line.
+fn loss_row(name: &str, loss: Loss, protocol: Protocol, rearm: &str) -> String {
+    let plan = plan("", 400, |text| {
+        with_protocol(&text, protocol).replace("armed = true ", &format!("rearm = \"{rearm}\"\narmed = true "))
+    });
+    let servos = plan.scenario.plant.servos.clone().unwrap();
+    let chain = EmulatedChain::new(protocol, &[1, 2, 3, 4], servos.baud, &EmulatorConfig::default(), 1);
+    let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
+    let mut bus = bus_to(&chain, &clock, &plan);
+    let (line, now) = (Arc::clone(&chain), clock.clone());
+    bus.set_opener(Box::new(move || match line.lock().unwrap().is_cable_out() {
+        true => Err(BusError::NoPort("arm".to_owned())),
+        false => Ok(Box::new(EmulatedPort::new(Arc::clone(&line), now.clone(), servos.baud))),
+    }));
+    let mut bridge = Bridge::new(&plan, bus, joints_of(&plan).unwrap(), Box::new(|_| {})).unwrap();
+    let tick_now = Arc::new(std::sync::atomic::AtomicU64::new(0));
+    let at = |tick: &Arc<std::sync::atomic::AtomicU64>| tick.load(std::sync::atomic::Ordering::Relaxed);
+    let (of_guard, of_clock) = (Arc::clone(&tick_now), Arc::clone(&tick_now));
+    bridge.set_guard(Box::new(move |_| loss != Loss::GuardDead || at(&of_guard) < 100));
+    bridge.set_sleep_clock(Box::new(
+        move || if loss == Loss::Asleep && at(&of_clock) >= 100 { 3_600_000_000_000 } else { 0 },
+    ));
+    bridge.arm().unwrap();
+    let (line, time) = (Arc::clone(&chain), clock.clone());
+    let setup = Setup { chain, clock, bridge };
+    let (_, torque, bridge) = run(&plan, setup, |tick| {
+        tick_now.store(tick, std::sync::atomic::Ordering::Relaxed);
+        match (loss, tick) {
+            (Loss::CableOut, 100) => line.lock().unwrap().pull_cable(),
+            (Loss::CableOut, 120) => line.lock().unwrap().put_cable_back(),
+            (Loss::Frozen, 100) => time.step_to(time.now() + 500_000_000),
+            _ => {}
+        }
+        true
+    });
+    let off = (100..400).find(|&tick| !torque[tick]);
+    let back = off.and_then(|off| (off..400).find(|&tick| torque[tick]));
+    let mut causes: Vec<String> = bridge.report.events.iter().map(|event| event.cause.to_string()).collect();
+    causes.dedup();
+    let at = |tick: Option<usize>| tick.map_or("-".to_owned(), |tick| format!("{} ms", (tick as i64 - 99) * 50));
+    format!(
+        "{:<10} {name:<14} {rearm:<9}  torque off after {:>8}, on again after {:>8}  {}",
+        protocol.name(),
+        at(off),
+        at(back),
+        causes.join(", ")
+    )
 }

@@ -8,7 +8,7 @@ use std::time::Duration;
 use serde_json::Value;
 use support::content::{LogContent, read_log};
 use support::{TestFolder, stop_process_for};
-use tectum::wire::{Observation, flag};
+use tectum::wire::{MAX_OUTPUTS, Observation, flag};
 
 const TICKS: &str = "600";
 
@@ -67,7 +67,7 @@ fn check_stalled_controller() -> bool {
         let share = observation.applied[0] / last[0];
         assert!((share - (1.0 - steps as f32 / 5.0)).abs() < 1e-3, "{steps} of five steps down: {share}");
     }
-    assert_eq!(row[7].applied, [0.0; 8]);
+    assert_eq!(row[7].applied, [0.0; MAX_OUTPUTS]);
     true
 }
 

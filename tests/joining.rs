@@ -28,6 +28,22 @@ fn another_plant_program_replaces_the_simulator() {
 }
 
 #[test]
+fn a_controller_that_is_not_the_scenarios_is_refused() {
+    let test_folder = TestFolder::new();
+    let own = point(&test_folder).replace("point.toml", "own.toml");
+    let text = std::fs::read_to_string(point(&test_folder)).unwrap();
+    std::fs::write(&own, text.replacen("[encoder]", "[controller]\nprogram = \"./own\"\n\n[encoder]", 1)).unwrap();
+    let mut run = test_folder.start(TECTUM, &["run", "--name", "demo", &own, "--by-hand", "controller"]);
+    let manifest = test_folder.path().join("runs/demo/run.json");
+    run.wait_until("the run's manifest", || manifest.exists());
+    let message = test_folder.start(program("tectum-controller"), &["--run", "demo"]).wait().expect(2).stderr;
+    assert!(
+        message.contains("controller.program is \"./own\", and this is tectum-controller; start that"),
+        "{message}"
+    );
+}
+
+#[test]
 fn every_process_can_be_started_by_hand() {
     for (role, name) in
         [("plant", "tectum-simulator"), ("controller", "tectum-controller"), ("logger", "tectum-logger")]

@@ -66,7 +66,7 @@ impl CellRng {
 const LOCKSTEP_TICKS: u64 = 20_000;
 const REALTIME_TICKS: u64 = 200;
 /// Bytes that a tick adds to a log.
-const TICK_BYTES: u64 = 521;
+const TICK_BYTES: u64 = 745;
 
 fn ticks(mode: &str) -> u64 {
     if mode == "lockstep" { LOCKSTEP_TICKS } else { REALTIME_TICKS }

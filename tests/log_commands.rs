@@ -269,7 +269,7 @@ fn durations_are_in_the_log_and_in_the_summary() {
 #[test]
 fn losses_are_stated_found_and_marked() {
     let test_folder = TestFolder::new();
-    let summary = run_with_a_stopped_logger(&test_folder, 1536);
+    let summary = run_with_a_stopped_logger(&test_folder, 2560);
     assert!(summary["lost"].as_u64() > Some(0), "{summary}");
     let info = test_folder.tectum("log", &["info", "run", "--json"]).expect(0).json();
     let (reader, content) = read_log(&test_folder.log_path());

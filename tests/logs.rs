@@ -78,7 +78,7 @@ fn lockstep_waits_for_a_stopped_logger() {
     let mut run = test_folder.run(&[&scenario, "--ticks", "60000", "--json"]);
     let logger = run.child_pid("tectum-logger");
     run.wait_until_ticking();
-    // This is far longer than the loop needs to fill the logger's buffer of 1024 samples.
+    // This is far longer than the loop needs to get 1024 samples ahead.
     stop_process_for(logger, std::time::Duration::from_millis(300));
     let summary = run.wait().expect(0).json();
     assert_eq!((&summary["ticks"], &summary["lost"]), (&60000.into(), &0.into()));
@@ -86,12 +86,12 @@ fn lockstep_waits_for_a_stopped_logger() {
     assert!(content.observations.iter().map(|o| o.header.tick).eq(0..60000));
 }
 
-/// I8. The logger is stopped for two seconds, longer than its buffer lasts. The loop continues, and the log states
+/// I8. The logger is stopped for three seconds, longer than its rings last. The loop continues, and the log states
 /// what it lacks.
 #[test]
 fn a_stopped_logger_states_which_samples_it_lost() {
     let test_folder = TestFolder::new();
-    let summary = run_with_a_stopped_logger(&test_folder, 2000);
+    let summary = run_with_a_stopped_logger(&test_folder, 3000);
     assert_no_debris(&test_folder.run_folder());
     assert!(summary["lost"].as_u64() > Some(500), "{summary}");
     let (reader, content) = read_log(&test_folder.log_path());

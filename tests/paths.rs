@@ -98,6 +98,7 @@ impl<R: LearningRule> Pair<R> {
                 reward,
                 next_features: next,
                 next_inputs: &[],
+                new_target: false,
             };
             let mut results = [(0.0, [0.0; 8]); 2];
             for ((rule, policy), result) in self.rules.iter_mut().zip(&mut self.policies).zip(&mut results) {

@@ -21,8 +21,8 @@ use tectum::seed::stream;
 
 /// Largest difference that is allowed, in the state's units and of the reward.
 const ALLOWED: f64 = 1e-6;
-/// Largest difference of a state where MuJoCo's solver ends early at the end of the rail. The same trajectory with a solver
-/// that does not (`exact`) is within [`ALLOWED`].
+/// Largest difference of a state where MuJoCo's solver ends early at the end of the rail. The same trajectory with a
+/// solver that does not (`exact`) is within [`ALLOWED`].
 const ALLOWED_AT_THE_RAIL: f64 = 1e-5;
 const STEPS: usize = 200;
 

@@ -13,40 +13,13 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::{Value, json};
+use support::python::{example, python, python_name, scenario, script};
 use support::{TECTUM, TestFolder, assert_no_debris, read_json, signal_process};
-use tectum::wire::{Command, Control, Header, Learning, Observation, Sample, Status, Vision, flag};
-
-fn python() -> String {
-    std::env::var("TECTUM_PYTHON").unwrap_or_else(|_| "python3".to_owned())
-}
-
-/// The path of a script in `tests/python`.
-fn script(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python").join(name);
-    path.to_str().unwrap().to_owned()
-}
-
-/// The path of a file in `examples/python`.
-fn example(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/python").join(name);
-    path.to_str().unwrap().to_owned()
-}
-
-/// A scenario of `examples/python` with some texts replaced and `more` appended. Its paths are made absolute, so that
-/// it runs in any folder.
-#[track_caller]
-fn scenario(test_folder: &TestFolder, name: &str, changes: &[(&str, &str)], more: &str) -> String {
-    let mut text = fs::read_to_string(example(name)).unwrap();
-    let python = format!("{:?}", python());
-    let folder = format!("\"{}/", example("").trim_end_matches('/'));
-    for (from, to) in
-        [("\"target/python/bin/python\"", python.as_str()), ("\"examples/python/", &folder)].iter().chain(changes)
-    {
-        assert!(text.contains(from), "{name} has no {from}");
-        text = text.replacen(from, to, 1);
-    }
-    test_folder.write_file("scenario.toml", text + more).to_str().unwrap().to_owned()
-}
+use tectum::channel::LOG_BUFFER;
+use tectum::wire::{
+    Command, Control, Header, Learning, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Sample, Status, Vision,
+    flag, schema_hash,
+};
 
 #[test]
 #[ignore = "needs a Python with the packages of tests/python/requirements.txt, named by TECTUM_PYTHON"]
@@ -116,11 +89,12 @@ fn layout<S: Sample>() -> (String, Value) {
     (S::NAME.to_owned(), json!([size_of::<S>(), fields]))
 }
 
+/// Layouts, flags and numbers of the package `tectum`.
 #[test]
 #[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
 fn the_python_samples_have_the_rust_layout() {
     let test_folder = TestFolder::new();
-    let python_layouts = test_folder.start(python(), &[&script("layouts.py"), &example("")]).wait().expect(0).json();
+    let theirs = test_folder.start(python(), &[&script("layouts.py")]).wait().expect(0).json();
     let rust_layouts = [
         layout::<Header>(),
         layout::<Observation>(),
@@ -130,7 +104,15 @@ fn the_python_samples_have_the_rust_layout() {
         layout::<Control>(),
         layout::<Status>(),
     ];
-    assert_eq!(python_layouts, Value::Object(rust_layouts.into_iter().collect()));
+    assert_eq!(theirs["samples"], Value::Object(rust_layouts.into_iter().collect()));
+    assert_eq!(theirs["schema"], format!("{:016x}", schema_hash()), "python/src/tectum/layouts.py has another SCHEMA");
+    assert_eq!(theirs["numbers"], json!([MAX_INPUTS, MAX_OUTPUTS, MAX_MEASURES, LOG_BUFFER]));
+    // The C header is made from the Rust flags.
+    let header = fs::read_to_string("docs/tectum.h").unwrap();
+    for (name, bit) in theirs["flags"].as_object().unwrap() {
+        assert!(header.contains(&format!("TECTUM_{name} = 1 << {bit},")), "{name} {bit}");
+    }
+    assert_eq!(header.matches(" = 1 << ").count(), theirs["flags"].as_object().unwrap().len());
 }
 
 /// Compares the gate in Python, with all limits and the hold policy in use, with the gate in Rust: `replay` computes
@@ -203,8 +185,7 @@ fn a_python_plant_runs_in_real_time_and_restarts() {
     let test_folder = TestFolder::new();
     let scenario = scenario(&test_folder, "plant.toml", &[("ticks = 2_000", "ticks = 100_000\nperiod_ms = 10")], "");
     let mut run = test_folder.run(&[&scenario, "--mode", "realtime", "--json"]);
-    let name = python();
-    let name = Path::new(&name).file_name().unwrap().to_str().unwrap();
+    let name = &python_name();
     let first = run.child_pid(name);
     run.wait_until_ticking();
     let command = format!("exec {} {} --run run --every 0.05 > seen.txt", python(), example("viewer.py"));
@@ -279,11 +260,11 @@ fn what_python_does_not_support_is_refused_in_one_sentence() {
     let fault = "[[faults.channel]]\nchannel = \"command\"\nkind = \"drop\"\nprobability = 0.1\n";
     let outcome = test_folder.run(&[&scenario(&test_folder, "plant.toml", &[], fault)]).wait().expect(2);
     assert!(outcome.stderr.contains("cannot make faults on its commands"), "{outcome:#?}");
-    // A plant that is killed in lockstep loses its state. The run ends with a message and does not continue with other
-    // numbers.
+    // A plant without state() that is killed in lockstep loses its state. The run ends with a message and does not
+    // continue with other numbers.
     let test_folder = TestFolder::new();
-    let mut run = test_folder.run(&[&scenario(&test_folder, "plant.toml", &[], ""), "--ticks", "200000"]);
-    let plant = run.child_pid(Path::new(&python()).file_name().unwrap().to_str().unwrap());
+    let mut run = test_folder.run(&[&scenario(&test_folder, "mujoco.toml", &[], ""), "--ticks", "200000"]);
+    let plant = run.child_pid(&python_name());
     run.wait_until_ticking();
     signal_process(plant, "KILL");
     let outcome = run.wait().expect(2);

@@ -170,9 +170,9 @@ fn the_first_difference_is_named() {
         text.starts_with("tectum: the log other.mcap does not replay: at tick 100, channel observation, inputs[0] is ")
     );
     assert!(text.contains(", and should be "), "{text}");
-    assert!(replay_error(observation, 152).contains("at tick 100, channel observation, reward is "));
-    assert!(replay_error(command, 88).contains("at tick 200, channel command, drawn[0] is "));
-    assert!(replay_error(learning, 104).contains("at tick 290, channel learning, weights_hash is "));
+    assert!(replay_error(observation, 248).contains("at tick 100, channel observation, reward is "));
+    assert!(replay_error(command, 120).contains("at tick 200, channel command, drawn[0] is "));
+    assert!(replay_error(learning, 168).contains("at tick 290, channel learning, weights_hash is "));
     // A log that still has its checksums is also replayed only to the difference.
     let mut whole = log.clone();
     whole[command.offset + 88] ^= 1;

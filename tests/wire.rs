@@ -11,8 +11,8 @@ use std::process::Command as Process;
 
 use snapshot::assert_snapshot;
 use tectum::wire::{
-    Command, Control, Gap, Header, Learning, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Phase, ProcessState,
-    Role, Sample, Status, Vision, flag,
+    Command, Control, Gap, Header, Learning, MAX_COLUMNS, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Phase,
+    ProcessState, Role, Sample, Status, Vision, flag::FLAGS,
 };
 
 /// The parts of a sample that a table shows.
@@ -62,46 +62,9 @@ fn layouts() -> Vec<Layout> {
     ]
 }
 
-/// Name, bit and meaning of every flag, read from the source. The bits are compared with the constants.
+/// Name, bit and meaning of every flag.
 fn flags() -> Vec<(String, u32, String)> {
-    let source = std::fs::read_to_string("src/wire/samples.rs").unwrap();
-    let (mut found, mut doc) = (Vec::new(), String::new());
-    for line in source.lines().map(str::trim) {
-        if let Some(text) = line.strip_prefix("/// ") {
-            let _ = write!(doc, " {text}");
-        } else {
-            if let Some((name, bit)) = line.strip_prefix("pub const ").and_then(|l| l.split_once(": u32 = 1 << ")) {
-                found.push((name.to_owned(), bit.trim_end_matches(';').parse().unwrap(), plain(&doc)));
-            }
-            doc.clear();
-        }
-    }
-    let constants = [
-        flag::FIRST,
-        flag::MISSED,
-        flag::HELD,
-        flag::DECAYED,
-        flag::STOPPED,
-        flag::CLAMPED,
-        flag::NON_FINITE,
-        flag::SKIPPED,
-        flag::NEW_TARGET,
-        flag::LATE,
-        flag::INVALID,
-        flag::DIVERGED,
-        flag::STEP_LIMITED,
-        flag::POSITION_LIMITED,
-        flag::RAMPED,
-        flag::UNHEARD,
-        flag::UNARMED,
-        flag::TRIPPED,
-        flag::BLIND,
-        flag::LEARNED,
-        flag::TRACE_CUT,
-        flag::HASHED,
-    ];
-    assert_eq!(found.iter().map(|(_, bit, _)| 1u32 << *bit).collect::<Vec<u32>>(), constants);
-    found
+    FLAGS.iter().map(|flag| (flag.name.to_owned(), flag.bit.trailing_zeros(), plain(flag.doc))).collect()
 }
 
 fn phases() -> [(&'static str, u32); 5] {
@@ -173,7 +136,9 @@ fn comment(text: &mut String, indent: &str, doc: &str) {
 
 fn header() -> String {
     let mut text = HEAD.to_owned();
-    for (name, value) in [("INPUTS", MAX_INPUTS), ("OUTPUTS", MAX_OUTPUTS), ("MEASURES", MAX_MEASURES)] {
+    for (name, value) in
+        [("INPUTS", MAX_INPUTS), ("OUTPUTS", MAX_OUTPUTS), ("MEASURES", MAX_MEASURES), ("COLUMNS", MAX_COLUMNS)]
+    {
         let _ = writeln!(text, "#define TECTUM_MAX_{name} {value}");
     }
     for layout in layouts() {

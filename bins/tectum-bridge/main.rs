@@ -11,11 +11,12 @@ use std::sync::atomic::Ordering;
 
 use clap::{Parser, Subcommand};
 use tectum::channel::VisionReceiver;
-use tectum::clock::{monotonic_ns, pause};
+use tectum::clock::{monotonic_ns, pause, suspended_ns};
 use tectum::process::print_error_line;
 use tectum::runtime::{Participant, RuntimeError, exit, run_plant};
-use tectum::servo::bridge::{Bridge, joints_of};
+use tectum::servo::bridge::{Bridge, BridgeError, TripCause, joints_of};
 use tectum::servo::bus::{Bus, BusBudget, BusError};
+use tectum::servo::guard::{Guard, GuardSettings};
 use tectum::servo::model::Protocol;
 use tectum::wire::Role;
 
@@ -63,7 +64,7 @@ fn main() -> ExitCode {
         Some(Tool::Guard(of)) => return guard::run(of),
         Some(Tool::Tool(tool)) => match tools::run(tool) {
             Ok(()) => return ExitCode::SUCCESS,
-            Err(error) => (error.to_string(), exit::INPUT),
+            Err(error) => (error.to_string(), if error.is_bad_input() { exit::INPUT } else { exit::PROCESS }),
         },
         None => match run_bridge(&arguments) {
             Ok(()) => return ExitCode::SUCCESS,
@@ -80,56 +81,87 @@ type Problem = (String, u8);
 /// Runs the bridge as the plant of a run.
 fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
     let bad = |text: String| (text, exit::INPUT);
+    let failed = |text: String| (text, exit::PROCESS);
+    let of_bridge = |what: &str, error: BridgeError| {
+        (format!("{what}{error}"), if error.is_configuration() { exit::INPUT } else { exit::PROCESS })
+    };
     let own = |error: RuntimeError| (error.to_string(), error.exit_code());
     let Some(run) = &arguments.run else {
         return Err(bad("no run is named; give --run, or let `tectum run` start this program".to_owned()));
     };
     let participant = Participant::take(run, Role::Plant, arguments.scenario.as_deref()).map_err(own)?;
-    let joints = joints_of(&participant.plan).map_err(|error| bad(error.to_string()))?;
+    let joints = joints_of(&participant.plan).map_err(|error| of_bridge("", error))?;
     let Some(config) = participant.plan.scenario.plant.servos.clone() else {
         return Err(bad("the scenario has no [plant.servos]".to_owned()));
     };
     let ids: Vec<u8> = joints.iter().map(|joint| joint.id).collect();
-    // Emulator and guard end with this function, after the bridge, which `run_plant` drops.
+    // The emulator ends with this function, after the bridge, which `run_plant` drops.
     let (_emulator, port) = match config.port.as_str() {
         "emulator" => {
-            let (child, port) = start_emulator(&participant.folder, config.protocol, config.baud, &ids).map_err(bad)?;
+            let (child, port) =
+                start_emulator(&participant.folder, config.protocol, config.baud, &ids).map_err(failed)?;
             (Some(child), port)
         }
         port => (None, port.to_owned()),
     };
     let bus = open_bus(&port, config.protocol, config.baud, Bridge::budget(&participant.plan))
-        .map_err(|e| bad(e.to_string()))?;
-    let _guard = Helper::start(&mut guard::command(&port, config.protocol, config.baud, &ids)).map_err(bad)?;
+        .map_err(|error| of_bridge("", error.into()))?;
+    let period_ns = participant.plan.period_ns;
+    let guard = GuardSettings { port, protocol: config.protocol, baud: config.baud, ids, period_ns };
+    let guard = guard::start(&guard).map_err(failed)?;
     let tell = Box::new(|text: &str| print_error_line(&format!("tectum-bridge: {text}")));
-    let mut bridge = Bridge::new(&participant.plan, bus, joints, tell).map_err(|error| bad(error.to_string()))?;
+    let mut bridge = Bridge::new(&participant.plan, bus, joints, tell).map_err(|error| of_bridge("", error))?;
+    attach(&mut bridge, guard);
+    let ending = bridge.ending();
     bridge.write_report_to(participant.folder.join("bridge.json"));
     if arguments.arm || config.armed {
-        bridge.arm().map_err(|error| bad(format!("not armed: {error}")))?;
+        bridge.arm().map_err(|error| of_bridge("not armed: ", error))?;
     } else {
         print_error_line(
             "tectum-bridge: read-only; --arm, armed = true under [plant.servos], \
              or a and Enter at its own terminal arm it",
         );
     }
-    if participant.plan.scenario.vision().is_some() {
-        let mut receiver = VisionReceiver::open(
-            &participant.manifest.domain,
-            &participant.identity(),
-            &participant.plan.scenario.channels,
-        )
-        .map_err(|error| own(error.into()))?;
-        bridge.set_vision_source(Box::new(move || receiver.receive()));
-        print_error_line(
-            "tectum-bridge: target and end-effector come from a tracker; until it is there the arm stands still",
-        );
-    }
+    listen_to_trackers(&participant, &mut bridge).map_err(own)?;
     arm_from_terminal(&bridge);
     let report = run_plant(participant, bridge).map_err(own)?;
     if arguments.json {
         let _ = writeln!(std::io::stdout(), "{}", serde_json::to_string(&report).unwrap_or_default());
     }
+    let ending = ending.lock().ok().and_then(|ending| *ending);
+    match ending.filter(|cause| *cause != TripCause::CommandsAway) {
+        Some(cause) => Err(failed(format!("torque was off when the run ended: {cause}"))),
+        None => Ok(()),
+    }
+}
+
+/// Opens the channel of trackers, if the scenario has them.
+fn listen_to_trackers(participant: &Participant, bridge: &mut Bridge) -> Result<(), RuntimeError> {
+    if participant.plan.scenario.vision().is_none() {
+        return Ok(());
+    }
+    let mut receiver = VisionReceiver::open(
+        &participant.manifest.domain,
+        &participant.identity(),
+        &participant.plan.scenario.channels,
+    )
+    .map_err(RuntimeError::from)?;
+    bridge.set_vision_source(Box::new(move || receiver.receive()));
+    print_error_line(
+        "tectum-bridge: target and end-effector come from a tracker; until it is there the arm stands still",
+    );
     Ok(())
+}
+
+/// Connects the bridge with its guard, with the machine's clocks, and with the end of this process.
+fn attach(bridge: &mut Bridge, mut guard: Guard) {
+    bridge.set_guard(Box::new(move |torque| guard.beat(torque)));
+    bridge.set_sleep_clock(Box::new(suspended_ns));
+    bridge.set_give_up(Box::new(|text| {
+        print_error_line(&format!("tectum-bridge: {text}"));
+        // As if it had been killed: the launcher decides whether it starts the bridge again.
+        std::process::exit(i32::from(exit::PROCESS));
+    }));
 }
 
 /// Opens the port. Retries for half a second, because the guard of a killed bridge may use the port to turn

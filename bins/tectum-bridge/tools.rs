@@ -6,8 +6,14 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use tectum::clock::{TerminationSignals, monotonic_ns, pause};
 use tectum::servo::bus::{Bus, BusBudget};
+use tectum::servo::guard::GuardSettings;
 use tectum::servo::model::Protocol;
-use tectum::servo::tools::{self, Calibration, Jog, ToolError};
+use tectum::servo::tools::{self, Calibration, Jog, JogContext, ToolError};
+
+use super::guard;
+
+/// Longest time between two heartbeats of `jog`, ns: it reads the position, once or twice, within this time.
+const JOG_PERIOD: u64 = 80_000_000;
 
 /// Tools for an arm that is not part of a run.
 #[derive(Debug, Subcommand)]
@@ -67,13 +73,20 @@ Torque is off all the time. Each step is requested, done by hand, and ended with
 standard error, and one object with the joints is printed at the end.
 
 Example:
-  tectum-bridge calibrate --port /dev/ttyUSB0 --protocol feetech --ids 1,2,3,4 --out my-arm.toml")]
+  tectum-bridge calibrate --port /dev/ttyUSB0 --protocol feetech --ids 1,2,3,4 --out my-arm.toml
+  tectum-bridge calibrate --port /dev/ttyACM0 --protocol feetech --import so101.json --out my-arm.toml")]
 pub struct Calibrate {
     #[command(flatten)]
     bus: BusArguments,
-    /// The ids, from the base on
-    #[arg(long, value_delimiter = ',', required = true)]
+    /// The ids, from the base on; with --import, those to take over
+    #[arg(long, value_delimiter = ',', required_unless_present = "import")]
     ids: Vec<u8>,
+    /// Take the joints from this file instead, one of LeRobot's (.json), and compare the servos' registers with it
+    #[arg(long, value_name = "FILE")]
+    import: Option<PathBuf>,
+    /// Write the joints as a file of LeRobot's too; its angles are 0 in the middle of their ranges
+    #[arg(long, value_name = "FILE")]
+    export: Option<PathBuf>,
     /// The file to write
     #[arg(long, default_value = "arm-calibration.toml")]
     out: PathBuf,
@@ -163,15 +176,30 @@ pub fn run(tool: &Tool) -> Result<(), ToolError> {
         Tool::Scan(scan) => find(scan, &stop),
         Tool::Calibrate(arguments) => calibrate(arguments),
         Tool::Jog(arguments) => {
-            let calibration = arguments.calibration.as_deref().map(Calibration::load).transpose()?;
-            let mut bus = arguments.bus.open()?;
-            let motion =
-                Jog { id: arguments.id, by: arguments.by, speed: arguments.speed, calibration: calibration.as_ref() };
-            let after = tools::jog(&mut bus, motion, pause, stop)?;
-            print_line(&if arguments.json { serde_json::json!(after).to_string() } else { after.line() })
+            let protocol = Protocol::named(&arguments.bus.protocol);
+            let load = |path| Calibration::load(path, protocol);
+            let calibration = arguments.calibration.as_deref().map(load).transpose()?;
+            jog(arguments, calibration.as_ref(), &stop)
         }
         Tool::Watch(arguments) => watch(arguments, &stop),
     }
+}
+
+fn jog(arguments: &Move, calibration: Option<&Calibration>, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
+    let Move { bus: port, id, by, speed, .. } = arguments;
+    let mut bus = port.open()?;
+    let settings = GuardSettings {
+        port: port.port.clone(),
+        protocol: Protocol::named(&port.protocol),
+        baud: port.baud,
+        ids: vec![*id],
+        period_ns: JOG_PERIOD,
+    };
+    let mut guard = guard::start(&settings).map_err(ToolError::Failed)?;
+    let motion = Jog { id: *id, by: *by, speed: *speed, calibration };
+    let mut context = JogContext { sleep: &mut pause, stop: &mut || stop(), beat: &mut |torque| guard.beat(torque) };
+    let after = tools::jog(&mut bus, motion, &mut context)?;
+    print_line(&if arguments.json { serde_json::json!(after).to_string() } else { after.line() })
 }
 
 fn find(scan: &Scan, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
@@ -222,10 +250,19 @@ fn calibrate(arguments: &Calibrate) -> Result<(), ToolError> {
         return Err(ToolError::Refused(text));
     }
     let mut bus = arguments.bus.open()?;
-    let mut input = std::io::stdin().lock();
-    let mut ask: Box<dyn std::io::Write> =
-        if arguments.json { Box::new(std::io::stderr()) } else { Box::new(std::io::stdout()) };
-    let calibration = tools::calibrate(&mut bus, &arguments.ids, arguments.max_speed, &mut input, &mut ask)?;
+    let calibration = match &arguments.import {
+        Some(file) => tools::import(&mut bus, file, &arguments.ids)?,
+        None => {
+            let mut input = std::io::stdin().lock();
+            let mut ask: Box<dyn std::io::Write> =
+                if arguments.json { Box::new(std::io::stderr()) } else { Box::new(std::io::stdout()) };
+            tools::calibrate(&mut bus, &arguments.ids, arguments.max_speed, &mut input, &mut ask)?
+        }
+    };
+    if let Some(file) = &arguments.export {
+        let written = std::fs::write(file, tools::write_lerobot(&calibration));
+        written.map_err(|error| ToolError::Io(file.display().to_string(), error))?;
+    }
     calibration.save(&arguments.out)?;
     match arguments.json {
         true => print_line(&serde_json::json!({ "file": arguments.out, "calibration": calibration }).to_string()),

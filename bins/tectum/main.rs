@@ -6,10 +6,12 @@ mod compare;
 mod doctor;
 mod film;
 mod log;
+mod new;
 mod replay;
 mod reproduce;
 mod run;
 mod scenario;
+mod tasks;
 mod tick_count;
 
 use std::io::Write as _;
@@ -46,6 +48,8 @@ enum Command {
     Run(run::Arguments),
     /// List the built-in scenarios, or print one to copy and change
     Scenario(scenario::Arguments),
+    /// Make a small project for a plant or a controller of your own, in Rust or in Python
+    New(new::Arguments),
     /// Run the paper's experiments again over several seeds, with the paper's figures and tables
     Reproduce(reproduce::Arguments),
     /// Analyse the movements in a run's log: isochrony, speed profiles, straightness, settling
@@ -54,6 +58,8 @@ enum Command {
     Film(film::Arguments),
     /// Compare the learners: how much experience each needs, and what one tick costs
     Compare(compare::Arguments),
+    /// Measure the learners on many tasks, beside controllers that know the true plant
+    Tasks(tasks::Arguments),
     /// Measure speed: latency, lockstep, encoder and learner, beside what the machine can do
     Bench(bench::Arguments),
     /// Compute a run again from its log, and check every bit of it
@@ -68,10 +74,12 @@ fn main() -> ExitCode {
     match Arguments::parse().command {
         Command::Run(arguments) => run::main(&arguments),
         Command::Scenario(arguments) => scenario::main(&arguments),
+        Command::New(arguments) => new::main(&arguments),
         Command::Reproduce(arguments) => reproduce::main(&arguments),
         Command::Analyse(arguments) => analyse::main(&arguments),
         Command::Film(arguments) => film::main(&arguments),
         Command::Compare(arguments) => compare::main(&arguments),
+        Command::Tasks(arguments) => tasks::main(&arguments),
         Command::Bench(arguments) => bench::main(&arguments),
         Command::Replay(arguments) => replay::main(&arguments),
         Command::Log(arguments) => log::main(&arguments),

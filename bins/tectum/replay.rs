@@ -72,7 +72,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         }
         Err(error) => {
             print_error_line(&format!("tectum: {error}"));
-            ExitCode::from(exit::INPUT)
+            ExitCode::from(error.exit_code())
         }
     }
 }

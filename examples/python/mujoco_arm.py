@@ -62,7 +62,7 @@ def wrapped(angles):
     return (angles + math.pi) % (2 * math.pi) - math.pi
 
 
-class MujocoArm:
+class MujocoArm(tectum.Plant):
     def __init__(self, run):
         self.arm = run.settings["plant"].get("arm")
         if self.arm is None:
@@ -78,14 +78,14 @@ class MujocoArm:
         self.data = mujoco.MjData(self.model)
         self.end = self.model.site("end").id
         self.count = len(self.arm["lengths"])
-        self.period = run.period_ns / 1e9
+        self.period = run.period
         self.steps = max(round(self.period / STEP_S), 1)
         self.model.opt.timestep = self.period / self.steps
         # Directions are sums of the motors' angles along the arm; relative angles are the motors' own.
         self.absolute = self.arm.get("angles", "absolute") == "absolute"
         self.sum = np.tril(np.ones((self.count, self.count))) if self.absolute else np.eye(self.count)
         self.difference = np.linalg.inv(self.sum)
-        self.targets, self.target, self.shown = tectum.stream(run.seed, "targets"), (0.0, 0.0), 0
+        self.targets, self.target, self.shown = run.stream("targets"), (0.0, 0.0), 0
         mujoco.mj_forward(self.model, self.data)
 
     def draw(self):

@@ -3,11 +3,9 @@
     target/release/tectum run examples/python/plant.toml
     target/release/tectum run examples/python/plant.toml --mode realtime --ticks 400
 
-Only the body has to be written. Handshake, time, lockstep, hold policy and limits come with tectum.py. Controller and
-logger are the usual programs, and do not notice the difference.
+Only the body has to be written. Handshake, time, lockstep, hold policy and limits come with the package `tectum`.
+Controller and logger are the usual programs, and do not notice the difference.
 """
-
-import random
 
 import tectum
 
@@ -15,13 +13,13 @@ TARGET_EVERY = 40  # ticks
 REACH = 1.0  # m: the line ends there, on both sides
 
 
-class Cart:
+class Cart(tectum.Plant):
     """A point with position, speed and target. It accelerates towards the commanded speed."""
 
     def __init__(self, run):
-        self.period = run.period_ns / 1e9
+        self.period = run.period
         # A stream of its own, from the run's seed alone: the same targets in every run of that seed.
-        self.targets = random.Random(f"{run.seed}/targets")
+        self.targets = run.stream("targets")
         self.position, self.speed, self.target, self.shown = 0.0, 0.0, 0.0, 0
 
     def sense(self, tick, inputs):
@@ -29,7 +27,7 @@ class Cart:
         due = tick // TARGET_EVERY + 1
         fresh = due > self.shown
         while self.shown < due:
-            self.target = self.targets.uniform(-REACH, REACH)
+            self.target = REACH * (2.0 * self.targets.single() - 1.0)
             self.shown += 1
         inputs[:] = self.position, self.target
         return fresh
@@ -42,6 +40,15 @@ class Cart:
             self.position, self.speed = max(-REACH, min(REACH, self.position)), 0.0
         error = self.position - self.target
         return -error * error, [abs(error)]
+
+    def state(self):
+        """What a cart that was killed goes on with when it comes back."""
+        numbers = [self.position, self.speed, self.target, self.shown]
+        return {"numbers": numbers, "targets": self.targets.words}
+
+    def restore(self, state):
+        self.position, self.speed, self.target, self.shown = state["numbers"]
+        self.targets.words = state["targets"]
 
     def joints(self):
         """For the gate's position limits: the joint's position, and how far a command of 1 moves it in a tick."""

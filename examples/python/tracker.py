@@ -21,18 +21,15 @@ parser.add_argument("--rate", type=float, default=30.0, help="pictures a second"
 parser.add_argument("--noise", type=float, default=0.003, help="standard deviation of the measured positions, m")
 arguments = parser.parse_args()
 try:
-    run = tectum.Run(arguments.run)
-    tracker = tectum.Tracker(run)
-    observations = run.reader("observation", tectum.Observation, 2)
+    tracker = tectum.Tracker(arguments.run)
+    run, observations = tracker.run, tectum.Viewer(tracker.run, buffer=2)
 except tectum.Refused as cause:
     parser.exit(cause.code, f"tracker.py: {cause}\n")
 
 arm = run.settings["plant"]["arm"]
 draw, target, shown = random.Random(f"{run.seed}/tracker"), None, -1
-while not run.run_ended():
-    newest = None
-    while (observation := observations.receive()) is not None:
-        newest = observation
+while not run.over():
+    newest = observations.newest()
     if newest is not None:
         while shown < newest.header.tick // arm["target_every"]:
             target = [draw.uniform(*arm["arena"]) for _ in range(2)]

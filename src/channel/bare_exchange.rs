@@ -5,9 +5,12 @@
 
 use std::time::Duration;
 
+use iceoryx2::port::{listener::Listener, notifier::Notifier};
+use iceoryx2::prelude::ipc;
+
 use super::domain::{Domain, DomainName};
 use super::domain_lock::DomainGuard;
-use super::ports::{Factory, Payload, Receiver, Sender, WakeListener, WakeNotifier};
+use super::ports::{Factory, Payload, Receiver, Sender};
 use super::{ChannelError, service_name};
 use crate::wire::{Command, Observation};
 
@@ -24,8 +27,8 @@ pub(crate) struct BareExchange<S: Payload, R: Payload> {
     pub(crate) to: Sender<S>,
     /// From the other process.
     pub(crate) from: Receiver<R>,
-    notifier: WakeNotifier,
-    listener: WakeListener,
+    notifier: Notifier<ipc::Service>,
+    listener: Listener<ipc::Service>,
     // Fields drop in this order: the node after its ports, the domain's files after the node.
     _domain: Domain,
     _guard: Option<DomainGuard>,
@@ -75,7 +78,6 @@ impl<S: Payload, R: Payload> BareExchange<S, R> {
         let to = Sender::new(to_name, to)?;
         // Created last, because the other process sends as soon as it sees this end.
         let from = Receiver::new(from_name, from, BUFFER)?;
-        let (notifier, listener) = (WakeNotifier(notifier), WakeListener(listener));
         Ok(Self { to, from, notifier, listener, _domain: domain, _guard: guard })
     }
 
@@ -90,12 +92,12 @@ impl<S: Payload, R: Payload> BareExchange<S, R> {
     /// Wakes the other process.
     #[inline]
     pub(crate) fn notify(&self) {
-        self.notifier.notify();
+        let _ = self.notifier.notify();
     }
 
     /// Sleeps until the other process notifies, for `timeout` at most and some milliseconds.
     pub(crate) fn wait(&self, timeout: Duration) {
-        self.listener.wait(timeout);
+        let _ = self.listener.timed_wait(|_| {}, timeout);
     }
 }
 

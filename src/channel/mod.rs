@@ -2,12 +2,13 @@
 //!
 //! A run has a domain of its own (an iceoryx2 prefix and root). The launcher creates the domain, and creates
 //! and holds every service in it; the other processes only open them. Three publish-subscribe services carry
-//! the samples, an event service wakes the controller, and blackboards show the run's phase and each process's
-//! state.
+//! the samples, blackboards show the run's phase and each process's state, and a service without a payload carries
+//! the run's identity. A futex wakes the controller.
 //!
 //! Every publish-subscribe service overflows: a full reader loses its oldest sample, and no writer ever waits
-//! for a reader. In lockstep nothing may be lost. There the plant does not run further ahead of the logger than
-//! the reader's buffer ([`LOG_BUFFER`]), so overflow cannot happen and no writer has to block.
+//! for a reader. The logger is no such reader. It takes the samples from rings in shared memory ([`LogTail`]), in
+//! which plant and controller note what they have sent. In lockstep nothing may be lost. There the plant does not
+//! run further ahead of the logger than [`LOG_BUFFER`], so no entry is overwritten and no writer has to block.
 
 mod bare_exchange;
 mod boards;
@@ -15,12 +16,14 @@ mod crash_store;
 mod domain;
 mod domain_lock;
 mod identity;
+mod log_ring;
 mod participant_ports;
 mod ports;
 mod services;
 mod shared_page;
 mod stale_domains;
 mod vision_ports;
+mod wake;
 
 pub(crate) use bare_exchange::BareExchange;
 pub use boards::{BoardReader, BoardWriter, StatusBoard};
@@ -28,20 +31,24 @@ pub(crate) use crash_store::CrashStore;
 pub(crate) use domain::reclaim_dead;
 pub use domain::{DomainName, remove_domain};
 pub use identity::Identity;
+pub(crate) use log_ring::ring_file;
+pub use log_ring::{LogAppender, LogTail};
 pub use participant_ports::{ControllerPorts, LoggerPorts, PlantPorts};
-pub use ports::{Payload, Receiver, Sender, WakeListener, WakeNotifier};
+pub use ports::{Payload, Receiver, Sender};
 pub use services::RunServices;
 pub(crate) use shared_page::SharedPage;
 pub use stale_domains::{DomainOwner, StaleDomain};
 pub(crate) use stale_domains::{list_domains, remove_stale_domains};
 pub use vision_ports::{TrackerPorts, VisionReceiver};
+pub(crate) use wake::wake_file;
+pub use wake::{WakeListener, WakeNotifier};
 
 use iceoryx2::prelude::ServiceName;
 
 /// The version of iceoryx2 that all processes of a run must have, whatever their language.
 pub(crate) const ICEORYX2: &str = "0.10.0";
 
-/// Samples that the logger can be behind before the oldest is lost.
+/// Samples that the logger can be behind in lockstep, where none may be lost.
 pub const LOG_BUFFER: usize = 1024;
 /// Samples that plant and controller can be behind: they read the newest, and one more slot makes a late one
 /// visible.
@@ -52,8 +59,8 @@ const VISION_BUFFER: usize = 4;
 /// How often a process can be started within a run: each start has a page of its own on its board.
 pub(crate) const INCARNATIONS: u32 = 256;
 
-/// The wake-up service. It is created before all others, and its attributes identify the run.
-pub(crate) const WAKE: &str = "wake";
+/// The service whose attributes identify the run. It is created before all others.
+pub(crate) const IDENTITY: &str = "identity";
 /// Name of the launcher's board.
 pub(crate) const CONTROL: &str = "control";
 

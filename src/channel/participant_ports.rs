@@ -5,15 +5,18 @@ use iceoryx2::service::port_factory::PortFactory as _;
 
 use super::boards::{BoardReader, StatusBoard, open_status_board, read_peer};
 use super::domain::{Domain, DomainName};
-use super::ports::{Factory, Payload, Receiver, Sender, WakeListener, WakeNotifier};
-use super::services::Event;
-use super::{ChannelError, Identity, LOG_BUFFER, LOOP_BUFFER, WAKE, service_name};
+use super::log_ring::{LogAppender, LogTail};
+use super::ports::{Factory, Payload, Receiver, Sender};
+use super::wake::{WakeListener, WakeNotifier};
+use super::{ChannelError, IDENTITY, Identity, LOOP_BUFFER, service_name};
 use crate::wire::{ChannelNames, Command, Learning, Observation, Role, Status};
 
 /// The plant's ends.
 pub struct PlantPorts {
-    /// Observations, to controller and logger.
+    /// Observations, to the controller and viewers.
     pub observation: Sender<Observation>,
+    /// Observations, for the logger.
+    pub log: LogAppender<Observation>,
     /// Wakes the controller.
     pub wake: WakeNotifier,
     /// Commands, the newest two.
@@ -31,10 +34,14 @@ pub struct ControllerPorts {
     pub observation: Receiver<Observation>,
     /// Notified with every observation.
     pub wake: WakeListener,
-    /// Commands, to plant and logger.
+    /// Commands, to the plant and viewers.
     pub command: Sender<Command>,
-    /// Learning records, to the logger.
+    /// Learning records, to viewers.
     pub learning: Sender<Learning>,
+    /// Commands, for the logger.
+    pub command_log: LogAppender<Command>,
+    /// Learning records, for the logger.
+    pub learning_log: LogAppender<Learning>,
     /// The plant's status.
     pub plant: BoardReader<Status>,
     _domain: Domain,
@@ -42,12 +49,12 @@ pub struct ControllerPorts {
 
 /// The logger's ends.
 pub struct LoggerPorts {
-    /// Observations, the last [`LOG_BUFFER`].
-    pub observation: Receiver<Observation>,
-    /// Commands, the last [`LOG_BUFFER`].
-    pub command: Receiver<Command>,
-    /// Learning records, the last [`LOG_BUFFER`].
-    pub learning: Receiver<Learning>,
+    /// Observations.
+    pub observation: LogTail<Observation>,
+    /// Commands.
+    pub command: LogTail<Command>,
+    /// Learning records.
+    pub learning: LogTail<Learning>,
     /// The plant's status.
     pub plant: BoardReader<Status>,
     /// The controller's status.
@@ -66,16 +73,12 @@ impl PlantPorts {
         identity: &Identity,
         channels: &ChannelNames,
     ) -> Result<(Self, StatusBoard), ChannelError> {
-        let (domain, wake) = open_domain(name, identity, Role::Plant.name())?;
-        let wake = wake
-            .notifier_builder()
-            .create()
-            .map_err(|e| ChannelError::set_up("the wake-up notifier", e))
-            .map(WakeNotifier)?;
+        let domain = open_domain(name, identity, Role::Plant.name())?;
         let status_board = open_status_board(&domain, Role::Plant)?;
         let ports = Self {
             observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
-            wake,
+            log: LogAppender::open(name, "observation")?,
+            wake: WakeNotifier::open(name)?,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
             controller: read_peer(&domain, Role::Controller, &status_board)?,
             logger: read_peer(&domain, Role::Logger, &status_board)?,
@@ -95,12 +98,7 @@ impl ControllerPorts {
         identity: &Identity,
         channels: &ChannelNames,
     ) -> Result<(Self, StatusBoard), ChannelError> {
-        let (domain, wake) = open_domain(name, identity, Role::Controller.name())?;
-        let wake = wake
-            .listener_builder()
-            .create()
-            .map_err(|e| ChannelError::set_up("the wake-up listener", e))
-            .map(WakeListener)?;
+        let domain = open_domain(name, identity, Role::Controller.name())?;
         let status_board = open_status_board(&domain, Role::Controller)?;
         let ports = Self {
             observation: Receiver::new(
@@ -108,9 +106,11 @@ impl ControllerPorts {
                 open_channel(&domain, &channels.observation)?,
                 LOOP_BUFFER,
             )?,
-            wake,
+            wake: WakeListener::open(name)?,
             command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
             learning: Sender::new(&channels.learning, open_channel(&domain, &channels.learning)?)?,
+            command_log: LogAppender::open(name, "command")?,
+            learning_log: LogAppender::open(name, "learning")?,
             plant: read_peer(&domain, Role::Plant, &status_board)?,
             _domain: domain,
         };
@@ -126,18 +126,14 @@ impl LoggerPorts {
     pub fn open(
         name: &DomainName,
         identity: &Identity,
-        channels: &ChannelNames,
+        _channels: &ChannelNames,
     ) -> Result<(Self, StatusBoard), ChannelError> {
-        let (domain, _wake) = open_domain(name, identity, Role::Logger.name())?;
+        let domain = open_domain(name, identity, Role::Logger.name())?;
         let status_board = open_status_board(&domain, Role::Logger)?;
         let ports = Self {
-            observation: Receiver::new(
-                &channels.observation,
-                open_channel(&domain, &channels.observation)?,
-                LOG_BUFFER,
-            )?,
-            command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOG_BUFFER)?,
-            learning: Receiver::new(&channels.learning, open_channel(&domain, &channels.learning)?, LOG_BUFFER)?,
+            observation: LogTail::open(name, "observation")?,
+            command: LogTail::open(name, "command")?,
+            learning: LogTail::open(name, "learning")?,
             plant: read_peer(&domain, Role::Plant, &status_board)?,
             controller: read_peer(&domain, Role::Controller, &status_board)?,
             _domain: domain,
@@ -147,20 +143,16 @@ impl LoggerPorts {
 }
 
 /// Joins the domain and checks the handshake.
-pub(super) fn open_domain(
-    name: &DomainName,
-    identity: &Identity,
-    role: &'static str,
-) -> Result<(Domain, Event), ChannelError> {
+pub(super) fn open_domain(name: &DomainName, identity: &Identity, role: &'static str) -> Result<Domain, ChannelError> {
     let domain = Domain::join(name)?;
-    let wake = domain
+    let service = domain
         .node
-        .service_builder(&service_name(WAKE)?)
+        .service_builder(&service_name(IDENTITY)?)
         .event()
         .open()
-        .map_err(|e| ChannelError::set_up("the wake-up service", e))?;
-    identity.check(role, wake.attributes())?;
-    Ok((domain, wake))
+        .map_err(|e| ChannelError::set_up("the run's identity", e))?;
+    identity.check(role, service.attributes())?;
+    Ok(domain)
 }
 
 pub(super) fn open_channel<T: Payload>(domain: &Domain, name: &str) -> Result<Factory<T>, ChannelError> {

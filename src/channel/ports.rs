@@ -1,11 +1,6 @@
-//! The ends of channels and wake-up events: thin and typed, so that their users need not name iceoryx2.
+//! The ends of channels: thin and typed, so that their users need not name iceoryx2.
 
-use std::time::Duration;
-
-use iceoryx2::port::{
-    listener::Listener, notifier::Notifier, publisher::Publisher, subscriber::Subscriber,
-    update_connections::UpdateConnections,
-};
+use iceoryx2::port::{publisher::Publisher, subscriber::Subscriber, update_connections::UpdateConnections};
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::publish_subscribe;
 
@@ -62,6 +57,15 @@ impl<T: Payload> Sender<T> {
         let loan = self.port.loan_uninit().map_err(|e| self.failed(e))?;
         loan.write_payload(*sample).send().map_err(|e| self.failed(e))?;
         Ok(())
+    }
+
+    /// Sends a copy of `sample` if there is any reader.
+    ///
+    /// # Errors
+    /// [`ChannelError::Transfer`] when shared memory fails.
+    #[inline]
+    pub fn send_if_read(&self, sample: &T) -> Result<(), ChannelError> {
+        if self.factory.dynamic_config().number_of_subscribers() == 0 { Ok(()) } else { self.send(sample) }
     }
 
     /// Connects to all current readers, and returns their number.
@@ -121,29 +125,5 @@ impl<T: Payload> Receiver<T> {
     #[cold]
     fn failed(&self, cause: impl core::fmt::Debug) -> ChannelError {
         ChannelError::Transfer { channel: self.name.clone(), cause: format!("{cause:?}") }
-    }
-}
-
-/// Wakes a sleeping reader after a sample has been sent.
-#[derive(Debug)]
-pub struct WakeNotifier(pub(super) Notifier<ipc::Service>);
-
-impl WakeNotifier {
-    /// Wakes the listeners. A failure is not an error of the run: the sample itself has been sent.
-    #[inline]
-    pub fn notify(&self) {
-        let _ = self.0.notify();
-    }
-}
-
-/// Waits for a [`WakeNotifier`].
-#[derive(Debug)]
-pub struct WakeListener(pub(super) Listener<ipc::Service>);
-
-impl WakeListener {
-    /// Sleeps until a notification arrives, for `timeout` at most and some milliseconds more: the time-out is
-    /// coarse, and meant only for regular checks. A notification before the call counts.
-    pub fn wait(&self, timeout: Duration) {
-        let _ = self.0.timed_wait(|_| {}, timeout);
     }
 }

@@ -6,13 +6,13 @@ use iceoryx2::service::port_factory::event;
 use super::boards::{Board, BoardReader, BoardWriter, CONTROL_PAGE, create_board, read_board, write_board};
 use super::domain::{Domain, DomainName};
 use super::domain_lock::DomainGuard;
+use super::log_ring::create_rings;
 use super::ports::{Factory, Payload};
-use super::{CONTROL, ChannelError, INCARNATIONS, Identity, LOG_BUFFER, VISION_BUFFER, WAKE, service_name};
+use super::wake::WakeWord;
+use super::{CONTROL, ChannelError, IDENTITY, INCARNATIONS, Identity, LOG_BUFFER, VISION_BUFFER, service_name};
 use crate::wire::{ChannelNames, Command, Control, Learning, Observation, Role, Status, Vision};
 
-pub(super) type Event = event::PortFactory<ipc::Service>;
-
-/// Readers of a channel: controller and logger, and some viewers. None of them can hold up the writer.
+/// Readers of a channel: the loop's peer and some viewers. None of them can hold up the writer.
 const MAX_SUBSCRIBERS: usize = 4;
 /// Processes of a run: launcher, plant, controller and logger, and some viewers.
 const MAX_NODES: usize = 8;
@@ -33,7 +33,8 @@ pub struct RunServices {
     _boards: Vec<Board>,
     _channels: (Factory<Observation>, Factory<Command>, Factory<Learning>),
     _vision: Option<Factory<Vision>>,
-    _wake: Event,
+    _identity: event::PortFactory<ipc::Service>,
+    _wake: WakeWord,
     _domain: Domain,
     _guard: DomainGuard,
 }
@@ -54,13 +55,15 @@ impl RunServices {
         let nodes = MAX_NODES + extra;
         let guard = DomainGuard::take(name)?;
         let domain = Domain::join(name)?;
-        let wake = domain
+        let service = domain
             .node
-            .service_builder(&service_name(WAKE)?)
+            .service_builder(&service_name(IDENTITY)?)
             .event()
             .max_nodes(nodes)
             .create_with_attributes(&identity.specifier())
-            .map_err(|e| ChannelError::set_up("the wake-up service", e))?;
+            .map_err(|e| ChannelError::set_up("the run's identity", e))?;
+        let wake = WakeWord::create(name)?;
+        create_rings(name)?;
         let channels = (
             create_channel(&domain, &channels.observation, extra)?,
             create_channel(&domain, &channels.command, extra)?,
@@ -81,6 +84,7 @@ impl RunServices {
             _boards: boards,
             _channels: channels,
             _vision: vision,
+            _identity: service,
             _wake: wake,
             _domain: domain,
             _guard: guard,

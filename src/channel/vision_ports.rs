@@ -25,7 +25,7 @@ impl TrackerPorts {
     /// As for [`PlantPorts::open`](super::PlantPorts::open); also when the run has no channel for trackers, or
     /// no place for another tracker.
     pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelNames) -> Result<Self, ChannelError> {
-        let (domain, _wake) = open_domain(name, identity, "tracker")?;
+        let domain = open_domain(name, identity, "tracker")?;
         Ok(Self {
             vision: Sender::new(&channels.vision, open_channel(&domain, &channels.vision)?)?,
             observation: Receiver::new(
@@ -51,7 +51,7 @@ impl VisionReceiver {
     /// # Errors
     /// As for [`PlantPorts::open`](super::PlantPorts::open).
     pub fn open(name: &DomainName, identity: &Identity, channels: &ChannelNames) -> Result<Self, ChannelError> {
-        let (domain, _wake) = open_domain(name, identity, Role::Plant.name())?;
+        let domain = open_domain(name, identity, Role::Plant.name())?;
         let vision = Receiver::new(&channels.vision, open_channel(&domain, &channels.vision)?, VISION_BUFFER)?;
         Ok(Self { vision, _domain: domain })
     }

@@ -30,9 +30,20 @@ pub fn monotonic_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::Monotonic))
 }
 
+/// The time for which the machine was suspended since it was started, ns: CLOCK_BOOTTIME counts it, CLOCK_MONOTONIC
+/// does not.
+pub fn suspended_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::Boottime)).saturating_sub(monotonic_ns())
+}
+
 /// The wall clock, ns since 1970. It is read once per run, to date the log.
 pub(crate) fn wall_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::Realtime))
+}
+
+/// The processor time that the calling thread has used, ns.
+pub(crate) fn thread_cpu_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::ThreadCPUTime))
 }
 
 /// Sleeps until the absolute instant `at` on CLOCK_MONOTONIC, ns; returns at once if it has passed. A signal

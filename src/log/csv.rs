@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use super::header::flag_words;
 use super::{CHANNELS, LogError, LogRecord, RunLog};
 use crate::scenario::SignalConfig;
-use crate::wire::{Header, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, flag};
+use crate::wire::{Header, MAX_COLUMNS, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, flag};
 
 /// The channels of a log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,6 +67,7 @@ pub fn csv(log: &mut RunLog, channel: CsvChannel, out: &mut dyn Write) -> io::Re
                 line.header(&s.header, period_ns, lost);
                 line.floats(&s.noise[..names.outputs.len()]);
                 line.floats(&[s.reward, s.step, s.weights_norm, s.trace_norm]);
+                line.floats(&s.columns[..names.columns.len()]);
                 let hashed = s.header.flags & flag::HASHED != 0;
                 line.put(&if hashed { format!("{:016x}", s.weights_hash) } else { String::new() });
             }
@@ -98,6 +99,7 @@ struct ColumnNames {
     inputs: Vec<String>,
     outputs: Vec<String>,
     measures: Vec<String>,
+    columns: Vec<String>,
 }
 
 impl ColumnNames {
@@ -109,10 +111,18 @@ impl ColumnNames {
             names.truncate(most);
             names
         };
-        let measures: Option<Vec<String>> = log.run("measures").and_then(|json| serde_json::from_str(json).ok());
-        let mut measures = measures.unwrap_or_default();
-        measures.truncate(MAX_MEASURES);
-        Self { inputs: signals("inputs", MAX_INPUTS), outputs: signals("outputs", MAX_OUTPUTS), measures }
+        let names = |key: &str, most: usize| {
+            let names: Option<Vec<String>> = log.run(key).and_then(|json| serde_json::from_str(json).ok());
+            let mut names = names.unwrap_or_default();
+            names.truncate(most);
+            names
+        };
+        Self {
+            inputs: signals("inputs", MAX_INPUTS),
+            outputs: signals("outputs", MAX_OUTPUTS),
+            measures: names("measures", MAX_MEASURES),
+            columns: names("columns", MAX_COLUMNS),
+        }
     }
 
     /// The row of column names.
@@ -140,7 +150,9 @@ impl ColumnNames {
             }
             CsvChannel::Learning | CsvChannel::Gap => {
                 outputs(&mut line, "noise");
-                "reward,step,weights norm,trace norm,weights hash".split(',').for_each(|name| line.put(name));
+                "reward,step,weights norm,trace norm".split(',').for_each(|name| line.put(name));
+                self.columns.iter().for_each(|name| line.put(name));
+                line.put("weights hash");
             }
         }
         line

@@ -2,7 +2,8 @@
 
 use super::{CHANNELS, LogError};
 use crate::scenario::{Plan, SignalConfig};
-use crate::wire::{ChannelNames, Command, Gap, Learning, Observation, Sample, flag, schema_hash};
+use crate::wire::flag::FLAGS;
+use crate::wire::{ChannelNames, Command, Gap, Learning, Observation, Sample, schema_hash};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -59,6 +60,8 @@ pub struct LogHeader {
     pub outputs: Vec<SignalConfig>,
     /// Names of an observation's measures, in order.
     pub measures: Vec<String>,
+    /// Names of the agent's own columns in the learning record, in order.
+    pub columns: Vec<String>,
     /// Names of the channels; a topic is `/` and the name.
     pub channels: ChannelNames,
     /// Facts about the machine: kernel, processor, cores, host and others.
@@ -138,7 +141,7 @@ impl LogHeader {
     /// its two instants.
     pub fn new(plan: &Plan, run: u64, mode: &str, machine: BTreeMap<String, String>) -> LogHeader {
         // A scenario was read from TOML, so it can be written as TOML. If not, `to_map` refuses the empty text.
-        let scenario = toml::to_string(&plan.scenario).unwrap_or_default();
+        let scenario = plan.scenario.text().unwrap_or_default();
         LogHeader {
             scenario,
             run,
@@ -154,6 +157,7 @@ impl LogHeader {
             inputs: plan.inputs.clone(),
             outputs: plan.outputs.clone(),
             measures: plan.measures.clone(),
+            columns: Vec::new(),
             channels: plan.scenario.channels.clone(),
             machine,
             realtime: BTreeMap::new(),
@@ -193,7 +197,9 @@ impl LogHeader {
         put("inputs", json("inputs", serde_json::to_string(&self.inputs))?);
         put("outputs", json("outputs", serde_json::to_string(&self.outputs))?);
         put("measures", json("measures", serde_json::to_string(&self.measures))?);
-        put("flags", json("flags", serde_json::to_string(&BTreeMap::from(FLAGS)))?);
+        put("columns", json("columns", serde_json::to_string(&self.columns))?);
+        let flags: BTreeMap<&str, u32> = FLAGS.iter().map(|flag| (flag.name, flag.bit)).collect();
+        put("flags", json("flags", serde_json::to_string(&flags))?);
         put("clock", self.clock.name().to_owned());
         put("t0_ns", self.t0_ns.to_string());
         put("wall_at_t0_ns", self.wall_at_t0_ns.to_string());
@@ -211,43 +217,26 @@ impl LogHeader {
 
 /// The names of the flags that are set, separated by `|`; bits without a name as one hexadecimal number.
 pub(crate) fn flag_words(flags: u32) -> String {
-    let known = FLAGS.iter().filter(|(_, bit)| flags & bit != 0).map(|(name, _)| (*name).to_owned());
-    let other = flags & !FLAGS.iter().fold(0, |all, (_, bit)| all | bit);
+    let known = FLAGS.iter().filter(|flag| flags & flag.bit != 0).map(|flag| flag.name.to_owned());
+    let other = flags & !FLAGS.iter().fold(0, |all, flag| all | flag.bit);
     let other = (other != 0).then(|| format!("{other:#x}"));
     known.chain(other).collect::<Vec<_>>().join("|")
 }
 
-/// Names of the bits of a header's flags.
-const FLAGS: [(&str, u32); 19] = [
-    ("FIRST", flag::FIRST),
-    ("MISSED", flag::MISSED),
-    ("HELD", flag::HELD),
-    ("DECAYED", flag::DECAYED),
-    ("STOPPED", flag::STOPPED),
-    ("CLAMPED", flag::CLAMPED),
-    ("NON_FINITE", flag::NON_FINITE),
-    ("SKIPPED", flag::SKIPPED),
-    ("NEW_TARGET", flag::NEW_TARGET),
-    ("LATE", flag::LATE),
-    ("INVALID", flag::INVALID),
-    ("DIVERGED", flag::DIVERGED),
-    ("STEP_LIMITED", flag::STEP_LIMITED),
-    ("POSITION_LIMITED", flag::POSITION_LIMITED),
-    ("RAMPED", flag::RAMPED),
-    ("UNHEARD", flag::UNHEARD),
-    ("LEARNED", flag::LEARNED),
-    ("TRACE_CUT", flag::TRACE_CUT),
-    ("HASHED", flag::HASHED),
-];
-
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::wire::flag;
 
     /// A header for tests, on the virtual clock.
     pub fn sample_header() -> LogHeader {
-        let signal =
-            |name: &str, unit: &str| SignalConfig { name: name.into(), unit: unit.into(), min: -1.0, max: 1.0 };
+        let signal = |name: &str, unit: &str| SignalConfig {
+            name: name.into(),
+            unit: unit.into(),
+            min: -1.0,
+            max: 1.0,
+            wraps: None,
+        };
         LogHeader {
             scenario: "name = \"test\"\nticks = 9\n".into(),
             run: 0xabc,
@@ -263,6 +252,7 @@ pub(super) mod tests {
             inputs: vec![signal("target_x", "m")],
             outputs: vec![signal("rate_1", "rad/s")],
             measures: vec!["error".into()],
+            columns: vec!["gain".into()],
             channels: ChannelNames::default(),
             machine: BTreeMap::from([("kernel".into(), "Linux".into())]),
             realtime: BTreeMap::new(),
@@ -279,7 +269,7 @@ pub(super) mod tests {
         let map = LogHeader { realtime, ..sample_header() }.to_map(Path::new("x")).unwrap();
         assert_eq!(map["run"], "0000000000000abc");
         assert_eq!(map["inputs"], r#"[{"name":"target_x","unit":"m","min":-1.0,"max":1.0}]"#);
-        assert_eq!(map["wire.observation"], "tectum.Observation.v1");
+        assert_eq!(map["wire.observation"], "tectum.Observation.v2");
         assert_eq!(map["topic.command"], "/command");
         assert_eq!(map["machine.kernel"], "Linux");
         assert_eq!(map["realtime.plant"], "{}");
@@ -307,6 +297,7 @@ pub(super) mod tests {
     fn flags_have_names() {
         assert_eq!(flag_words(0), "");
         assert_eq!(flag_words(flag::MISSED | flag::HELD | flag::DIVERGED), "MISSED|HELD|DIVERGED");
+        assert_eq!(flag_words(flag::UNARMED | flag::TRIPPED | flag::BLIND), "UNARMED|TRIPPED|BLIND");
         assert_eq!(flag_words(flag::LEARNED | 1 << 30), "LEARNED|0x40000000");
     }
 
@@ -319,6 +310,7 @@ pub(super) mod tests {
             inputs: Vec::new(),
             outputs: Vec::new(),
             measures: Vec::new(),
+            error: None,
             scalars: Vec::new(),
             maps: Vec::new(),
             hash: 5,

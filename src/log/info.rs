@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::{
     CHANNELS, HISTOGRAMS_METADATA, LatencyHistograms, LogClock, LogError, LogRecord, MISSING_METADATA, MessageCounts,
-    RunLog, SegmentEnd, TOTALS_METADATA, in_use,
+    RunLog, SegmentEnd, TOTALS_METADATA, WARNINGS_METADATA, in_use,
 };
 use crate::log::header::flag_words;
 use crate::stats::Percentiles;
@@ -132,6 +132,8 @@ pub struct LogInfo {
     pub command_to_applied_us: Option<Percentiles>,
     /// Whether the three were recounted from the samples in the log, because the log has no end.
     pub recounted: bool,
+    /// What did not go well in the run, a sentence for each name; empty for a log that was cut off.
+    pub warnings: BTreeMap<String, String>,
     /// How often each flag is set in observations and commands; `FIRST` and `NEW_TARGET` are left out.
     pub flags: BTreeMap<String, u64>,
 }
@@ -251,6 +253,7 @@ impl LogScan {
             observation_to_command_us: answer,
             command_to_applied_us: applied,
             recounted: real && !stored,
+            warnings: metadata(WARNINGS_METADATA).cloned().unwrap_or_default(),
             segments,
             flags: (0..32).zip(self.flags).filter(|(_, n)| *n > 0).map(|(bit, n)| (flag_words(1 << bit), n)).collect(),
         }

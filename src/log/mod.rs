@@ -13,8 +13,9 @@
 //!    `/gap`;
 //! 4. the messages: four bytes of encapsulation (`00 01 00 00`) and then the sample's own bytes;
 //! 5. if the logger closed the log: in real time the metadata record `tectum.histograms` (see
-//!    [`LatencyHistograms`]), then `tectum.totals` (see [`LogTotals`]), MCAP's summary, and checksums.
-//!    [`repair()`] adds these to a torn log, with the metadata record `tectum.repair`.
+//!    [`LatencyHistograms`]), where something did not go well `tectum.warnings` (a sentence for each warning's
+//!    name), then `tectum.totals` (see [`LogTotals`]), MCAP's summary, and checksums. [`repair()`] adds all but
+//!    the warnings to a torn log, with the metadata record `tectum.repair`.
 //!
 //! *Segments.* A logger that is restarted within its run does not change the existing files, torn or not. It
 //! writes another file beside `log.mcap`: `log-1.mcap`, `log-2.mcap` and so on, numbered by its starts (a
@@ -80,6 +81,8 @@ pub(crate) const REPAIR_METADATA: &str = "tectum.repair";
 pub(crate) const MISSING_METADATA: &str = "tectum.missing";
 /// Name of the metadata record with the histograms of a run in real time.
 pub(crate) const HISTOGRAMS_METADATA: &str = "tectum.histograms";
+/// Name of the metadata record with what did not go well in the run: a sentence for each warning's name.
+pub(crate) const WARNINGS_METADATA: &str = "tectum.warnings";
 /// The log's file in a run's folder; [`segment_path`] gives those of a restarted logger.
 pub(crate) const LOG_FILE: &str = "log.mcap";
 
@@ -222,8 +225,8 @@ mod tests {
 
     #[test]
     fn thinning_divides_the_bytes() {
-        assert_eq!(bytes_per_tick(1), 521.0);
-        assert_eq!(bytes_per_tick(0), 521.0);
-        assert_eq!(bytes_per_tick(100), 5.21);
+        assert_eq!(bytes_per_tick(1), 745.0);
+        assert_eq!(bytes_per_tick(0), 745.0);
+        assert_eq!(bytes_per_tick(100), 7.45);
     }
 }

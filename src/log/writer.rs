@@ -16,6 +16,7 @@ use super::log_file::{LogFile, io_error};
 use super::{
     ENCAPSULATION, GAP_TOPIC, HISTOGRAMS_METADATA, LatencyHistograms, LogError, LogHeader, LogRecord, LogSegment,
     LogTotals, MESSAGE_OVERHEAD, MISSING_METADATA, RUN_METADATA, SCENARIO_ATTACHMENT, TOTALS_METADATA,
+    WARNINGS_METADATA,
 };
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
 use mcap::records::MessageHeader;
@@ -192,12 +193,25 @@ impl LogWriter {
     ///
     /// As [`observation`](Self::observation).
     pub fn timings(&mut self, timings: &LatencyHistograms) -> Result<(), LogError> {
-        let map = timings.to_map();
+        self.metadata_if_room(HISTOGRAMS_METADATA, timings.to_map())
+    }
+
+    /// Writes what did not go well in the run, a sentence for each name, before the log is closed. Writes nothing
+    /// if there is none, or may be no space.
+    ///
+    /// # Errors
+    ///
+    /// As [`observation`](Self::observation).
+    pub fn warnings(&mut self, warnings: BTreeMap<String, String>) -> Result<(), LogError> {
+        if warnings.is_empty() { Ok(()) } else { self.metadata_if_room(WARNINGS_METADATA, warnings) }
+    }
+
+    fn metadata_if_room(&mut self, name: &str, map: BTreeMap<String, String>) -> Result<(), LogError> {
         let size: usize = map.iter().map(|(key, value)| key.len() + value.len()).sum();
         if size as u64 > RESERVE / 2 && self.file.reserve.ensure(self.file.position + size as u64).is_err() {
             return Ok(());
         }
-        self.metadata(HISTOGRAMS_METADATA, map)
+        self.metadata(name, map)
     }
 
     fn metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), LogError> {
@@ -363,14 +377,14 @@ mod tests {
         let mut log = LogWriter::create(&path, &sample_header()).unwrap();
         let start = size();
         log.observation(&Observation::default()).unwrap();
-        assert_eq!(size() - start, 31 + 4 + 184);
+        assert_eq!(size() - start, 31 + 4 + 280);
         log.command(&Command::default()).unwrap();
         log.learning(&Learning::default()).unwrap();
         assert_eq!((size() - start) as f64, crate::log::bytes_per_tick(1));
         log.append(&LogRecord::Gap(Gap::default())).unwrap();
         assert_eq!((size() - start) as f64, crate::log::bytes_per_tick(1));
         log.flush().unwrap();
-        assert_eq!(size() - start, 521 + 31 + 4 + 32);
+        assert_eq!(size() - start, 745 + 31 + 4 + 32);
         assert_eq!(log.written(), [1; 4]);
     }
 }

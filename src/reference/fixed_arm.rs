@@ -33,6 +33,11 @@ impl FixedArm {
         let mirrored = config.mirrored(tick);
         config.mirror.retain(|mirror| mirror.tick <= tick);
         config.mirror.iter_mut().for_each(|mirror| mirror.tick = 0);
+        // Of several loads the last one counts.
+        config.payload.retain(|load| load.tick <= tick);
+        config.payload.sort_by_key(|load| std::cmp::Reverse(load.tick));
+        config.payload.truncate(1);
+        config.payload.iter_mut().for_each(|load| load.tick = 0);
         Self { config, period_s, fixed, mirrored }
     }
 

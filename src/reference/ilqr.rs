@@ -13,7 +13,7 @@ use super::true_model::TrueModel;
 use crate::plant::MAX_STATES;
 use crate::policy::Outputs;
 use crate::seed::{Rng, stream};
-use crate::wire::MAX_OUTPUTS;
+use tectum_core::MAX_OUTPUTS;
 use tectum_core::angle::wrap_f64;
 
 /// Step of the finite differences, in units of a state and of the largest command.

@@ -9,7 +9,7 @@ use crate::plant::{Outcome, Plant};
 use crate::policy::{LinearPolicy, Outputs};
 use crate::runtime::Gate;
 use crate::scenario::Plan;
-use crate::wire::MAX_INPUTS;
+use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
 
 /// Computes the mean command of a policy: what a controller would send without exploration noise.
 #[derive(Debug, Clone)]
@@ -62,13 +62,14 @@ impl<P: Plant> Rollout<P> {
 
     /// Senses the plant at the beginning of `tick`. True if a new target (or trial) begins.
     pub fn sense(&mut self, tick: u64) -> bool {
-        self.plant.sense(tick, &mut self.inputs)
+        self.plant.sense(tick, &mut self.inputs[..self.used.0])
     }
 
     /// Answers the inputs that were sensed last with `control`, and applies its command in `tick`.
     pub fn advance(&mut self, tick: u64, mut control: impl FnMut(&[f32]) -> Outputs) -> Outcome {
         let (inputs, outputs) = self.used;
-        let command = control(&self.inputs[..inputs]);
+        let mut command = [0.0; MAX_OUTPUTS];
+        command[..outputs].copy_from_slice(&control(&self.inputs[..inputs])[..outputs]);
         let ranges = self.gate.command_ranges(|| self.plant.joints());
         let applied = self.gate.pass(Some(&command), ranges.as_ref()).command;
         self.plant.advance(tick, &applied[..outputs])
@@ -95,7 +96,8 @@ mod tests {
         let (mut observation, mut command) = (Observation::default(), Command::default());
         for tick in 0..400 {
             side.observe(tick, 0, 0, &mut observation);
-            command.drawn = noise.draw();
+            let drawn = noise.draw();
+            command.drawn[..drawn.len()].copy_from_slice(&drawn);
             if tick == 200 {
                 command.drawn[1] = f32::NAN;
             }
@@ -103,7 +105,7 @@ mod tests {
             rollout.sense(tick);
             let outcome = rollout.advance(tick, |inputs| {
                 assert_eq!(inputs, &observation.inputs[..plan.inputs.len()]);
-                command.drawn
+                std::array::from_fn(|i| command.drawn[i])
             });
             side.observe(tick + 1, 0, 0, &mut observation);
             assert_eq!((outcome.reward, outcome.measures), (observation.reward, observation.measures), "tick {tick}");

@@ -9,7 +9,7 @@ use super::small_matrix::Matrix;
 use crate::plant::task::Task;
 use crate::plant::{ArmModel, BodyConfig, So101Model};
 use crate::policy::Outputs;
-use crate::wire::MAX_OUTPUTS;
+use tectum_core::MAX_OUTPUTS;
 
 /// Step of the finite differences, rad.
 const STEP: f64 = 1e-6;

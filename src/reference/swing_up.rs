@@ -1,5 +1,5 @@
-//! Reference controller for pendulums: energy swing-up (Åström & Furuta 2000), and a linear-quadratic regulator near the
-//! top.
+//! Reference controller for pendulums: energy swing-up (Åström & Furuta 2000), and a linear-quadratic regulator near
+//! the top.
 //!
 //! Below, the command works with the swing until the pendulum has the energy that it has at rest at the top. Near the
 //! top, the regulator of the true model, linearised there, takes over.
@@ -8,7 +8,7 @@ use super::small_matrix::Matrix;
 use super::true_model::TrueModel;
 use crate::plant::{BodyConfig, MAX_STATES};
 use crate::policy::Outputs;
-use crate::wire::MAX_OUTPUTS;
+use tectum_core::MAX_OUTPUTS;
 use tectum_core::angle::wrap_f64;
 
 /// Step of the finite differences.
@@ -70,10 +70,7 @@ impl EnergySwingUp {
         match self.swing {
             Swing::Pendulum => -energy(15.0) * sign(rate),
             Swing::CartPole => 0.15 * energy(14.3) * sign(rate * libm::cos(angle)) - 0.2 * state[0] - 0.1 * state[2],
-            Swing::Furuta => {
-                // Beside pumping, the arm is led back to its middle.
-                -0.02 * energy(114.0) * sign(rate * libm::cos(angle)) - 0.1 * state[0] - 0.02 * state[2]
-            }
+            Swing::Furuta => -0.02 * energy(114.0) * sign(rate * libm::cos(angle)),
         }
     }
 }

@@ -12,12 +12,14 @@ use std::time::Duration;
 use super::budget::{BudgetMeter, TickInstants};
 use super::peer_monitor::PeerMonitor;
 use super::policy_snapshots::SnapshotRecorder;
+use super::reports::write_columns;
 use super::stopwatch::Stopwatch;
 use super::{Controller, ControllerReport, Participant, RuntimeError, Session};
+use crate::agent::Agent;
 use crate::channel::{ControllerPorts, CrashStore};
 use crate::checkpoint::{self, CheckpointWriter};
 use crate::clock::{Backoff, TimeSource};
-use crate::scenario::Plan;
+use crate::scenario::{Plan, ScenarioError};
 use crate::state::{self, Persist, StateVisitor};
 use crate::wire::{Command, Header, Learning, Observation, ProcessState, Role};
 
@@ -27,8 +29,8 @@ const SAVE_EVERY: u64 = 64;
 const JOURNAL: usize = 4 * SAVE_EVERY as usize;
 
 /// The part of the loop that survives the process: the controller and its last samples.
-struct ControllerLoopState {
-    controller: Controller,
+struct ControllerLoopState<A> {
+    controller: Controller<A>,
     command: Command,
     learning: Learning,
     /// Header of the observation that they answer.
@@ -37,10 +39,16 @@ struct ControllerLoopState {
     count: u64,
 }
 
-impl ControllerLoopState {
-    fn new(plan: &Plan) -> Self {
+impl<A: Agent> ControllerLoopState<A> {
+    fn new(plan: &Plan, agent: A) -> Self {
         let (command, learning) = (Command::default(), Learning::default());
-        Self { controller: Controller::new(plan), command, learning, answered: Header::default(), count: 0 }
+        Self {
+            controller: Controller::with_agent(plan, agent),
+            command,
+            learning,
+            answered: Header::default(),
+            count: 0,
+        }
     }
 
     /// The sequence number of the next observation, if none is lost.
@@ -101,13 +109,13 @@ impl ControllerLoopState {
         if let Some(snapshots) = snapshots {
             // A copy of this very tick may not have reached the disk before the process died.
             snapshots.skip_to(self.ticks_done().saturating_sub(1));
-            snapshots.observe(self.ticks_done(), self.controller.policy());
+            observe_policy(snapshots, self.ticks_done(), self.controller.agent());
         }
         while let Some(bytes) = crash_store.entry(self.count) {
             let observation = bytemuck::pod_read_unaligned(bytes);
             self.replay(&observation);
             if let Some(snapshots) = snapshots {
-                snapshots.observe(self.ticks_done(), self.controller.policy());
+                observe_policy(snapshots, self.ticks_done(), self.controller.agent());
             }
         }
         Ok(stored || self.count > count)
@@ -123,8 +131,8 @@ impl ControllerLoopState {
     /// The state as a checkpoint at the start of `tick`.
     fn checkpoint(&mut self, tick: u64, participant: &Participant) -> Vec<u8> {
         let facts = participant.facts(tick, self.count);
-        let policy = self.controller.policy().clone();
-        checkpoint::encode(&facts, self, Some(&policy))
+        let policy = self.controller.agent().policy().cloned();
+        checkpoint::encode(&facts, self, policy.as_ref())
     }
 
     /// Fills in the instants of command and learning record, just before they are sent.
@@ -144,14 +152,20 @@ impl ControllerLoopState {
     }
 
     /// Sends the last command and learning record.
-    fn send(&self, ports: &ControllerPorts) -> Result<(), RuntimeError> {
+    fn send(&self, ports: &mut ControllerPorts) -> Result<(), RuntimeError> {
         ports.command.send(&self.command)?;
-        ports.learning.send(&self.learning)?;
-        Ok(())
+        self.send_learning(ports)
+    }
+
+    /// Sends the learning record, and appends both to the log.
+    fn send_learning(&self, ports: &mut ControllerPorts) -> Result<(), RuntimeError> {
+        ports.command_log.append(&self.command);
+        ports.learning_log.append(&self.learning);
+        Ok(ports.learning.send_if_read(&self.learning)?)
     }
 }
 
-impl Persist for ControllerLoopState {
+impl<A: Agent> Persist for ControllerLoopState<A> {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.nested("controller", &mut self.controller);
         visitor.words("command", &mut self.command);
@@ -165,12 +179,24 @@ impl Persist for ControllerLoopState {
 /// noticed.
 const WAKE_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// The controller's loop.
+/// Hands the policy to `snapshots`, if the agent has one.
+fn observe_policy<A: Agent>(snapshots: &mut SnapshotRecorder, tick: u64, agent: &A) {
+    if let Some(policy) = agent.policy() {
+        snapshots.observe(tick, policy);
+    }
+}
+
+/// The controller's loop, with the agent that `build` makes of the run's plan. `build` checks the scenario's tables
+/// for it; its error ends the process with exit code 2.
 ///
 /// # Errors
-/// When the process does not fit the run, or the run ends abnormally.
-pub fn run_controller(participant: Participant) -> Result<ControllerReport, RuntimeError> {
-    let mut controller_loop = ControllerLoop::start(participant)?;
+/// When the agent refuses the scenario, the process does not fit the run, or the run ends abnormally.
+pub fn run_controller<A: Agent>(
+    participant: Participant,
+    build: impl FnOnce(&Plan) -> Result<A, ScenarioError>,
+) -> Result<ControllerReport, RuntimeError> {
+    let agent = build(&participant.plan)?;
+    let mut controller_loop = ControllerLoop::start(participant, agent)?;
     while let Some(observation) = controller_loop.await_observation()? {
         controller_loop.run_tick(&observation)?;
     }
@@ -179,7 +205,7 @@ pub fn run_controller(participant: Participant) -> Result<ControllerReport, Runt
 
 /// The loop in progress. Fields are dropped in this order, so that a loop that fails publishes so before its
 /// ports close.
-struct ControllerLoop {
+struct ControllerLoop<A> {
     /// In real time only.
     meter: Option<BudgetMeter>,
     stopwatch: Stopwatch,
@@ -191,24 +217,25 @@ struct ControllerLoop {
     snapshots: Option<SnapshotRecorder>,
     crash_store: CrashStore,
     ports: ControllerPorts,
-    state: ControllerLoopState,
+    state: ControllerLoopState<A>,
     real: bool,
 }
 
-impl ControllerLoop {
+impl<A: Agent> ControllerLoop<A> {
     /// Joins the run. After a restart, sends the last answer again.
-    fn start(participant: Participant) -> Result<Self, RuntimeError> {
-        let mut state = ControllerLoopState::new(&participant.plan);
+    fn start(participant: Participant, agent: A) -> Result<Self, RuntimeError> {
+        if !agent.columns().is_empty() {
+            write_columns(&participant.folder, agent.columns())?;
+        }
+        let mut state = ControllerLoopState::new(&participant.plan, agent);
         let (ports, status_board) = participant.open(ControllerPorts::open)?;
         let mut crash_store = participant.crash_store(state::size(&mut state), [JOURNAL, size_of::<Observation>()])?;
         let mut snapshots = SnapshotRecorder::new(&participant.folder, &participant.plan);
         let restarted = state.restore(&mut crash_store, &participant, &mut snapshots)?;
         let writer = participant.checkpoint_writer()?;
-        // Writer of observations: the plant. Readers of commands: plant and logger; of learning records: the
-        // logger.
-        let (session, time) = participant.begin(status_board, || {
-            Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 2 && ports.learning.connect()? >= 1)
-        })?;
+        // The plant writes the observations and reads the commands.
+        let (session, time) = participant
+            .begin(status_board, || Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 1))?;
         let real = time.is_real();
         state.set_writer(session.participant.manifest.run_id(), session.incarnation());
         let mut controller_loop = Self {
@@ -234,7 +261,7 @@ impl ControllerLoop {
     fn send_again(&mut self) -> Result<(), RuntimeError> {
         self.time.step_to(self.state.answered.tick);
         self.state.stamp(&self.time);
-        self.state.send(&self.ports)?;
+        self.state.send(&mut self.ports)?;
         self.state.publish_status(&mut self.session);
         Ok(())
     }
@@ -274,7 +301,7 @@ impl ControllerLoop {
         }
         if observation.header.sequence < self.state.expected() {
             // A restarted plant sends its last observation again, and may not have received the command.
-            return self.state.send(&self.ports);
+            return self.state.send(&mut self.ports);
         }
         // Read while the plant waits: it announces its next checkpoint together with the observation before it.
         let checkpoint = self.ports.plant.get().checkpoint == observation.header.tick + 2;
@@ -311,10 +338,10 @@ impl ControllerLoop {
         let improved = self.time.now();
         self.state.record(observation);
         stamp(&mut self.state.learning.header, header, &self.time);
-        self.ports.learning.send(&self.state.learning)?;
+        self.state.send_learning(&mut self.ports)?;
 
         if let Some(snapshots) = &mut self.snapshots {
-            snapshots.observe(header.tick + 1, self.state.controller.policy());
+            observe_policy(snapshots, header.tick + 1, self.state.controller.agent());
             snapshots.flush(&self.writer);
         }
         if checkpoint {
@@ -337,8 +364,8 @@ impl ControllerLoop {
     /// Ends the loop: writes the last checkpoint and the report.
     fn finish(mut self) -> Result<ControllerReport, RuntimeError> {
         let end = self.state.ticks_done();
-        if let Some(snapshots) = &mut self.snapshots {
-            snapshots.finish(end, self.state.controller.policy());
+        if let (Some(snapshots), Some(policy)) = (&mut self.snapshots, self.state.controller.agent().policy()) {
+            snapshots.finish(end, policy);
             snapshots.flush(&self.writer);
         }
         let checkpoint = self.state.checkpoint(end, &self.session.participant);

@@ -55,6 +55,9 @@ pub enum RuntimeError {
         /// The reason.
         cause: String,
     },
+    /// The pipe to the program that started this controller failed.
+    #[error("the pipe to the program that started this controller failed: {0}")]
+    Pipe(std::io::Error),
     /// A file in the run's folder cannot be written.
     #[error("{path} cannot be written: {cause}")]
     File {
@@ -128,7 +131,7 @@ impl RuntimeError {
             | Self::Log(_)
             | Self::NotSimulated(_)
             | Self::NoJoints(_) => exit::INPUT,
-            Self::Orphaned(_) | Self::Aborted | Self::Overrun { .. } => exit::PROCESS,
+            Self::Orphaned(_) | Self::Aborted | Self::Overrun { .. } | Self::Pipe(_) => exit::PROCESS,
             Self::Signal(number) => exit::by_signal(*number),
             Self::Channel(_) | Self::Signals(_) | Self::Thread(_) | Self::Lost { .. } | Self::Memory(_) => exit::ERROR,
         }

@@ -241,6 +241,7 @@ mod tests {
     use super::*;
     use crate::scenario::Scenario;
     use crate::state::{load, save, size};
+    use crate::wire::MAX_OUTPUTS;
     use proptest::prelude::*;
 
     fn channel(faults: &str) -> FaultyChannel<Command> {
@@ -254,7 +255,7 @@ mod tests {
     }
 
     fn command(tick: u64) -> Command {
-        let mut command = Command { drawn: [tick as f32; 8], ..Command::default() };
+        let mut command = Command { drawn: [tick as f32; MAX_OUTPUTS], ..Command::default() };
         command.header.tick = tick;
         command
     }
@@ -308,7 +309,7 @@ mod tests {
             let mut received = None;
             channel.pass(3, Some(&command(3)), |c| received = Some(*c));
             let received = received.unwrap();
-            assert!(received.drawn[..4].iter().all(|&u| is(u)) && received.drawn[4..] == [3.0; 4]);
+            assert!(received.drawn[..4].iter().all(|&u| is(u)) && received.drawn[4..] == [3.0; MAX_OUTPUTS - 4]);
             assert_eq!((received.header, received.mean), (command(3).header, command(3).mean));
         }
     }

@@ -22,16 +22,15 @@
 //! command.
 
 use crate::plant::JointState;
-use crate::policy::Outputs;
 use crate::scenario::GateConfig;
 use crate::state::{Persist, StateVisitor};
-use crate::wire::{MAX_OUTPUTS, flag};
+use crate::wire::{MAX_OUTPUTS, OutputValues, flag};
 
 /// The gate's output in one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Applied {
-    /// The command for the actuators. Outputs beyond the plant's are 0.
-    pub command: Outputs,
+    /// The command for the actuators. OutputValues beyond the plant's are 0.
+    pub command: OutputValues,
     /// The gate's actions as bits of [`flag`]: [`flag::MISSED`] with one of `HELD`, `DECAYED` and `STOPPED`;
     /// [`flag::NON_FINITE`]; and [`flag::CLAMPED`], with `RAMPED`, `STEP_LIMITED` and `POSITION_LIMITED` where
     /// one of these limits applied.
@@ -42,9 +41,9 @@ pub struct Applied {
 #[derive(Debug, Clone)]
 pub struct Gate {
     /// Largest magnitude of a command.
-    limit: Outputs,
+    limit: OutputValues,
     /// Largest change from tick to tick.
-    step: Option<Outputs>,
+    step: Option<OutputValues>,
     /// Lower and upper position limit of each joint, rad.
     positions: Option<[[f64; 2]; MAX_OUTPUTS]>,
     /// Durations of hold, decay and ramp, ticks.
@@ -53,11 +52,11 @@ pub struct Gate {
     ramp: u32,
     outputs: usize,
     /// The applied command of the last tick with a command. The hold policy holds it.
-    last: Outputs,
+    last: OutputValues,
     /// Ticks without a command since then.
     missing: u32,
     /// The command applied in the last tick.
-    applied: Outputs,
+    applied: OutputValues,
     /// Commands since the start of the ramp, up to `ramp + 1`.
     ramp_commands: u32,
 }
@@ -101,8 +100,8 @@ impl Gate {
 
     /// One tick: takes the command that arrived for it, or `None`, and the ranges that the position limits
     /// leave ([`Gate::command_ranges`]). A command with a value that is not finite counts as none.
-    pub fn pass(&mut self, command: Option<&Outputs>, ranges: Option<&CommandRanges>) -> Applied {
-        let finite = |command: &&Outputs| command[..self.outputs].iter().all(|u| u.is_finite());
+    pub fn pass(&mut self, command: Option<&OutputValues>, ranges: Option<&CommandRanges>) -> Applied {
+        let finite = |command: &&OutputValues| command[..self.outputs].iter().all(|u| u.is_finite());
         let arrived = command.filter(finite);
         let (wanted, mut flags) = match arrived {
             Some(command) => self.limit_rate(command),
@@ -129,12 +128,12 @@ impl Gate {
     }
 
     /// Replaces the gate's output of the last tick by the command that was really applied.
-    pub(super) fn set_applied(&mut self, applied: Outputs) {
+    pub(super) fn set_applied(&mut self, applied: OutputValues) {
         self.applied = applied;
     }
 
     /// The wanted command for one that arrived: within the rate limit and the ramp.
-    fn limit_rate(&mut self, command: &Outputs) -> (Outputs, u32) {
+    fn limit_rate(&mut self, command: &OutputValues) -> (OutputValues, u32) {
         let starts = self.ramp_commands == 0 || self.missing > self.hold;
         self.ramp_commands =
             if starts { 1 } else { self.ramp_commands.saturating_add(1).min(self.ramp.saturating_add(1)) };
@@ -155,7 +154,7 @@ impl Gate {
 
     /// The wanted command for a tick without one: the last command for `hold` ticks, then decaying to zero over
     /// `decay` ticks, then zero.
-    fn hold_policy(&mut self) -> (Outputs, u32) {
+    fn hold_policy(&mut self) -> (OutputValues, u32) {
         self.missing = self.missing.saturating_add(1);
         let (share, flags) = if self.missing <= self.hold {
             (1.0, flag::HELD)

@@ -1,11 +1,12 @@
 //! Runs plant and controller in one process, without transport and log, for studies. Beside lockstep and real
 //! time it is the third way to run a tick.
 
-use super::{Controller, ControllerReport, PlantReport, PlantSide, RunStatistics};
+use super::{Controller, ControllerReport, PipeError, PipedController, PlantReport, PlantSide, RunStatistics};
+use crate::agent::Agent;
 use crate::plant::Plant;
 use crate::policy::LinearPolicy;
 use crate::scenario::Plan;
-use crate::wire::{Command, Observation};
+use crate::wire::{Command, Learning, Observation};
 
 /// The result of a run in one process.
 #[derive(Debug, Clone)]
@@ -16,6 +17,17 @@ pub struct InProcess {
     pub controller: ControllerReport,
     /// The policy at the end.
     pub policy: LinearPolicy,
+}
+
+/// The result of a run in one process with an agent of your own.
+#[derive(Debug, Clone)]
+pub struct InProcessAgent<A> {
+    /// The plant's report.
+    pub plant: PlantReport,
+    /// The controller's report.
+    pub controller: ControllerReport,
+    /// The agent at the end.
+    pub agent: A,
 }
 
 /// Runs `plan` with the plant `body`: the same ticks in the same order as three processes in lockstep.
@@ -33,10 +45,22 @@ pub fn in_process<P: Plant>(plan: &Plan, body: P, mut progress: impl FnMut(u64, 
 pub fn in_process_with_observer<P: Plant>(
     plan: &Plan,
     body: P,
-    mut observer: impl FnMut(&Observation, &Controller) -> bool,
+    observer: impl FnMut(&Observation, &Controller) -> bool,
 ) -> InProcess {
+    let InProcessAgent { plant, controller, agent } = in_process_with_agent(plan, body, plan.linear_agent(), observer);
+    InProcess { plant, controller, policy: agent.linear_policy().clone() }
+}
+
+/// Like [`in_process_with_observer`], with an agent of your own in the place of the scenario's controller: the quick
+/// way to test it.
+pub fn in_process_with_agent<P: Plant, A: Agent>(
+    plan: &Plan,
+    body: P,
+    agent: A,
+    mut observer: impl FnMut(&Observation, &Controller<A>) -> bool,
+) -> InProcessAgent<A> {
     let mut side = PlantSide::new(body, plan);
-    let mut controller = Controller::new(plan);
+    let mut controller = Controller::with_agent(plan, agent);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     for tick in 0..plan.scenario.ticks {
         side.observe(tick, 0, 0, &mut observation);
@@ -47,5 +71,34 @@ pub fn in_process_with_observer<P: Plant>(
         controller.after_command(&observation);
         side.step(tick, Some(&command));
     }
-    InProcess { plant: side.report, policy: controller.policy().clone(), controller: controller.finish() }
+    let (controller, agent) = controller.finish_with_agent();
+    InProcessAgent { plant: side.report, controller, agent }
+}
+
+/// Runs `plan` with the plant `body` in this process and a controller's program at the other end of a pipe.
+/// `progress` is called every 4096 ticks with the ticks done and the statistics so far. When it returns false, the run
+/// ends there.
+///
+/// # Errors
+/// When the controller's program fails.
+pub fn in_process_over_pipe<P: Plant>(
+    plan: &Plan,
+    body: P,
+    mut controller: PipedController,
+    mut progress: impl FnMut(u64, &RunStatistics) -> bool,
+) -> Result<(PlantReport, ControllerReport), PipeError> {
+    let mut side = PlantSide::new(body, plan);
+    let mut statistics = RunStatistics::new(plan);
+    let (mut observation, mut command) = (Observation::default(), Command::default());
+    let mut learning = Learning::default();
+    for tick in 0..plan.scenario.ticks {
+        side.observe(tick, 0, 0, &mut observation);
+        if tick.is_multiple_of(4096) && !progress(tick, &statistics) {
+            break;
+        }
+        controller.exchange(&observation, &mut command, &mut learning)?;
+        statistics.observe(&observation);
+        side.step(tick, Some(&command));
+    }
+    Ok((side.report, controller.finish()?))
 }

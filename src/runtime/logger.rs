@@ -5,10 +5,15 @@
 //! it continues to receive, so that no process waits for it in vain, and closes the log with a statement of the
 //! samples that are missing.
 
+use std::collections::BTreeMap;
+
 use super::faults::FaultyChannel;
 use super::merge::{LogMerger, MergeOutcome};
-use super::{LoggerReport, Mode, Participant, ResumePoint, RuntimeError, Session, read_realtime};
-use crate::channel::{ChannelError, LoggerPorts, Receiver};
+use super::{
+    ControllerReport, LoggerReport, Mode, Participant, PlantReport, ResumePoint, RuntimeError, Session, judge,
+    read_columns, read_realtime, read_report,
+};
+use crate::channel::{LogTail, LoggerPorts};
 use crate::clock::{TimeSource, machine_facts, monotonic_ns, pause, wall_ns};
 use crate::log::{LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWriter, segment_path};
 use crate::scenario::FaultChannel;
@@ -50,19 +55,22 @@ impl SenderProgress {
 /// states it.
 pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError> {
     let (mut ports, status_board) = participant.open(LoggerPorts::open)?;
-    let (mut session, time) = participant.begin(status_board, || {
-        let channels = [ports.observation.connect()?, ports.command.connect()?, ports.learning.connect()?];
-        Ok(channels.iter().all(|&writers| writers >= 1))
-    })?;
+    let (mut session, time) = participant.begin(status_board, || Ok(true))?;
     let folder = session.participant.folder.clone();
     let incarnation = session.incarnation();
     let recovered = recover(&session);
+    // What the log has already is still in the rings.
+    let begins = recovered.segment.begins;
+    ports.observation.skip_while(|sample| sample.header.sequence < begins[0]);
+    ports.command.skip_while(|sample| sample.header.sequence < begins[1]);
+    ports.learning.skip_while(|sample| sample.header.sequence < begins[2]);
     let mut merger = open_log(&session, &time, &recovered)?;
     let mut senders = SenderProgress { boards: Default::default(), sent: [0; 3] };
 
     let ended = follow(&mut merger, &mut ports, &mut senders, &mut session, &time);
     let complete = senders.boards[Role::Plant as usize].ticks >= session.participant.plan.scenario.ticks;
-    let MergeOutcome { totals, written, failure, timings } = merger.close(senders.sent, complete);
+    let MergeOutcome { totals, written, failure, timings } =
+        merger.close(senders.sent, complete, warnings(&session, &senders));
     ended?;
     let [wake_up_lateness, observation_to_command, command_to_applied] =
         timings.map_or([None; 3], |timings| timings.percentiles());
@@ -81,6 +89,17 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
     session.finish(&report)?;
     check_losses(&session, &time, &report)?;
     Ok(report)
+}
+
+/// What did not go well in the run, a sentence for each name. Plant and controller have left their reports by the time
+/// at which they have finished; of a run that ends otherwise, the launcher's summary tells.
+fn warnings(session: &Session, senders: &SenderProgress) -> BTreeMap<String, String> {
+    let participant = &session.participant;
+    let plant: Option<PlantReport> = read_report(&participant.folder, Role::Plant);
+    let Some(plant) = plant.filter(|_| senders.finished()) else { return BTreeMap::new() };
+    let controller: Option<ControllerReport> = read_report(&participant.folder, Role::Controller);
+    let warnings = judge(&participant.plan, &plant, controller.as_ref());
+    warnings.into_iter().map(|warning| (warning.key(), warning.text)).collect()
 }
 
 /// What the log already contains: the segments of earlier incarnations, from the point at which the run
@@ -151,7 +170,7 @@ fn follow(
         let force = last || (real && idle_polls >= max_idle_polls);
         // In lockstep a sample's sequence number is its tick.
         let known = if real { [0; 3] } else { senders.sent };
-        let any = drain(merger, ports, &mut learning, known, force)?;
+        let any = drain(merger, ports, &mut learning, known, force);
         session.status.consumed = merger.consumed();
         session.status.ticks = session.status.consumed;
         session.status.lost = merger.inputs.iter().map(|input| input.lost).sum();
@@ -168,32 +187,29 @@ fn follow(
 /// none of them. Returns false when none had arrived.
 fn drain(
     merger: &mut LogMerger,
-    ports: &LoggerPorts,
+    ports: &mut LoggerPorts,
     learning: &mut FaultyChannel<Learning>,
     known: [u64; 3],
     force: bool,
-) -> Result<bool, RuntimeError> {
+) -> bool {
     let mut any = false;
     loop {
-        merger.fill(0, known[0], || ports.observation.receive().map(|sample| sample.map(LogRecord::Observation)))?;
-        merger.fill(1, known[1], || ports.command.receive().map(|sample| sample.map(LogRecord::Command)))?;
-        merger.fill(2, known[2], || receive_learning(&ports.learning, learning))?;
+        merger.fill(0, known[0], || ports.observation.receive().map(LogRecord::Observation));
+        merger.fill(1, known[1], || ports.command.receive().map(LogRecord::Command));
+        merger.fill(2, known[2], || receive_learning(&mut ports.learning, learning));
         if !merger.write_first(force) {
             break;
         }
         any = true;
     }
     merger.flush();
-    Ok(any)
+    any
 }
 
 /// The next learning record that the scenario's faults let pass. A record that they delay beyond its tick is
 /// not logged, because the log is in the order of ticks.
-fn receive_learning(
-    channel: &Receiver<Learning>,
-    faulty: &mut FaultyChannel<Learning>,
-) -> Result<Option<LogRecord>, ChannelError> {
-    while let Some(sample) = channel.receive()? {
+fn receive_learning(ring: &mut LogTail<Learning>, faulty: &mut FaultyChannel<Learning>) -> Option<LogRecord> {
+    while let Some(sample) = ring.receive() {
         let (tick, mut received) = (sample.header.tick, None);
         faulty.pass(tick, Some(&sample), |out| {
             if out.header.tick == tick {
@@ -201,10 +217,10 @@ fn receive_learning(
             }
         });
         if let Some(sample) = received {
-            return Ok(Some(LogRecord::Learning(sample)));
+            return Some(LogRecord::Learning(sample));
         }
     }
-    Ok(None)
+    None
 }
 
 /// The header of this incarnation's segment.
@@ -212,6 +228,8 @@ fn header(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> LogH
     let participant = &session.participant;
     let (plan, manifest) = (&participant.plan, &participant.manifest);
     let mut header = LogHeader::new(plan, manifest.run_id(), manifest.mode.name(), machine_facts());
+    // The controller has written them before it was ready.
+    header.columns = read_columns(&participant.folder);
     header.segment = LogSegment { number: session.incarnation(), ..recovered.segment };
     if manifest.mode == Mode::Realtime {
         header.clock = LogClock::Monotonic;

@@ -5,6 +5,8 @@
 //! logger continues after the existing log ([`LogRecovery`]). When the log can no longer be written (its disk
 //! is full), the merger still consumes samples, so that no process waits for the logger.
 
+use std::collections::BTreeMap;
+
 use crate::log::{LatencyHistograms, LogError, LogRecord, LogRecovery, LogTotals, LogWriter};
 use crate::wire::{Gap, Header};
 
@@ -167,17 +169,12 @@ impl LogMerger {
     /// Fills the head of input `i`, if it is empty, with the next sample from `receive`. In lockstep, all
     /// samples of ticks before `known` had been sent before the call. Those that have not arrived will not
     /// arrive.
-    pub fn fill<E>(
-        &mut self,
-        i: usize,
-        known: u64,
-        mut receive: impl FnMut() -> Result<Option<LogRecord>, E>,
-    ) -> Result<(), E> {
+    pub fn fill(&mut self, i: usize, known: u64, mut receive: impl FnMut() -> Option<LogRecord>) {
         let input = &mut self.inputs[i];
         while input.head.is_none() {
-            let Some(record) = receive()? else {
+            let Some(record) = receive() else {
                 input.through = input.through.max(known.checked_sub(1));
-                return Ok(());
+                return;
             };
             let Some(header) = record.header() else { continue };
             if let Some(gap) = input.accept(header, &record)
@@ -185,10 +182,9 @@ impl LogMerger {
                 && let Err(error) = log.gap(&gap)
             {
                 self.give_up(header.tick, &error);
-                return Ok(());
+                return;
             }
         }
-        Ok(())
     }
 
     /// Writes the first head, if no earlier sample can still arrive; with `force` in any case. Returns false
@@ -252,8 +248,9 @@ impl LogMerger {
         self.inputs.iter().map(MergeInput::consumed).min().unwrap_or(0)
     }
 
-    /// States the samples that were sent, by the senders' own counts, and never arrived. Then closes the log.
-    pub fn close(mut self, sent: [u64; 3], complete: bool) -> MergeOutcome {
+    /// States the samples that were sent, by the senders' own counts, and never arrived, and the run's `warnings` by
+    /// name. Then closes the log.
+    pub fn close(mut self, sent: [u64; 3], complete: bool, warnings: BTreeMap<String, String>) -> MergeOutcome {
         let gaps: Vec<Gap> = self.inputs.iter_mut().zip(sent).filter_map(|(input, sent)| input.end(sent)).collect();
         let inputs = &self.inputs;
         let totals = LogTotals {
@@ -272,6 +269,7 @@ impl LogMerger {
             .iter()
             .try_for_each(|gap| log.append(&LogRecord::Gap(*gap)))
             .and_then(|()| outcome.timings.as_ref().map_or(Ok(()), |timings| log.timings(timings)))
+            .and_then(|()| log.warnings(warnings))
             .and_then(|()| log.finish(&totals));
         if let Err(error) = ended {
             outcome.failure.get_or_insert_with(|| error.to_string());

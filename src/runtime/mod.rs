@@ -22,10 +22,13 @@ mod logger;
 mod merge;
 mod participant;
 mod peer_monitor;
+mod pipe;
 mod plant;
 mod plant_loop;
 mod policy_snapshots;
 mod reports;
+mod run_counts;
+mod run_warnings;
 mod statistics;
 mod stopwatch;
 mod target_statistics;
@@ -40,16 +43,21 @@ pub use controller_loop::run_controller;
 pub use error::{RuntimeError, exit};
 pub(crate) use faults::FaultyChannel;
 pub use gate::{Applied, CommandRange, CommandRanges, Gate};
-pub use in_process::{InProcess, in_process, in_process_with_observer};
+pub use in_process::{
+    InProcess, InProcessAgent, in_process, in_process_over_pipe, in_process_with_agent, in_process_with_observer,
+};
 pub use logger::run_logger;
 pub use participant::{EndReason, Mode, Participant, ResumePoint, RunManifest, Session, identity};
+pub use pipe::{PIPE_OPTION, PipeError, PipedController, serve_controller};
 pub use plant::PlantSide;
 pub use plant_loop::run_plant;
 pub(crate) use policy_snapshots::{
     FIRST_LOOK_S, PolicySnapshot, SnapshotSchedule, change_ticks, read_snapshots, snapshot_path, ticks_in,
 };
 pub use reports::{ControllerReport, LoggerReport, PlantReport};
-pub(crate) use reports::{read as read_report, read_realtime, realtime_path, remove_unwritten_reports};
+pub(crate) use reports::{read as read_report, read_columns, read_realtime, realtime_path, remove_unwritten_reports};
+pub use run_counts::{InputCounts, NotLearned, RunCounts};
+pub use run_warnings::{RunWarning, judge};
 pub(crate) use statistics::Switch;
 pub use statistics::{FinishedStatistics, RunStatistics, Snapshot};
 pub(crate) use stopwatch::tick_times;

@@ -63,6 +63,9 @@ pub struct RunManifest {
     /// The checkpoint from which this run resumes another one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resumed: Option<ResumePoint>,
+    /// The scenario's file, as the user named it, for messages.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub source: String,
     /// The facts that programs in other languages need.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wire: Option<WireManifest>,
@@ -138,7 +141,7 @@ impl Participant {
         let signals = TerminationSignals::install().map_err(RuntimeError::Signals)?;
         let (folder, manifest, launcher) = RunManifest::find(run)?;
         let own = RunManifest::scenario_path(&folder);
-        let plan = Scenario::load(scenario.unwrap_or(&own))?.plan()?;
+        let plan = Scenario::load(scenario.unwrap_or(&own))?.plan()?.with_origin(&manifest.source);
         Ok(Self { folder, manifest, plan, role, signals, launcher })
     }
 

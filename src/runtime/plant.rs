@@ -1,11 +1,10 @@
 //! The plant's side of the tick: a plant behind its gate.
 
 use super::{CommandRanges, FaultyChannel, Gate, PlantReport};
-use crate::plant::{Outcome, Plant};
-use crate::policy::Outputs;
+use crate::plant::{EpisodeEnd, Outcome, Plant};
 use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor, save, size};
-use crate::wire::{Command, MAX_OUTPUTS, Observation, flag};
+use crate::wire::{Command, MAX_OUTPUTS, Observation, OutputValues, flag};
 
 /// A plant behind its gate: the plant's half of every tick, without clock and transport.
 #[derive(Debug, Clone)]
@@ -17,9 +16,10 @@ pub struct PlantSide<P> {
     /// The ranges that the position limits leave, where the plant cannot report its joints and a replay knows
     /// the ranges.
     known_ranges: Option<CommandRanges>,
+    inputs: usize,
     outputs: usize,
     outcome: Outcome,
-    applied: Outputs,
+    applied: OutputValues,
     flags: u32,
     /// Counts so far.
     pub report: PlantReport,
@@ -34,6 +34,7 @@ impl<P: Plant> PlantSide<P> {
             gate: Gate::new(&plan.scenario.gate, outputs),
             commands: FaultyChannel::of(plan),
             known_ranges: None,
+            inputs: plan.inputs.len(),
             outputs,
             outcome: Outcome::default(),
             applied: [0.0; MAX_OUTPUTS],
@@ -83,6 +84,11 @@ impl<P: Plant> PlantSide<P> {
         &mut self.body
     }
 
+    /// Tells the plant that the run is over.
+    pub(crate) fn stop(&mut self) {
+        self.body.stop();
+    }
+
     /// The plant, after the run.
     pub fn into_body(self) -> P {
         self.body
@@ -129,13 +135,16 @@ impl<P: Plant> PlantSide<P> {
             *count += u64::from(applied.flags & flag != 0);
         }
         self.applied = applied.command;
-        self.flags = applied.flags | if late > 0 { flag::LATE } else { 0 };
+        // An episode that ended in a skipped tick is stated in the next observation.
+        let ended = self.flags & flag::EPISODE_END;
+        self.flags = applied.flags | ended | if late > 0 { flag::LATE } else { 0 };
     }
 
     /// The second half of [`step`](Self::step): the tick is over. Advances the plant and keeps the tick's
     /// outcome.
     pub fn finish_step(&mut self, tick: u64) {
         self.outcome = self.body.advance(tick, &self.applied[..self.outputs]);
+        self.flags |= self.body.episode_end().map_or(0, EpisodeEnd::flag);
     }
 
     /// How long the plant waits for a tick's command within that tick, ns ([`Plant::command_deadline_ns`]).
@@ -165,11 +174,12 @@ impl<P: Plant> PlantSide<P> {
     /// Senses at the start of `tick` and fills the observation. `more` are flags that the loop adds; `skipped`
     /// ticks were skipped right before this one.
     pub fn observe(&mut self, tick: u64, more: u32, skipped: u32, observation: &mut Observation) {
-        let fresh = self.body.sense(tick, &mut observation.inputs);
+        let fresh = self.body.sense(tick, &mut observation.inputs[..self.inputs]);
         let skip = if skipped > 0 { flag::SKIPPED } else { 0 };
         let target = if fresh { flag::NEW_TARGET } else { 0 };
         observation.header.tick = tick;
         observation.header.flags = self.flags | self.body.sensing_flags() | more | skip | target;
+        self.flags &= !flag::EPISODE_END;
         observation.applied = self.applied;
         observation.reward = self.outcome.reward;
         observation.measures = self.outcome.measures;

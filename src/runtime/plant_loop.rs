@@ -134,8 +134,8 @@ impl<P: Plant> PlantLoop<P> {
         let mut crash_store = participant.crash_store(state::size(&mut state), [0, 0])?;
         let restarted = state.restore(&mut crash_store, &participant)?;
         let writer = participant.checkpoint_writer()?;
-        // Readers of the observation: controller and logger. Writer of the command: the controller.
-        let connected = || Ok(ports.observation.connect()? >= 2 && ports.command.connect()? >= 1);
+        // Reader of the observation: the controller, which also writes the command.
+        let connected = || Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 1);
         let (session, time) = participant.begin(status_board, connected)?;
         precise_timers();
 
@@ -181,6 +181,7 @@ impl<P: Plant> PlantLoop<P> {
         self.time.step_to(last);
         self.ports.observation.send(&self.state.observation)?;
         self.ports.wake.notify();
+        self.ports.log.append(&self.state.observation);
         Ok(())
     }
 
@@ -359,6 +360,7 @@ impl<P: Plant> PlantLoop<P> {
             self.ports.wake.notify();
             self.work.saturating_record(self.time.now().saturating_sub(woken));
         }
+        self.ports.log.append(&self.state.observation);
         self.session.status.sent = self.state.sent_count;
         Ok(())
     }
@@ -384,6 +386,7 @@ impl<P: Plant> PlantLoop<P> {
 
     /// Ends the loop: writes the last checkpoint and the report.
     fn finish(mut self) -> Result<PlantReport, RuntimeError> {
+        self.state.side.stop();
         self.session.publish_status();
         self.session.check()?;
         self.state.expected = self.inbox.expected;

@@ -46,9 +46,12 @@ pub struct SnapshotSchedule {
 }
 
 impl SnapshotSchedule {
-    /// The schedule of `plan`. `None` where no policy is copied: the plant is not the simulator's arm, the
-    /// arm has an open loop, or even the fewest copies would be too many.
+    /// The schedule of `plan`. `None` where no policy is copied: the controller is another program, the plant is
+    /// not the simulator's arm, the arm has an open loop, or even the fewest copies would be too many.
     pub fn of(plan: &Plan) -> Option<Self> {
+        if !plan.scenario.controller.is_shipped() {
+            return None;
+        }
         let arm = plan.simulated_arm().filter(|arm| !arm.open_loop)?;
         let ticks_a_second = ticks_in(plan, 1);
         let mut phases = vec![0];
@@ -99,7 +102,9 @@ pub fn change_ticks(arm: &ArmConfig, ticks: u64) -> Vec<u64> {
     let blocks = arm.block.iter().map(|change| change.tick);
     let lengths = arm.shorten.iter().map(|change| change.tick);
     let mirrors = arm.mirror.iter().map(|change| change.tick);
-    let mut all: Vec<u64> = blocks.chain(lengths).chain(mirrors).filter(|tick| (1..ticks).contains(tick)).collect();
+    let loads = arm.payload.iter().map(|change| change.tick);
+    let all = blocks.chain(lengths).chain(mirrors).chain(loads);
+    let mut all: Vec<u64> = all.filter(|tick| (1..ticks).contains(tick)).collect();
     all.sort_unstable();
     all.dedup();
     all

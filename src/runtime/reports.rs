@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
+use super::run_counts::RunCounts;
 use super::{RuntimeError, Snapshot, TargetsAround, TickBudget};
 use crate::clock::RealtimeReport;
 use crate::state::{Persist, StateVisitor};
 use crate::stats::{Percentiles, Window};
-use crate::wire::Role;
+use crate::wire::{MAX_COLUMNS, Role};
 
 /// The plant's report.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -66,8 +67,9 @@ impl Persist for PlantReport {
     }
 }
 
-/// The controller's report.
+/// The controller's report. A controller in another language may leave out what it does not count.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct ControllerReport {
     /// Observations answered.
     pub ticks: u64,
@@ -86,6 +88,8 @@ pub struct ControllerReport {
     pub invalid: u64,
     /// The first tick at which learning met a number that is not finite.
     pub diverged_at: Option<u64>,
+    /// Counts from which the run is judged.
+    pub counts: RunCounts,
     /// Checkpoints written by the process that ended the run.
     pub checkpoints: u64,
     /// Why a checkpoint could not be written, one sentence; null where all could.
@@ -158,6 +162,23 @@ fn report_path(folder: &Path, role: Role) -> PathBuf {
 /// launcher and logger read it before the first tick.
 pub(crate) fn realtime_path(folder: &Path, role: Role) -> PathBuf {
     folder.join(format!("{}.realtime.json", role.name()))
+}
+
+/// The file with the names of the agent's own columns in the run's folder; the logger reads it before the first tick.
+fn columns_path(folder: &Path) -> PathBuf {
+    folder.join("controller.columns.json")
+}
+
+/// Writes the names of the agent's own columns.
+pub(super) fn write_columns(folder: &Path, columns: &[&str]) -> Result<(), RuntimeError> {
+    write_to(columns_path(folder), &columns)
+}
+
+/// The names of the agent's own columns in the learning record; none when the controller left none.
+pub(crate) fn read_columns(folder: &Path) -> Vec<String> {
+    let mut columns: Vec<String> = read_from(&columns_path(folder)).unwrap_or_default();
+    columns.truncate(MAX_COLUMNS);
+    columns
 }
 
 /// Writes a report atomically: the whole file or none.

@@ -65,7 +65,7 @@ impl Switch {
 pub struct RunStatistics {
     /// Length of a window, ticks.
     length: u64,
-    /// Index of the measure called `error`.
+    /// Index of the measure with the role `error`.
     error: Option<usize>,
     windows: Vec<Window>,
     current: WindowSums,
@@ -97,7 +97,7 @@ impl RunStatistics {
     pub fn with_windows(plan: &Plan, length: u64) -> Self {
         Self {
             length,
-            error: plan.measures.iter().position(|name| name == "error"),
+            error: plan.error,
             windows: Vec::with_capacity(plan.scenario.ticks.div_ceil(length) as usize + 1),
             current: WindowSums::default(),
             from: 0,

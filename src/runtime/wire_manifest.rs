@@ -18,6 +18,10 @@ pub struct WireManifest {
     pub prefix: String,
     /// The domain's root folder.
     pub root: String,
+    /// The file whose first word is the futex that wakes the controller.
+    pub wake: String,
+    /// Files of the log rings of observations, commands and learning records.
+    pub log_rings: [String; 3],
     /// Hash over the layout of all samples, hexadecimal.
     pub schema: String,
     /// Hash of the scenario, hexadecimal.
@@ -36,6 +40,9 @@ pub struct WireManifest {
     pub outputs: Vec<String>,
     /// Names of an observation's measures, in order.
     pub measures: Vec<String>,
+    /// Inputs and outputs with name, unit and range, in order, and the index of the measure with the role `error`.
+    #[serde(default)]
+    pub signals: Value,
     /// The scenario with every default filled in: the tables and keys of `scenario.toml`.
     pub settings: Value,
 }
@@ -52,12 +59,31 @@ pub struct Services {
     /// Measurements of trackers; absent in a scenario without trackers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision: Option<String>,
-    /// The event that wakes the controller. Its attributes identify the run.
-    pub wake: String,
+    /// The service whose attributes identify the run.
+    pub identity: String,
     /// The launcher's status board.
     pub control: String,
     /// The status boards of plant, controller and logger.
     pub boards: [String; 3],
+}
+
+/// What a controller in another language needs to know of a run of `plan` when there is no manifest: on a pipe.
+pub(super) fn facts(plan: &Plan) -> Value {
+    let names =
+        |signals: &[crate::scenario::SignalConfig]| -> Vec<_> { signals.iter().map(|s| s.name.clone()).collect() };
+    serde_json::json!({
+        "period_ns": plan.period_ns,
+        "inputs": names(&plan.inputs),
+        "outputs": names(&plan.outputs),
+        "measures": plan.measures,
+        "signals": signals(plan),
+        "settings": plan.scenario.to_json(),
+    })
+}
+
+/// Inputs and outputs with name, unit and range, and the index of the measure with the role `error`.
+fn signals(plan: &Plan) -> Value {
+    serde_json::json!({ "inputs": plan.inputs, "outputs": plan.outputs, "error": plan.error })
 }
 
 impl WireManifest {
@@ -70,6 +96,9 @@ impl WireManifest {
             iceoryx2: crate::channel::ICEORYX2.to_owned(),
             prefix: domain.prefix(),
             root: domain.root().display().to_string(),
+            wake: crate::channel::wake_file(domain).display().to_string(),
+            log_rings: ["observation", "command", "learning"]
+                .map(|channel| crate::channel::ring_file(domain, channel).display().to_string()),
             schema: format!("{:016x}", identity.schema),
             scenario: format!("{:016x}", identity.scenario),
             build_hash: format!("{:016x}", identity.build_hash()),
@@ -79,7 +108,7 @@ impl WireManifest {
                 command: channels.command.clone(),
                 learning: channels.learning.clone(),
                 vision: plan.scenario.vision().map(str::to_owned),
-                wake: crate::channel::WAKE.to_owned(),
+                identity: crate::channel::IDENTITY.to_owned(),
                 control: crate::channel::board_name(crate::channel::CONTROL),
                 boards: Role::ALL.map(|role| crate::channel::board_name(role.name())),
             },
@@ -87,7 +116,8 @@ impl WireManifest {
             inputs: names(&plan.inputs),
             outputs: names(&plan.outputs),
             measures: plan.measures.clone(),
-            settings: serde_json::to_value(&plan.scenario).unwrap_or_default(),
+            signals: signals(plan),
+            settings: plan.scenario.to_json(),
         }
     }
 }

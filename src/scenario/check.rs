@@ -77,6 +77,23 @@ pub(super) fn unique_names(list: &str, suffix: &str, names: &[impl AsRef<str>]) 
     Ok(())
 }
 
+/// Checks `program` and `args` of the table `table`.
+pub(super) fn program(table: &str, program: &str, args: &[String]) -> Result<(), Violation> {
+    if program.trim().is_empty() {
+        let remedy = "give the name or the path of a program";
+        return Err(Violation::value(format_args!("{table}.program"), quoted(program), remedy));
+    }
+    let args = args.iter().enumerate().map(|(i, arg)| (format!("{table}.args[{i}]"), arg.as_str()));
+    for (key, text) in std::iter::once((format!("{table}.program"), program)).chain(args) {
+        // A zero character would end the string for the operating system.
+        if text.contains('\0') || text.chars().count() > limits::PROGRAM_CHARS {
+            let remedy = "give at most 4096 characters, none of them a zero character";
+            return Err(Violation::value(key, quoted(text), remedy));
+        }
+    }
+    Ok(())
+}
+
 /// Rounds to three significant digits, for computed numbers in a message.
 pub(super) fn rounded(value: f64) -> f64 {
     format!("{value:.2e}").parse().unwrap_or(value)

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use tectum_core::serde_pairs::pairs;
 
 use super::check::{known_input, number, range_ends, rounded, show, unique_names};
-use super::{Rule, SignalConfig, error::Violation, limits};
+use super::{PerAxis, Rule, SignalConfig, error::Violation, limits};
 
 /// `[encoder]`: topographic maps, concatenated (section 3.3).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -17,7 +17,9 @@ pub struct EncoderConfig {
     /// normalised.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub scalars: Vec<String>,
-    /// The maps: at most 64, with at most 65,536 units together. At least one, unless there are scalars.
+    /// The maps: at most 64, with at most 65,536 units together. At least one, unless there are scalars, or the
+    /// controller is another program.
+    #[serde(default)]
     pub maps: Vec<MapConfig>,
 }
 
@@ -30,8 +32,8 @@ pub struct MapConfig {
     /// Units along each input; 2 to 4096. Default 16 each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub units: Vec<usize>,
-    /// Radius of the Gaussian kernel, in the unit of the inputs.
-    pub radius: f64,
+    /// Radius of the Gaussian kernel, in the unit of the inputs: one number for all, or one for each.
+    pub radius: PerAxis,
     /// Centre of the first and of the last unit along each input. Default: the input's range.
     #[serde(default, deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
     pub ranges: Vec<[f64; 2]>,
@@ -39,6 +41,19 @@ pub struct MapConfig {
 
 fn enabled() -> bool {
     true
+}
+
+impl Default for EncoderConfig {
+    fn default() -> Self {
+        Self { normalise: enabled(), scalars: Vec::new(), maps: Vec::new() }
+    }
+}
+
+impl EncoderConfig {
+    /// Whether it has neither maps nor scalars.
+    pub fn is_empty(&self) -> bool {
+        self.maps.is_empty() && self.scalars.is_empty()
+    }
 }
 
 /// Checks the encoder and returns the number of its features.
@@ -102,14 +117,21 @@ fn check_map(key: &str, map: &MapConfig, inputs: &[SignalConfig]) -> Result<usiz
     }
     unique_names(&format!("{key}.inputs"), "", &map.inputs)?;
 
-    for (list, length) in [("units", map.units.len()), ("ranges", map.ranges.len())] {
+    let radii = map.radius.list_len();
+    if radii == Some(0) {
+        return Err(Violation::new(
+            format_args!("{key}.radius"),
+            "is an empty list; give a number, or one for each input",
+        ));
+    }
+    let lists = [("units", map.units.len()), ("ranges", map.ranges.len()), ("radius", radii.unwrap_or(0))];
+    for (list, length) in lists {
         if length != 0 && length != n {
-            let text =
-                format!("has length {length} and inputs has length {n}; give one for each input, or leave it out");
+            let otherwise = if list == "radius" { "or one number for all" } else { "or leave it out" };
+            let text = format!("has length {length} and inputs has length {n}; give one for each input, {otherwise}");
             return Err(Violation::new(format_args!("{key}.{list}"), text));
         }
     }
-    number(format_args!("{key}.radius"), map.radius, limits::RADIUS, "give more than 0 (1e-9 or more), up to 1e9")?;
     let mut map_units = 1;
     for (i, input) in map_inputs.into_iter().enumerate() {
         let units = map.units.get(i).copied().unwrap_or(limits::DEFAULT_UNITS);
@@ -120,15 +142,17 @@ fn check_map(key: &str, map: &MapConfig, inputs: &[SignalConfig]) -> Result<usiz
         map_units *= units;
         let [min, max] = map.ranges.get(i).copied().unwrap_or([input.min, input.max]);
         range_ends(&format!("{key}.ranges[{i}]"), [min, max], limits::RANGE)?;
+        let (radius, radius_key) = (map.radius.of(i), map.radius.key(&format!("{key}.radius"), i));
+        number(&radius_key, radius, limits::RADIUS, "give more than 0 (1e-9 or more), up to 1e9")?;
         let spacing = (max - min) / (units - 1) as f64;
-        if spacing > limits::SPACING_PER_RADIUS * map.radius {
+        if spacing > limits::SPACING_PER_RADIUS * radius {
             let remedy = format!(
                 "the units along {} are about {} apart, so that inputs between them would hardly activate any; \
                  give a radius of at least a tenth of that, or more units",
                 input.name,
                 show(rounded(spacing))
             );
-            return Err(Violation::value(format_args!("{key}.radius"), show(map.radius), remedy));
+            return Err(Violation::value(radius_key, show(radius), remedy));
         }
     }
     Ok(map_units)

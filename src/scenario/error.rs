@@ -6,7 +6,11 @@
 
 use std::fmt::{self, Display};
 
-use toml::de::DeTable;
+use serde::Deserialize as _;
+use serde::de::DeserializeOwned;
+use toml::de::{DeTable, DeValue, Deserializer};
+
+use crate::programs::is_shipped_controller;
 
 use super::{
     Scenario,
@@ -165,6 +169,39 @@ fn one_line(message: &str) -> String {
     message.chars().map(clean).take(4 * MAX_QUOTE).collect::<String>().trim().to_owned()
 }
 
+/// Reads `table`, which stands under `key` in the scenario of `source`, as settings of type `T`.
+pub(super) fn read_table<T: DeserializeOwned>(
+    table: toml::Table,
+    key: &str,
+    source: &ScenarioSource,
+) -> Result<T, ScenarioError> {
+    // Written and read again, because serde's errors only tell the place of a value in a text.
+    let text = toml::to_string(&table).unwrap_or_default();
+    toml::from_str(&text).map_err(|error| {
+        let document = DeTable::parse(&text).ok();
+        let span = error.span().unwrap_or_default();
+        let inner = document.and_then(|document| key_at(document.get_ref(), &span)).unwrap_or_default();
+        let key = full_key(key, &inner);
+        let key = key.trim_end_matches('.').to_owned();
+        let place = FilePosition { file: source.name().to_owned(), line: source.line_of(&key) };
+        from_serde(error.message(), place, key)
+    })
+}
+
+/// Takes `[learner]` out of the tables of a scenario whose controller is another program, which reads it by itself.
+fn take_own_learner(document: &mut DeTable<'_>, text: &str) -> Option<toml::Table> {
+    let DeValue::Table(controller) = document.get("controller")?.get_ref() else { return None };
+    let DeValue::String(program) = controller.get("program")?.get_ref() else { return None };
+    if is_shipped_controller(program) || !matches!(document.get("learner")?.get_ref(), DeValue::Table(_)) {
+        return None;
+    }
+    document.remove("learner");
+    match text.parse::<toml::Table>().ok()?.remove("learner")? {
+        toml::Value::Table(table) => Some(table),
+        _ => None,
+    }
+}
+
 /// Parses a text into the scenario's tables.
 pub(super) fn tables(source: &ScenarioSource) -> Result<Scenario, ScenarioError> {
     let place =
@@ -178,11 +215,14 @@ pub(super) fn tables(source: &ScenarioSource) -> Result<Scenario, ScenarioError>
         let (value, expected) = ("a list".to_owned(), expected_in_toml("struct "));
         return Err(ScenarioError::WrongType { place: place(start), key, value, expected });
     }
-    toml::from_str(source.text()).map_err(|error| {
+    let mut read = document.clone();
+    let own_learner = take_own_learner(read.get_mut(), source.text());
+    let scenario = Scenario::deserialize(Deserializer::from(read)).map_err(|error| {
         let span = error.span().unwrap_or_default();
         let key = key_at(document.get_ref(), &span).unwrap_or_default();
         from_serde(error.message(), place(span.start), key)
-    })
+    })?;
+    Ok(Scenario { own_learner, ..scenario })
 }
 
 /// Translates serde's message about the value of `key`.
@@ -240,7 +280,7 @@ fn names_in_backticks(list: &str) -> Vec<&str> {
 }
 
 /// The names as a list in a sentence: `a, b or c`, where `word` is `or`.
-pub(super) fn word_list(names: &[impl AsRef<str>], word: &str) -> String {
+pub(crate) fn word_list(names: &[impl AsRef<str>], word: &str) -> String {
     let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
     match names.split_last() {
         Some((last, [])) => (*last).to_owned(),
@@ -265,8 +305,20 @@ fn remedy_for_unknown(table: &str, unknown: &str, known: &[&str]) -> String {
     }
 }
 
+/// The name among `names` that is nearest to `name`, if it is near enough to be a misspelling: the first one with the
+/// smallest edit distance.
+pub(crate) fn nearest_name<'n>(name: &str, names: impl Iterator<Item = &'n str>) -> Option<&'n str> {
+    /// Limits the cost of the comparisons, which grows with the length. A longer text is not a misspelt name.
+    const MAX_CHARS: usize = 60;
+    if name.is_empty() || name.chars().count() > MAX_CHARS {
+        return None;
+    }
+    let best = names.map(|known| (distance(name, known), known)).min_by_key(|(edits, _)| *edits);
+    best.filter(|(edits, known)| *edits <= 1 + known.len() / 4).map(|(_, known)| known)
+}
+
 /// Edit distance of two words. An edit inserts, deletes or replaces a character, or swaps two neighbours.
-pub(super) fn distance(a: &str, b: &str) -> usize {
+fn distance(a: &str, b: &str) -> usize {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
     let mut rows = vec![vec![0; b.len() + 1]; a.len() + 1];
     for i in 0..=a.len() {

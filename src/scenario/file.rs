@@ -6,8 +6,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    EncoderConfig, FaultsConfig, GateConfig, LearnerConfig, Noise, OverrunConfig, PlantConfig, RealtimeConfig,
-    RestartConfig, ScenarioSource,
+    ControllerConfig, EncoderConfig, FaultsConfig, GateConfig, LearnerConfig, Noise, OverrunConfig, PlantConfig,
+    RealtimeConfig, RestartConfig, ScenarioSource,
 };
 use crate::wire::ChannelNames;
 
@@ -27,7 +27,11 @@ pub struct Scenario {
     pub ticks: u64,
     /// The plant.
     pub plant: PlantConfig,
-    /// The encoder, which turns inputs into features.
+    /// The controller's program.
+    #[serde(default, skip_serializing_if = "ControllerConfig::is_usual")]
+    pub controller: ControllerConfig,
+    /// The encoder, which turns inputs into features. A controller of another program may do without.
+    #[serde(default, skip_serializing_if = "EncoderConfig::is_empty")]
     pub encoder: EncoderConfig,
     /// The policy, which turns features into commands.
     #[serde(default)]
@@ -56,6 +60,10 @@ pub struct Scenario {
     /// Injected faults.
     #[serde(default, skip_serializing_if = "FaultsConfig::is_nothing")]
     pub faults: FaultsConfig,
+    /// `[learner]` of a controller's program of your own, unread; [`learner`](Self::learner) then has no meaning. A
+    /// field of its own, because its keys are the program's.
+    #[serde(skip)]
+    pub own_learner: Option<toml::Table>,
     /// The origin of the scenario, for messages. It is not a key of the file, and is neither compared nor
     /// hashed.
     #[serde(skip)]

@@ -2,6 +2,8 @@
 
 use std::ops::RangeInclusive;
 
+use tectum_core::{MAX_INPUTS as RULE_INPUTS, MAX_OUTPUTS as RULE_OUTPUTS};
+
 use super::{
     BaselineConfig, CriticConfig, LearnerConfig, ModelConfig, Rule,
     check::{known_input, number, show},
@@ -11,6 +13,7 @@ use super::{
 };
 
 pub(super) fn check(learner: &LearnerConfig, signals: &PlantSignals) -> Result<(), Violation> {
+    check_size(learner.rule, signals)?;
     below_one("learner.beta", learner.beta)?;
     number("learner.alpha_over_variance", learner.alpha_over_variance, limits::STEP, "give 0 to 1000")?;
     let rule = learner.rule;
@@ -34,6 +37,23 @@ pub(super) fn check(learner: &LearnerConfig, signals: &PlantSignals) -> Result<(
     }
     if rule == Rule::LearnedReward {
         check_model(&learner.model.clone().unwrap_or_default(), signals)?;
+    }
+    Ok(())
+}
+
+/// Checks that the rule has room for the plant's signals: a sample carries more than the rules of this package take.
+fn check_size(rule: Rule, signals: &PlantSignals) -> Result<(), Violation> {
+    let sizes = [("inputs", signals.inputs.len(), RULE_INPUTS), ("outputs", signals.outputs.len(), RULE_OUTPUTS)];
+    for (what, count, most) in sizes {
+        if count > most {
+            let name = toml::Value::try_from(rule).ok().and_then(|name| name.as_str().map(str::to_owned));
+            let name = name.unwrap_or_default();
+            let text = format!(
+                "is {name}, for which {count} {what} are too many; it supports at most {most}, \
+                 and a controller of your own ([controller] program) as many as a plant may have"
+            );
+            return Err(Violation::new("learner.rule", text));
+        }
     }
     Ok(())
 }

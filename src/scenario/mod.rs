@@ -14,6 +14,7 @@
 
 mod bodies;
 mod check;
+mod controller;
 mod emulator;
 mod encoder;
 mod error;
@@ -23,6 +24,8 @@ mod file;
 mod gate;
 mod learner;
 pub mod limits;
+mod measure;
+mod per_axis;
 mod plant;
 mod plant_signals;
 mod presets;
@@ -36,18 +39,22 @@ mod validate;
 #[cfg(test)]
 mod tests;
 
+pub use controller::{ControllerConfig, LearnerTable};
 pub use encoder::{EncoderConfig, MapConfig};
 pub use error::{FilePosition, ScenarioError};
+pub(crate) use error::{nearest_name, word_list};
 pub use faults::{
     ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsConfig, ProcessFault, ProcessFaultKind,
 };
 pub use file::{LogConfig, PolicyConfig, Scenario};
 pub use gate::{GateConfig, OverrunConfig, PerOutput};
+pub use measure::{MeasureConfig, MeasureRole, MeasureTable};
+pub use per_axis::PerAxis;
 pub use plant::PlantConfig;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeConfig, RealtimeProcess};
 pub use restart::{RestartConfig, RestartPolicy};
-pub use servos::{JointConfig, PoseSource, ServoGoal, ServosConfig, check_joints};
+pub use servos::{JointConfig, PoseSource, Rearm, ServoGoal, ServosConfig, check_joints};
 pub use source::ScenarioSource;
 pub use tectum_core::SignalConfig;
 pub use tectum_core::learner::{
@@ -65,6 +72,7 @@ use std::{fs::File, io::Read, path::Path};
 
 use xxhash_rust::xxh3::xxh3_64;
 
+use crate::agent::LinearAgent;
 use crate::encoder::{Axis, Encoder, Map};
 use crate::learner::LearnerSpec;
 use crate::plant::SimulatedPlant;
@@ -88,6 +96,8 @@ pub struct Plan {
     pub outputs: Vec<SignalConfig>,
     /// Names of the observation's measures, in order; at most [`crate::wire::MAX_MEASURES`].
     pub measures: Vec<String>,
+    /// Index of the measure with the role `error`: the distance from the target.
+    pub error: Option<usize>,
     /// The encoder's maps, in order, ranges and units resolved.
     pub maps: Vec<Map>,
     /// Indices of the inputs that are features without a map.
@@ -109,9 +119,38 @@ impl Plan {
             maps: self.maps.clone(),
             normalise: self.scenario.encoder.normalise,
             sigma: self.scenario.policy.sigma,
+            max_command: std::array::from_fn(|output| self.scenario.gate.max_command.of(output) as f32),
             seed: self.scenario.seed,
             learner: self.scenario.learner.clone(),
         }
+    }
+
+    /// The same plan, whose messages about `[learner]` name `file`, if that still has the same table: a process of a
+    /// run reads a copy of the scenario, and its user wrote that file.
+    pub(crate) fn with_origin(mut self, file: &str) -> Self {
+        // Only a regular file can be read a second time, and only the messages about `[learner]` come so late.
+        let path = Path::new(file);
+        if self.scenario.own_learner.is_none() || !path.is_file() {
+            return self;
+        }
+        let original = Scenario::load(path).ok();
+        if let Some(original) = original.filter(|original| original.own_learner == self.scenario.own_learner) {
+            self.scenario.source = original.source;
+        }
+        self
+    }
+
+    /// `[learner]`, where the controller is a program of your own; an empty table where the file has none, or where the
+    /// controller is this package's.
+    pub fn learner_table(&self) -> LearnerTable<'_> {
+        static EMPTY: std::sync::LazyLock<toml::Table> = std::sync::LazyLock::new(toml::Table::new);
+        let scenario = &self.scenario;
+        LearnerTable::new(scenario.own_learner.as_ref().unwrap_or(&EMPTY), &scenario.source)
+    }
+
+    /// The agent of the scenario's learning rule, with weights 0.
+    pub fn linear_agent(&self) -> LinearAgent {
+        LinearAgent::new(&self.learner_spec(), self.encoder(), self.scenario.policy.noise)
     }
 
     /// The scenario's simulated plant, or `None` when the plant is another program.
@@ -175,7 +214,8 @@ impl Scenario {
         let mut scenario = tables(&source)?;
         // Keys that the file leaves out of `[learner]` get the defaults of the file's rule. serde filled in
         // those of the paper's rule.
-        let learner = text.parse::<toml::Table>().ok().and_then(|mut file| file.remove("learner"));
+        let own = scenario.own_learner.is_some();
+        let learner = text.parse::<toml::Table>().ok().and_then(|mut file| file.remove("learner")).filter(|_| !own);
         if let Some(toml::Value::Table(learner)) = learner {
             scenario.learner = with_preset_defaults(scenario.learner, learner);
         }
@@ -202,13 +242,16 @@ impl Scenario {
             scalars: scenario.encoder.scalars.iter().filter_map(|name| input_index(&signals.inputs, name)).collect(),
             inputs: signals.inputs,
             outputs: signals.outputs,
-            measures: signals.measures,
+            error: measure::error_index(&signals.measures),
+            measures: signals.measures.iter().map(|measure| measure.name().to_owned()).collect(),
             maps,
             hash: xxh3_64(scenario.to_toml().as_bytes()),
             scenario,
             warnings: Vec::new(),
         };
-        plan.warnings = steps::check(&plan).map_err(invalid)?;
+        if plan.scenario.controller.is_shipped() {
+            plan.warnings = steps::check(&plan).map_err(invalid)?;
+        }
         Ok(plan)
     }
 
@@ -218,8 +261,32 @@ impl Scenario {
         // The writer cannot fail: the tables have finite depth and contain strings, numbers, lists and tables
         // with string keys only. If it fails all the same, the text is a comment, which does not parse as a
         // scenario.
-        toml::to_string(&self.resolved())
-            .unwrap_or_else(|error| format!("# This scenario cannot be written: {error}\n"))
+        self.resolved().text().unwrap_or_else(|error| format!("# This scenario cannot be written: {error}\n"))
+    }
+
+    /// The scenario as a TOML file, as it is. Where the controller is another program, its own `[learner]` stands in
+    /// it, and `[policy]` only if it was changed.
+    pub(crate) fn text(&self) -> Result<String, toml::ser::Error> {
+        if self.controller.is_shipped() { toml::to_string(self) } else { toml::to_string(&self.with_own_learner()?) }
+    }
+
+    /// The tables of a scenario whose controller is another program.
+    fn with_own_learner(&self) -> Result<toml::Table, toml::ser::Error> {
+        let mut file = toml::Table::try_from(self)?;
+        file.remove("learner");
+        if self.policy == PolicyConfig::default() {
+            file.remove("policy");
+        }
+        if let Some(own) = &self.own_learner {
+            file.insert("learner".to_owned(), toml::Value::Table(own.clone()));
+        }
+        Ok(file)
+    }
+
+    /// The scenario as a JSON object, for programs in other languages.
+    pub(crate) fn to_json(&self) -> serde_json::Value {
+        let tables = if self.controller.is_shipped() { None } else { self.with_own_learner().ok() };
+        tables.map_or_else(|| serde_json::to_value(self), serde_json::to_value).unwrap_or_default()
     }
 
     /// The same scenario with all defaults of the learner, and with the units and ranges of maps that the file
@@ -242,6 +309,12 @@ impl Scenario {
             }
         }
         scenario
+    }
+
+    /// The error for the value of `key`; `problem` says what is wrong and what to do.
+    pub(crate) fn invalid(&self, key: &str, problem: impl std::fmt::Display) -> ScenarioError {
+        let place = FilePosition { file: self.source.name().to_owned(), line: self.line_of(key) };
+        ScenarioError::Invalid { place, key: key.to_owned(), problem: problem.to_string() }
     }
 
     /// The line of a key, or `None` when the caller has changed its value since the file was read.
@@ -288,7 +361,7 @@ fn build_map(map: &MapConfig, inputs: &[SignalConfig]) -> Option<Map> {
             units: *map.units.get(i)?,
             min,
             max,
-            radius: map.radius,
+            radius: map.radius.of(i),
         })
     };
     match map.inputs.len() {

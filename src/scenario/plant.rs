@@ -5,10 +5,11 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-use super::check::{number, range_end, range_ends, show, signal_name, ticks, unique_names};
+use super::check::{number, program, range_end, range_ends, show, signal_name, ticks, unique_names};
 use super::{
-    ArmConfig, CartPoleConfig, EmulatorConfig, EyeConfig, FurutaConfig, PendulumConfig, PointMassConfig, ReacherConfig,
-    ServosConfig, SignalConfig, So101Config, TimingConfig, bodies, error::Violation, error::quoted, limits,
+    ArmConfig, CartPoleConfig, EmulatorConfig, EyeConfig, FurutaConfig, MeasureConfig, MeasureRole, PendulumConfig,
+    PointMassConfig, ReacherConfig, ServosConfig, SignalConfig, So101Config, TimingConfig, bodies, error::Violation,
+    error::quoted, limits,
 };
 use crate::programs::is_simulator;
 use crate::wire::MAX_MEASURES;
@@ -29,9 +30,9 @@ pub struct PlantConfig {
     /// The outputs of a command. Optional with a body such as `arm`, which defines its own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outputs: Vec<SignalConfig>,
-    /// Names of the measures, at most 6. The summary reports the measure `error` at the end of each target.
+    /// The measures, at most 6. The summary reports the one with the role `error` at the end of each target.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub measures: Vec<String>,
+    pub measures: Vec<MeasureConfig>,
     /// The simulator's arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub arm: Option<ArmConfig>,
@@ -73,33 +74,11 @@ fn default_program() -> String {
 
 /// Checks the table without its lists of signals, which are checked after they are resolved.
 pub(super) fn check(plant: &PlantConfig) -> Result<(), Violation> {
-    check_program(plant)?;
+    program("plant", &plant.program, &plant.args)?;
     check_kind(plant)?;
     plant.arm.as_ref().map_or(Ok(()), check_arm)?;
     bodies::check(plant)?;
     plant.emulator.as_ref().map_or(Ok(()), super::emulator::check)
-}
-
-fn check_program(plant: &PlantConfig) -> Result<(), Violation> {
-    if plant.program.trim().is_empty() {
-        return Err(Violation::value(
-            "plant.program",
-            quoted(&plant.program),
-            "give the name or the path of a program",
-        ));
-    }
-    let args = plant.args.iter().enumerate().map(|(i, arg)| (format!("plant.args[{i}]"), arg));
-    for (key, text) in std::iter::once(("plant.program".to_owned(), &plant.program)).chain(args) {
-        // A zero character would end the string for the operating system.
-        if text.contains('\0') || text.chars().count() > limits::PROGRAM_CHARS {
-            return Err(Violation::value(
-                key,
-                quoted(text),
-                "give at most 4096 characters, none of them a zero character",
-            ));
-        }
-    }
-    Ok(())
 }
 
 /// Checks that the simulator has exactly one body, and no lists of signals, because the body defines them. Any other
@@ -337,19 +316,32 @@ pub(super) fn signal_list(key: &str, signals: &[SignalConfig], max_len: usize) -
             let remedy = format!("give more than min, which is {}", show(min));
             return Err(Violation::value(format_args!("{key}[{i}].max"), show(max), remedy));
         }
+        if signal.wraps == Some(true) && ((min + PI).abs() > 1e-6 || (max - PI).abs() > 1e-6) {
+            let text = format!(
+                "is true, and the range is {} to {}; an input that wraps goes from -pi to pi",
+                show(min),
+                show(max)
+            );
+            return Err(Violation::new(format_args!("{key}[{i}].wraps"), text));
+        }
     }
     let names: Vec<_> = signals.iter().map(|signal| signal.name.as_str()).collect();
     unique_names(key, ".name", &names)
 }
 
-/// Checks the names of a plant's measures.
-pub(super) fn measures(names: &[String]) -> Result<(), Violation> {
-    if names.len() > MAX_MEASURES {
-        let text = format!("has {} entries; give at most {MAX_MEASURES}", names.len());
+/// Checks the names of a plant's measures, and that at most one of them is the error.
+pub(super) fn measures(measures: &[MeasureConfig]) -> Result<(), Violation> {
+    if measures.len() > MAX_MEASURES {
+        let text = format!("has {} entries; give at most {MAX_MEASURES}", measures.len());
         return Err(Violation::new("plant.measures", text));
     }
-    for (i, name) in names.iter().enumerate() {
-        signal_name(&format!("plant.measures[{i}]"), name)?;
+    for (i, measure) in measures.iter().enumerate() {
+        signal_name(&format!("plant.measures[{i}]"), measure.name())?;
     }
-    unique_names("plant.measures", "", names)
+    let is_error = |measure: &&MeasureConfig| measure.role() == Some(MeasureRole::Error);
+    if measures.iter().filter(is_error).count() > 1 {
+        return Err(Violation::new("plant.measures", "has two entries with the role error; give it to one"));
+    }
+    let names: Vec<_> = measures.iter().map(MeasureConfig::name).collect();
+    unique_names("plant.measures", "", &names)
 }

@@ -1,13 +1,13 @@
 //! The inputs, outputs and measures of a scenario's plant: those that the file lists, or else those of its body.
 
-use super::{Scenario, SignalConfig};
+use super::{MeasureConfig, Scenario, SignalConfig};
 use crate::wire::MAX_MEASURES;
 
 /// The signals of a plant, in the order in which samples carry them.
 pub(super) struct PlantSignals {
     pub(super) inputs: Vec<SignalConfig>,
     pub(super) outputs: Vec<SignalConfig>,
-    pub(super) measures: Vec<String>,
+    pub(super) measures: Vec<MeasureConfig>,
 }
 
 /// The signals that the scenario lists. For a list that it leaves out, those of its body; without one the list is
@@ -19,15 +19,19 @@ pub(super) fn signals(scenario: &Scenario) -> PlantSignals {
         Some(body) => {
             let signals = body.signals();
             let outputs = (0..).zip(&signals.outputs).map(|(i, name)| output_signal(name, limit(i))).collect();
-            PlantSignals { inputs: signals.inputs, outputs, measures: signals.measures }
+            PlantSignals {
+                inputs: signals.inputs,
+                outputs,
+                measures: signals.measures.into_iter().map(MeasureConfig::from).collect(),
+            }
         }
         None => PlantSignals { inputs: Vec::new(), outputs: Vec::new(), measures: Vec::new() },
     };
     if plant.servos.is_some() {
-        defaults.measures.extend(["bus_read_us", "bus_write_us"].map(String::from));
+        defaults.measures.extend(["bus_read_us", "bus_write_us"].map(MeasureConfig::from));
     }
     if plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model()) && defaults.measures.len() < MAX_MEASURES {
-        defaults.measures.push("vision_age_ms".to_owned());
+        defaults.measures.push("vision_age_ms".into());
     }
     PlantSignals {
         inputs: if plant.inputs.is_empty() { defaults.inputs } else { plant.inputs.clone() },
@@ -38,5 +42,5 @@ pub(super) fn signals(scenario: &Scenario) -> PlantSignals {
 
 /// An output. Its range is the gate's limit.
 fn output_signal(name: &str, limit: f64) -> SignalConfig {
-    SignalConfig { name: name.to_owned(), unit: "1".to_owned(), min: -limit, max: limit }
+    SignalConfig { name: name.to_owned(), unit: "1".to_owned(), min: -limit, max: limit, wraps: None }
 }

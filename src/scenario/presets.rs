@@ -6,7 +6,7 @@ use std::path::{Component, Path};
 
 use super::{
     Scenario, ScenarioError,
-    error::{distance, word_list},
+    error::{nearest_name, word_list},
 };
 
 /// A built-in scenario.
@@ -40,6 +40,9 @@ const PRESETS: &[Preset] = &[
     preset!("open-loop-3", "An arm with three segments takes one posture a trial, rewarded by its visual error alone."),
     preset!("open-loop-4", "An arm with four segments takes one posture a trial, rewarded by its visual error alone."),
     preset!("office", "The arm of `arm` under injected faults: lost, late and corrupt samples, and killed processes."),
+    preset!("pendulum", "Gymnasium's Pendulum-v1: a weak motor swings a rod up and balances it."),
+    preset!("cart-pole", "dm_control's cart-pole: a cart swings a pole up and balances it."),
+    preset!("so101", "The arm SO-101, simulated: five joints between stops, with a lag; targets in three dimensions."),
     preset!("servo-simulated", "The arm of `servo-emulated` with the simulator in the place of the servos."),
     preset!("servo-emulated", "An arm on four emulated Dynamixel servos behind a pseudo-terminal, in real time."),
     preset!("servo-vision", "As `servo-emulated`, but a tracker (such as a camera) reports target and end-effector."),
@@ -138,11 +141,9 @@ fn remedy(name: &str) -> String {
 /// The presets that begin with the name, such as `servo`. If there are none, the preset with the smallest edit
 /// distance, if that is small. Folder, extension and case are ignored.
 fn nearest(name: &str) -> Vec<&'static str> {
-    /// Limits the cost of the comparisons, which grows with the length. A longer text is not a misspelt name.
-    const MAX_CHARS: usize = 60;
     let file = Path::new(name).file_name().and_then(|file| file.to_str()).unwrap_or(name);
     let name = without_extension(file).to_lowercase();
-    if name.is_empty() || name.chars().count() > MAX_CHARS {
+    if name.is_empty() {
         return Vec::new();
     }
     let names = || PRESETS.iter().map(|preset| preset.name);
@@ -150,10 +151,8 @@ fn nearest(name: &str) -> Vec<&'static str> {
     if !with_prefix.is_empty() {
         return with_prefix;
     }
-    // `min_by_key` returns the first of several equal ones, and presets are in the order in which they are most
-    // used.
-    let best = names().map(|preset| (distance(&name, preset), preset)).min_by_key(|(edits, _)| *edits);
-    best.filter(|(edits, preset)| *edits <= 1 + preset.len() / 4).map(|(_, preset)| preset).into_iter().collect()
+    // Of several equal ones the first, and presets are in the order in which they are most used.
+    nearest_name(&name, names()).into_iter().collect()
 }
 
 fn without_extension(file: &str) -> &str {

@@ -1,7 +1,9 @@
 //! `[plant.servos]`: a chain of serial-bus servos in place of the simulated arm, and the checks of the table.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
-use tectum_servo::model::Protocol;
+use tectum_servo::model::{Protocol, STEP, STEPS_PER_TURN};
 
 use super::check::{number, show};
 use super::error::{Violation, quoted};
@@ -19,9 +21,10 @@ pub struct ServosConfig {
     /// Baud rate, bit/s.
     #[serde(default = "default_baud")]
     pub baud: u32,
-    /// The kind of goal that a rate command is converted to.
-    #[serde(default)]
-    pub goal: ServoGoal,
+    /// The kind of goal that a rate command is converted to. Default: speeds if the servos have a watchdog,
+    /// which stops them when nobody speaks to them any more, positions otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub goal: Option<ServoGoal>,
     /// Whether torque may be switched on without a request of the user (`--arm`).
     #[serde(default)]
     pub armed: bool,
@@ -34,6 +37,12 @@ pub struct ServosConfig {
     /// Ticks in a row without a response after which the bus counts as lost.
     #[serde(default = "default_lost_after")]
     pub lost_after: u32,
+    /// How torque returns after the bus was lost, the cable was out, or the machine or the bridge stood still.
+    #[serde(default, skip_serializing_if = "Rearm::is_automatic")]
+    pub rearm: Rearm,
+    /// Time for which a port that is gone is looked for before the bridge ends, s. Default: 10.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reopen_within_s: Option<f64>,
     /// Highest allowed temperature, degrees Celsius.
     #[serde(default = "default_max_temperature")]
     pub max_temperature: f64,
@@ -73,17 +82,38 @@ pub struct JointConfig {
     /// Highest speed, rad/s.
     #[serde(default = "default_max_speed")]
     pub max_speed: f64,
+    /// The servo's registers that change what positions mean or how goals are followed, by name, as they were
+    /// when it was calibrated. One that is not named must have the value that changes nothing.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub registers: BTreeMap<String, i32>,
 }
 
 /// The kind of goal that a rate command is converted to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ServoGoal {
     /// A goal speed. The servo keeps it until it receives another goal, or until its watchdog stops it.
-    #[default]
     Speed,
     /// A goal position, one tick's travel ahead. The servo stops there by itself.
     Position,
+}
+
+/// How torque returns after the connection was lost and is there again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rearm {
+    /// By itself, after all checks.
+    #[default]
+    Automatic,
+    /// When the user arms it again.
+    ByHand,
+}
+
+impl Rearm {
+    /// Whether torque returns by itself.
+    pub fn is_automatic(&self) -> bool {
+        *self == Self::Automatic
+    }
 }
 
 /// The source of target and end-effector positions.
@@ -105,6 +135,17 @@ impl PoseSource {
 }
 
 impl ServosConfig {
+    /// The kind of goal that a rate command is converted to.
+    pub fn goal(&self) -> ServoGoal {
+        let watched = self.protocol.series().bus_watchdog.is_some();
+        self.goal.unwrap_or(if watched { ServoGoal::Speed } else { ServoGoal::Position })
+    }
+
+    /// Time for which a port that is gone is looked for, ns.
+    pub fn reopen_within_ns(&self) -> u64 {
+        (self.reopen_within_s.unwrap_or(10.0) * 1e9) as u64
+    }
+
     /// Maximum age of a tracker's newest sample when a tick begins, ns.
     pub fn vision_age_ns(&self) -> u64 {
         (self.vision_age_ms.unwrap_or(100.0) * 1e6) as u64
@@ -149,6 +190,31 @@ impl JointConfig {
     pub fn is_free(&self) -> bool {
         self.range[1] - self.range[0] >= std::f64::consts::TAU - 1e-9
     }
+
+    /// The ends of the range as positions of the servo, steps, the lower one first; `None` for a joint that
+    /// turns freely. A valid joint has both within 0 to 4095: the encoder begins again at its 0, so a servo
+    /// that is sent across it turns the long way round, through the ends of the joint.
+    pub fn raw_ends(&self) -> Option<[i32; 2]> {
+        // The part of a step that rounding has lost is no step.
+        let steps = |angle: f64| (angle / STEP + 1e-6_f64.copysign(angle)) as i32;
+        let [a, b] = self.range.map(|end| self.zero + steps(f64::from(self.direction) * end));
+        (!self.is_free()).then_some([a.min(b), a.max(b)])
+    }
+
+    /// Checks that the range does not lie across the encoder's 0.
+    ///
+    /// # Errors
+    /// The raw ends and the remedy, for a message.
+    pub fn check_seam(&self) -> Result<(), String> {
+        match self.raw_ends() {
+            Some([low, high]) if low < 0 || high >= STEPS_PER_TURN => Err(format!(
+                "the servo would go from {low} to {high} steps, across the 0 of its encoder (0 to 4095), and it \
+                 would turn the long way round; calibrate the joint again: `tectum-bridge calibrate` offers to write \
+                 a homing offset that puts the 0 outside the range"
+            )),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Checks the plant's `[plant.servos]`, if it has one.
@@ -179,6 +245,9 @@ pub(super) fn check(plant: &PlantConfig, period_ms: f64) -> Result<(), Violation
     if !(1..=1000).contains(&servos.lost_after) {
         return Err(Violation::value("plant.servos.lost_after", servos.lost_after, "give 1 to 1000 ticks"));
     }
+    if let Some(within) = servos.reopen_within_s {
+        number("plant.servos.reopen_within_s", within, 0.0..=3600.0, "give 0 to 3600 s")?;
+    }
     number("plant.servos.max_temperature", servos.max_temperature, 20.0..=100.0, "give 20 to 100 degrees")?;
     number("plant.servos.min_voltage", servos.min_voltage, 0.0..=50.0, "give 0 to 50 V")?;
     check_sight(servos, arm)?;
@@ -192,7 +261,7 @@ pub(super) fn check(plant: &PlantConfig, period_ms: f64) -> Result<(), Violation
             Err(Violation::new("plant.servos.calibration", "stands beside plant.servos.joints; keep one of the two"))
         }
         (Some(_), true) => Ok(()),
-        (None, false) => check_joint_table(&servos.joints, arm.lengths.len(), servos.protocol, servos.goal),
+        (None, false) => check_joint_table(&servos.joints, arm.lengths.len(), servos.protocol, servos.goal()),
     }
 }
 
@@ -258,8 +327,17 @@ fn check_joint_table(
         }
         if goal == ServoGoal::Position && joint.is_free() {
             let value = format!("[{}, {}]", show(low), show(high));
-            let remedy = "with goal = \"position\" a joint has less than a full turn; give its range";
+            let remedy = "with goal = \"position\", the default of servos without a watchdog, a joint has less than a \
+                          full turn; give its range";
             return Err(Violation::value(key("range"), value, remedy));
+        }
+        if let Err(text) = joint.check_seam() {
+            return Err(Violation::value(key("range"), format!("[{}, {}]", show(low), show(high)), text));
+        }
+        let names = || protocol.series().kept.iter().map(|kept| kept.name);
+        if let Some(unknown) = joint.registers.keys().find(|name| !names().any(|known| known == name.as_str())) {
+            let remedy = format!("this series has {}", names().collect::<Vec<_>>().join(", "));
+            return Err(Violation::value(key("registers"), quoted(unknown), remedy));
         }
         number(key("max_speed"), joint.max_speed, 0.01..=100.0, "give 0.01 to 100 rad/s")?;
     }
@@ -304,6 +382,28 @@ mod tests {
         ] {
             let error = plan(change).unwrap_err().to_string();
             assert!(error.contains(message) && error.starts_with("vision.toml"), "{error}");
+        }
+    }
+
+    /// A range across the encoder's 0 is refused, for each kind of goal, with the remedy.
+    #[test]
+    fn a_range_across_the_encoders_zero_is_refused() {
+        let with = |joint: &str| {
+            let text = include_str!("../../scenarios/servo-emulated.toml").replace("max_speed = 12.0", joint);
+            Scenario::parse(&text, "arm.toml")?.plan()
+        };
+        for (joint, fits) in [
+            ("zero = 100\nrange = [-1.0, 1.0]", false),
+            ("zero = 4000\nrange = [-1.0, 1.0]", false),
+            ("zero = 4000\ndirection = -1\nrange = [-0.1, 1.0]", true),
+            ("zero = 700\nrange = [-1.0, 1.0]", true),
+            ("zero = 100", true),
+        ] {
+            let result = with(joint).map_err(|error| error.to_string());
+            assert_eq!(result.is_ok(), fits, "{joint}: {result:?}");
+            if let Err(error) = result {
+                assert!(error.contains("across the 0 of its encoder") && error.contains("calibrate"), "{error}");
+            }
         }
     }
 

@@ -92,7 +92,7 @@ fn follow<'d, 'i>(document: &'d DeTable<'i>, path: &str) -> Option<(usize, &'d D
 /// The first list in place of a table, as path and byte offset. serde would accept it and assign its entries to
 /// the table's keys in the order of their declaration, which is never intended.
 pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> {
-    const TABLES: [&str; 22] = [
+    const TABLES: [&str; 23] = [
         "plant",
         "plant.arm",
         "plant.arm.reward",
@@ -104,6 +104,7 @@ pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> 
         "plant.point-mass",
         "plant.so101",
         "plant.timing",
+        "controller",
         "encoder",
         "policy",
         "learner",

@@ -31,7 +31,7 @@ fn assert_bounds(plan: &Plan) {
     }
     assert!(!s.plant.program.trim().is_empty());
     if s.plant.program == "tectum-simulator" {
-        assert!(s.plant.arm.is_some() != s.plant.eye.is_some());
+        assert!(s.plant.body().is_some());
     }
     if let Some(arm) = &s.plant.arm {
         assert_arm(arm);
@@ -297,10 +297,10 @@ fn texts() -> Vec<String> {
     other.plant = PlantConfig {
         program: "./rig".to_owned(),
         inputs: ["angle", "speed"]
-            .map(|name| SignalConfig { name: name.into(), unit: "".into(), min: -1.0, max: 2.0 })
+            .map(|name| SignalConfig { name: name.into(), unit: "".into(), min: -1.0, max: 2.0, wraps: None })
             .into(),
-        outputs: vec![SignalConfig { name: "torque".into(), unit: "Nm".into(), min: -0.1, max: 0.1 }],
-        measures: vec!["error".to_owned(), "current".to_owned()],
+        outputs: vec![SignalConfig { name: "torque".into(), unit: "Nm".into(), min: -0.1, max: 0.1, wraps: None }],
+        measures: vec!["error".into(), "current".into()],
         ..other.plant
     };
     other.plant.arm = None;
@@ -308,6 +308,34 @@ fn texts() -> Vec<String> {
     other.encoder.maps[0].inputs = vec!["angle".to_owned(), "speed".to_owned()];
     let built = [scenario_with_all_tables().to_toml(), other.to_toml()];
     presets().iter().map(|preset| preset.text.to_owned()).chain(built).collect()
+}
+
+/// A file may say which inputs wrap, which measure is the error, and the radius along each axis. What it leaves out is
+/// as before.
+#[test]
+fn roles_wrapping_and_radii_are_explicit() {
+    let text = |measures: &str, wraps: &str, radius: &str| {
+        format!(
+            "name = \"x\"\n[plant]\nprogram = \"p\"\nmeasures = {measures}\n\
+             inputs = [{{ name = \"a\", unit = \"deg\", min = -3.141592653589793, max = 3.141592653589793{wraps} }},\n\
+             {{ name = \"b\", unit = \"rad\", min = -3.141592653589793, max = 3.141592653589793 }}]\n\
+             outputs = [{{ name = \"c\", min = -1, max = 1 }}]\n\
+             [encoder]\nmaps = [{{ inputs = [\"a\", \"b\"], radius = {radius} }}]\n"
+        )
+    };
+    let plan = |text: &str| Scenario::parse(text, "x.toml").unwrap().plan().unwrap();
+    let usual = plan(&text("[\"size\", \"error\"]", "", "1"));
+    assert_eq!((usual.error, usual.inputs[0].wraps(), usual.inputs[1].wraps()), (Some(1), false, true));
+    let other = plan(&text("[{ name = \"size\", role = \"error\" }, \"error\"]", ", wraps = true", "[1, 2]"));
+    assert_eq!((other.error, other.inputs[0].wraps()), (Some(0), true));
+    assert_eq!(other.measures, ["size", "error"]);
+    let Map::Plane(a, b) = &other.maps[0] else { panic!("{:?}", other.maps) };
+    assert_eq!((a.radius, b.radius), (1.0, 2.0));
+    // The file with every default written out is the same scenario.
+    assert_eq!(plan(&other.scenario.to_toml()).hash, other.hash);
+    let wrong = text("[]", ", wraps = true", "1").replacen("max = 3.141592653589793", "max = 3.2", 1);
+    let message = Scenario::parse(&wrong, "x.toml").unwrap().plan().unwrap_err().to_string();
+    assert!(message.contains("plant.inputs[0].wraps is true, and the range is"), "{message}");
 }
 
 proptest! {

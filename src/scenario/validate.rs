@@ -5,8 +5,8 @@
 
 use super::check::{checked_name, number, show, ticks};
 use super::{
-    LogConfig, Rule, Scenario, encoder, error::Violation, error::quoted, faults, gate, learner, limits, plant,
-    plant_signals::signals, realtime, restart, servos,
+    LogConfig, Rule, Scenario, controller, encoder, error::Violation, error::quoted, faults, gate, learner, limits,
+    plant, plant_signals::PlantSignals, plant_signals::signals, realtime, restart, servos,
 };
 use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
 
@@ -23,6 +23,24 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Violation> {
     plant::signal_list("plant.outputs", &signals.outputs, MAX_OUTPUTS)?;
     plant::measures(&signals.measures)?;
 
+    controller::check(&scenario.controller)?;
+    check_learning(scenario, &signals)?;
+    check_log(&scenario.log)?;
+    check_channels(scenario)?;
+    restart::check(&scenario.restart)?;
+    realtime::check(&scenario.realtime)?;
+    faults::check(&scenario.faults)
+}
+
+/// Checks encoder, policy and learner. Another controller's program may do without an encoder, and reads the
+/// other two by itself.
+fn check_learning(scenario: &Scenario, signals: &PlantSignals) -> Result<(), Violation> {
+    if !scenario.controller.is_shipped() {
+        if !scenario.encoder.is_empty() {
+            encoder::check(&scenario.encoder, &signals.inputs)?;
+        }
+        return Ok(());
+    }
     let features = encoder::check(&scenario.encoder, &signals.inputs)?;
     check_policy(scenario.policy.sigma, scenario.gate.max_command.least())?;
     let unmoved = match &scenario.plant {
@@ -36,12 +54,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Violation> {
         return Err(Violation::new("learner.rule", text));
     }
     encoder::check_rule(scenario.learner.rule, &scenario.encoder, features)?;
-    learner::check(&scenario.learner, &signals)?;
-    check_log(&scenario.log)?;
-    check_channels(scenario)?;
-    restart::check(&scenario.restart)?;
-    realtime::check(&scenario.realtime)?;
-    faults::check(&scenario.faults)
+    learner::check(&scenario.learner, signals)
 }
 
 fn check_top_level(scenario: &Scenario) -> Result<(), Violation> {

@@ -184,7 +184,7 @@ struct ReachRecorder<'a> {
 
 impl<'a> ReachRecorder<'a> {
     fn new(plan: &Plan, arm: &'a ArmConfig) -> Self {
-        let error = plan.measures.iter().position(|measure| measure == "error");
+        let error = plan.error;
         Self { arm, error, snapshots: Vec::new(), whole: false }
     }
 

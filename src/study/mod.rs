@@ -11,6 +11,7 @@ mod error;
 pub mod film;
 pub mod replay;
 pub mod reproduce;
+pub mod tasks;
 mod text;
 mod worker_pool;
 

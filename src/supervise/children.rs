@@ -1,10 +1,12 @@
 //! The processes of a run: starts them, detects how each ended, and kills those that do not end by themselves.
 
-use std::io::Read;
+use std::io::{BufRead as _, BufReader, IsTerminal as _, Write as _};
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ChildStderr, Command, ExitStatus, Stdio};
+use std::sync::mpsc::RecvTimeoutError;
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use super::LaunchError;
 use crate::channel::RunServices;
@@ -18,7 +20,7 @@ use crate::wire::{ProcessState, Role, Status};
 #[derive(Debug)]
 enum ChildSlot {
     /// A child of the launcher. A thread collects its standard error.
-    Child { child: Child, process: Option<ProcessHandle>, stderr: Option<JoinHandle<String>> },
+    Child { child: Child, process: Option<ProcessHandle>, stderr: Option<JoinHandle<CollectedOutput>> },
     /// Started by the user (`--by-hand`). Its process id is known once it has written its status board.
     ByHand { process: Option<ProcessHandle> },
     /// No process: it has ended, and was not started again or not yet.
@@ -116,7 +118,8 @@ impl ChildProcesses {
         command.args(arguments).arg("--run").arg(&self.folder).process_group(0);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child = command.spawn().map_err(|cause| failed(program, &cause.to_string()))?;
-        let stderr = child.stderr.take().map(|pipe| std::thread::spawn(move || collect(pipe)));
+        let shown = role == Role::Plant;
+        let stderr = child.stderr.take().map(|pipe| std::thread::spawn(move || collect(pipe, shown)));
         let process = ProcessHandle::of(child.id());
         Ok(ChildSlot::Child { child, process, stderr })
     }
@@ -214,38 +217,84 @@ impl SpawnCommand {
     fn locate(plan: &Plan, role: Role) -> Result<Self, LaunchError> {
         let (name, arguments): (&str, &[String]) = match role {
             Role::Plant => (&plan.scenario.plant.program, &plan.scenario.plant.args),
-            Role::Controller => (programs::CONTROLLER, &[]),
+            Role::Controller => (&plan.scenario.controller.program, &plan.scenario.controller.args),
             Role::Logger => (programs::LOGGER, &[]),
         };
-        let program = find(name).ok_or_else(|| LaunchError::Start {
+        let program = programs::find(name).ok_or_else(|| LaunchError::Start {
             role: role.name(),
             program: name.to_owned(),
             cause: "no such program beside `tectum` or in PATH; build all of them with `cargo build --release`, \
-                    or name the plant's program by its path"
+                    or name your own program by its path"
                 .to_owned(),
         })?;
         Ok(Self { program, arguments: arguments.to_owned() })
     }
 }
 
-/// Reads all that a process writes to its standard error, so that it never blocks on a full pipe. Keeps the
-/// beginning.
-fn collect(mut pipe: impl Read) -> String {
-    const KEPT: u64 = 64 << 10;
-    let mut text = Vec::new();
-    let _ = pipe.by_ref().take(KEPT).read_to_end(&mut text);
-    let _ = std::io::copy(&mut pipe, &mut std::io::sink());
-    String::from_utf8_lossy(&text).into_owned()
+/// What a process has written to its standard error.
+#[derive(Debug, Default)]
+struct CollectedOutput {
+    /// The beginning of it.
+    text: String,
+    /// The last line, if it came too shortly before the end to be shown.
+    held: Option<String>,
 }
 
-/// Locates a program: given by path, beside this program, or in `PATH`.
-fn find(name: &str) -> Option<PathBuf> {
-    if name.contains('/') {
-        return Some(PathBuf::from(name)).filter(|p| p.is_file());
+/// Reads all that a process writes to its standard error, so that it never blocks on a full pipe. Keeps the
+/// beginning. If it is `shown`, its lines appear on the launcher's own standard error while the process lives. The
+/// line that is followed by the end is held back: it is the reason for the end, which the launcher states itself.
+fn collect(pipe: ChildStderr, shown: bool) -> CollectedOutput {
+    const KEPT: usize = 64 << 10;
+    const HELD_NS: u64 = 200_000_000;
+    let mut output = CollectedOutput::default();
+    let (sender, lines) = std::sync::mpsc::channel();
+    let reader = std::thread::spawn(move || {
+        for line in BufReader::new(pipe).split(b'\n').map_while(Result::ok) {
+            let _ = sender.send(String::from_utf8_lossy(&line).into_owned());
+        }
+    });
+    loop {
+        let received = match output.held {
+            Some(_) => lines.recv_timeout(Duration::from_nanos(HELD_NS)),
+            None => lines.recv().map_err(|_| RecvTimeoutError::Disconnected),
+        };
+        if received == Err(RecvTimeoutError::Disconnected) {
+            break;
+        }
+        show(output.held.take(), shown);
+        if let Ok(line) = received {
+            if output.text.len() + line.len() < KEPT {
+                output.text += &line;
+                output.text.push('\n');
+            }
+            output.held = Some(line);
+        }
     }
-    let beside = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(name)));
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    beside.into_iter().chain(std::env::split_paths(&path).map(|folder| folder.join(name))).find(|p| p.is_file())
+    let _ = reader.join();
+    output
+}
+
+/// Shows a line of a process on standard error, above a progress line that may be there.
+fn show(line: Option<String>, shown: bool) {
+    let Some(line) = line.filter(|_| shown) else { return };
+    let mut to = std::io::stderr();
+    let above = if to.is_terminal() { "\r\x1b[K" } else { "" };
+    let _ = to.write_all(format!("{above}{line}\n").as_bytes());
+}
+
+/// The last line of what a process wrote to its standard error, without the program's name, which the launcher's
+/// message states already. To an exception that Python itself printed (a module that is missing, an error of syntax),
+/// adds where it was raised.
+fn last_words(stderr: &str, role: &str) -> Option<String> {
+    let last = stderr.trim().lines().last()?;
+    let (before, rest) = last.split_once(": ").unwrap_or(("", last));
+    let raised = stderr.lines().rev().find_map(|line| line.trim_start().strip_prefix("File \""));
+    if let (true, Some(frame)) = (before.ends_with("Error") || before.ends_with("Exception"), raised) {
+        let (file, line) = frame.split_once("\", line ").unwrap_or((frame, ""));
+        let line = line.split(',').next().unwrap_or_default();
+        return Some(format!("{last}, at {file}:{line}; the traceback is in {role}.stderr in the run's folder"));
+    }
+    Some(rest.to_owned())
 }
 
 fn ended_early(role: Role, tick: u64, kind: DeathKind) -> ProcessDeath {
@@ -257,17 +306,20 @@ fn ended_early(role: Role, tick: u64, kind: DeathKind) -> ProcessDeath {
 fn death_of(
     role: Role,
     status: ExitStatus,
-    stderr: Option<JoinHandle<String>>,
+    stderr: Option<JoinHandle<CollectedOutput>>,
     tick: u64,
     finished: bool,
 ) -> Option<ProcessDeath> {
+    let output = stderr.and_then(|collector| collector.join().ok()).unwrap_or_default();
+    if status.success() || status.signal().is_some() {
+        show(output.held, role == Role::Plant);
+    }
     if status.success() {
         return (!finished).then(|| ended_early(role, tick, DeathKind::EarlyExit));
     }
-    let stderr = stderr.and_then(|collector| collector.join().ok()).unwrap_or_default();
+    let stderr = output.text;
     let name = role.name();
-    // A program's message begins with the program's name, which the launcher's message states already.
-    let last = stderr.trim().lines().last().map(|line| line.split_once(": ").map_or(line, |(_, rest)| rest));
+    let last = last_words(&stderr, name);
     let message = match (status.signal(), last) {
         (Some(signal), _) => format!("the {name} was killed by signal {signal} at tick {tick}"),
         (None, Some(line)) => format!("the {name} ended: {line}"),

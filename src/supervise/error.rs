@@ -2,7 +2,7 @@
 
 use crate::channel::ChannelError;
 use crate::checkpoint::CheckpointError;
-use crate::runtime::exit;
+use crate::runtime::{PipeError, exit};
 use crate::scenario::ScenarioError;
 
 /// Why a run could not start. It leaves nothing behind.
@@ -67,6 +67,9 @@ pub enum LaunchError {
     /// The plant is a program of its own, which cannot run inside this process.
     #[error("the plant is `{0}`, which cannot run in one process with the controller; use --mode lockstep or realtime")]
     NotSimulated(String),
+    /// The controller's program, started as a child of this process, cannot be used.
+    #[error(transparent)]
+    Pipe(#[from] PipeError),
     /// A plant with servos cannot follow virtual time.
     #[error(
         "the plant drives servos, which run in real time only, and --mode is {0}; leave --mode out, or give realtime"
@@ -89,6 +92,7 @@ impl LaunchError {
             | Self::NotSimulated(_)
             | Self::Start { .. } => exit::INPUT,
             Self::Refused { code, .. } => *code,
+            Self::Pipe(error) => error.exit_code(),
             Self::NotReady { .. } => exit::PROCESS,
             Self::Channel(_) | Self::Signals(_) => exit::ERROR,
         }

@@ -50,10 +50,13 @@ enum TestJob<'a> {
     Policy(usize, &'a PolicySnapshot),
 }
 
-/// Tests the policies of a run of `done` ticks, phase by phase. `None` where the plant is not the simulator's
-/// arm, or where the test would take too long. `snapshots` are in the order of ticks.
+/// Tests the policies of a run of `done` ticks, phase by phase. `None` where the controller is another
+/// program, where the plant is not the simulator's arm, or where the test would take too long. `snapshots` are in the
+/// order of ticks.
 pub(super) fn evaluate(plan: &Plan, done: u64, snapshots: &[PolicySnapshot]) -> Option<Vec<PhaseTests>> {
-    let arm = plan.simulated_arm().filter(|arm| !arm.open_loop)?;
+    // The test set has no delays, so that it does not test what a late plant was learned with.
+    let testable = plan.scenario.controller.is_shipped() && plan.scenario.plant.timing.is_nothing();
+    let arm = plan.simulated_arm().filter(|arm| !arm.open_loop && testable)?;
     let features = plan.encoder().len() as u64;
     let work = features.saturating_mul(TARGETS as u64).saturating_mul(arm.target_every);
     if work > MOST_WORK_A_TEST {
@@ -119,7 +122,8 @@ fn jobs<'a>(
 /// Whether the reference controllers know everything about this arm: absolute angles without stops, and the
 /// reward of error, speed and posture.
 fn known_to_reference(arm: &ArmConfig) -> bool {
-    arm.angles == Angles::Absolute && arm.limits.is_empty() && arm.reward.near.is_none() && arm.reward.collision == 0.0
+    let as_in_the_paper = arm.angles == Angles::Absolute && arm.limits.is_empty() && arm.payload.is_empty();
+    as_in_the_paper && arm.reward.near.is_none() && arm.reward.collision == 0.0
 }
 
 fn medians(scores: &[Score]) -> TestResult {

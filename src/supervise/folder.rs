@@ -85,8 +85,11 @@ impl RunFolder {
     pub fn write_manifest(&self, manifest: &RunManifest, plan: &Plan) -> Result<(), LaunchError> {
         let text = serde_json::to_string_pretty(manifest).unwrap_or_default();
         self.write_scenario(plan)?;
-        // The manifest is written last, because it marks the folder as a run.
-        self.write(&RunManifest::path(&self.path), &text)
+        // The manifest is written last, because it marks the folder as a run. It is whole or not there.
+        let path = RunManifest::path(&self.path);
+        let draft = path.with_extension("json.part");
+        self.write(&draft, &text)?;
+        fs::rename(draft, path).map_err(|e| unusable(&self.path, &e.to_string()))
     }
 
     /// Writes the scenario with every default filled in.

@@ -88,7 +88,13 @@ pub(crate) fn body_changes(arm: &ArmConfig) -> Vec<ArmEvent> {
         let (label, clause) = (format!("{axis} mirrored"), format!("{axis} was mirrored"));
         ArmEvent { tick: m.tick, label, clause, noun: "mirroring" }
     });
-    let mut events: Vec<_> = blocks.chain(lengths).chain(mirrors).collect();
+    let loads = arm.payload.iter().map(|load| ArmEvent {
+        tick: load.tick,
+        label: format!("load of {} kg", load.mass),
+        clause: format!("the load became {} kg", load.mass),
+        noun: "change of load",
+    });
+    let mut events: Vec<_> = blocks.chain(lengths).chain(mirrors).chain(loads).collect();
     events.sort_by_key(|event| event.tick);
     events
 }

@@ -1,4 +1,4 @@
-//! A run in one process, without transport and log.
+//! A run in one process, without transport and log. A controller's program of your own is a child of it.
 
 use super::folder::RunFolder;
 use super::progress::RunProgress;
@@ -6,7 +6,10 @@ use super::summary::{RunOutcome, RunSummary};
 use super::{Launch, LaunchError};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::plant::SimulatedPlant;
-use crate::runtime::{PolicySnapshot, SnapshotSchedule, in_process_with_observer};
+use crate::runtime::{
+    ControllerReport, PipedController, PlantReport, PolicySnapshot, SnapshotSchedule, in_process_over_pipe,
+    in_process_with_observer,
+};
 use crate::scenario::Plan;
 
 /// Ticks between two checks for signals and updates of the progress line.
@@ -20,11 +23,23 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let plan = &launch.plan;
     let plant = simulated_plant(plan)?;
+    // Started before the folder exists, so that a program that refuses the scenario leaves nothing behind.
+    let piped = if plan.scenario.controller.is_shipped() { None } else { Some(PipedController::start(plan)?) };
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.write_scenario(plan)?;
     folder.keep();
     let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, launch.progress);
     let began = monotonic_ns();
+    if let Some(controller) = piped {
+        let reports = in_process_over_pipe(plan, plant, controller, |tick, statistics| {
+            progress.show_study(tick, statistics.now());
+            signals.received() == 0
+        });
+        progress.clear();
+        let result = StudyResult::of_reports(reports?);
+        let seconds = (monotonic_ns() - began) as f64 / 1e9;
+        return Ok(RunSummary::of_study(launch, folder.path(), outcome(&signals), result, seconds));
+    }
     let due = SnapshotSchedule::of(plan).map_or_else(Vec::new, |schedule| schedule.due().to_vec());
     let mut snapshots: Vec<PolicySnapshot> = Vec::new();
     let result = in_process_with_observer(plan, plant, |observation, controller| {
@@ -44,11 +59,31 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     }
     let seconds = (monotonic_ns() - began) as f64 / 1e9;
     progress.clear();
-    let ended = match signals.received() {
+    let result = StudyResult { plant: result.plant, controller: result.controller, snapshots };
+    Ok(RunSummary::of_study(launch, folder.path(), outcome(&signals), result, seconds))
+}
+
+/// What a run in one process leaves.
+pub(super) struct StudyResult {
+    /// The plant's report.
+    pub plant: PlantReport,
+    /// The controller's report.
+    pub controller: ControllerReport,
+    /// The policies that were copied on the way.
+    pub snapshots: Vec<PolicySnapshot>,
+}
+
+impl StudyResult {
+    fn of_reports((plant, controller): (PlantReport, ControllerReport)) -> Self {
+        Self { plant, controller, snapshots: Vec::new() }
+    }
+}
+
+fn outcome(signals: &TerminationSignals) -> RunOutcome {
+    match signals.received() {
         0 => RunOutcome::Complete,
         number => RunOutcome::Signal(number),
-    };
-    Ok(RunSummary::of_study(launch, folder.path(), ended, (result, snapshots), seconds))
+    }
 }
 
 /// The simulated plant of a scenario.

@@ -35,7 +35,7 @@ pub use summary::{ProcessRealtime, RunOutcome, RunSummary, WindowSummary};
 
 use std::path::{Path, PathBuf};
 
-use children::ChildProcesses;
+use children::{ChildProcesses, ProcessFailure};
 use supervisor::Supervisor;
 
 use crate::channel::{DomainName, RunServices, remove_stale_domains};
@@ -97,7 +97,12 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let children = ChildProcesses::start(plan, folder.path(), &launch.by_hand)?;
     let progress = RunProgress::new(launch, &folder);
     let mut supervisor = Supervisor::new(launch, services, children, signals, progress, domain);
-    supervisor.set_up(launch)?;
+    if let Err(error) = supervisor.set_up(launch) {
+        // A traceback is more than the sentence that the error repeats.
+        let long = |death: &&ProcessFailure| death.stderr.trim().lines().count() > 1;
+        supervisor.deaths().iter().filter(long).for_each(|death| folder.write_stderr(death));
+        return Err(error);
+    }
     folder.keep();
     if let Some(resumed) = &launch.resumed {
         // The policies of the part before. Best effort: without them the summary knows less.
@@ -126,6 +131,7 @@ fn manifest(launch: &Launch, run_id: u64, domain: &DomainName) -> RunManifest {
         run: format!("{run_id:016x}"),
         wire: Some(WireManifest::of(&launch.plan, domain)),
         mode: launch.mode,
+        source: launch.plan.scenario.source.name().to_owned(),
         domain: domain.clone(),
         launcher: std::process::id(),
         checkpoint_every: launch.checkpoint_every,

@@ -34,7 +34,7 @@ impl RunProgress {
         for role in &launch.by_hand {
             let program = match role {
                 Role::Plant => launch.plan.scenario.plant.program.as_str(),
-                Role::Controller => programs::CONTROLLER,
+                Role::Controller => launch.plan.scenario.controller.program.as_str(),
                 Role::Logger => programs::LOGGER,
             };
             print_error_line(&format!("waiting for the {}: {program} --run {}", role.name(), folder.path().display()));

@@ -1,5 +1,6 @@
 //! The summary of a run: one object for programs, a table and a figure for people.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -8,6 +9,7 @@ use super::Launch;
 use super::children::ProcessFailure;
 use super::evaluation::evaluate;
 use super::history::{ends, history};
+use super::in_process::StudyResult;
 use super::learning_progress::{reached, rows};
 use super::restarts::RestartIncident;
 use super::supervisor::RunEnd;
@@ -15,8 +17,8 @@ use crate::clock::RealtimeReport;
 use crate::log;
 use crate::report::{self, ProgressRow, Reached, RunHistory};
 use crate::runtime::{
-    ControllerReport, InProcess, LoggerReport, Mode, PlantReport, PolicySnapshot, TickBudget, exit, read_realtime,
-    read_report, read_snapshots, remove_unwritten_reports,
+    ControllerReport, LoggerReport, Mode, PlantReport, PolicySnapshot, RunWarning, TickBudget, exit, judge,
+    read_realtime, read_report, read_snapshots, remove_unwritten_reports,
 };
 use crate::stats::{Percentiles, Window};
 use crate::text::thousands;
@@ -103,6 +105,8 @@ pub struct RunSummary {
     pub unheard: u64,
     /// Observations that a fault of the channel let come to it after their tick.
     pub stale: u64,
+    /// A plant on hardware: ticks without torque, by the reason. Empty where there were none.
+    pub without_torque: BTreeMap<String, u64>,
     /// Samples that did not reach the log, all channels together.
     pub lost: u64,
     /// The same by channel: observation, command, learning.
@@ -157,8 +161,8 @@ pub struct RunSummary {
     pub figure: Option<PathBuf>,
     /// What was made to go wrong, on purpose: `[faults]` of the scenario in words. Empty for a clean run.
     pub faults: Vec<String>,
-    /// What the scenario's settings make likely to go wrong, one sentence each.
-    pub warnings: Vec<String>,
+    /// What did not go well, or may be a mistake; of the scenario's settings first.
+    pub warnings: Vec<RunWarning>,
     /// What went wrong, one sentence; null where nothing did.
     pub failure: Option<String>,
     #[serde(skip)]
@@ -206,6 +210,8 @@ impl RunSummary {
         remove_unwritten_reports(folder);
         let mut summary = Self::new(launch, folder, ended, seconds);
         summary.add_plant(&plant);
+        summary.warnings.extend(judge(&launch.plan, &plant, controller.as_ref()));
+        summary.add_bridge(folder);
         summary.add_controller(launch, controller, &read_snapshots(folder, &launch.plan));
         summary.restarts = incidents;
         let report = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
@@ -226,17 +232,18 @@ impl RunSummary {
         summary
     }
 
-    /// The summary of a run in one process, with the policies that were copied on the way.
+    /// The summary of a run in one process.
     pub(super) fn of_study(
         launch: &Launch,
         folder: &Path,
         ended: RunOutcome,
-        (result, snapshots): (InProcess, Vec<PolicySnapshot>),
+        result: StudyResult,
         seconds: f64,
     ) -> Self {
         let mut summary = Self::new(launch, folder, ended, seconds);
         summary.add_plant(&result.plant);
-        summary.add_controller(launch, Some(result.controller), &snapshots);
+        summary.warnings.extend(judge(&launch.plan, &result.plant, Some(&result.controller)));
+        summary.add_controller(launch, Some(result.controller), &result.snapshots);
         summary.conclude();
         summary
     }
@@ -255,7 +262,7 @@ impl RunSummary {
             folder: folder.to_owned(),
             log_every: scenario.log.every,
             faults: scenario.faults.in_words(),
-            warnings: launch.plan.warnings.clone(),
+            warnings: launch.plan.warnings.iter().map(|text| RunWarning::of_settings(text)).collect(),
             code: match ended {
                 RunOutcome::Complete => exit::OK,
                 RunOutcome::Signal(number) => exit::by_signal(number),
@@ -279,6 +286,18 @@ impl RunSummary {
         self.observation_to_command_us = plant.observation_to_command;
         self.plant_work_us = plant.work;
         self.checkpoint_failure = plant.checkpoint_failure.clone();
+    }
+
+    /// What the bridge on servos reported, if the plant was one.
+    fn add_bridge(&mut self, folder: &Path) {
+        #[derive(serde::Deserialize)]
+        struct TorqueReport {
+            without_torque: BTreeMap<String, u64>,
+        }
+        let text = std::fs::read_to_string(folder.join("bridge.json")).unwrap_or_default();
+        if let Ok(report) = serde_json::from_str::<TorqueReport>(&text) {
+            self.without_torque = report.without_torque;
+        }
     }
 
     /// What the controller reported, if it did, and the tests of its policies. After the plant's report:
@@ -333,14 +352,10 @@ impl RunSummary {
     /// Adds what is wrong with a run that came to its end, draws the figure and leaves the summary in the
     /// run's folder.
     fn conclude(&mut self) {
-        if let Some(tick) = self.diverged_at {
-            self.complain(
-                exit::ERROR,
-                format!(
-                    "the learner diverged at tick {} and has learned nothing since; try smaller steps under [learner]",
-                    thousands(tick)
-                ),
-            );
+        let failures: Vec<String> =
+            self.warnings.iter().filter(|warning| warning.failure).map(|warning| warning.text.clone()).collect();
+        for text in failures {
+            self.complain(if self.diverged_at.is_some() { exit::ERROR } else { exit::PROCESS }, text);
         }
         if let Some(cause) = self.checkpoint_failure.take() {
             self.complain(exit::INPUT, format!("not all checkpoints were written: {cause}"));

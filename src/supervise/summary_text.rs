@@ -16,6 +16,7 @@ impl RunSummary {
             let _ = write!(text, "\n{learning}\n");
         }
         self.write_counts(&mut text);
+        self.write_warnings(&mut text);
         self.write_restarts(&mut text);
         self.write_timing(&mut text);
         self.write_files(&mut text);
@@ -77,8 +78,17 @@ impl RunSummary {
             ],
         );
         row("heard", &[("nothing", self.unheard), ("too late", self.stale)]);
+        let reasons: Vec<_> = self.without_torque.iter().map(|(why, &n)| (why.as_str(), n)).collect();
+        row("ticks without torque", &reasons);
         for fault in &self.faults {
             let _ = writeln!(text, "{:<23} {fault}", "fault, on purpose");
+        }
+    }
+
+    /// What did not go well during the run. The scenario's warnings were printed when it began.
+    fn write_warnings(&self, text: &mut String) {
+        for warning in self.warnings.iter().filter(|warning| warning.count.is_some()) {
+            let _ = writeln!(text, "{:<23} {}: {}", "warning", warning.name, warning.text);
         }
     }
 

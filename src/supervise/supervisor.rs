@@ -251,6 +251,11 @@ impl Supervisor {
         }
     }
 
+    /// The failures of all processes that died so far.
+    pub fn deaths(&self) -> &[ProcessFailure] {
+        &self.deaths
+    }
+
     /// Dissolves the run, which removes its domain.
     pub fn into_end(self) -> RunEnd {
         RunEnd {

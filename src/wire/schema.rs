@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn definitions_list_every_field_and_nest_the_header() {
         let text = Observation::ros2msg();
-        assert!(text.starts_with("tectum/Header header\nfloat32[16] inputs\n"), "{text}");
+        assert!(text.starts_with("tectum/Header header\nfloat32[32] inputs\n"), "{text}");
         assert!(text.contains("MSG: tectum/Header\nuint64 run\n"), "{text}");
         assert!(!Header::ros2msg().contains("MSG:"));
     }
@@ -180,7 +180,7 @@ mod tests {
     #[test]
     fn the_layout_is_stable() {
         let sizes = [size_of::<Header>(), size_of::<Observation>(), size_of::<Command>(), size_of::<Learning>()];
-        assert_eq!(sizes, [56, 184, 120, 112]);
+        assert_eq!(sizes, [56, 280, 184, 176]);
         assert_eq!(size_of::<Vision>(), 72);
     }
 }

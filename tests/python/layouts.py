@@ -1,24 +1,10 @@
-"""Prints size and fields (name, offset, bytes) of the samples in `tectum.py`, which is in the given folder."""
+"""Prints the schema hash and the size and fields (name, offset, bytes) of the samples in the package `tectum`."""
 
-import ctypes
 import json
-import sys
 
-sys.path.insert(0, sys.argv[1])
-import tectum  # noqa: E402
+from tectum import layouts
 
-SAMPLES = (
-    tectum.Header,
-    tectum.Observation,
-    tectum.Command,
-    tectum.Learning,
-    tectum.Vision,
-    tectum.Control,
-    tectum.Status,
-)
-
-layouts = {}
-for kind in SAMPLES:
-    fields = [[name, getattr(kind, name).offset, getattr(kind, name).size] for name, _ in kind._fields_]
-    layouts[kind.type_name()] = [ctypes.sizeof(kind), fields]
-print(json.dumps(layouts))
+samples = {kind.type_name(): layouts.layout(kind) for kind in layouts.SAMPLES}
+flags = {flag.name: flag.value.bit_length() - 1 for flag in layouts.Flag}
+numbers = [layouts.MAX_INPUTS, layouts.MAX_OUTPUTS, layouts.MAX_MEASURES, layouts.LOG_BUFFER]
+print(json.dumps({"samples": samples, "flags": flags, "numbers": numbers, "schema": layouts.SCHEMA}))

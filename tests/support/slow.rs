@@ -20,7 +20,7 @@ pub fn run_with_a_stopped_logger(test_folder: &TestFolder, ticks: u64) -> Value 
     run.wait_until("the plant's ticks", || voluntary_switches(plant) >= switches + ticks);
     assert_eq!(log_size(), size, "a stopped logger writes nothing");
     signal_process(logger, "CONT");
-    run.wait_until("a log that grows again", || log_size() > size + 1024 * 521);
+    run.wait_until("a log that grows again", || log_size() > size + 1024 * 745);
     run.signal("INT");
     run.wait().expect(130).json()
 }

@@ -8,6 +8,8 @@
 //! |---|---|
 //! | [`policy`] | the linear-Gaussian policy over encoded features, and exploration noise |
 //! | [`learner`] | the learning rules, behind the trait [`learner::LearningRule`] |
+//! | [`agent`] | the trait [`agent::Agent`]: what decides on commands and learns; the learning rules as an agent |
+//! | [`flag`] | the flags of a tick |
 //! | [`plant`] | the trait [`plant::Plant`], and the simulated arm and eye |
 //! | [`seed`] | random streams from (seed, name) |
 //! | [`state`] | saving and restoring the state of a component |
@@ -45,6 +47,7 @@
 //!         reward,
 //!         next_features: next.as_slice(),
 //!         next_inputs: &[0.2],
+//!         new_target: false,
 //!     },
 //! );
 //! assert!(policy.norm() > 0.0);
@@ -52,7 +55,9 @@
 
 #![warn(missing_docs)]
 
+pub mod agent;
 pub mod angle;
+pub mod flag;
 pub mod learner;
 pub mod plant;
 pub mod policy;
@@ -64,9 +69,9 @@ pub mod state;
 
 pub use signal::SignalConfig;
 
-/// Maximum number of inputs of a learner, and of an observation.
+/// Most inputs of a learning rule of this crate. An observation has room for more, for other agents.
 pub const MAX_INPUTS: usize = 16;
-/// Maximum number of outputs of a policy, and of a command.
+/// Most outputs of a linear policy. A command has room for more, for other agents.
 pub const MAX_OUTPUTS: usize = 8;
 /// Maximum number of measures that a plant reports besides its inputs.
 pub const MAX_MEASURES: usize = 6;

@@ -20,6 +20,7 @@
 //! ```
 
 use bytemuck::Pod;
+use xxhash_rust::xxh3::Xxh3;
 
 /// The type of a row's numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -196,6 +197,26 @@ pub fn save(component: &mut dyn Persist, to: &mut [u8]) -> Option<usize> {
     let mut writer = StateWriter { to, at: 0 };
     component.visit_state(&mut writer);
     (writer.at <= writer.to.len()).then_some(writer.at)
+}
+
+/// Feeds the state of a component into a hash, one row after the other.
+struct StateHasher(Xxh3);
+
+impl StateVisitor for StateHasher {
+    fn row(&mut self, _name: &'static str, _kind: NumberKind, bytes: &mut [u8]) {
+        self.0.update(bytes);
+    }
+
+    fn count(&mut self, _name: &'static str, count: &mut u64) {
+        self.0.update(&count.to_ne_bytes());
+    }
+}
+
+/// XXH3-64 of the state of `component`. Does not allocate.
+pub fn hash(component: &mut dyn Persist) -> u64 {
+    let mut hasher = StateHasher(Xxh3::new());
+    component.visit_state(&mut hasher);
+    hasher.0.digest()
 }
 
 /// Restores into `component`, built from the same scenario, the state that was saved in `from`. Returns false

@@ -20,6 +20,9 @@ use serialport::SerialPort;
 
 use super::model::{Protocol, Register, RegisterBlock, ServoModel, ServoSeries, model};
 
+/// Opens the port again after it was gone.
+pub type PortOpener = Box<dyn FnMut() -> Result<Box<dyn SerialPort>, BusError> + Send>;
+
 /// The clock of a bus, ns.
 pub type BusClock = Box<dyn Fn() -> u64 + Send>;
 
@@ -57,6 +60,28 @@ pub enum BusError {
     /// An instruction without a valid answer.
     #[error("{0}")]
     NoAnswer(String),
+    /// A servo does not take a value.
+    #[error("{0}")]
+    Refused(String),
+    /// A goal that is outside the limits. It was not sent.
+    #[error("servo {id} would be sent to {goal}, outside its limits of {low} to {high} steps; it was not sent")]
+    Goal {
+        /// The id.
+        id: u8,
+        /// The goal, steps.
+        goal: i32,
+        /// The lowest allowed goal.
+        low: i32,
+        /// The highest allowed goal.
+        high: i32,
+    },
+}
+
+impl BusError {
+    /// Whether the cause is what the user has set up, rather than a cable, a servo or another program.
+    pub fn is_configuration(&self) -> bool {
+        matches!(self, Self::Denied(_))
+    }
 }
 
 /// A bus of servos.
@@ -65,6 +90,9 @@ pub struct Bus {
     handler: DynamixelProtocolHandler,
     series: &'static ServoSeries,
     budget: BusBudget,
+    opener: Option<PortOpener>,
+    /// Limits of goal positions by id, steps.
+    goal_limits: Vec<(u8, [i32; 2])>,
 }
 
 /// A servo's answer in a synchronous read.
@@ -88,16 +116,11 @@ impl Bus {
         budget: BusBudget,
         clock: BusClock,
     ) -> Result<Self, BusError> {
-        probe(path)?;
-        let opened = serialport::new(path, baud).timeout(Duration::from_nanos(budget.read_ns)).open();
-        // serialport locks the port itself (flock and TIOCEXCL), and releases it with the descriptor.
-        let port = opened.map_err(|error| match error.kind() {
-            serialport::ErrorKind::NoDevice if error.description.contains("lock") => BusError::Busy(path.to_owned()),
-            serialport::ErrorKind::NoDevice if error.description.contains("busy") => BusError::Busy(path.to_owned()),
-            serialport::ErrorKind::Io(ErrorKind::ResourceBusy) => BusError::Busy(path.to_owned()),
-            _ => BusError::Port(path.to_owned(), error.to_string()),
-        })?;
-        Ok(Self::over(port, protocol, budget, clock))
+        let name = stable_name(path);
+        let timeout = Duration::from_nanos(budget.read_ns);
+        let mut bus = Self::over(open_port(path, baud, timeout)?, protocol, budget, clock);
+        bus.set_opener(Box::new(move || open_port(&name, baud, timeout)));
+        Ok(bus)
     }
 
     /// A bus over an open port.
@@ -106,8 +129,49 @@ impl Bus {
             Protocol::Dynamixel => DynamixelProtocolHandler::v2(),
             Protocol::Feetech => DynamixelProtocolHandler::v1(),
         };
-        let port = DeadlinePort { port, clock, deadline: u64::MAX };
-        Self { port, handler, series: protocol.series(), budget }
+        let port = DeadlinePort { port: Some(port), clock, deadline: u64::MAX };
+        Self { port, handler, series: protocol.series(), budget, opener: None, goal_limits: Vec::new() }
+    }
+
+    /// Sets how the port is opened again after it was gone.
+    pub fn set_opener(&mut self, opener: PortOpener) {
+        self.opener = Some(opener);
+    }
+
+    /// Whether the port is gone: the operating system has reported an error, as after a cable was pulled out.
+    /// Every instruction fails until [`Bus::reopen`] succeeds.
+    pub fn is_gone(&self) -> bool {
+        self.port.port.is_none()
+    }
+
+    /// Opens the port again, by its stable name. Changes nothing if it is open.
+    ///
+    /// # Errors
+    /// As for [`Bus::open`].
+    pub fn reopen(&mut self) -> Result<(), BusError> {
+        if self.is_gone() {
+            let Some(opener) = &mut self.opener else {
+                return Err(BusError::NoAnswer("the port is gone".to_owned()));
+            };
+            self.port.port = Some(opener()?);
+        }
+        Ok(())
+    }
+
+    /// Sets the limits of goal positions, steps, by id. From now on a goal position outside them is refused
+    /// where its packet is made, whatever asked for it. Servos that are not named have no limits.
+    pub fn limit_goals(&mut self, limits: Vec<(u8, [i32; 2])>) {
+        self.goal_limits = limits;
+    }
+
+    /// Checks the goal position in `data`, which is written to servo `id` from `address` on, if there is one.
+    fn check_goal(&self, id: u8, address: u8, data: &[u8]) -> Result<(), BusError> {
+        let Some(&(_, [low, high])) = self.goal_limits.iter().find(|(of, _)| *of == id) else { return Ok(()) };
+        let block = RegisterBlock { address, length: data.len() as u8 };
+        match block.decode(self.series.goal_position, data) {
+            Some(goal) if !(low..=high).contains(&goal) => Err(BusError::Goal { id, goal, low, high }),
+            _ => Ok(()),
+        }
     }
 
     /// The series of the servos on the bus.
@@ -184,6 +248,20 @@ impl Bus {
         })
     }
 
+    /// Reads `length` bytes of one servo from `block`'s address on.
+    ///
+    /// # Errors
+    /// As for [`Bus::read`].
+    pub fn read_block(&mut self, id: u8, block: RegisterBlock) -> Result<Vec<u8>, BusError> {
+        self.request(id, |handler, port| {
+            let bytes = handler.read(port, id, block.address, block.length)?;
+            if bytes.len() != usize::from(block.length) {
+                return Err("the answer has the wrong length".into());
+            }
+            Ok(bytes)
+        })
+    }
+
     /// The model number of one servo, and the model if it is known.
     ///
     /// # Errors
@@ -200,12 +278,13 @@ impl Bus {
     /// As for [`Bus::read`], and when the servo refuses the value.
     pub fn write(&mut self, id: u8, register: Register, value: i32) -> Result<(), BusError> {
         let data = &register.encode(value)[..usize::from(register.width)];
+        self.check_goal(id, register.address, data)?;
         let status = self.request(id, |handler, port| handler.write_with_error(port, id, register.address, data))?;
         // In protocol 1.0 the error byte has flags; in protocol 2.0 it has the reason of a refusal.
         match status.v2_instruction_error() {
             number if self.series.protocol == Protocol::Dynamixel && number != 0 => {
                 let text = format!("servo {id} refuses {value} at address {} (error {number})", register.address);
-                Err(BusError::NoAnswer(text))
+                Err(BusError::Refused(text))
             }
             _ => Ok(()),
         }
@@ -238,8 +317,11 @@ impl Bus {
     /// A synchronous write, which servos do not answer. Returns the duration, ns.
     ///
     /// # Errors
-    /// When writing to the port fails.
+    /// When writing to the port fails, or a goal position is outside the limits; nothing is sent then.
     pub fn sync_write(&mut self, ids: &[u8], address: u8, data: &[Vec<u8>]) -> (Result<(), BusError>, u64) {
+        if let Some(error) = ids.iter().zip(data).find_map(|(&id, data)| self.check_goal(id, address, data).err()) {
+            return (Err(error), 0);
+        }
         self.within(self.budget.write_ns, |h, port| h.sync_write(port, ids, address, data))
     }
 
@@ -262,6 +344,31 @@ impl Bus {
     }
 }
 
+/// Opens the port at `path` for exclusive use.
+fn open_port(path: &str, baud: u32, timeout: Duration) -> Result<Box<dyn SerialPort>, BusError> {
+    probe(path)?;
+    // serialport locks the port itself (flock and TIOCEXCL), and releases it with the descriptor.
+    serialport::new(path, baud).timeout(timeout).open().map_err(|error| match error.kind() {
+        serialport::ErrorKind::NoDevice if error.description.contains("lock") => BusError::Busy(path.to_owned()),
+        serialport::ErrorKind::NoDevice if error.description.contains("busy") => BusError::Busy(path.to_owned()),
+        serialport::ErrorKind::Io(ErrorKind::ResourceBusy) => BusError::Busy(path.to_owned()),
+        _ => BusError::Port(path.to_owned(), error.to_string()),
+    })
+}
+
+/// The name under which the port at `path` comes back after its cable was out: `path` itself if it is a link,
+/// which udev or the user keeps up to date, otherwise its link under `/dev/serial/by-id`, if it has one. The
+/// system numbers `/dev/ttyUSB0` anew.
+pub fn stable_name(path: &str) -> String {
+    if std::fs::symlink_metadata(path).is_ok_and(|file| file.is_symlink()) {
+        return path.to_owned();
+    }
+    let real = std::fs::canonicalize(path).ok();
+    let links = std::fs::read_dir("/dev/serial/by-id").into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut same = links.filter(|link| real.is_some() && std::fs::canonicalize(link).ok() == real);
+    same.next().map_or_else(|| path.to_owned(), |link| link.display().to_string())
+}
+
 /// Checks that the port exists, may be opened, and is not locked: serialport does not distinguish these errors.
 /// The lock is released at once, because serialport takes its own.
 fn probe(path: &str) -> Result<(), BusError> {
@@ -282,66 +389,93 @@ const QUIET_NS: u64 = 1_000_000;
 /// Longest time for draining, ns.
 const DRAIN_NS: u64 = 3_000_000;
 
-/// A port whose reads and writes end by a deadline.
+/// A port whose reads and writes end by a deadline. A port that the operating system has given up is closed, so
+/// that its name is free when the cable comes back.
 struct DeadlinePort {
-    port: Box<dyn SerialPort>,
+    /// The port; `None` when it is gone.
+    port: Option<Box<dyn SerialPort>>,
     clock: BusClock,
     /// Deadline of the current instruction, ns.
     deadline: u64,
 }
 
+/// The error of a port that is gone.
+fn gone() -> io::Error {
+    io::Error::new(ErrorKind::BrokenPipe, "the port is gone")
+}
+
 impl DeadlinePort {
-    /// Sets the time-out of the port to the time until the deadline.
-    fn limit_time(&mut self) -> io::Result<()> {
+    /// Does `work` with the port within the time until the deadline. Closes the port when it has failed.
+    fn limited<T>(&mut self, work: impl FnOnce(&mut dyn SerialPort) -> io::Result<T>) -> io::Result<T> {
         let left = self.deadline.saturating_sub((self.clock)());
+        let port = self.port.as_mut().ok_or_else(gone)?;
         if left == 0 {
             return Err(ErrorKind::TimedOut.into());
         }
         // Ports round down to milliseconds, and 0 would mean no time-out.
         let left = left.clamp(1_000_000, 1_000_000_000);
-        self.port.set_timeout(Duration::from_nanos(left)).map_err(io::Error::from)
+        let result =
+            port.set_timeout(Duration::from_nanos(left)).map_err(io::Error::from).and_then(|()| work(port.as_mut()));
+        let passes = |error: &io::Error| {
+            matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock)
+        };
+        if result.as_ref().is_err_and(|error| !passes(error)) {
+            self.port = None;
+        }
+        result
     }
 }
 
 impl Read for DeadlinePort {
     fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
-        self.limit_time()?;
-        self.port.read(to)
+        let wanted = !to.is_empty();
+        self.limited(|port| match port.read(to)? {
+            // The end of a serial line that cannot end: the device is no longer there.
+            0 if wanted => Err(gone()),
+            n => Ok(n),
+        })
     }
 }
 
 impl Write for DeadlinePort {
     fn write(&mut self, from: &[u8]) -> io::Result<usize> {
-        self.limit_time()?;
-        self.port.write(from)
+        self.limited(|port| port.write(from))
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.port.flush()
+        self.port.as_mut().ok_or_else(gone)?.flush()
     }
 }
 
 /// Delegates methods to the inner port.
 macro_rules! delegate {
     ($($name:ident(&self) -> $to:ty;)* @ $($change:ident(&mut self $(, $arg:ident: $kind:ty)?) -> $result:ty;)*) => {
-        $(fn $name(&self) -> $to { self.port.$name() })*
-        $(fn $change(&mut self $(, $arg: $kind)?) -> $result { self.port.$change($($arg)?) })*
+        $(fn $name(&self) -> $to { self.port.as_ref().ok_or_else(gone)?.$name() })*
+        $(fn $change(&mut self $(, $arg: $kind)?) -> $result {
+            self.port.as_mut().ok_or_else(gone)?.$change($($arg)?)
+        })*
     };
 }
 
 impl SerialPort for DeadlinePort {
+    fn name(&self) -> Option<String> {
+        self.port.as_ref()?.name()
+    }
+
+    fn timeout(&self) -> Duration {
+        self.port.as_ref().map_or(Duration::ZERO, |port| port.timeout())
+    }
+
     fn clear(&self, buffer: serialport::ClearBuffer) -> serialport::Result<()> {
-        self.port.clear(buffer)
+        self.port.as_ref().ok_or_else(gone)?.clear(buffer)
     }
 
     delegate! {
-        name(&self) -> Option<String>;
         baud_rate(&self) -> serialport::Result<u32>;
         data_bits(&self) -> serialport::Result<serialport::DataBits>;
         flow_control(&self) -> serialport::Result<serialport::FlowControl>;
         parity(&self) -> serialport::Result<serialport::Parity>;
         stop_bits(&self) -> serialport::Result<serialport::StopBits>;
-        timeout(&self) -> Duration;
         bytes_to_read(&self) -> serialport::Result<u32>;
         bytes_to_write(&self) -> serialport::Result<u32>;
         try_clone(&self) -> serialport::Result<Box<dyn SerialPort>>;

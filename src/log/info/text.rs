@@ -15,6 +15,12 @@ impl LogInfo {
             let flags: Vec<_> = self.flags.iter().map(|(name, n)| format!("{name} {n}")).collect();
             let _ = writeln!(text, "\nflags    {}", flags.join("  "));
         }
+        if !self.warnings.is_empty() {
+            text.push('\n');
+        }
+        for (name, warning) in &self.warnings {
+            let _ = writeln!(text, "warning  {name}: {warning}");
+        }
         if self.segments.len() > 1 {
             self.list_segments(&mut text);
         }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::log::header::tests::sample_header;
 use crate::log::{LogClock, LogHeader, LogSummary, LogWriter};
-use crate::wire::Header;
+use crate::wire::{Header, MAX_INPUTS, MAX_OUTPUTS};
 use proptest::prelude::*;
 use std::sync::LazyLock;
 
@@ -17,9 +17,19 @@ fn messages() -> Vec<LogRecord> {
     for tick in 0..9 {
         let header = header_of(tick);
         let x = tick as f32;
-        all.push(LogRecord::Observation(Observation { header, inputs: [x; 16], reward: -x, ..Observation::default() }));
-        all.push(LogRecord::Command(Command { header, mean: [x; 8], drawn: [-x; 8] }));
-        all.push(LogRecord::Learning(Learning { header, noise: [0.5; 8], weights_hash: tick, ..Learning::default() }));
+        all.push(LogRecord::Observation(Observation {
+            header,
+            inputs: [x; MAX_INPUTS],
+            reward: -x,
+            ..Observation::default()
+        }));
+        all.push(LogRecord::Command(Command { header, mean: [x; MAX_OUTPUTS], drawn: [-x; MAX_OUTPUTS] }));
+        all.push(LogRecord::Learning(Learning {
+            header,
+            noise: [0.5; MAX_OUTPUTS],
+            weights_hash: tick,
+            ..Learning::default()
+        }));
         if tick == 5 {
             all.push(LogRecord::Gap(Gap { channel: 2, first: 6, count: 1, total: 1 }));
         }
@@ -153,7 +163,7 @@ fn another_layout_is_refused_by_name() {
     let error = open(&bytes).err().unwrap();
     assert!(matches!(error, LogError::Version { .. }));
     let text = error.to_string();
-    for part in ["log.mcap", "tectum.Observation.v9 on /observation", "reads tectum.Observation.v1", "(test)"] {
+    for part in ["log.mcap", "tectum.Observation.v9 on /observation", "reads tectum.Observation.v2", "(test)"] {
         assert!(text.contains(part), "{part} in {text}");
     }
     // A definition that was changed without a new version.
@@ -161,7 +171,7 @@ fn another_layout_is_refused_by_name() {
     let at = bytes.windows(13).position(|w| w == b"weights_norm\n").unwrap();
     bytes[at..at + 7].copy_from_slice(b"heights");
     let text = open(&bytes).err().unwrap().to_string();
-    assert!(text.contains("another definition of tectum.Learning.v1 on /learning"), "{text}");
+    assert!(text.contains("another definition of tectum.Learning.v2 on /learning"), "{text}");
 }
 
 #[test]

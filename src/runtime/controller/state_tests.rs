@@ -56,6 +56,9 @@ fn what_is_restored_goes_on_as_if_it_had_never_stopped() {
         ("laplace", "paper"),
         ("office", "paper"),
         ("office", "learned-reward"),
+        ("pendulum", "paper"),
+        ("cart-pole", "actor-critic"),
+        ("so101", "learned-reward"),
     ] {
         let mut plan = Scenario::find(scenario).unwrap();
         plan.learner = toml::from_str(&format!("rule = \"{rule}\"")).unwrap();

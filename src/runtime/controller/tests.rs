@@ -38,12 +38,12 @@ fn only_rewards_of_the_policys_commands_are_learned_from() {
         let mut controller = controller();
         assert_eq!(answer(&mut controller, &observation(0, flag::FIRST)).1, 0);
         assert_eq!(answer(&mut controller, &observation(1, 0)).1, flag::LEARNED);
-        let before = controller.policy.hash();
+        let before = controller.policy().hash();
         assert_eq!(answer(&mut controller, &observation(2 + skip, flags)).1, expected, "flags {flags:x}");
-        let learned = controller.policy.hash() != before;
+        let learned = controller.policy().hash() != before;
         assert_eq!(learned, expected == flag::LEARNED, "flags {flags:x}");
         if expected == flag::TRACE_CUT {
-            assert_eq!(controller.rule.trace_norm(), 0.0);
+            assert_eq!(controller.agent().trace_norm(), 0.0);
         }
     }
 }
@@ -51,19 +51,21 @@ fn only_rewards_of_the_policys_commands_are_learned_from() {
 #[test]
 fn credit_goes_to_the_applied_command() {
     let mut limited = controller();
-    let mut explicit = controller();
     let (command, _) = answer(&mut limited, &observation(0, flag::FIRST));
-    answer(&mut explicit, &observation(0, flag::FIRST));
     let mut applied = observation(1, flag::CLAMPED);
     applied.applied = command.drawn;
     applied.applied[0] *= 0.5;
-    for i in 0..4 {
-        explicit.noise[i] = applied.applied[i] - command.mean[i];
-    }
     let mut corrupted = limited.clone();
+    let mut unlimited = limited.clone();
     assert_eq!(answer(&mut limited, &applied).1, flag::LEARNED);
-    answer(&mut explicit, &observation(1, 0));
-    assert_eq!(limited.policy.hash(), explicit.policy.hash());
+    answer(&mut unlimited, &observation(1, 0));
+    // The step of the paper's rule is proportional to the applied command less the mean, which is 0 at first.
+    for feature in 0..limited.policy().features() {
+        let weight = |controller: &Controller, output| controller.policy().weight(output, feature);
+        let (half, whole) = (weight(&limited, 0), weight(&unlimited, 0));
+        assert!((half - 0.5 * whole).abs() <= 1e-6 * whole.abs(), "{half} {whole}");
+        assert_eq!(weight(&limited, 1), weight(&unlimited, 1));
+    }
 
     // No gate could have made this from the policy's command, so the command was corrupted on its way.
     applied.applied[0] *= 3.0;
@@ -90,7 +92,7 @@ fn weights_stay_finite_for_any_step() {
             controller.after_command(&observation);
             assert!(command.drawn.iter().all(|u| u.is_finite()), "{command:?}");
         }
-        assert!(controller.halted() && controller.policy.norm().is_finite(), "{reward}");
+        assert!(controller.halted() && controller.policy().norm().is_finite(), "{reward}");
         assert!(controller.report.diverged_at.is_some());
     }
 }
@@ -102,18 +104,18 @@ fn invalid_values_are_answered_with_zero_and_not_learned_from() {
     let mut invalid = observation(1, 0);
     invalid.inputs[3] = f32::NAN;
     let (command, flags) = answer(&mut controller, &invalid);
-    assert_eq!((command.drawn, command.header.flags, flags), ([0.0; 8], flag::INVALID, flag::TRACE_CUT));
+    assert_eq!((command.drawn, command.header.flags, flags), ([0.0; MAX_OUTPUTS], flag::INVALID, flag::TRACE_CUT));
     assert_eq!(answer(&mut controller, &observation(2, 0)).1, 0, "nothing to credit after an invalid observation");
     let mut infinite_reward = observation(3, 0);
     infinite_reward.reward = f32::INFINITY;
     assert_eq!(answer(&mut controller, &infinite_reward).1, flag::TRACE_CUT);
-    assert_eq!(controller.policy.norm(), 0.0);
+    assert_eq!(controller.policy().norm(), 0.0);
     assert_eq!(answer(&mut controller, &observation(4, 0)).1, flag::LEARNED);
     // The same holds for a finite value that is out of every range.
     let mut out_of_range = observation(5, 0);
     out_of_range.inputs[0] = 1e30;
     let (command, flags) = answer(&mut controller, &out_of_range);
-    assert_eq!((command.drawn, command.header.flags, flags), ([0.0; 8], flag::INVALID, flag::TRACE_CUT));
+    assert_eq!((command.drawn, command.header.flags, flags), ([0.0; MAX_OUTPUTS], flag::INVALID, flag::TRACE_CUT));
 }
 
 /// A withheld observation is answered as unheard, a late one is ignored, and no credit is taken across the gap.
@@ -131,15 +133,19 @@ fn a_withheld_observation_is_neither_answered_nor_learned_from() {
     }
     let (command, flags) = answer(&mut controller, &observation(2, 0));
     assert_eq!((command.header.tick, command.header.flags, flags), (2, flag::UNHEARD, 0));
-    assert_eq!((command.mean, command.drawn), ([0.0; 8], [0.0; 8]));
+    assert_eq!((command.mean, command.drawn), ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]));
     let mut learning = Learning::default();
     controller.record(&observation(2, 0), &mut learning);
-    assert_eq!((learning.header.tick, learning.noise, learning.reward), (2, [0.0; 8], 0.0));
+    assert_eq!((learning.header.tick, learning.noise, learning.reward), (2, [0.0; MAX_OUTPUTS], 0.0));
     // The next observation arrives with one missing in between. The noise continues with the next draw.
-    let norm = controller.policy.norm();
+    let norm = controller.policy().norm();
     let (command, flags) = answer(&mut controller, &observation(3, 0));
-    assert_eq!((command.header.flags, flags, controller.policy.norm()), (0, flag::TRACE_CUT, norm));
-    assert_eq!(controller.noise, clean.exploration.draw());
+    assert_eq!((command.header.flags, flags, controller.policy().norm()), (0, flag::TRACE_CUT, norm));
+    controller.record(&observation(3, 0), &mut learning);
+    answer(&mut clean, &observation(2, 0));
+    let mut drawn = Learning::default();
+    clean.record(&observation(2, 0), &mut drawn);
+    assert_eq!(learning.noise, drawn.noise);
     // The delayed observation arrives, too, and has no effect on this tick.
     assert_eq!(answer(&mut controller, &observation(4, 0)).1, flag::LEARNED);
     assert_eq!((controller.report.unheard, controller.report.stale, controller.report.cuts), (1, 1, 1));

@@ -14,7 +14,7 @@ fn gate() -> Gate {
 }
 
 /// A command with `u` for the first output.
-fn first(u: f32) -> Outputs {
+fn first(u: f32) -> OutputValues {
     let mut command = [0.0; MAX_OUTPUTS];
     command[0] = u;
     command
@@ -29,10 +29,17 @@ fn pass_one(gate: &mut Gate, command: Option<f32>, joints: Option<&JointState>) 
     (applied.command[0], applied.flags & !(flag::CLAMPED | flag::MISSED))
 }
 
+/// A command with these two outputs.
+fn two(first: f32, second: f32) -> OutputValues {
+    let mut command = [0.0; MAX_OUTPUTS];
+    command[..2].copy_from_slice(&[first, second]);
+    command
+}
+
 #[test]
 fn hold_then_decay_then_stop_and_back() {
     let mut gate = gate();
-    let command = [0.4, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let command = two(0.4, -0.2);
     assert_eq!(gate.pass(Some(&command), None), Applied { command, flags: 0 });
     let outputs: Vec<(f32, u32)> = (0..7)
         .map(|_| {
@@ -54,8 +61,8 @@ fn hold_then_decay_then_stop_and_back() {
 #[test]
 fn a_command_that_is_not_finite_counts_as_none() {
     let mut gate = gate();
-    gate.pass(Some(&[0.1; 8]), None);
-    let applied = gate.pass(Some(&[0.2, f32::NAN, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]), None);
+    gate.pass(Some(&[0.1; MAX_OUTPUTS]), None);
+    let applied = gate.pass(Some(&two(0.2, f32::NAN)), None);
     assert_eq!(applied.flags, flag::MISSED | flag::HELD | flag::NON_FINITE);
     assert_eq!(applied.command[0], 0.1);
 }
@@ -63,7 +70,7 @@ fn a_command_that_is_not_finite_counts_as_none() {
 #[test]
 fn every_output_has_its_own_limit() {
     let mut gate = Gate::new(&GateConfig { max_command: PerOutput::Each(vec![0.5, 0.1]), ..config() }, 2);
-    let applied = gate.pass(Some(&[9.0; 8]), None);
+    let applied = gate.pass(Some(&[9.0; MAX_OUTPUTS]), None);
     assert_eq!((applied.command[..3].to_vec(), applied.flags), (vec![0.5, 0.1, 0.0], flag::CLAMPED));
 }
 
@@ -125,7 +132,7 @@ fn joints_stay_within_their_limits_and_return_from_outside() {
         (0.0, f32::INFINITY, 0.4, 0.0, 0.0, p),
         (0.0, 0.0, 0.4, 0.4, 0.4, 0),
     ] {
-        let joints = JointState { position: [position; 8], travel: [travel; 8] };
+        let joints = JointState { position: [position; MAX_OUTPUTS], travel: [travel; MAX_OUTPUTS] };
         let (u, reported) = pass_one(&mut Gate::new(&config, 2), Some(wanted), Some(&joints));
         assert!(low <= u && u <= high && reported == flags, "{position} {travel} {wanted}: {u} {reported:x}");
     }
@@ -137,7 +144,7 @@ fn joints_stay_within_their_limits_and_return_from_outside() {
     // The position limit goes before the step limit.
     let config = GateConfig { max_step: Some(PerOutput::All(0.125)), ..config };
     let mut gate = Gate::new(&config, 2);
-    let joints = |position| JointState { position: [position; 8], travel: [1.0; 8] };
+    let joints = |position| JointState { position: [position; MAX_OUTPUTS], travel: [1.0; MAX_OUTPUTS] };
     for _ in 0..3 {
         pass_one(&mut gate, Some(0.3), Some(&joints(-0.5)));
     }

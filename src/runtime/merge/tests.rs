@@ -2,7 +2,6 @@
 //! missing samples are stated.
 
 use std::collections::VecDeque;
-use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 
 use super::*;
@@ -90,7 +89,7 @@ fn logger(folder: &Path, number: u32, every: u64) -> LogMerger {
 fn drain(merger: &mut LogMerger, waiting: &mut [VecDeque<LogRecord>; 3], known: u64) {
     loop {
         for (i, waiting) in waiting.iter_mut().enumerate() {
-            let Ok(()) = merger.fill(i, known, || Ok::<_, Infallible>(waiting.pop_front()));
+            merger.fill(i, known, || waiting.pop_front());
         }
         if !merger.write_first(false) {
             break;
@@ -200,7 +199,7 @@ impl<'a> LoggedRun<'a> {
         let merger = self.merger.take();
         let mut merger = merger.unwrap_or_else(|| logger(self.folder, self.number + 1, self.every));
         drain(&mut merger, &mut self.waiting, TICKS);
-        merger.close([TICKS; 3], true)
+        merger.close([TICKS; 3], true, BTreeMap::from([("some-warning".to_owned(), "3 of 5 ticks".to_owned())]))
     }
 
     /// The segments together contain every sample or state that it is missing, in the order of ticks.
@@ -217,6 +216,8 @@ impl<'a> LoggedRun<'a> {
         prop_assert!(order.is_sorted(), "{:?}", order);
         let totals = log.totals().unwrap();
         prop_assert_eq!(totals, outcome.totals);
+        let warnings = log.current_segment().metadata().get(crate::log::WARNINGS_METADATA).unwrap();
+        prop_assert_eq!(&warnings["some-warning"], "3 of 5 ticks");
         for (i, channel) in counts.channels.iter().enumerate() {
             let (written, lost, thinned) = (outcome.written[i], totals.lost[i], totals.thinned[i]);
             prop_assert_eq!((channel.messages, channel.stated, channel.contradictions), (written, lost, 0));

@@ -15,8 +15,7 @@ pub fn angle(joint: &JointConfig, raw: i32) -> f64 {
     middle + wrap_f64(angle - middle)
 }
 
-/// The raw position of a motor at an angle, rad.
-#[cfg(test)]
+/// The raw position of a motor at an angle, rad. It may lie outside 0 to 4095.
 pub fn raw(joint: &JointConfig, angle: f64) -> i32 {
     joint.zero + libm::round(f64::from(joint.direction) * angle / STEP) as i32
 }
@@ -77,7 +76,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn joint(direction: i32, zero: i32, range: [f64; 2]) -> JointConfig {
-        JointConfig { id: 1, direction, zero, range, max_speed: 6.0 }
+        JointConfig { id: 1, direction, zero, range, max_speed: 6.0, registers: Default::default() }
     }
 
     #[test]
@@ -108,7 +107,8 @@ mod tests {
             rates in proptest::array::uniform8(-100.0_f64..100.0), at in proptest::array::uniform4(-4.0_f64..4.0),
         ) {
             let joints: Vec<_> = (0..4).map(|_| joint(1, 2048, [-2.0, 2.5])).collect();
-            let mut limited = rates;
+            let mut limited = [0.0; MAX_OUTPUTS];
+            limited[..8].copy_from_slice(&rates);
             limit(&joints, &at, 0.05, &mut limited);
             for (rate, at) in limited.iter().zip(at) {
                 prop_assert!(rate.abs() <= 6.0 + 1e-9);

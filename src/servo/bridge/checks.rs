@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::scenario::{JointConfig, Plan, ServoGoal, check_joints};
 use crate::servo::bus::{Bus, BusError, ServoReply};
-use crate::servo::model::{Protocol, Register, RegisterBlock, STEP, UnknownModel};
+use crate::servo::model::{KeptSetting, Protocol, Register, RegisterBlock, STEP, UnknownModel};
 use crate::servo::tools::Calibration;
 
 /// Reasons why the bridge does not start or cannot be armed.
@@ -59,6 +59,43 @@ pub enum BridgeError {
         /// The value that was read back.
         found: i32,
     },
+    /// A register that changes the meaning of positions, or how goals are followed, has another value than at the
+    /// calibration.
+    #[error(
+        "servo {id}: {name} (address {address}) is {found} and should be {expected}, {source_of}: another program has \
+         changed it; calibrate the arm again (`tectum-bridge calibrate`), or write {expected} there"
+    )]
+    Register {
+        /// The id.
+        id: u8,
+        /// Name of the register.
+        name: &'static str,
+        /// Its address.
+        address: u8,
+        /// The value that was read.
+        found: i32,
+        /// The required value.
+        expected: i32,
+        /// Where the required value comes from.
+        source_of: &'static str,
+    },
+    /// A register has a value with which the bridge cannot work.
+    #[error(
+        "servo {id}: {name} (address {address}) is {found:#x}, with which positions, speeds or torque mean something \
+         else than this program takes them for; write {remedy} there, and calibrate the arm again"
+    )]
+    Forbidden {
+        /// The id.
+        id: u8,
+        /// Name of the register.
+        name: &'static str,
+        /// Its address.
+        address: u8,
+        /// The value that was read.
+        found: i32,
+        /// The value without the offending bits.
+        remedy: i32,
+    },
     /// The calibration file is missing or invalid.
     #[error("calibration {path}: {cause}; make one with `tectum-bridge calibrate`")]
     Calibration {
@@ -67,6 +104,24 @@ pub enum BridgeError {
         /// The cause.
         cause: String,
     },
+}
+
+impl BridgeError {
+    /// Whether the cause is what the user has set up, so that another start would end the same way. Otherwise it is a
+    /// cable, a servo, the posture of the arm or another program.
+    pub fn is_configuration(&self) -> bool {
+        match self {
+            Self::Bus(error) => error.is_configuration(),
+            Self::NoServos | Self::Model(_) | Self::Register { .. } | Self::Forbidden { .. } => true,
+            Self::Calibration { .. } => true,
+            Self::NoAnswer(_) | Self::OutOfRange { .. } | Self::HardwareError { .. } | Self::Setting { .. } => false,
+        }
+    }
+
+    /// Whether a servo did not answer, which refuses nothing.
+    pub fn is_silence(&self) -> bool {
+        matches!(self, Self::NoAnswer(_) | Self::Bus(BusError::NoAnswer(_)))
+    }
 }
 
 /// The joints of a plan, from the scenario or from the file that it names.
@@ -79,14 +134,14 @@ pub fn joints_of(plan: &Plan) -> Result<Vec<JointConfig>, BridgeError> {
     let Some(path) = &servos.calibration else { return Ok(servos.joints.clone()) };
     let bad = |cause: String| BridgeError::Calibration { path: path.clone(), cause };
     let text = std::fs::read_to_string(Path::new(path)).map_err(|error| bad(error.to_string()))?;
-    let calibration: Calibration = toml::from_str(&text).map_err(|error| bad(error.message().to_owned()))?;
+    let calibration: Calibration = Calibration::parse(&text, Path::new(path), servos.protocol).map_err(bad)?;
     if calibration.protocol != servos.protocol {
         let (theirs, ours) = (calibration.protocol.name(), servos.protocol.name());
         return Err(bad(format!(
             "it is for servos that speak {theirs} and plant.servos.protocol is {ours}: it is another arm's"
         )));
     }
-    check_joints(&calibration.joints, arm.lengths.len(), servos.protocol, servos.goal).map_err(bad)?;
+    check_joints(&calibration.joints, arm.lengths.len(), servos.protocol, servos.goal()).map_err(bad)?;
     Ok(calibration.joints)
 }
 
@@ -118,6 +173,7 @@ pub(super) fn prepare(
         if !joint.is_free() && !(low - STEP..=high + STEP).contains(&angle) {
             return Err(BridgeError::OutOfRange { id: joint.id, angle, low, high });
         }
+        check_registers(bus, joint.id, |kept| joint.registers.get(kept.name).copied())?;
         let bits = bus.read(joint.id, series.hardware_error)?;
         if bits != 0 {
             return Err(BridgeError::HardwareError { id: joint.id, bits });
@@ -154,13 +210,9 @@ fn set_position_limits(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), Brid
         address: registers[0].address.min(registers[1].address),
         length: registers[0].width + registers[1].width,
     };
-    let ends = |joint: &JointConfig| {
-        if joint.is_free() {
-            return [0, 4095];
-        }
-        let [a, b] = joint.range.map(|end| joint.zero + (f64::from(joint.direction) * end / STEP) as i32);
-        [a.min(b).clamp(0, 4095), a.max(b).clamp(0, 4095)]
-    };
+    // Whoever asks for a goal, it stays within what is written here.
+    bus.limit_goals(joints.iter().filter_map(|joint| Some((joint.id, joint.raw_ends()?))).collect());
+    let ends = |joint: &JointConfig| joint.raw_ends().unwrap_or([0, 4095]);
     let wanted: Vec<_> = joints
         .iter()
         .map(|joint| {
@@ -194,4 +246,37 @@ fn set(bus: &mut Bus, id: u8, register: Register, value: i32) -> Result<(), Brid
     bus.write(id, register, value)?;
     let found = bus.read(id, register)?;
     if found == value { Ok(()) } else { Err(BridgeError::Setting { id, value, address: register.address, found }) }
+}
+
+/// The values of the registers that a calibration keeps, in the order of the series's list.
+pub(crate) fn read_kept(bus: &mut Bus, id: u8) -> Result<Vec<(KeptSetting, i32)>, BusError> {
+    let kept = bus.series().kept;
+    let first = kept.iter().map(|kept| kept.register.address).min().unwrap_or(0);
+    let end = kept.iter().map(|kept| kept.register.address + kept.register.width).max().unwrap_or(first);
+    let block = RegisterBlock { address: first, length: end - first };
+    let bytes = bus.read_block(id, block)?;
+    Ok(kept.iter().map(|kept| (*kept, block.decode(kept.register, &bytes).unwrap_or(0))).collect())
+}
+
+/// Compares the registers that a calibration keeps. `recorded` returns the value of a calibration, if it has one.
+pub(crate) fn check_registers(
+    bus: &mut Bus,
+    id: u8,
+    recorded: impl Fn(&KeptSetting) -> Option<i32>,
+) -> Result<(), BridgeError> {
+    for (kept, found) in read_kept(bus, id)? {
+        let (name, address) = (kept.name, kept.register.address);
+        let of_calibration = recorded(&kept);
+        if let Some(expected) = of_calibration.or(kept.neutral).filter(|&expected| expected != found) {
+            let source_of = match of_calibration {
+                Some(_) => "as when the arm was calibrated",
+                None => "the value that changes nothing, because the calibration states no other",
+            };
+            return Err(BridgeError::Register { id, name, address, found, expected, source_of });
+        }
+        if found & kept.forbidden != 0 {
+            return Err(BridgeError::Forbidden { id, name, address, found, remedy: found & !kept.forbidden });
+        }
+    }
+    Ok(())
 }

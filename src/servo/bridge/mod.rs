@@ -25,11 +25,13 @@
 mod chain;
 mod checks;
 mod motors;
+mod presence;
 mod report;
 mod safety;
 mod vision;
 
 pub use checks::{BridgeError, joints_of};
+pub(crate) use checks::{check_registers, read_kept};
 pub use report::{BridgeReport, TripEvent};
 pub use safety::{DriveCommand, RECOVERY, SafetyMachine, SafetyState, TripCause};
 pub use vision::VisionReport;
@@ -43,11 +45,11 @@ use tectum_core::angle::wrap_f64;
 
 use super::bus::{Bus, BusBudget};
 use crate::plant::{Arm, JointState, Outcome, Plant};
-use crate::policy::Outputs;
+
 use crate::scenario::{Angles, JointConfig, Plan, ServosConfig};
 use crate::state::{Persist, StateVisitor};
 use crate::stats::{Percentiles, histogram};
-use crate::wire::{MAX_MEASURES, MAX_OUTPUTS, Vision, flag};
+use crate::wire::{MAX_MEASURES, MAX_OUTPUTS, OutputValues, Vision, flag};
 use vision::VisionInput;
 
 /// Ticks over which commands grow after torque came on, if the gate has no ramp.
@@ -79,7 +81,7 @@ pub struct Bridge {
     command_within: u64,
     safety: SafetyMachine,
     /// Largest command of each output.
-    max_command: Outputs,
+    max_command: OutputValues,
     /// Ticks over which commands grow to the largest one after torque came on.
     ramp: u32,
     /// Ticks since torque came on.
@@ -87,7 +89,7 @@ pub struct Bridge {
     /// Angles of the motors, rad.
     motors: [f64; MAX_OUTPUTS],
     /// Angles of the outputs, rad.
-    theta: Outputs,
+    theta: OutputValues,
     /// Positions of the motors, steps.
     raw: [i32; MAX_OUTPUTS],
     /// Whether the last read failed.
@@ -101,6 +103,8 @@ pub struct Bridge {
     hold_position: Option<[i32; MAX_OUTPUTS]>,
     /// Duration of the tick's writes, ns.
     write_ns: u64,
+    /// What tells the bridge that the line, the machine or the guard is still there.
+    presence: presence::Presence,
     /// Set to request arming.
     arm_request: Arc<AtomicBool>,
     /// Shows a message to the user.
@@ -141,7 +145,7 @@ impl Bridge {
             gain: arm.gain as f32,
             period: period_s as f32,
             command_within: (within_ms * 1e6) as u64,
-            safety: SafetyMachine::new(config.lost_after),
+            safety: SafetyMachine::new(config.lost_after, config.rearm.is_automatic()),
             max_command: std::array::from_fn(|i| plan.scenario.gate.max_command.of(i) as f32),
             ramp: match plan.scenario.gate.ramp_ticks {
                 0 => RAMP,
@@ -157,6 +161,7 @@ impl Bridge {
             last_outcome: Outcome::default(),
             hold_position: None,
             write_ns: 0,
+            presence: presence::Presence::new(plan.period_ns, config.reopen_within_ns()),
             arm_request: Arc::default(),
             notify,
             report: BridgeReport::default(),
@@ -208,7 +213,7 @@ impl Bridge {
         if self.measure().0.is_none() {
             return Err(BridgeError::NoAnswer("the servos do not answer".to_owned()));
         }
-        checks::prepare(&mut self.bus, &self.joints, self.config.goal, &self.motors)?;
+        checks::prepare(&mut self.bus, &self.joints, self.config.goal(), &self.motors)?;
         self.safety.arm();
         Ok(())
     }
@@ -261,8 +266,8 @@ impl Bridge {
             SafetyState::ReadOnly => "read-only".to_owned(),
             SafetyState::Ready => "armed; torque goes on with the next command".to_owned(),
             SafetyState::Driving => "torque is on".to_owned(),
-            SafetyState::Tripped(cause) if cause.recovers() => {
-                format!("torque is off: {cause}; it goes on by itself when that is over")
+            SafetyState::Tripped(cause) if self.safety.recovers(cause) => {
+                format!("torque is off: {cause}; it goes on by itself when that is over and all checks pass")
             }
             SafetyState::Tripped(cause) => format!("torque is off: {cause}; arm it again to go on"),
         };
@@ -329,15 +334,19 @@ impl Bridge {
     /// Turns torque on, after the checks unless they were done in this tick. After a loss of bus or power, or
     /// if the arm may have been moved, all checks are repeated. Trips and returns false when that fails.
     fn start(&mut self, tick: u64, checked: bool) -> bool {
-        let result =
-            if checked { Ok(()) } else { checks::prepare(&mut self.bus, &self.joints, self.config.goal, &self.motors) };
+        let result = if checked {
+            Ok(())
+        } else {
+            checks::prepare(&mut self.bus, &self.joints, self.config.goal(), &self.motors)
+        };
         if let Err(error) = &result {
             (self.notify)(&format!("tick {tick}: {error}"));
         }
         let cause = match result {
-            Ok(()) => (!self.turn_torque_on()).then_some(TripCause::BusLost),
+            // The guard watches from here on.
+            Ok(()) => (!self.beat(true) || !self.turn_torque_on()).then_some(TripCause::BusLost),
             // A servo that does not answer has not refused.
-            Err(BridgeError::NoAnswer(_)) => Some(TripCause::BusLost),
+            Err(error) if error.is_silence() => Some(TripCause::BusLost),
             Err(_) => Some(TripCause::Refused),
         };
         if let Some(cause) = cause {
@@ -367,6 +376,7 @@ impl Bridge {
         if self.safety.state() != SafetyState::ReadOnly {
             self.turn_torque_off();
         }
+        self.report.count_without_torque(self.safety.state());
         if matches!(self.safety.state(), SafetyState::Tripped(_)) { flag::TRIPPED } else { flag::UNARMED }
     }
 }
@@ -410,12 +420,16 @@ impl Plant for Bridge {
             DriveCommand::Start => self.follow(applied, true),
             DriveCommand::Follow => self.follow(applied, false),
         };
+        if !self.beat(self.may_have_torque()) {
+            self.safety.trip(TripCause::Unguarded);
+        }
         self.report_transition(tick, before);
         flags
     }
 
     fn advance(&mut self, tick: u64, _applied: &[f32]) -> Outcome {
         let (before, theta_before) = (self.safety.state(), self.theta);
+        self.check_presence(tick);
         // Before the read, because the age of a sample counts from the beginning of the tick.
         self.update_vision(tick + 1);
         let (health, mut took) = self.measure();
@@ -459,13 +473,25 @@ impl Plant for Bridge {
     fn joints(&self) -> Option<JointState> {
         self.arm.joints()
     }
-}
 
-impl Drop for Bridge {
-    /// Turns torque off, also after an error or a panic, and writes the report.
-    fn drop(&mut self) {
+    /// Turns torque off: what follows may take longer than the guard waits, and nobody sends commands any more.
+    fn stop(&mut self) {
         if self.safety.state() != SafetyState::ReadOnly {
             self.bus.torque_off(&self.ids);
+        }
+        self.beat(false);
+        self.presence.ended = true;
+    }
+}
+
+impl Bridge {
+    /// Writes the report, if it has a file.
+    fn write_report(&mut self) {
+        if let SafetyState::Tripped(cause) = self.safety.state() {
+            self.report.off_at_end = Some(cause);
+            if let Ok(mut ending) = self.presence.ending.lock() {
+                *ending = Some(cause);
+            }
         }
         if let Some(path) = &self.report_path {
             [self.report.bus_read, self.report.bus_write] =
@@ -475,6 +501,16 @@ impl Drop for Bridge {
             // A missing report does not make the run fail.
             let _ = std::fs::write(path, text);
         }
+    }
+}
+
+impl Drop for Bridge {
+    /// Turns torque off, also after an error or a panic, and writes the report.
+    fn drop(&mut self) {
+        if !self.presence.ended {
+            self.stop();
+        }
+        self.write_report();
     }
 }
 

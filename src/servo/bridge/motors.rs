@@ -20,6 +20,10 @@ impl Bridge {
             self.raw[i] = get(series.position);
             let joint = &self.joints[i];
             self.motors[i] = chain::angle(joint, self.raw[i]);
+            if !joint.is_free() {
+                // A reading beyond the encoder's 0 stands at the other end of the turn. Goals begin on this side.
+                self.raw[i] = chain::raw(joint, self.motors[i]);
+            }
             let volts = f64::from(get(series.voltage)) * 0.1;
             if f64::from(get(series.temperature)) > self.config.max_temperature {
                 health = Err(TripCause::Heat);
@@ -48,7 +52,7 @@ impl Bridge {
     /// Writes the motors' goals for these rates. Returns whether that succeeded.
     pub(super) fn write_goals(&mut self, rates: &[f64; MAX_OUTPUTS]) -> bool {
         let (series, period) = (self.bus.series(), f64::from(self.period));
-        let goal = match self.config.goal {
+        let goal = match self.config.goal() {
             ServoGoal::Speed => series.goal_velocity,
             ServoGoal::Position => series.goal_position,
         };
@@ -56,9 +60,12 @@ impl Bridge {
         let from = self.hold_position.unwrap_or(self.raw);
         let value = |i: usize| {
             let (joint, rate) = (&self.joints[i], rates[i]);
-            match self.config.goal {
+            match self.config.goal() {
                 ServoGoal::Speed => f64::from(joint.direction) * rate / series.speed_unit,
-                ServoGoal::Position => f64::from(from[i]) + f64::from(joint.direction) * rate * period / STEP,
+                ServoGoal::Position => {
+                    let goal = f64::from(from[i]) + f64::from(joint.direction) * rate * period / STEP;
+                    joint.raw_ends().map_or(goal, |[low, high]| goal.clamp(f64::from(low), f64::from(high)))
+                }
             }
         };
         let width = usize::from(goal.width);
@@ -72,7 +79,7 @@ impl Bridge {
     /// Turns torque on at standstill. Goals are written first, because a servo moves to its old goal when
     /// torque comes on. Returns whether that succeeded.
     pub(super) fn turn_torque_on(&mut self) -> bool {
-        if self.config.goal == ServoGoal::Speed && self.bus.series().bus_watchdog.is_some() {
+        if self.config.goal() == ServoGoal::Speed && self.bus.series().bus_watchdog.is_some() {
             let register = self.bus.series().bus_watchdog.expect("there is one");
             // A watchdog that has stopped the servo refuses goals until it is cleared.
             if self.bus.sync_set(&self.ids, register, |_| 0).is_err()

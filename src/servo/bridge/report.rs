@@ -1,10 +1,12 @@
 //! The bridge's report: duration of bus instructions, and every time that torque went off.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::stats::Percentiles;
 
-use super::safety::TripCause;
+use super::safety::{SafetyState, TripCause};
 use super::vision::VisionReport;
 
 /// An event in which torque went off.
@@ -29,6 +31,12 @@ pub struct BridgeReport {
     pub armed: u64,
     /// Events in which torque went off before the end.
     pub events: Vec<TripEvent>,
+    /// Number of ticks without torque, by the reason.
+    #[serde(default)]
+    pub without_torque: BTreeMap<String, u64>,
+    /// Why torque was off at the end, if its safety had turned it off.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub off_at_end: Option<TripCause>,
     /// Duration of a tick's synchronous read, us.
     pub bus_read: Option<Percentiles>,
     /// Duration of a tick's synchronous write, us.
@@ -36,6 +44,18 @@ pub struct BridgeReport {
     /// Report on the trackers, if the scenario uses them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision: Option<VisionReport>,
+}
+
+impl BridgeReport {
+    /// Counts a tick without torque in this state.
+    pub(super) fn count_without_torque(&mut self, state: SafetyState) {
+        let reason = match state {
+            SafetyState::Tripped(cause) => cause.to_string(),
+            SafetyState::ReadOnly => "not armed".to_owned(),
+            SafetyState::Ready | SafetyState::Driving => "no command yet".to_owned(),
+        };
+        *self.without_torque.entry(reason).or_default() += 1;
+    }
 }
 
 /// Converts ns to us.

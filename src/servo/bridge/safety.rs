@@ -10,8 +10,11 @@
 //! | Cause | Torque goes off | Torque returns |
 //! |---|---|---|
 //! | bus lost | after `lost_after` ticks without answer | after [`RECOVERY`] ticks with all answers, and checks |
+//! | cable out, machine or bridge stood still | at once | after [`RECOVERY`] ticks with all answers, and checks |
 //! | no commands | after the gate's hold and decay | with the next command and the gate's ramp |
-//! | overload, heat, voltage, torque lost | in the tick that reports it | after it is armed again |
+//! | overload, heat, voltage, torque lost, guard lost | in the tick that reports it | after it is armed again |
+//!
+//! With `rearm = "by-hand"` torque returns after the causes of the first two rows only when it is armed again.
 //!
 //! From the first tick without an answer on, and while nothing is seen, the arm holds its position.
 
@@ -36,6 +39,14 @@ pub enum TripCause {
     Voltage,
     /// A servo has no torque although it was not turned off: it has restarted, or reports an unknown error.
     TorqueLost,
+    /// The port is gone: its cable was pulled out.
+    Unplugged,
+    /// The machine was asleep.
+    Suspended,
+    /// The bridge stood still for several periods.
+    Stalled,
+    /// The guard process has died.
+    Unguarded,
     /// No commands arrive.
     CommandsAway,
     /// The checks before torque failed.
@@ -43,9 +54,9 @@ pub enum TripCause {
 }
 
 impl TripCause {
-    /// Whether torque returns without arming when the cause ends.
-    pub fn recovers(self) -> bool {
-        matches!(self, Self::BusLost | Self::CommandsAway)
+    /// Whether the connection was lost, and torque can return when it is back and all checks pass.
+    pub fn is_loss(self) -> bool {
+        matches!(self, Self::BusLost | Self::Unplugged | Self::Suspended | Self::Stalled)
     }
 }
 
@@ -57,6 +68,10 @@ impl fmt::Display for TripCause {
             Self::Heat => "a servo is too hot",
             Self::Voltage => "a servo's voltage is too low or too high",
             Self::TorqueLost => "a servo has lost its torque",
+            Self::Unplugged => "the port is gone; its cable is out",
+            Self::Suspended => "the machine was asleep",
+            Self::Stalled => "the bridge stood still for several ticks",
+            Self::Unguarded => "the guard process has died",
             Self::CommandsAway => "commands stay away",
             Self::Refused => "the checks before torque failed",
         })
@@ -94,6 +109,8 @@ pub enum DriveCommand {
 pub struct SafetyMachine {
     state: SafetyState,
     lost_after: u32,
+    /// Whether torque returns by itself after a loss.
+    automatic: bool,
     /// Consecutive ticks without answers of all servos.
     missed: u32,
     /// Consecutive ticks with answers of all servos.
@@ -101,9 +118,15 @@ pub struct SafetyMachine {
 }
 
 impl SafetyMachine {
-    /// A machine that is not armed. The bus counts as lost after `lost_after` ticks without an answer.
-    pub fn new(lost_after: u32) -> Self {
-        Self { state: SafetyState::ReadOnly, lost_after, missed: 0, answered: 0 }
+    /// A machine that is not armed. The bus counts as lost after `lost_after` ticks without an answer. Torque
+    /// returns after a loss by itself if `automatic`.
+    pub fn new(lost_after: u32, automatic: bool) -> Self {
+        Self { state: SafetyState::ReadOnly, lost_after, automatic, missed: 0, answered: 0 }
+    }
+
+    /// Whether torque returns without arming when this cause ends.
+    pub fn recovers(&self, cause: TripCause) -> bool {
+        cause == TripCause::CommandsAway || self.automatic && cause.is_loss()
     }
 
     /// The current state.
@@ -118,9 +141,14 @@ impl SafetyMachine {
         }
     }
 
-    /// Turns torque off for this cause.
+    /// Turns torque off for this cause. A cause that needs arming replaces one that recovers, not the other way
+    /// round.
     pub fn trip(&mut self, cause: TripCause) {
-        if self.state != SafetyState::ReadOnly {
+        let kept = matches!(self.state, SafetyState::Tripped(before) if !self.recovers(before) && self.recovers(cause));
+        if cause.is_loss() {
+            self.answered = 0;
+        }
+        if self.state != SafetyState::ReadOnly && !kept {
             self.state = SafetyState::Tripped(cause);
         }
     }
@@ -137,13 +165,14 @@ impl SafetyMachine {
             Some(Err(cause)) => {
                 (self.answered, self.missed) = (0, 0);
                 // A cause that needs arming replaces one that recovers, not the other way round.
-                if !matches!(self.state, SafetyState::Tripped(before) if !before.recovers()) {
+                if !matches!(self.state, SafetyState::Tripped(before) if !self.recovers(before)) {
                     self.trip(cause);
                 }
             }
             Some(Ok(())) => {
                 (self.answered, self.missed) = (self.answered.saturating_add(1), 0);
-                if self.state == SafetyState::Tripped(TripCause::BusLost) && self.answered >= RECOVERY {
+                let recovers = |cause: TripCause| cause.is_loss() && self.automatic;
+                if matches!(self.state, SafetyState::Tripped(cause) if recovers(cause)) && self.answered >= RECOVERY {
                     self.state = SafetyState::Ready;
                 }
             }
@@ -179,7 +208,7 @@ mod tests {
 
     #[test]
     fn torque_is_on_only_after_arming_and_a_command() {
-        let mut safety = SafetyMachine::new(3);
+        let mut safety = SafetyMachine::new(3, true);
         for _ in 0..10 {
             safety.read_result(Some(Ok(())));
             assert_eq!(safety.command(0, true), DriveCommand::Off);
@@ -193,7 +222,7 @@ mod tests {
     #[test]
     fn a_servo_error_turns_torque_off_until_it_is_armed_again() {
         for cause in [TripCause::Overload, TripCause::Heat, TripCause::Voltage, TripCause::TorqueLost] {
-            let mut safety = SafetyMachine::new(3);
+            let mut safety = SafetyMachine::new(3, true);
             safety.arm();
             assert_eq!(safety.command(0, true), DriveCommand::Start);
             safety.read_result(Some(Err(cause)));
@@ -209,7 +238,7 @@ mod tests {
 
     #[test]
     fn a_lost_bus_holds_then_turns_torque_off_and_recovers() {
-        let mut safety = SafetyMachine::new(3);
+        let mut safety = SafetyMachine::new(3, true);
         safety.arm();
         safety.command(0, true);
         for drive in [DriveCommand::Hold, DriveCommand::Hold, DriveCommand::Off, DriveCommand::Off] {
@@ -225,8 +254,26 @@ mod tests {
     }
 
     #[test]
+    fn by_hand_a_loss_needs_arming() {
+        for cause in [TripCause::BusLost, TripCause::Unplugged, TripCause::Suspended, TripCause::Stalled] {
+            for automatic in [true, false] {
+                let mut safety = SafetyMachine::new(3, automatic);
+                safety.arm();
+                safety.command(0, true);
+                safety.trip(cause);
+                for _ in 0..RECOVERY {
+                    assert_eq!(safety.command(0, true), DriveCommand::Off);
+                    safety.read_result(Some(Ok(())));
+                }
+                let expected = if automatic { DriveCommand::Start } else { DriveCommand::Off };
+                assert_eq!(safety.command(0, true), expected, "{cause}");
+            }
+        }
+    }
+
+    #[test]
     fn missing_commands_turn_torque_off_until_the_next_one() {
-        let mut safety = SafetyMachine::new(3);
+        let mut safety = SafetyMachine::new(3, true);
         safety.arm();
         safety.command(0, true);
         assert_eq!(safety.command(flag::MISSED | flag::DECAYED, true), DriveCommand::Follow);
@@ -237,7 +284,7 @@ mod tests {
 
     #[test]
     fn without_vision_the_arm_holds_and_gets_no_torque() {
-        let mut safety = SafetyMachine::new(3);
+        let mut safety = SafetyMachine::new(3, true);
         safety.arm();
         assert_eq!(safety.command(0, false), DriveCommand::Off);
         assert_eq!(safety.state(), SafetyState::Ready);

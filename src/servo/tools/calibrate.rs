@@ -7,10 +7,12 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::lerobot::read_lerobot;
 use super::{ToolError, identify, print_line, rad, shorter_way, torque_off};
 use crate::scenario::JointConfig;
-use crate::servo::bus::Bus;
-use crate::servo::model::Protocol;
+use crate::servo::bridge::{check_registers, read_kept};
+use crate::servo::bus::{Bus, BusError};
+use crate::servo::model::{Protocol, Register, STEPS_PER_TURN};
 
 /// Smallest turn that determines a direction, steps: 0.1 rad.
 const MIN_TURN: i32 = 65;
@@ -25,16 +27,27 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Reads a file.
+    /// Reads a file: one that `tectum-bridge calibrate` has written, or, with the ending `.json`, one of LeRobot's, for
+    /// servos of `protocol`.
     ///
     /// # Errors
     /// When the file cannot be read, or is not a calibration.
-    pub fn load(path: &Path) -> Result<Self, ToolError> {
+    pub fn load(path: &Path, protocol: Protocol) -> Result<Self, ToolError> {
         let text = fs::read_to_string(path).map_err(|error| ToolError::Io(path.display().to_string(), error))?;
-        toml::from_str(&text).map_err(|error| {
-            let why = error.message();
+        Self::parse(&text, path, protocol).map_err(|why| {
             ToolError::Refused(format!("{}: {why}; make one with `tectum-bridge calibrate`", path.display()))
         })
+    }
+
+    /// The calibration in the text of the file at `path`.
+    ///
+    /// # Errors
+    /// Why it is none.
+    pub fn parse(text: &str, path: &Path, protocol: Protocol) -> Result<Self, String> {
+        if path.extension().is_some_and(|ending| ending == "json") {
+            return read_lerobot(text, protocol);
+        }
+        toml::from_str(text).map_err(|error| error.message().to_owned())
     }
 
     /// Writes the file atomically.
@@ -54,6 +67,35 @@ impl Calibration {
         file.persist(path).map_err(|error| wrong(error.error))?;
         Ok(())
     }
+}
+
+/// Takes over the calibration in a file, of the servos with these ids or of all, after comparing the servos' registers
+/// with it.
+///
+/// # Errors
+/// When the file is no calibration, a servo does not answer, or a register differs.
+pub fn import(bus: &mut Bus, path: &Path, ids: &[u8]) -> Result<Calibration, ToolError> {
+    let series = bus.series();
+    let mut calibration = Calibration::load(path, series.protocol)?;
+    let bad = |text: String| ToolError::Refused(format!("{}: {text}", path.display()));
+    if calibration.protocol != series.protocol {
+        return Err(bad("it is for servos of the other protocol: it is another arm's".to_owned()));
+    }
+    if !ids.is_empty() {
+        let find = |id: &u8| {
+            let found = calibration.joints.iter().find(|joint| joint.id == *id).cloned();
+            found.ok_or_else(|| bad(format!("it has no servo {id}")))
+        };
+        calibration.joints = ids.iter().map(find).collect::<Result<Vec<_>, _>>()?;
+    }
+    identify(bus, &calibration.joints.iter().map(|joint| joint.id).collect::<Vec<_>>())?;
+    for joint in &mut calibration.joints {
+        joint.check_seam().map_err(|text| bad(format!("servo {}: {text}", joint.id)))?;
+        check_registers(bus, joint.id, |kept| joint.registers.get(kept.name).copied())?;
+        joint.registers =
+            read_kept(bus, joint.id)?.into_iter().map(|(kept, value)| (kept.name.to_owned(), value)).collect();
+    }
+    Ok(calibration)
 }
 
 /// Guides the user through the calibration of the servos with these ids, from the base on. Answers are lines on
@@ -85,13 +127,71 @@ pub fn calibrate(
                 _ => Ok((bus.read(id, bus.series().position)?, line.trim().to_owned())),
             }
         };
-        let joint = calibrate_joint(id, max_speed, &mut ask)?;
+        let mut joint = calibrate_joint(id, max_speed, &mut ask)?;
+        if let Err(why) = joint.check_seam() {
+            let [low, high] = joint.raw_ends().unwrap_or_default();
+            let (_, answer) = ask(&format!(
+                "it would go from {low} to {high} steps, across the 0 of its encoder. Enter writes a homing offset into \
+                 the servo, for good, which puts the 0 outside the range; or say no, and nothing is written."
+            ))?;
+            if !answer.is_empty() {
+                return Err(ToolError::Refused(format!("servo {id}: {why}")));
+            }
+            move_seam(bus, &mut joint)?;
+        }
+        joint.registers = read_kept(bus, id)?.into_iter().map(|(kept, value)| (kept.name.to_owned(), value)).collect();
         let JointConfig { zero, direction, range, .. } = joint;
         joints.push(joint);
         let text = format!("  zero {zero}, direction {direction}, range {:.3} to {:.3} rad", range[0], range[1]);
         print_line(out, &text)?;
     }
     Ok(Calibration { protocol: bus.series().protocol, joints })
+}
+
+/// Writes a homing offset into the joint's servo that puts the middle of its range at the middle of the turn.
+fn move_seam(bus: &mut Bus, joint: &mut JointConfig) -> Result<(), ToolError> {
+    let (series, id) = (bus.series(), joint.id);
+    let [low, high] = joint.raw_ends().unwrap_or_default();
+    let shift = STEPS_PER_TURN / 2 - (low + high).div_euclid(2);
+    let (before, old) = (bus.read(id, series.position)?, bus.read(id, series.homing_offset)?);
+    let offset = shorter_way(0, old + series.homing_sign * shift);
+    if offset.abs() > series.homing_limit {
+        return Err(ToolError::Refused(format!(
+            "servo {id} needs a homing offset of {offset} steps and takes at most {} in either direction; \
+             take its horn off, turn it by half a turn, and calibrate again",
+            series.homing_limit
+        )));
+    }
+    write_for_good(bus, id, series.homing_offset, offset)?;
+    let moved = series.homing_sign * (offset - old);
+    let after = bus.read(id, series.position)?;
+    if shorter_way(before + moved, after).abs() > 20 {
+        let text =
+            format!("servo {id} was at {before} and is at {after} with a homing offset of {offset}; was it moved?");
+        return Err(ToolError::Failed(text));
+    }
+    joint.zero = (joint.zero + moved).rem_euclid(STEPS_PER_TURN);
+    joint.check_seam().map_err(|text| ToolError::Refused(format!("servo {id}: {text}")))
+}
+
+/// Writes a register of the EEPROM so that it keeps its value without power, and checks that it has it.
+fn write_for_good(bus: &mut Bus, id: u8, register: Register, value: i32) -> Result<(), ToolError> {
+    let lock = bus.series().lock;
+    if let Some(lock) = lock {
+        bus.write(id, lock, 0)?;
+    }
+    let written = bus.write(id, register, value);
+    if let Some(lock) = lock {
+        bus.write(id, lock, 1)?;
+    }
+    written?;
+    match bus.read(id, register)? {
+        found if found == value => Ok(()),
+        found => {
+            let text = format!("servo {id} does not keep {value} at address {}; it has {found}", register.address);
+            Err(BusError::Refused(text).into())
+        }
+    }
 }
 
 /// Shows a request to the user; returns the position afterwards, steps, and the answer.
@@ -108,10 +208,12 @@ fn calibrate_joint(id: u8, max_speed: f64, ask: &mut Ask) -> Result<JointConfig,
         return Err(ToolError::Refused(text));
     }
     let direction = turned.signum();
+    // A Dynamixel without torque counts on over whole turns.
+    let zero = zero.rem_euclid(STEPS_PER_TURN);
     let (low, answer) = ask("turn it to its least angle; or say free if it turns without end.")?;
     if answer == "free" {
         let range = [-std::f64::consts::PI, std::f64::consts::PI];
-        return Ok(JointConfig { id, direction, zero, range, max_speed });
+        return Ok(JointConfig { id, direction, zero, range, max_speed, registers: Default::default() });
     }
     let (high, _) = ask("turn it to its greatest angle.")?;
     let range = [low, high].map(|end| rad(shorter_way(zero, end) * direction));
@@ -123,5 +225,5 @@ fn calibrate_joint(id: u8, max_speed: f64, ask: &mut Ask) -> Result<JointConfig,
         );
         return Err(ToolError::Refused(text));
     }
-    Ok(JointConfig { id, direction, zero, range, max_speed })
+    Ok(JointConfig { id, direction, zero, range, max_speed, registers: Default::default() })
 }

@@ -1,6 +1,8 @@
 //! Moves one joint slowly by a small angle; torque is off before and after.
 
 use super::{Calibration, ServoReading, ToolError, identify, rad, read_state, shorter_way};
+use crate::scenario::JointConfig;
+use crate::servo::bridge::check_registers;
 use crate::servo::bus::Bus;
 use crate::servo::model::STEP;
 
@@ -23,7 +25,7 @@ pub struct Jog<'a> {
     pub calibration: Option<&'a Calibration>,
 }
 
-/// Turns torque off when it is dropped, however the motion ends.
+/// Turns torque off when it is dropped, however the motion ends short of a kill; the guard is for those.
 struct TorqueGuard<'a> {
     bus: &'a mut Bus,
     id: u8,
@@ -35,18 +37,54 @@ impl Drop for TorqueGuard<'_> {
     }
 }
 
-/// Moves one joint and returns its state afterwards. `sleep` sleeps for a number of ns, `stop` returns whether
-/// to end early.
+/// What a motion needs of the outside world.
+pub struct JogContext<'a> {
+    /// Sleeps for a number of ns.
+    pub sleep: &'a mut dyn FnMut(u64),
+    /// Whether to end early.
+    pub stop: &'a mut dyn FnMut() -> bool,
+    /// Passes a heartbeat to the guard, with whether torque is on. Returns false when the guard has died.
+    pub beat: &'a mut dyn FnMut(bool) -> bool,
+}
+
+/// Moves one joint and returns its state afterwards.
 ///
 /// # Errors
 /// Before torque: when the servo does not answer or reports an error, or the goal is out of range. Afterwards:
 /// when it does not arrive. Torque is off then.
-pub fn jog(
-    bus: &mut Bus,
-    motion: Jog,
-    mut sleep: impl FnMut(u64),
-    mut stop: impl FnMut() -> bool,
-) -> Result<ServoReading, ToolError> {
+pub fn jog(bus: &mut Bus, motion: Jog, context: &mut JogContext) -> Result<ServoReading, ToolError> {
+    let Jog { id, by, speed, .. } = motion;
+    let series = bus.series();
+    let (start, goal) = prepare(bus, motion)?;
+    let guarded = TorqueGuard { bus, id };
+    // Otherwise the servo would first move to its old goal.
+    if !(context.beat)(true) {
+        return Err(ToolError::Failed("the guard process has died; torque stays off without one".to_owned()));
+    }
+    guarded.bus.write(id, series.goal_position, start)?;
+    guarded.bus.write(id, series.torque_enable, 1)?;
+    guarded.bus.write(id, series.goal_position, goal)?;
+    let deadline = guarded.bus.now() + ((by.abs() / speed + 2.0) * 1e9) as u64;
+    let mut arrived = false;
+    while !arrived && guarded.bus.now() < deadline && !(context.stop)() && (context.beat)(true) {
+        (context.sleep)(READ_INTERVAL);
+        arrived = (guarded.bus.read(id, series.position)? - goal).abs() <= TOLERANCE;
+    }
+    drop(guarded);
+    (context.beat)(false);
+    let after = read_state(bus, id)?;
+    if after.torque {
+        return Err(ToolError::Failed(format!("servo {id} keeps its torque; take the power away")));
+    }
+    if !arrived {
+        let moved = rad(shorter_way(start, after.position));
+        return Err(ToolError::Failed(format!("servo {id} went {moved:.3} rad and did not arrive; torque is off")));
+    }
+    Ok(after)
+}
+
+/// All checks and settings before torque. Returns the position at which the servo stands and the goal, steps.
+fn prepare(bus: &mut Bus, motion: Jog) -> Result<(i32, i32), ToolError> {
     let Jog { id, by, speed, .. } = motion;
     let series = bus.series();
     if !(by.abs() <= std::f64::consts::PI && (0.01..=2.0).contains(&speed)) {
@@ -55,6 +93,7 @@ pub fn jog(
     }
     identify(bus, &[id])?;
     let before = read_state(bus, id)?;
+    let homing = Some(bus.read(id, series.homing_offset)?);
     if before.errors != 0 {
         let text = format!(
             "servo {id} reports an error (bits {:#04x}); find its cause, then take its power away and give it again",
@@ -62,7 +101,13 @@ pub fn jog(
         );
         return Err(ToolError::Refused(text));
     }
-    let goal = goal(bus, motion, &before)?;
+    let joint = joint_of(bus, motion)?;
+    // Without a calibration the offset does not matter: the motion is relative.
+    check_registers(bus, id, |kept| match joint {
+        Some(joint) => joint.registers.get(kept.name).copied(),
+        None => (kept.name == "homing_offset").then_some(()).and(homing),
+    })?;
+    let goal = goal(motion, joint, &before)?;
     bus.torque_off(&[id]);
     bus.write(id, series.operating_mode, i32::from(series.position_mode))?;
     // The change of mode maps positions of more than a turn to those within one.
@@ -72,35 +117,18 @@ pub fn jog(
         let text = format!("servo {id} would have to go to {goal}, past its own zero; it goes from 0 to 4095");
         return Err(ToolError::Refused(text));
     }
+    let ends = joint.and_then(JointConfig::raw_ends).unwrap_or([0, 4095]);
+    // A joint at the very end of its range may stand a step beyond it.
+    let (goal, hold) = (goal.clamp(ends[0], ends[1]), start.clamp(ends[0], ends[1]));
+    bus.limit_goals(vec![(id, ends)]);
     let units = |value: f64, unit: f64| libm::ceil(value / unit).max(1.0) as i32;
     bus.write(id, series.profile_velocity, units(speed, series.speed_unit))?;
-    let guarded = TorqueGuard { bus, id };
-    // Otherwise the servo would first move to its old goal.
-    guarded.bus.write(id, series.goal_position, start)?;
-    guarded.bus.write(id, series.torque_enable, 1)?;
-    guarded.bus.write(id, series.goal_position, goal)?;
-    let deadline = guarded.bus.now() + ((by.abs() / speed + 2.0) * 1e9) as u64;
-    let mut arrived = false;
-    while !arrived && guarded.bus.now() < deadline && !stop() {
-        sleep(READ_INTERVAL);
-        arrived = (guarded.bus.read(id, series.position)? - goal).abs() <= TOLERANCE;
-    }
-    drop(guarded);
-    let after = read_state(bus, id)?;
-    if after.torque {
-        return Err(ToolError::Refused(format!("servo {id} keeps its torque; take the power away")));
-    }
-    if !arrived {
-        let moved = rad(shorter_way(start, after.position));
-        return Err(ToolError::Refused(format!("servo {id} went {moved:.3} rad and did not arrive; torque is off")));
-    }
-    Ok(after)
+    Ok((hold, goal))
 }
 
-/// The goal in steps, within the joint's range.
-fn goal(bus: &Bus, motion: Jog, before: &ServoReading) -> Result<i32, ToolError> {
-    let steps = libm::round(motion.by / STEP) as i32;
-    let Some(calibration) = motion.calibration else { return Ok(before.position + steps) };
+/// The joint of the calibration that the motion names.
+fn joint_of<'a>(bus: &Bus, motion: Jog<'a>) -> Result<Option<&'a JointConfig>, ToolError> {
+    let Some(calibration) = motion.calibration else { return Ok(None) };
     if calibration.protocol != bus.series().protocol {
         let text = "the calibration is for servos of the other protocol: it is another arm's".to_owned();
         return Err(ToolError::Refused(text));
@@ -110,6 +138,14 @@ fn goal(bus: &Bus, motion: Jog, before: &ServoReading) -> Result<i32, ToolError>
         let text = format!("the calibration has no servo {} but {}: it is another arm's", motion.id, ids.join(", "));
         return Err(ToolError::Refused(text));
     };
+    joint.check_seam().map_err(|text| ToolError::Refused(format!("servo {}: {text}", motion.id)))?;
+    Ok(Some(joint))
+}
+
+/// The goal in steps, within the joint's range.
+fn goal(motion: Jog, joint: Option<&JointConfig>, before: &ServoReading) -> Result<i32, ToolError> {
+    let steps = libm::round(motion.by / STEP) as i32;
+    let Some(joint) = joint else { return Ok(before.position + steps) };
     let angle = rad(shorter_way(joint.zero, before.position) * joint.direction);
     let [low, high] = joint.range;
     if !joint.is_free() && !(low - STEP..=high + STEP).contains(&(angle + motion.by)) {

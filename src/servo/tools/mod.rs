@@ -6,14 +6,17 @@
 
 mod calibrate;
 mod jog;
+mod lerobot;
 
 use std::io::{self, Write};
 
 use serde::Serialize;
 
-pub use calibrate::{Calibration, calibrate};
-pub use jog::{Jog, jog};
+pub use calibrate::{Calibration, calibrate, import};
+pub use jog::{Jog, JogContext, jog};
+pub use lerobot::write_lerobot;
 
+use super::bridge::BridgeError;
 use super::bus::{Bus, BusBudget, BusError};
 use super::model::{STEP, UnknownModel};
 
@@ -43,12 +46,30 @@ pub enum ToolError {
     /// A servo is of an unknown model.
     #[error(transparent)]
     Model(#[from] UnknownModel),
+    /// A register has another value than it should.
+    #[error(transparent)]
+    Register(#[from] BridgeError),
     /// The request cannot be fulfilled.
     #[error("{0}")]
     Refused(String),
+    /// A servo did not do what it was told.
+    #[error("{0}")]
+    Failed(String),
     /// An error of standard input, standard output or a file.
     #[error("{0}: {1}")]
     Io(String, io::Error),
+}
+
+impl ToolError {
+    /// Whether the cause is what the user has asked for or set up, rather than a cable, a servo or another program.
+    pub fn is_bad_input(&self) -> bool {
+        match self {
+            Self::Bus(error) => error.is_configuration(),
+            Self::Register(error) => error.is_configuration(),
+            Self::NoServo(_) | Self::Failed(_) => false,
+            Self::DuplicateId(_) | Self::Model(_) | Self::Refused(_) | Self::Io(..) => true,
+        }
+    }
 }
 
 /// A servo that answered.
@@ -175,7 +196,7 @@ pub fn torque_off(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
     for &id in ids {
         if bus.read(id, bus.series().torque_enable)? == 1 {
             let text = format!("servo {id} keeps its torque; take the power away");
-            return Err(ToolError::Refused(text));
+            return Err(ToolError::Failed(text));
         }
     }
     Ok(())

@@ -61,7 +61,10 @@ impl MovementCutter {
     /// # Errors
     /// [`AnalyseError::NoMeasures`] if the plant does not measure error and end-effector.
     pub fn new(plan: &Plan) -> Result<Self, AnalyseError> {
-        let measure = |name: &&str| plan.measures.iter().position(|m| m == name);
+        let measure = |name: &&str| match *name {
+            "error" => plan.error,
+            other => plan.measures.iter().position(|m| m == other),
+        };
         let (found, missing): (Vec<&str>, Vec<&str>) =
             ["error", "end_x", "end_y"].into_iter().partition(|name| measure(name).is_some());
         if !missing.is_empty() {
@@ -104,7 +107,7 @@ impl MovementCutter {
             cut.movement.points.push(end);
             cut.movement.errors.push(error);
         }
-        if header.flags & flag::NEW_TARGET == 0 {
+        if header.flags & (flag::NEW_TARGET | flag::EPISODE_END) == 0 {
             return None;
         }
         let done = self.close();

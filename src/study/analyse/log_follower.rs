@@ -31,8 +31,12 @@ pub(super) struct LogFollower {
 }
 
 impl LogFollower {
-    /// The beginning of a run of `plan`; `None` if its plant is not simulated.
+    /// The beginning of a run of `plan`; `None` if its plant is not simulated, or its controller is another
+    /// program.
     pub fn new(plan: &Plan) -> Option<Self> {
+        if !plan.scenario.controller.is_shipped() {
+            return None;
+        }
         Some(Self {
             plant: plan.simulated_plant()?,
             controller: Controller::new(plan),

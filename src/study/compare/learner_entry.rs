@@ -101,6 +101,10 @@ impl LearnerEntry {
         if let Some(arm) = &mut scenario.plant.arm {
             changes.iter().for_each(|change| change.apply(arm));
         }
+        if !scenario.controller.is_shipped() {
+            let text = "a comparison knows the learners of this package only; take controller.program out of --set";
+            return Err(StudyError::Asked(text.to_owned()));
+        }
         let plan = scenario.plan().map_err(|error| without_line(error, &name))?;
         Ok(Self { name, plan, changes, estimated_tick_ns })
     }

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::log::LogError;
+use crate::runtime::{PipeError, exit};
 use crate::scenario::{Rule, ScenarioError};
 
 /// Why a log cannot be replayed. A log that can be replayed with a different result is not an error but a
@@ -25,6 +26,9 @@ pub enum ReplayError {
         /// The build that wrote it.
         build: String,
     },
+    /// The controller's program of the run cannot be used.
+    #[error(transparent)]
+    Pipe(#[from] PipeError),
     /// The log was written with `every` above 1.
     #[error(
         "the log {} holds every {every}th tick only, and a replay needs all that was learned from; run the \
@@ -77,4 +81,14 @@ pub enum ReplayError {
         /// The reason.
         error: Box<ScenarioError>,
     },
+}
+
+impl ReplayError {
+    /// The exit code for this error.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Pipe(error) => error.exit_code(),
+            _ => exit::INPUT,
+        }
+    }
 }

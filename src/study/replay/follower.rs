@@ -7,12 +7,13 @@
 
 use std::collections::VecDeque;
 
+use super::controller::ReplayedController;
 use super::off_policy::OffPolicyLearner;
 use super::plant_replay::PlantReplay;
 use super::sample_diff::{Difference, compare};
 use super::stamps::StampChecker;
 use crate::log::LogRecord;
-use crate::runtime::Controller;
+use crate::runtime::PipeError;
 use crate::scenario::Plan;
 use crate::wire::{Command, Learning, Observation, flag};
 
@@ -29,12 +30,32 @@ pub(super) struct CheckCounts {
     pub unseen: u64,
 }
 
+/// Why a replay stops before the end of the log.
+pub(super) enum Parted {
+    /// The log differs from its replay.
+    Difference(Box<Difference>),
+    /// The controller's program failed.
+    Pipe(PipeError),
+}
+
+impl From<Box<Difference>> for Parted {
+    fn from(difference: Box<Difference>) -> Self {
+        Self::Difference(difference)
+    }
+}
+
+impl From<PipeError> for Parted {
+    fn from(error: PipeError) -> Self {
+        Self::Pipe(error)
+    }
+}
+
 /// A run that is replayed along its log.
 pub(super) struct ReplayFollower {
     stamps: StampChecker,
     plant: PlantReplay,
     /// The log's own learner.
-    pub controller: Controller,
+    pub controller: ReplayedController,
     /// Another learner, which gets the same experience.
     pub other: Option<OffPolicyLearner>,
     /// Samples that were read and not yet replayed.
@@ -54,11 +75,14 @@ pub(super) struct ReplayFollower {
 
 impl ReplayFollower {
     /// The beginning of a run of `plan`.
-    pub fn new(plan: &Plan, stamps: StampChecker, other: Option<OffPolicyLearner>) -> Self {
-        Self {
+    ///
+    /// # Errors
+    /// When the controller's program cannot be started, or refuses the scenario.
+    pub fn new(plan: &Plan, stamps: StampChecker, other: Option<OffPolicyLearner>) -> Result<Self, PipeError> {
+        Ok(Self {
             stamps,
             plant: PlantReplay::new(plan),
-            controller: Controller::new(plan),
+            controller: ReplayedController::new(plan)?,
             other,
             observations: VecDeque::new(),
             commands: VecDeque::new(),
@@ -67,7 +91,7 @@ impl ReplayFollower {
             answer: None,
             incarnations: [0; 2],
             counts: CheckCounts::default(),
-        }
+        })
     }
 
     /// The replayed plant.
@@ -76,7 +100,7 @@ impl ReplayFollower {
     }
 
     /// Takes the log's next message and replays as far as the messages so far allow.
-    pub fn take(&mut self, record: &LogRecord) -> Result<(), Box<Difference>> {
+    pub fn take(&mut self, record: &LogRecord) -> Result<(), Parted> {
         match record {
             LogRecord::Observation(s) => self.observations.push_back(*s),
             LogRecord::Command(s) => self.commands.push_back(*s),
@@ -86,13 +110,13 @@ impl ReplayFollower {
         self.advance()
     }
 
-    fn advance(&mut self) -> Result<(), Box<Difference>> {
+    fn advance(&mut self) -> Result<(), Parted> {
         self.advance_ticks()?;
         self.match_learning()
     }
 
     /// Replays all ticks up to the last command that was read.
-    fn advance_ticks(&mut self) -> Result<(), Box<Difference>> {
+    fn advance_ticks(&mut self) -> Result<(), Parted> {
         while let Some(command) = self.commands.front() {
             let Some(observation) = self.observations.front() else { break };
             let (observed, answered) = (observation.header.tick, command.header.tick);
@@ -118,7 +142,7 @@ impl ReplayFollower {
     }
 
     /// Compares the replayed learning records with those of the log that were read.
-    fn match_learning(&mut self) -> Result<(), Box<Difference>> {
+    fn match_learning(&mut self) -> Result<(), Parted> {
         while let (Some((observation, replayed)), Some(logged)) = (self.unmatched.front_mut(), self.learnings.front()) {
             let (header, known) = (&mut replayed.header, self.incarnations[1]);
             self.stamps.stamp_answer(header, &observation.header, self.counts.records, known, &logged.header);
@@ -134,17 +158,15 @@ impl ReplayFollower {
     }
 
     /// Replays the controller's tick, and compares its answer with the next command of the log.
-    fn answer(&mut self, observation: &Observation) -> Result<(), Box<Difference>> {
+    fn answer(&mut self, observation: &Observation) -> Result<(), Parted> {
         let Some(logged) = self.commands.pop_front() else { return Ok(()) };
         let (mut command, mut learning) = (Command::default(), Learning::default());
-        self.controller.respond(observation, &mut command);
+        self.controller.answer(observation, &mut command, &mut learning)?;
         let (header, known) = (&mut command.header, self.incarnations[0]);
         self.stamps.stamp_answer(header, &observation.header, self.counts.answers, known, &logged.header);
         compare("command", observation.header.tick, &logged, &command)?;
         self.incarnations[0] = logged.header.incarnation;
         self.stamps.check_order(&logged.header, "command")?;
-        self.controller.after_command(observation);
-        self.controller.record(observation, &mut learning);
         if let Some(other) = &mut self.other {
             other.learn(observation, &command);
         }
@@ -156,7 +178,7 @@ impl ReplayFollower {
 
     /// Ends the log. If it is not `whole`, it was cut off, and samples of the last ticks may be missing.
     /// `complete` means that the run reached its planned end of `ticks`.
-    pub fn end(&mut self, whole: bool, complete: bool, ticks: u64) -> Result<(), Box<Difference>> {
+    pub fn end(&mut self, whole: bool, complete: bool, ticks: u64) -> Result<(), Parted> {
         self.advance()?;
         while let Some(observation) = self.observations.pop_front() {
             let command = self.answer.as_ref().filter(|a| self.plant.last() == Some(a.header.tick));
@@ -192,7 +214,13 @@ impl ReplayFollower {
 }
 
 /// The difference for a sample that exists only in the log or only in the replay.
-fn unpaired(channel: &'static str, tick: u64, logged: &str, replayed: &str) -> Box<Difference> {
+fn unpaired(channel: &'static str, tick: u64, logged: &str, replayed: &str) -> Parted {
     let field = "the whole sample".to_owned();
-    Box::new(Difference { tick, channel, field, logged: logged.to_owned(), replayed: replayed.to_owned() })
+    Parted::Difference(Box::new(Difference {
+        tick,
+        channel,
+        field,
+        logged: logged.to_owned(),
+        replayed: replayed.to_owned(),
+    }))
 }

@@ -17,6 +17,7 @@
 //!   wrong value is found when it changes what is learned. Nothing is learned from measures, unused entries,
 //!   `NEW_TARGET`, and the last bits of a number that rounding removes.
 
+mod controller;
 mod error;
 mod follower;
 mod off_policy;
@@ -34,12 +35,12 @@ pub use off_policy::OffPolicy;
 pub use sample_diff::Difference;
 
 use crate::log::{LogRecord, RunLog};
+use crate::policy::LinearPolicy;
 use crate::reference::{FixedArm, Score, TestSet};
-use crate::runtime::Controller;
-use crate::scenario::{LearnerConfig, Plan, Rule, Scenario};
+use crate::scenario::{ControllerConfig, LearnerConfig, Plan, Rule, Scenario};
 use crate::supervise::RunProgress;
 use crate::wire::Gap;
-use follower::ReplayFollower;
+use follower::{Parted, ReplayFollower};
 use off_policy::OffPolicyLearner;
 use plant_replay::PlantReplay;
 use stamps::StampChecker;
@@ -108,7 +109,7 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
         .map_err(|error| ReplayError::Scenario { path: path.clone(), error: Box::new(error), build: build.clone() })?;
     check_complete(&log, &path)?;
     let other = learner.map(|rule| other(&plan, rule, &path)).transpose()?;
-    let mut run = ReplayFollower::new(&plan, StampChecker::of(&log, &plan), other);
+    let mut run = ReplayFollower::new(&plan, StampChecker::of(&log, &plan), other)?;
     let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, progress);
     let mut difference = None;
     for record in log.by_ref() {
@@ -117,9 +118,16 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
             progress.clear();
             return Err(lost(*gap, &path, &mut log, run.plant().last())?);
         }
-        if let Err(found) = run.take(&record) {
-            difference = Some(*found);
-            break;
+        match run.take(&record) {
+            Ok(()) => {}
+            Err(Parted::Difference(found)) => {
+                difference = Some(*found);
+                break;
+            }
+            Err(Parted::Pipe(error)) => {
+                progress.clear();
+                return Err(error.into());
+            }
         }
         if let LogRecord::Observation(s) = &record
             && s.header.tick.is_multiple_of(64)
@@ -130,9 +138,13 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
     progress.clear();
     if difference.is_none() {
         let complete = log.totals().is_some_and(|totals| totals.complete);
-        difference = run.end(is_whole(&log), complete, plan.scenario.ticks).err().map(|found| *found);
+        difference = match run.end(is_whole(&log), complete, plan.scenario.ticks) {
+            Ok(()) => None,
+            Err(Parted::Difference(found)) => Some(*found),
+            Err(Parted::Pipe(error)) => return Err(error.into()),
+        };
     }
-    Ok(result(&log, path, &plan, run, difference, &build))
+    result(&log, path, &plan, run, difference, &build)
 }
 
 /// Whether the log was written to its end. A repaired log lacks what it lacked before.
@@ -177,28 +189,30 @@ fn result(
     run: ReplayFollower,
     difference: Option<Difference>,
     build: &str,
-) -> ReplayResult {
+) -> Result<ReplayResult, ReplayError> {
     let test = run.other.as_ref().and_then(|_| test_set(plan, run.plant()));
-    let score = |controller: &Controller| test.as_ref().map(|test| test.score(controller.policy()));
-    let (own, others) = (score(&run.controller), run.other.as_ref().and_then(|other| score(other.controller())));
-    ReplayResult {
+    let score = |policy: &LinearPolicy| test.as_ref().map(|test| test.score(policy));
+    let own = run.controller.policy().and_then(score);
+    let others = run.other.as_ref().and_then(|other| score(other.controller().policy()));
+    let (counts, seen, plant_simulated) = (run.counts, run.plant().seen(), run.plant().simulated());
+    Ok(ReplayResult {
         log: path,
         scenario: plan.scenario.name.clone(),
         seed: plan.scenario.seed,
         mode: log.run("mode").unwrap_or("unknown").to_owned(),
         torn: difference.is_none() && !is_whole(log),
         difference,
-        observations: run.plant().seen(),
-        commands: run.counts.answers,
-        learnings: run.counts.records,
-        hashes: run.counts.hashes,
-        unseen: run.counts.unseen,
-        plant_simulated: run.plant().simulated(),
-        weights_hash: format!("{:016x}", run.controller.policy().hash()),
+        observations: seen,
+        commands: counts.answers,
+        learnings: counts.records,
+        hashes: counts.hashes,
+        unseen: counts.unseen,
+        plant_simulated,
+        weights_hash: run.controller.finish()?.weights_hash,
         warnings: warnings(log, plan, build),
         noiseless: own,
         other: run.other.map(|other| other.finish(others)),
-    }
+    })
 }
 
 /// The test set with the arm in its condition at the end of the log. `None` if the plant is not the
@@ -213,6 +227,7 @@ fn test_set(plan: &Plan, plant: &PlantReplay) -> Option<TestSet> {
 fn other(plan: &Plan, rule: Rule, path: &Path) -> Result<OffPolicyLearner, ReplayError> {
     let mut scenario = plan.scenario.clone();
     scenario.learner = LearnerConfig::preset(rule);
+    (scenario.controller, scenario.own_learner) = (ControllerConfig::default(), None);
     let plan = scenario.plan().map_err(|error| ReplayError::Learner {
         path: path.to_owned(),
         rule,

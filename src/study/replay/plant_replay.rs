@@ -13,12 +13,11 @@
 use super::sample_diff::{Difference, compare};
 use super::stamps::StampChecker;
 use crate::plant::{JointState, Outcome, Plant, SimulatedPlant};
-use crate::policy::Outputs;
 use crate::programs::is_simulator;
 use crate::runtime::PlantSide;
 use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor};
-use crate::wire::{Command, MAX_INPUTS, Observation, flag};
+use crate::wire::{Command, MAX_INPUTS, Observation, OutputValues, flag};
 
 /// Largest number of candidates that are kept. A further one needs another skip of ticks for which it makes
 /// no difference whether the command arrived.
@@ -30,7 +29,7 @@ enum ReplayedPlant {
     /// A simulated plant, which is run again.
     Simulated(SimulatedPlant),
     /// The log, for a plant that cannot be run again.
-    Logged { inputs: [f32; MAX_INPUTS], fresh: bool, outcome: Outcome, own: Option<PlantOwnLimits> },
+    Logged { inputs: [f32; MAX_INPUTS], fresh: bool, ended: u32, outcome: Outcome, own: Option<PlantOwnLimits> },
 }
 
 /// What the log tells of a plant that applies a command within its tick. Such a plant has limits of its own
@@ -38,7 +37,7 @@ enum ReplayedPlant {
 #[derive(Debug, Clone, Copy, Default)]
 struct PlantOwnLimits {
     /// The command that it applied.
-    applied: Outputs,
+    applied: OutputValues,
     /// The flags of the observation.
     flags: u32,
     /// Whether both belong to the current tick, and not to a later one.
@@ -65,7 +64,7 @@ impl Plant for ReplayedPlant {
         match self {
             Self::Simulated(body) => body.sense(tick, inputs),
             Self::Logged { inputs: logged, fresh, .. } => {
-                inputs.copy_from_slice(logged);
+                inputs.copy_from_slice(&logged[..inputs.len()]);
                 *fresh
             }
         }
@@ -97,7 +96,7 @@ impl Plant for ReplayedPlant {
 
     fn sensing_flags(&self) -> u32 {
         match self {
-            Self::Logged { own: Some(own), .. } => own.flags & flag::BLIND,
+            Self::Logged { own, ended, .. } => *ended | own.map_or(0, |own| own.flags & flag::BLIND),
             _ => 0,
         }
     }
@@ -134,8 +133,13 @@ impl PlantReplay {
         let body = plan.simulated_plant().filter(|_| is_simulator(&plan.scenario.plant.program));
         let simulated = body.is_some();
         let own = plan.scenario.plant.servos.as_ref().map(|_| PlantOwnLimits::default());
-        let logged =
-            ReplayedPlant::Logged { inputs: [0.0; MAX_INPUTS], fresh: false, outcome: Outcome::default(), own };
+        let logged = ReplayedPlant::Logged {
+            inputs: [0.0; MAX_INPUTS],
+            fresh: false,
+            ended: 0,
+            outcome: Outcome::default(),
+            own,
+        };
         let side = PlantSide::new(body.map_or(logged, ReplayedPlant::Simulated), plan);
         let faulty = !side.is_fault_free();
         Self {
@@ -266,9 +270,10 @@ fn distinct(mut candidates: Vec<PlantSide<ReplayedPlant>>) -> Vec<PlantSide<Repl
 impl PlantSide<ReplayedPlant> {
     /// Advances from tick `due` - 1, in which `command` arrived in time, to the beginning of `tick`.
     fn follow(&mut self, due: u64, tick: u64, command: Option<&Command>, logged: &Observation) {
-        if let ReplayedPlant::Logged { inputs, fresh, outcome, own } = self.body_mut() {
+        if let ReplayedPlant::Logged { inputs, fresh, ended, outcome, own } = self.body_mut() {
             *inputs = logged.inputs;
             *fresh = logged.header.flags & flag::NEW_TARGET != 0;
+            *ended = logged.header.flags & flag::EPISODE_END;
             *outcome = Outcome { reward: logged.reward, measures: logged.measures };
             if let Some(own) = own {
                 *own = PlantOwnLimits { applied: logged.applied, flags: logged.header.flags, current: tick == due };

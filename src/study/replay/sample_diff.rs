@@ -79,7 +79,7 @@ fn value_text(field: &Field, bytes: &[u8]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::{Command, Learning, Observation, flag};
+    use crate::wire::{Command, Learning, MAX_OUTPUTS, Observation, flag};
 
     fn difference_text<S: Sample>(logged: &S, replayed: &S) -> String {
         let d = compare("x", 3, logged, replayed).unwrap_err();
@@ -95,7 +95,7 @@ mod tests {
         assert_eq!(difference_text(&observation, &Observation::default()), "measures[1]: -0.0 0.0");
         observation.header.flags = flag::MISSED | flag::HELD;
         assert_eq!(difference_text(&observation, &Observation::default()), "header.flags: MISSED|HELD none");
-        let nan = |bits| Command { drawn: [f32::from_bits(bits); 8], ..Command::default() };
+        let nan = |bits| Command { drawn: [f32::from_bits(bits); MAX_OUTPUTS], ..Command::default() };
         assert_eq!(
             difference_text(&nan(0x7fc0_0000), &nan(0x7fc0_0001)),
             "drawn[0]: NaN (0x7fc00000) NaN (0x7fc00001)"

@@ -10,7 +10,7 @@ use super::ReproduceSettings;
 use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
 use super::trial_windows::{TrialWindow, TrialWindows, mean};
 use crate::report::figure::{ErrorFigure, ErrorPanel, draw_miss};
-use crate::scenario::{MapConfig, Plan, Retina, Scenario};
+use crate::scenario::{MapConfig, PerAxis, Plan, Retina, Scenario};
 use crate::stats::Spread;
 use crate::study::text::{push_divergences, push_files, spread_in_words, write_lines};
 use crate::study::{JobProgress, StudyError};
@@ -118,7 +118,7 @@ fn change(scenario: &mut Scenario, retina: Retina, scalar: bool) {
         let map = |pair: &[&str]| MapConfig {
             inputs: pair.iter().map(|&name| name.to_owned()).collect(),
             units: vec![16, 16],
-            radius: 0.5,
+            radius: PerAxis::All(0.5),
             ranges: Vec::new(),
         };
         encoder.maps = names.chunks(2).map(map).collect();

@@ -30,12 +30,19 @@
 //! features. This sum is one number per output, which decays like the trace, and needs no pass over the
 //! features. Features have one sign and change slowly, so the bound is tight. In addition, an error is limited
 //! to a multiple of the running mean of its size, so that no single outlier (a joint that blocks, an extreme
-//! reward) can destroy the weights.
+//! reward) can destroy the weights. Errors that go beyond the limit for [`NEW_SCALE_TICKS`] ticks in a row are no
+//! outliers: rewards have another size now, and the running mean begins anew with them.
+//!
+//! A mean command beyond the gate's limit is moved back to it ([`MEAN_MARGIN`]). Where the gate limits the
+//! command, the reward no longer depends on how far beyond the limit the mean is. The credited noise is then the
+//! way from the mean back to the limit, so that each error of the critic moves the mean by more the farther out
+//! it is: without a bound it drifts away and does not come back.
 
 use super::CriticConfig;
 use super::critic_kernel::CriticKernel;
 use super::{LearningRule, NaturalMetric, PairFeatures, Transition, dot, is_safe};
 use crate::MAX_OUTPUTS;
+use crate::plant::EpisodeEnd;
 use crate::policy::{LinearPolicy, Outputs, Tiles, TraceStep};
 use crate::state::{Persist, StateVisitor};
 use tectum_encoder::Features;
@@ -93,6 +100,13 @@ const MAX_NOISE_SQUARE: f32 = 8.0;
 /// Largest change of the mean command at the current features in one tick, in standard deviations of the noise.
 const MAX_MEAN_STEP: f32 = 0.5;
 
+/// How far the mean command may go beyond the gate's limit, in standard deviations of the noise: far enough for
+/// nearly every command to have full size where that is best.
+const MEAN_MARGIN: f32 = 1.0;
+
+/// Limited errors in a row after which the running mean of their size begins anew.
+const NEW_SCALE_TICKS: u32 = 20;
+
 /// The actor-critic rule: constants, critic and both traces.
 #[derive(Debug, Clone)]
 pub struct ActorCritic {
@@ -119,10 +133,16 @@ pub struct ActorCritic {
     value_trace_bound: f32,
     /// The last reward as a feature of the critic: its weight, its trace, and the reward.
     reward_input: [f32; 3],
-    /// Running mean of the error's size.
+    /// Largest mean command of each output.
+    max_mean: Outputs,
+    /// Running mean of the error's size; 0 until there was an error.
     error_size: f32,
+    /// Number of limited errors in a row.
+    limited_errors: u32,
     /// Number of ticks learned from.
     ticks_learned: f32,
+    /// Whether the tick that is being learned from ends its episode with the value zero.
+    terminated: bool,
     halted: bool,
 }
 
@@ -146,8 +166,11 @@ impl ActorCritic {
             trace_bound: [0.0; MAX_OUTPUTS],
             value_trace_bound: 0.0,
             reward_input: [0.0; 3],
+            max_mean: [f32::INFINITY; MAX_OUTPUTS],
             error_size: 0.0,
+            limited_errors: 0,
             ticks_learned: 0.0,
+            terminated: false,
             halted: false,
         }
     }
@@ -163,10 +186,36 @@ impl ActorCritic {
         Self { uses_pairs: pairs.is_some(), pairs, metric, ..self }
     }
 
+    /// The same rule for commands that a gate limits to `max_command`.
+    #[must_use]
+    pub fn limited_to(self, max_command: Outputs) -> Self {
+        let margin = MEAN_MARGIN * self.critic.sigma;
+        Self { max_mean: max_command.map(|limit| limit + margin), ..self }
+    }
+
+    /// Moves mean commands that are beyond the gate's limit back to it, by the smallest change of the weights.
+    /// `mean` is the policy's mean for `features`.
+    fn limit_mean(&self, policy: &mut LinearPolicy, features: &[f32], mean: &mut Outputs) {
+        if mean.iter().zip(self.max_mean).all(|(mean, limit)| mean.abs() <= limit) {
+            return;
+        }
+        let square = dot(features, features);
+        for (output, (mean, limit)) in mean.iter().zip(self.max_mean).take(self.outputs).enumerate() {
+            let share = (mean.clamp(-limit, limit) - mean) / square;
+            for (position, feature) in features.iter().enumerate().filter(|_| share.is_finite() && share != 0.0) {
+                *policy.weights_mut().get_mut(output, position) += share * feature;
+            }
+        }
+        *mean = policy.mean(features);
+    }
+
     /// Limits the error and updates the running mean of its size.
     fn bound_error(&mut self, error: f32) -> f32 {
-        // The first error sets the scale.
-        let size = if self.ticks_learned == 0.0 { error.abs() } else { self.error_size };
+        // The first error that is not 0 sets the scale, and so does one after many that were beyond it.
+        let limited = error.abs() > self.critic.bound * self.error_size;
+        self.limited_errors = if limited { self.limited_errors + 1 } else { 0 };
+        let begins = self.error_size == 0.0 || self.limited_errors > NEW_SCALE_TICKS;
+        let size = if begins { error.abs() } else { self.error_size };
         let bounded = error.clamp(-self.critic.bound * size, self.critic.bound * size);
         self.error_size = size + ERROR_SIZE_RATE * (bounded.abs() - size);
         bounded
@@ -239,6 +288,7 @@ impl ActorCritic {
         let rewards = [self.reward_input[2], tick.reward].map(|r| r * self.critic.reward_feature);
         let critic_direction = if self.uses_pairs { here } else { direction };
         let [here_value, next_value] = self.evaluate(policy.path(), [here, next], critic_direction, tick.reward);
+        let next_value = if self.terminated { 0.0 } else { next_value };
         let error = tick.reward - cost + self.critic.discount * next_value - here_value;
         if !is_safe(error * self.rate, tick.noise) || !is_safe(error * self.critic.step, tick.noise) {
             self.halted = true;
@@ -257,6 +307,7 @@ impl ActorCritic {
         let step = TraceStep { features: direction, gain: tick.noise, decay: self.beta, rate };
         self.ticks_learned += 1.0;
         policy.step_and_answer(&mut self.trace, step, tick.next_features, mean);
+        self.limit_mean(policy, tick.next_features, mean);
         rate
     }
 }
@@ -283,6 +334,15 @@ impl LearningRule for ActorCritic {
         let rate = self.learn_from(policy, tick, critic_features, metric.as_ref().map(NaturalMetric::result), mean);
         (self.pairs, self.metric) = (pairs, metric);
         rate
+    }
+
+    /// The value after a terminated episode is zero. After a truncated one it is unknown, and so is the error.
+    fn learn_last(&mut self, policy: &mut LinearPolicy, tick: &Transition, end: EpisodeEnd) -> Option<f32> {
+        self.terminated = end == EpisodeEnd::Terminated;
+        let step = self.terminated.then(|| self.learn(policy, tick));
+        self.terminated = false;
+        self.cut_trace();
+        step
     }
 
     fn cut_trace(&mut self) {
@@ -319,6 +379,7 @@ impl Persist for ActorCritic {
         visitor.number("value_reach", &mut self.value_trace_bound);
         visitor.numbers("last", &mut self.reward_input);
         visitor.number("size", &mut self.error_size);
+        visitor.number("limited_errors", &mut self.limited_errors);
         visitor.number("learned", &mut self.ticks_learned);
         visitor.boolean("halted", &mut self.halted);
     }
@@ -335,124 +396,4 @@ fn length(features: &[f32]) -> f32 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const CRITIC: CriticConstants = CriticConstants {
-        step: 0.5,
-        discount: 0.9,
-        decay: 0.5,
-        reward_feature: 0.25,
-        bound: 3.0,
-        half_life: f32::INFINITY,
-        floor: 0.0,
-        warm_up: 0.0,
-        noise_step: 0.0,
-        sigma: 1.0,
-    };
-
-    fn tick<'a>(features: &'a [f32], noise: &'a Outputs, reward: f32, next_features: &'a [f32]) -> Transition<'a> {
-        Transition { features, inputs: &[], noise, applied: noise, reward, next_features, next_inputs: &[] }
-    }
-
-    /// All value weights, including the pending step.
-    fn values(rule: &mut ActorCritic) -> Vec<f32> {
-        let mut updated = rule.clone();
-        updated.cut_trace();
-        updated.values.as_slice().to_vec()
-    }
-
-    #[test]
-    fn two_ticks_follow_the_equations() {
-        let mut policy = LinearPolicy::new(4, (0..4).collect(), 4);
-        // Steps that no bound limits.
-        let critic = CriticConstants { step: 0.25, sigma: 10.0, ..CRITIC };
-        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, critic);
-        let mut noise = [0.0; 8];
-        noise[..2].copy_from_slice(&[0.5, -1.0]);
-        let (a, b, c) = ([1.0, 0.0, 0.5, 0.0], [0.0, 1.0, 0.5, 0.0], [0.0, 0.0, 1.0, 0.0]);
-        rule.learn(&mut policy, &tick(&a, &noise, -2.0, &b));
-        // No value yet: delta = r. v = 0.25 * -2 * a; the last reward was 0, so its weight stays.
-        assert_eq!(values(&mut rule), [-0.5, 0.0, -0.25, 0.0]);
-        assert!((policy.weight(1, 0) - 0.2).abs() < 1e-6);
-        // delta = -1 + 0.9 * -0.25 - -0.125.
-        rule.learn(&mut policy, &tick(&b, &noise, -1.0, &c));
-        let delta = -1.0 + 0.9 * -0.25 + 0.125_f32;
-        let trace = [0.45, 1.0, 0.45 * 0.5 + 0.5, 0.0];
-        let now = values(&mut rule);
-        for (i, before) in [-0.5, 0.0, -0.25, 0.0].iter().enumerate() {
-            assert!((now[i] - (before + 0.25 * delta * trace[i])).abs() < 1e-6);
-        }
-        rule.cut_trace();
-        assert!((rule.reward_input[0] - 0.25 * delta * 0.25 * -2.0).abs() < 1e-6);
-        let expected = -0.1 + 0.1 * delta * (0.8 * 0.5 * 1.0);
-        assert!((policy.weight(0, 0) - expected).abs() < 1e-6);
-    }
-
-    #[test]
-    fn no_step_moves_a_mean_or_a_value_farther_than_the_bounds() {
-        let (a, b) = ([0.8, 0.6, 0.0, 0.0], [0.0, 0.6, 0.8, 0.0]);
-        for metric in [None, Some(NaturalMetric::from_moments(vec![0.25; 16], 4, 4, 0.3))] {
-            let mut policy = LinearPolicy::new(4, (0..4).collect(), 3);
-            let critic = CriticConstants { step: 100.0, sigma: 0.2, bound: 1e9, ..CRITIC };
-            let mut rule = ActorCritic::new(4, 3, 0.9, 1000.0, critic).with(None, metric);
-            let mut exploration = crate::policy::Exploration::new(3, 0.2, 3);
-            let mut longest = 0.0_f32;
-            for k in 0..500 {
-                let (here, next) = if k % 7 < 3 { (&a, &b) } else { (&b, &a) };
-                let (before, value) = (policy.mean(here), dot(&values(&mut rule), here));
-                let reward = if k % 50 == 49 { -1e4 } else { -1.0 };
-                let known = reward + 0.9 * dot(&values(&mut rule), next) - value;
-                rule.learn(&mut policy, &tick(here, &exploration.draw(), reward, next));
-                for (after, before) in policy.mean(here).iter().zip(before) {
-                    longest = longest.max((after - before).abs());
-                }
-                // The last reward is a feature too, and may account for part of the error.
-                let moved = dot(&values(&mut rule), here) - value;
-                let weight = rule.reward_input[0].abs() * 0.25 * 2e4;
-                assert!(moved.abs() <= known.abs() + weight + 1e-3, "{k}: {moved} {known}");
-            }
-            // Single precision, with weights of the order of 1.
-            assert!(longest <= MAX_MEAN_STEP * 0.2 * 1.001 && longest > 0.5 * MAX_MEAN_STEP * 0.2, "{longest}");
-            assert!(!rule.halted());
-        }
-    }
-
-    #[test]
-    fn the_cost_of_squared_noise_is_learned_and_subtracted() {
-        let mut policy = LinearPolicy::new(4, (0..4).collect(), 2);
-        let critic = CriticConstants { noise_step: 0.05, sigma: 0.5, bound: 1e6, ..CRITIC };
-        let mut rule = ActorCritic::new(4, 2, 0.0, 0.0, critic);
-        let mut exploration = crate::policy::Exploration::new(3, 0.5, 2);
-        for _ in 0..2000 {
-            let noise = exploration.draw();
-            let reward = -0.1 - 0.3 * noise[0] * noise[0];
-            rule.learn(&mut policy, &tick(&[1.0, 0.0, 0.0, 0.0], &noise, reward, &[1.0, 0.0, 0.0, 0.0]));
-        }
-        // 0.3 sigma^2 on the first output, nothing on the second or on unused outputs.
-        assert!((rule.noise_costs[0] + 0.075).abs() < 0.01, "{:?}", rule.noise_costs);
-        assert!(rule.noise_costs[1].abs() < 0.01 && rule.noise_costs[2..] == [0.0; 6], "{:?}", rule.noise_costs);
-        assert!(rule.error_size < 0.03, "{}", rule.error_size);
-    }
-
-    #[test]
-    fn an_outlier_is_limited_to_the_bound() {
-        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC);
-        assert_eq!(rule.bound_error(-0.5), -0.5);
-        rule.ticks_learned = 1.0;
-        assert_eq!(rule.bound_error(-100.0), -1.5);
-    }
-
-    #[test]
-    fn a_number_that_is_not_finite_stops_learning() {
-        let mut policy = LinearPolicy::new(4, (0..4).collect(), 4);
-        let mut rule = ActorCritic::new(4, 4, 0.8, 0.1, CRITIC);
-        rule.values.as_mut_slice()[0] = f32::INFINITY;
-        let noise = [1.0; 8];
-        rule.learn(&mut policy, &tick(&[1.0; 4], &noise, -1.0, &[1.0; 4]));
-        assert!(rule.halted());
-        rule.values.as_mut_slice()[0] = 0.0;
-        rule.learn(&mut policy, &tick(&[1.0; 4], &noise, -1.0, &[1.0; 4]));
-        assert_eq!(policy.norm(), 0.0);
-    }
-}
+mod tests;

@@ -98,7 +98,8 @@ pub struct ModelConfig {
     pub spread: f64,
     /// Factor of the prior standard deviation for every order above the first (basis `smooth`).
     pub smoothness: f64,
-    /// Standard deviation of the difference between reward and model.
+    /// Least standard deviation of the difference between reward and model that is assumed. A greater one is
+    /// learned.
     pub reward_noise: f64,
     /// Names of the inputs that the commands move; if omitted, the last inputs, one per output.
     #[serde(skip_serializing_if = "Vec::is_empty")]

@@ -64,7 +64,16 @@ fn update(rule: &mut dyn LearningRule) -> Weights {
             let (noise, applied) = (&noise, &noise);
             rule.learn(
                 &mut policy,
-                &Transition { features, inputs: &[], noise, applied, reward, next_features, next_inputs: &[] },
+                &Transition {
+                    features,
+                    inputs: &[],
+                    noise,
+                    applied,
+                    reward,
+                    next_features,
+                    next_inputs: &[],
+                    new_target: false,
+                },
             );
         }
         rule.cut_trace();

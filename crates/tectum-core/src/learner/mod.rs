@@ -35,6 +35,7 @@ pub use paper::PaperRule;
 use tectum_encoder::{Encoder, Map};
 
 use crate::SignalConfig;
+use crate::plant::EpisodeEnd;
 use crate::policy::{LinearPolicy, Outputs};
 use crate::state::{Persist, StateVisitor};
 
@@ -52,6 +53,8 @@ pub struct LearnerSpec {
     pub normalise: bool,
     /// Standard deviation of the exploration noise, in units of the command.
     pub sigma: f64,
+    /// Largest command that the gate lets through, by output; infinite where there is no limit.
+    pub max_command: Outputs,
     /// Seed of the run's random streams.
     pub seed: u64,
     /// The rule and its settings.
@@ -76,6 +79,9 @@ pub struct Transition<'a> {
     pub next_features: &'a [f32],
     /// The inputs of the next tick.
     pub next_inputs: &'a [f32],
+    /// Whether a new target (or trial) begins with the next tick. Then the inputs may have changed by more than
+    /// what the command did.
+    pub new_target: bool,
 }
 
 /// A learning rule. Its methods do not allocate, and its results depend only on the ticks that it received and
@@ -93,6 +99,15 @@ pub trait LearningRule {
         step
     }
 
+    /// Learns from the last tick of an episode, and clears the trace. `tick`'s next features and inputs belong to
+    /// another episode, and no value may be taken from them. Returns the step, or `None` when the rule cannot learn
+    /// from such a tick. Without an implementation, the rule is one that reads neither.
+    fn learn_last(&mut self, policy: &mut LinearPolicy, tick: &Transition, _end: EpisodeEnd) -> Option<f32> {
+        let step = self.learn(policy, tick);
+        self.cut_trace();
+        Some(step)
+    }
+
     /// Does expensive work after the command was sent. Called once per tick, whether or not the tick was
     /// learned from.
     fn improve(&mut self, _policy: &mut LinearPolicy) {}
@@ -107,6 +122,11 @@ pub trait LearningRule {
     /// Whether the rule has stopped learning for good, because a number was not finite or too large. The
     /// weights keep their last values.
     fn halted(&self) -> bool;
+
+    /// Number of rewards that the rule did not learn from, because it took them for outliers.
+    fn outliers(&self) -> u64 {
+        0
+    }
 }
 
 /// The learning rule that a scenario configures.
@@ -133,7 +153,8 @@ impl Learner {
             let (beta, step, sigma) = (config.beta, config.alpha_over_variance, spec.sigma);
             Self::ActorCritic(Box::new(
                 ActorCritic::new(len, outputs, beta as f32, step as f32, CriticConstants::of(&critic, sigma as f32))
-                    .with(pairs, metric),
+                    .with(pairs, metric)
+                    .limited_to(spec.max_command),
             ))
         };
         match config.rule {
@@ -179,6 +200,10 @@ impl LearningRule for Learner {
         }
     }
 
+    fn learn_last(&mut self, policy: &mut LinearPolicy, tick: &Transition, end: EpisodeEnd) -> Option<f32> {
+        self.rule_mut().learn_last(policy, tick, end)
+    }
+
     fn improve(&mut self, policy: &mut LinearPolicy) {
         self.rule_mut().improve(policy);
     }
@@ -193,6 +218,10 @@ impl LearningRule for Learner {
 
     fn halted(&self) -> bool {
         self.rule().halted()
+    }
+
+    fn outliers(&self) -> u64 {
+        self.rule().outliers()
     }
 }
 
@@ -247,4 +276,4 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
 #[cfg(test)]
 mod gradient_tests;
 #[cfg(test)]
-mod test_specs;
+pub(crate) mod test_specs;

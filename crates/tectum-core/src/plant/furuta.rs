@@ -1,8 +1,8 @@
 //! A Furuta pendulum: a motor turns an arm in the horizontal plane, and at the arm's end a pendulum swings freely.
 //!
 //! Equations: Cazzolato & Prime 2011, "On the dynamics of the Furuta pendulum", for slender rods. Parameters: Quanser
-//! QUBE-Servo 2, whose motor is driven by a voltage. The reward has the form of dm_control's cart-pole: a product of
-//! upright, centred, slow and a small command.
+//! QUBE-Servo 2, whose motor is driven by a voltage, with the viscous friction of the package quanser_robots. The
+//! reward has the form of dm_control's cart-pole: a product of upright, centred, slow and a small command.
 
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
@@ -25,11 +25,11 @@ const TORQUE_CONSTANT: f64 = 0.042;
 /// Mass, kg, length, m, and damping, N m s/rad, of the arm.
 const ARM_MASS: f64 = 0.095;
 const ARM_LENGTH: f64 = 0.085;
-const ARM_DAMPING: f64 = 0.0015;
+const ARM_DAMPING: f64 = 5e-6;
 /// The same of the pendulum.
 const ROD_MASS: f64 = 0.024;
 const ROD_LENGTH: f64 = 0.129;
-const ROD_DAMPING: f64 = 0.0005;
+const ROD_DAMPING: f64 = 1e-6;
 /// Length of an integration step, s.
 const STEP_S: f64 = 0.002;
 
@@ -188,15 +188,16 @@ mod tests {
     }
 
     #[test]
-    fn it_rests_hanging_and_falls_from_upright() {
+    fn it_falls_from_upright_and_swings_about_hanging() {
         let model = FurutaModel::new(&FurutaConfig::default(), 0.02);
         let (mut hanging, mut upright) = ([0.0, 3.1, 0.0, 0.0], [0.0, 0.01, 0.0, 0.0]);
+        let mut lowest = 0.0_f64;
         for _ in 0..500 {
             model.step(&mut hanging, &[0.0]);
             model.step(&mut upright, &[0.0]);
+            assert!(hanging[1].abs() > 3.05, "{hanging:?}");
+            lowest = lowest.max(upright[1].abs());
         }
-        for state in [hanging, upright] {
-            assert!(state[1].abs() > 3.13, "{state:?}");
-        }
+        assert!(lowest > 3.0 && upright[0].abs() < 3.0, "{upright:?}");
     }
 }

@@ -37,7 +37,7 @@ pub use state_space::{MAX_STATES, SimulatedModel, StateSpace, StateSpacePlant};
 pub use timing::{MAX_DELAY, TimingConfig};
 
 use crate::MAX_MEASURES;
-use crate::policy::Outputs;
+use crate::flag;
 use crate::state::Persist;
 
 /// The outcome of one tick: reward and measures.
@@ -49,14 +49,36 @@ pub struct Outcome {
     pub measures: [f32; MAX_MEASURES],
 }
 
+/// Most joints of a plant: as many as a command has outputs.
+pub const MAX_JOINTS: usize = 16;
+
 /// A plant's joints at the beginning of a tick, for the gate's position limits: one joint per output, in their
 /// order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointState {
     /// Measured angle of each joint, rad.
-    pub position: Outputs,
+    pub position: [f32; MAX_JOINTS],
     /// How far a command of 1 moves each joint in one tick, rad; negative where it turns in the other direction.
-    pub travel: Outputs,
+    pub travel: [f32; MAX_JOINTS],
+}
+
+/// How an episode ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EpisodeEnd {
+    /// In a state after which nothing more can be earned: its value is zero.
+    Terminated,
+    /// It was cut off, for a reason that is not in the inputs, such as a limit of time. The value after it is unknown.
+    Truncated,
+}
+
+impl EpisodeEnd {
+    /// The flag of an observation that states this end.
+    pub fn flag(self) -> u32 {
+        match self {
+            Self::Terminated => flag::TERMINATED,
+            Self::Truncated => flag::TRUNCATED,
+        }
+    }
 }
 
 /// A system that can be controlled.
@@ -65,7 +87,7 @@ pub struct JointState {
 /// plant lists all of its state. A plant on hardware lists almost nothing, since the hardware keeps its own
 /// state.
 pub trait Plant: Persist {
-    /// Senses at the beginning of `tick`: writes the inputs in the scenario's order and units. Returns whether
+    /// Senses at the beginning of `tick`: writes all `inputs`, in the scenario's order and units. Returns whether
     /// a new target (or trial) begins. Ticks increase, and may skip numbers when the plant was late.
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool;
 
@@ -86,6 +108,12 @@ pub trait Plant: Persist {
         0
     }
 
+    /// Whether an episode ended with the last call of [`Plant::advance`], and how. The inputs that the plant senses
+    /// next are then the first of another episode.
+    fn episode_end(&self) -> Option<EpisodeEnd> {
+        None
+    }
+
     /// Flags about the latest sensing, in addition to those of the gate.
     fn sensing_flags(&self) -> u32 {
         0
@@ -96,4 +124,8 @@ pub trait Plant: Persist {
     fn joints(&self) -> Option<JointState> {
         None
     }
+
+    /// The run is over: called once after the last tick, before checkpoint and reports are written. A plant that is
+    /// hardware stops here.
+    fn stop(&mut self) {}
 }

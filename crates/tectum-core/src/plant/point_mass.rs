@@ -17,7 +17,8 @@ pub(super) const ARENA: f64 = 1.0;
 /// Walls stop the mass at this coordinate, m.
 pub(super) const WALL: f64 = 1.5;
 
-/// `[plant.point-mass]`: `r = -(|e|^2 + speed |v|^2 + command |u|^2)`, with the error `e`, m, and the velocity `v`, m/s.
+/// `[plant.point-mass]`: `r = -(|e|^2 + speed |v|^2 + command |u|^2)`, with the error `e`, m, and the velocity `v`,
+/// m/s.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PointMassConfig {

@@ -144,5 +144,5 @@ fn signals(seen: usize, inputs: Vec<SignalConfig>, outputs: &[&str], measures: &
 }
 
 fn signal(name: &str, unit: &str, [min, max]: [f64; 2]) -> SignalConfig {
-    SignalConfig { name: name.to_owned(), unit: unit.to_owned(), min, max }
+    SignalConfig { name: name.to_owned(), unit: unit.to_owned(), min, max, wraps: None }
 }

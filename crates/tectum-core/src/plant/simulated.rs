@@ -1,12 +1,13 @@
 //! The simulated plant of a scenario: its body, and how late it is.
 
 use super::state_space::MAX_STATES;
-use super::timing::Timing;
+use super::timing::{Begin, Timing};
 use super::{
     Arm, ArmConfig, CartPole, CartPoleConfig, Eye, EyeConfig, Furuta, FurutaConfig, JointState, Outcome, Pendulum,
     PendulumConfig, Plant, PointMass, PointMassConfig, Reacher, ReacherConfig, So101, So101Config, TimingConfig,
 };
 use crate::MAX_OUTPUTS;
+use crate::flag;
 use crate::state::{Persist, StateVisitor};
 
 /// The configuration of a body.
@@ -30,6 +31,22 @@ pub enum BodyConfig {
     So101(So101Config),
 }
 
+impl BodyConfig {
+    /// Ticks of a trial, after which there is a new target or a new start; 0 for one without end.
+    pub fn trial_ticks(&self) -> u64 {
+        match self {
+            Self::Arm(arm) => arm.target_every,
+            Self::Eye(_) => 1,
+            Self::Pendulum(pendulum) => pendulum.episode_ticks,
+            Self::CartPole(cart_pole) => cart_pole.episode_ticks,
+            Self::Reacher(reacher) => reacher.episode_ticks,
+            Self::Furuta(furuta) => furuta.episode_ticks,
+            Self::PointMass(point_mass) => point_mass.target_every,
+            Self::So101(so101) => so101.target_every,
+        }
+    }
+}
+
 /// The bodies.
 #[derive(Debug, Clone)]
 enum Body {
@@ -50,6 +67,8 @@ pub struct SimulatedPlant {
     /// Number of inputs.
     inputs: usize,
     timing: Option<Box<Timing>>,
+    /// Whether the latest inputs are those of a new start.
+    truncated: bool,
 }
 
 impl SimulatedPlant {
@@ -67,11 +86,16 @@ impl SimulatedPlant {
         };
         let signals = config.signals();
         let late = (!timing.is_nothing()).then(|| Box::new(Timing::new(timing, signals.seen, period_s)));
-        Self { body, inputs: signals.inputs.len(), timing: late }
+        Self { body, inputs: signals.inputs.len(), timing: late, truncated: false }
     }
 
     /// Whether the latest sensing ended an episode because its time was over: the inputs are those of a new start.
     pub fn truncated(&self) -> bool {
+        self.truncated
+    }
+
+    /// The same of the body, whose inputs are not late.
+    fn body_truncated(&self) -> bool {
         match &self.body {
             Body::Arm(_) | Body::Eye(_) => false,
             Body::Pendulum(plant) => plant.truncated(),
@@ -139,8 +163,17 @@ impl Plant for SimulatedPlant {
             Body::Arm(arm) => arm.sense(tick, inputs),
             _ => self.body_mut().sense(tick, inputs),
         };
+        self.truncated = self.body_truncated();
+        let Some(timing) = &mut self.timing else { return fresh };
+        let begin = match (fresh, self.truncated) {
+            (false, _) => Begin::Nothing,
+            (true, false) => Begin::Trial,
+            (true, true) => Begin::Episode,
+        };
         let used = self.inputs.min(inputs.len());
-        self.timing.as_mut().map_or(fresh, |timing| timing.sense(tick, &mut inputs[..used], fresh))
+        let late = timing.sense(tick, &mut inputs[..used], begin);
+        self.truncated = late == Begin::Episode;
+        late != Begin::Nothing
     }
 
     fn advance(&mut self, tick: u64, applied: &[f32]) -> Outcome {
@@ -156,6 +189,11 @@ impl Plant for SimulatedPlant {
         let reward = timing.reward(outcome.reward);
         self.timing = Some(timing);
         Outcome { reward, ..outcome }
+    }
+
+    /// An episode that was cut off is stated with the inputs of the new start, however late these are.
+    fn sensing_flags(&self) -> u32 {
+        if self.truncated { flag::TRUNCATED } else { 0 }
     }
 
     fn joints(&self) -> Option<JointState> {
@@ -175,6 +213,7 @@ impl Persist for SimulatedPlant {
             Body::PointMass(plant) => plant.visit_state(visitor),
             Body::So101(plant) => plant.visit_state(visitor),
         }
+        visitor.boolean("truncated", &mut self.truncated);
         if let Some(timing) = &mut self.timing {
             visitor.nested("timing", &mut **timing);
         }

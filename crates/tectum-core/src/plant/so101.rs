@@ -20,7 +20,7 @@ pub(super) const NAMES: [&str; JOINTS] = ["shoulder_pan", "shoulder_lift", "elbo
 pub(super) const LIMITS: [[f64; 2]; JOINTS] =
     [[-1.91986, 1.91986], [-1.74533, 1.74533], [-1.69, 1.69], [-1.65806, 1.65806], [-2.74385, 2.84121]];
 /// Targets lie within this coordinate on every axis, m.
-pub(super) const REACH: f64 = 0.5;
+pub(super) const REACH: f64 = 0.6;
 /// Least height of a target above the table, m.
 const TABLE: f64 = 0.03;
 /// Targets are drawn from this share of each joint's range.
@@ -181,5 +181,41 @@ impl SimulatedModel for So101Model {
     fn measures(&self, state: &[f64]) -> [f64; MAX_MEASURES] {
         let (end, error) = self.error(state);
         [libm::sqrt(error), end[0], end[1], end[2], 0.0, 0.0]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::Plant as _;
+
+    /// Computed by MuJoCo 3.17 from `so101_new_calib.xml`, the same arm with rotations as quaternions of six digits.
+    #[test]
+    fn the_end_effector_is_where_mujoco_computes_it() {
+        let model = So101Model::new(&So101Config::default(), 0.05);
+        for (theta, expected) in [
+            ([0.0; 5], [0.3913619, -1.126e-05, 0.22646874]),
+            ([0.5, -0.4, 0.7, 0.3, -1.0], [0.28055013, -0.12457336, 0.10297533]),
+            ([-1.2, 1.1, -0.6, -0.9, 2.0], [0.19423393, 0.37919953, 0.14749154]),
+        ] {
+            let end = model.end(&theta);
+            assert!(end.iter().zip(expected).all(|(a, b)| (a - b).abs() < 3e-6), "{end:?} {expected:?}");
+        }
+    }
+
+    #[test]
+    fn targets_are_within_reach_and_joints_stay_between_their_stops() {
+        let config = So101Config { target_every: 1, ..So101Config::default() };
+        let mut arm = So101::new(&config, 0.05, 1);
+        let mut inputs = [0.0; 8];
+        for tick in 0..2000 {
+            assert!(arm.sense(tick, &mut inputs));
+            assert!(inputs[..3].iter().all(|x| x.abs() < REACH as f32) && inputs[2] >= TABLE as f32, "{inputs:?}");
+            let command = [0, 1, 2, 3, 4].map(|joint| libm::sinf(0.01 * tick as f32 * (joint as f32 + 1.0)));
+            arm.advance(tick, &command);
+            for (angle, [low, high]) in inputs[3..].iter().zip(LIMITS) {
+                assert!((low as f32..=high as f32).contains(angle));
+            }
+        }
     }
 }

@@ -8,6 +8,7 @@
 //! every machine.
 
 use super::{Outcome, Plant};
+use crate::flag;
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
 use crate::{MAX_MEASURES, MAX_OUTPUTS};
@@ -20,8 +21,8 @@ pub trait StateSpace {
     /// Number of numbers in a state; at most [`MAX_STATES`].
     fn states(&self) -> usize;
 
-    /// The first so many numbers of a state decide the future, with the commands. The others are constants of the trial,
-    /// or follow from the first ones.
+    /// The first so many numbers of a state decide the future, with the commands. The others are constants of the
+    /// trial, or follow from the first ones.
     fn dynamic_states(&self) -> usize;
 
     /// Whether number `i` of a state is an angle that wraps into [-pi, pi).
@@ -115,6 +116,11 @@ impl<M: SimulatedModel> Plant for StateSpacePlant<M> {
         let fresh = self.begin_trials(tick);
         self.model.sense(&self.state, inputs);
         fresh
+    }
+
+    /// An episode that was cut off is stated with the inputs of the new start.
+    fn sensing_flags(&self) -> u32 {
+        if self.truncated { flag::TRUNCATED } else { 0 }
     }
 
     fn advance(&mut self, _tick: u64, applied: &[f32]) -> Outcome {

@@ -230,4 +230,35 @@ mod tests {
             assert_eq!(Task::named(name), None, "{name}");
         }
     }
+
+    /// Whatever has a memory and does not list it shows here, to the last bit.
+    #[test]
+    fn every_plant_goes_on_from_a_saved_state() {
+        use crate::plant::Plant as _;
+        use crate::state::{load, save, size};
+        use crate::{MAX_INPUTS, MAX_OUTPUTS};
+        for name in names() {
+            let task = Task::named(&name).unwrap();
+            let outputs = task.body.signals().outputs.len();
+            let run = |plant: &mut SimulatedPlant, ticks: std::ops::Range<u64>| {
+                let mut seen = Vec::new();
+                for tick in ticks {
+                    let mut inputs = [0.0; MAX_INPUTS];
+                    let fresh = plant.sense(tick, &mut inputs);
+                    let command = std::array::from_fn::<f32, MAX_OUTPUTS, _>(|i| {
+                        task.max_command as f32 * libm::sinf((tick + 3 * i as u64) as f32)
+                    });
+                    seen.push((fresh, plant.truncated(), inputs, plant.advance(tick, &command[..outputs])));
+                }
+                seen
+            };
+            let mut whole = task.plant(5);
+            run(&mut whole, 0..203);
+            let mut bytes = vec![0; size(&mut whole)];
+            save(&mut whole, &mut bytes);
+            let mut back = task.plant(5);
+            assert!(load(&mut back, &bytes), "{name}");
+            assert_eq!(run(&mut back, 203..500), run(&mut whole, 203..500), "{name}");
+        }
+    }
 }

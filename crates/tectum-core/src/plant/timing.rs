@@ -1,8 +1,8 @@
 //! Delays and lag between a plant and its controller.
 //!
 //! A real arm's picture is processed for a while, its reward comes later than its joints' angles, and its motors do not
-//! reach a commanded rate at once. [`Timing`] stands around a plant and makes it late in these ways. The measures, which
-//! an outside observer notes, stay in time.
+//! reach a commanded rate at once. [`Timing`] stands around a plant and makes it late in these ways. The measures,
+//! which an outside observer notes, stay in time.
 
 use serde::{Deserialize, Serialize};
 
@@ -67,7 +67,18 @@ impl<const N: usize> DelayLine<N> {
     }
 }
 
-/// All inputs of a tick, then 1 if a trial begins with them, else 0.
+/// What begins with some inputs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Begin {
+    /// Nothing.
+    Nothing,
+    /// A trial.
+    Trial,
+    /// A trial from a new start: the episode before was cut off.
+    Episode,
+}
+
+/// All inputs of a tick, then what begins with them as a number.
 type Sensed = [f32; MAX_INPUTS + 1];
 
 /// What is late around a plant.
@@ -107,9 +118,9 @@ impl Timing {
         }
     }
 
-    /// Replaces the inputs of `tick` by the late ones. `fresh` states whether a trial begins with them; the result, whether
-    /// one begins with the late ones. Until the first late inputs come, those of the start are there.
-    pub fn sense(&mut self, tick: u64, inputs: &mut [f32], fresh: bool) -> bool {
+    /// Replaces the inputs of `tick`, with which `begin` begins, by the late ones, and returns what begins with those.
+    /// Until the first late inputs come, those of the start are there.
+    pub fn sense(&mut self, tick: u64, inputs: &mut [f32], begin: Begin) -> Begin {
         let used = inputs.len().min(MAX_INPUTS);
         let mut now = [0.0; MAX_INPUTS + 1];
         now[..used].copy_from_slice(&inputs[..used]);
@@ -118,7 +129,7 @@ impl Timing {
             self.pictures.values.fill(now);
             self.sensed = now;
             self.pass(&now);
-            return fresh;
+            return begin;
         };
         // Nothing was sensed in ticks that were passed over.
         let mut between = self.sensed;
@@ -126,11 +137,15 @@ impl Timing {
         for _ in 0..(tick - last).saturating_sub(1).min(2 * MAX_DELAY as u64) {
             self.pass(&between);
         }
-        now[MAX_INPUTS] = f32::from(u8::from(fresh));
+        now[MAX_INPUTS] = f32::from(begin as u8);
         self.sensed = now;
         let late = self.pass(&now);
         inputs[..used].copy_from_slice(&late[..used]);
-        late[MAX_INPUTS] > 0.0
+        match late[MAX_INPUTS] {
+            0.0 => Begin::Nothing,
+            1.0 => Begin::Trial,
+            _ => Begin::Episode,
+        }
     }
 
     /// One tick of the delays of inputs. What a camera shows begins a trial when it is seen.
@@ -171,5 +186,89 @@ impl Persist for Timing {
         visitor.numbers("reached", &mut self.reached);
         visitor.optional("sensed_tick", &mut self.sensed_tick);
         visitor.numbers("sensed", &mut self.sensed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::{BodyConfig, PendulumConfig, Plant as _, PointMassConfig, SimulatedPlant};
+
+    fn point_mass(timing: &TimingConfig) -> SimulatedPlant {
+        let config = PointMassConfig { target_every: 7, ..PointMassConfig::default() };
+        SimulatedPlant::new(&BodyConfig::PointMass(config), timing, 0.05, 1)
+    }
+
+    /// Inputs, new target and reward of each tick.
+    fn run(mut plant: SimulatedPlant) -> Vec<([f32; 6], bool, f32)> {
+        (0..40)
+            .map(|tick| {
+                let mut inputs = [0.0; 6];
+                let fresh = plant.sense(tick, &mut inputs);
+                (inputs, fresh, plant.advance(tick, &[0.5, -0.2]).reward)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn each_signal_is_late_by_its_own_delay() {
+        let timing = TimingConfig { delay: 1, reward_delay: 2, picture_delay: 3, lag_ms: 0.0 };
+        let (plain, late) = (run(point_mass(&TimingConfig::default())), run(point_mass(&timing)));
+        for tick in 4..40 {
+            assert_eq!(late[tick].0[..2], plain[tick - 4].0[..2], "the target, tick {tick}");
+            assert_eq!(late[tick].1, plain[tick - 4].1 && tick > 4, "a new target, tick {tick}");
+            assert_eq!(late[tick].0[2..], plain[tick - 1].0[2..], "position and velocity, tick {tick}");
+            assert_eq!(late[tick].2, plain[tick - 3].2, "the reward, tick {tick}");
+        }
+        assert!(late[0].1, "the first trial begins at once");
+        assert_eq!(late[0].0, plain[0].0);
+        assert_eq!([late[0].2, late[1].2, late[2].2], [0.0; 3]);
+    }
+
+    #[test]
+    fn a_lagged_command_comes_near_in_its_time_constant() {
+        let mut timing = Timing::new(&TimingConfig { lag_ms: 100.0, ..TimingConfig::default() }, 0, 0.05);
+        let mut acting = [0.0; MAX_OUTPUTS];
+        let mut sum = 0.0;
+        for _ in 0..2 {
+            timing.command(&[1.0], &mut acting);
+            sum += f64::from(acting[0]);
+        }
+        // The integral of 1 - exp(-t / 100 ms) over 100 ms is exp(-1) of 100 ms.
+        assert!((sum * 0.05 - 0.1 * (-1.0_f64).exp()).abs() < 1e-7, "{sum}");
+        assert!((timing.reached[0] - (1.0 - (-1.0_f64).exp())).abs() < 1e-12);
+    }
+
+    #[test]
+    fn ticks_that_were_passed_over_are_counted() {
+        let timing = TimingConfig { delay: 3, ..TimingConfig::default() };
+        let mut plant = point_mass(&timing);
+        let mut inputs = [0.0; 6];
+        for tick in 0..10 {
+            plant.sense(tick, &mut inputs);
+            plant.advance(tick, &[1.0, 0.0]);
+        }
+        let before = inputs;
+        for tick in 10..14 {
+            plant.advance(tick, &[1.0, 0.0]);
+        }
+        plant.sense(14, &mut inputs);
+        assert!(inputs[2] > before[2], "what was sensed in tick 9 comes before tick 14");
+    }
+
+    #[test]
+    fn the_end_of_an_episode_is_late_with_its_inputs() {
+        let config = PendulumConfig { episode_ticks: 5, ..PendulumConfig::default() };
+        let timing = TimingConfig { delay: 2, ..TimingConfig::default() };
+        let mut plant = SimulatedPlant::new(&BodyConfig::Pendulum(config), &timing, 0.05, 1);
+        let ends: Vec<u64> = (0..20)
+            .filter(|&tick| {
+                let fresh = plant.sense(tick, &mut [0.0; 2]);
+                plant.advance(tick, &[0.0]);
+                assert!(fresh || !plant.truncated());
+                plant.truncated()
+            })
+            .collect();
+        assert_eq!(ends, [7, 12, 17]);
     }
 }

@@ -14,7 +14,7 @@
 //! that turning it on moves the shaft to an old goal; with Feetech, writing a goal position turns torque on.
 //!
 //! *Not emulated*: mass, gravity and friction (without torque a shaft does not move); controller gains; current
-//! and PWM modes; homing offsets, drive mode and indirect addresses; registered writes; bulk and fast reads;
+//! and PWM modes; times in place of speeds (drive mode), indirect addresses; registered writes; bulk and fast reads;
 //! Feetech's step mode, setting the middle position by writing 128 to torque, and the residual torque after an
 //! overload (torque is turned off completely).
 
@@ -65,6 +65,10 @@ pub struct EmulatedChain {
     answers: VecDeque<(u64, Vec<u8>)>,
     /// Number of answers so far, the key of their faults.
     answer_count: u64,
+    /// How often the cable was pulled out of the host.
+    pulled: u64,
+    /// Whether it is out now.
+    out: bool,
 }
 
 /// The true state of an emulated servo, independent of the bus.
@@ -80,6 +84,9 @@ pub struct ServoState {
     pub torque: bool,
     /// Its error bits.
     pub errors: u8,
+    /// The longest distance that its shaft has turned between two instructions on the bus, steps: what a host that
+    /// died or fell silent has left it to do.
+    pub unattended: f64,
 }
 
 impl EmulatedChain {
@@ -111,6 +118,36 @@ impl EmulatedChain {
             wire_free: 0,
             answers: VecDeque::new(),
             answer_count: 0,
+            pulled: 0,
+            out: false,
+        }
+    }
+
+    /// Pulls the cable out of the host: ports that are open fail from now on, also when it is back.
+    pub fn pull_cable(&mut self) {
+        (self.pulled, self.out) = (self.pulled + 1, true);
+        self.answers.clear();
+    }
+
+    /// Puts the cable back: new ports can be opened.
+    pub fn put_cable_back(&mut self) {
+        self.out = false;
+    }
+
+    /// Whether the cable is out of the host.
+    pub fn is_cable_out(&self) -> bool {
+        self.out
+    }
+
+    /// How often the cable was pulled out so far.
+    pub(crate) fn pulled(&self) -> u64 {
+        self.pulled
+    }
+
+    /// Overwrites registers of servo `id` for good, as another program may have done.
+    pub fn overwrite(&mut self, id: u8, address: u8, bytes: &[u8]) {
+        for servo in self.servos.iter_mut().filter(|servo| servo.id() == id) {
+            servo.table.overwrite(address, bytes);
         }
     }
 
@@ -174,6 +211,7 @@ impl EmulatedChain {
             speed: servo.shaft.speed,
             torque: servo.has_torque(),
             errors: servo.table.get(servo.table.series.hardware_error) as u8,
+            unattended: servo.unattended(),
         };
         self.servos.iter().map(state).collect()
     }

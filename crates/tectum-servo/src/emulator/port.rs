@@ -35,13 +35,25 @@ pub struct EmulatedPort {
     timeout: Duration,
     /// Received bytes that were not read yet.
     ready: Arc<Mutex<Vec<u8>>>,
+    /// How often the cable had been pulled out when the port was opened.
+    pulled: u64,
 }
 
 impl EmulatedPort {
     /// A port to `chain` at `baud`, with the time of `clock`. The caller's own handle of the chain gives access
     /// to its state.
     pub fn new(chain: Arc<Mutex<EmulatedChain>>, clock: SteppedClock, baud: u32) -> Self {
-        Self { chain, clock, baud, timeout: Duration::from_millis(10), ready: Arc::default() }
+        let pulled = lock(&chain).pulled();
+        Self { chain, clock, baud, timeout: Duration::from_millis(10), ready: Arc::default(), pulled }
+    }
+
+    /// Fails when the cable is out, or was since the port was opened.
+    fn check_cable(&self) -> io::Result<()> {
+        let chain = lock(&self.chain);
+        if chain.is_cable_out() || chain.pulled() != self.pulled {
+            return Err(io::Error::other("the cable is out"));
+        }
+        Ok(())
     }
 
     fn collect(&self) {
@@ -63,6 +75,7 @@ impl Read for EmulatedPort {
         if buffer.is_empty() {
             return Ok(0);
         }
+        self.check_cable()?;
         self.collect();
         if lock(&self.ready).is_empty() {
             let limit = self.clock.now().saturating_add(self.timeout.as_nanos() as u64);
@@ -83,6 +96,7 @@ impl Read for EmulatedPort {
 
 impl Write for EmulatedPort {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.check_cable()?;
         lock(&self.chain).receive(self.clock.now(), self.baud, bytes);
         Ok(bytes.len())
     }

@@ -40,6 +40,10 @@ pub struct EmulatedServo {
     failed: bool,
     /// Time of the last instruction on the bus, ns.
     last_instruction: u64,
+    /// Distance that the shaft has turned since then, steps.
+    travel: f64,
+    /// The longest such distance between two instructions, steps.
+    unattended: f64,
     voltage: i32,
     speed: f64,
     acceleration: f64,
@@ -61,6 +65,8 @@ impl EmulatedServo {
             overload_since: None,
             failed: false,
             last_instruction: 0,
+            travel: 0.0,
+            unattended: 0.0,
             voltage,
             speed: steps(settings.speed),
             acceleration: steps(settings.acceleration),
@@ -83,6 +89,13 @@ impl EmulatedServo {
     /// Restarts the bus watchdog: there was an instruction on the bus at `now`.
     pub fn note_instruction(&mut self, now: u64) {
         self.last_instruction = self.last_instruction.max(now);
+        self.unattended = self.unattended();
+        self.travel = 0.0;
+    }
+
+    /// The longest distance that the shaft has turned without an instruction on the bus, steps.
+    pub fn unattended(&self) -> f64 {
+        self.unattended.max(self.travel)
     }
 
     /// Restarts: registers outside the EEPROM have their initial values, torque is off, the goal is the current
@@ -92,8 +105,25 @@ impl EmulatedServo {
         self.failed = false;
         self.overload_since = None;
         self.shaft = Shaft { at: self.shaft.at.rem_euclid(4096.0), speed: 0.0 };
-        self.table.set(self.table.series.goal_position, self.shaft.at as i32);
+        self.table.set(self.table.series.goal_position, self.present(self.shaft.at) as i32);
         self.last_instruction = self.now;
+    }
+
+    /// 1, or -1 if the drive mode turns the direction round (Dynamixel).
+    fn sign(&self) -> f64 {
+        let reversed = self.table.series.protocol == Protocol::Dynamixel
+            && self.table.read(10, 1).is_some_and(|mode| mode[0] & 1 != 0);
+        if reversed { -1.0 } else { 1.0 }
+    }
+
+    /// The position that the servo reports for a position of its shaft, steps: with drive mode and homing offset.
+    fn present(&self, at: f64) -> f64 {
+        let series = self.table.series;
+        let position = self.sign() * at + f64::from(series.homing_sign * self.table.get(series.homing_offset));
+        match series.protocol {
+            Protocol::Feetech => position.rem_euclid(4096.0),
+            Protocol::Dynamixel => position,
+        }
     }
 
     /// Moves the shaft by hand. With torque on, nothing happens.
@@ -119,7 +149,9 @@ impl EmulatedServo {
             let next = events.into_iter().flatten().filter(|&at| at > self.now).min().unwrap_or(now).min(now);
             let seconds = (next - self.now) as f64 / 1e9;
             let acceleration = self.acceleration_limit();
+            let from = self.shaft.at;
             self.shaft.advance(self.goal(), acceleration, seconds);
+            self.travel += (self.shaft.at - from).abs();
             self.wrap();
             self.now = next;
             self.check_protections();
@@ -137,13 +169,20 @@ impl EmulatedServo {
     /// Protocol 2.0's error number.
     pub fn write(&mut self, address: u16, bytes: &[u8]) -> Result<(), u8> {
         let series = self.table.series;
-        let mode = self.table.get(series.operating_mode);
+        let (mode, had_torque) = (self.table.get(series.operating_mode), self.table.torque());
         let goal = u16::from(series.goal_position.address);
         self.table.write(address, bytes, self.failed)?;
         if self.table.get(series.operating_mode) != mode && series.protocol == Protocol::Dynamixel {
             self.shaft.at = self.shaft.at.rem_euclid(4096.0);
-            self.table.set(series.goal_position, self.shaft.at as i32);
+            self.table.set(series.goal_position, self.present(self.shaft.at) as i32);
             self.table.set(series.goal_velocity, 0);
+        }
+        if self.table.torque()
+            && !had_torque
+            && self.table.get(series.operating_mode) == i32::from(series.position_mode)
+        {
+            // Within one turn from here on; Feetech's positions always are.
+            self.shaft.at = self.shaft.at.rem_euclid(4096.0);
         }
         let goal_written = (address..address + bytes.len() as u16).contains(&goal);
         if series.protocol == Protocol::Feetech && goal_written && self.in_position_mode() && self.errors() == 0 {
@@ -159,11 +198,11 @@ impl EmulatedServo {
     pub fn measured(&mut self, rng: &mut Rng) -> &ControlTable {
         let series = self.table.series;
         let noise: f64 = if self.noise > 0.0 { StandardNormal.sample(rng) } else { 0.0 };
-        let mut at = (self.shaft.at + noise * self.noise).round() as i32;
+        let mut at = self.present(self.shaft.at + noise * self.noise).round() as i32;
         if series.protocol == Protocol::Feetech {
             at = at.rem_euclid(4096);
         }
-        let speed = (self.shaft.speed * STEP / series.speed_unit).round() as i32;
+        let speed = (self.sign() * self.shaft.speed * STEP / series.speed_unit).round() as i32;
         let load = self.load();
         let hot = self.table.get(series.temperature_limit) + 5;
         let low = self.table.get(series.min_voltage) - 5;
@@ -218,10 +257,12 @@ impl EmulatedServo {
             let profile = self.table.get(series.profile_velocity).abs();
             let profile = if profile == 0 { f64::INFINITY } else { speed(profile) };
             let limit = series.velocity_limit.map_or(f64::INFINITY, |limit| speed(self.table.get(limit)));
-            return MotorGoal::Position { at: f64::from(at), speed: profile.min(limit).min(self.speed) };
+            let at = self.shaft.at + self.sign() * (f64::from(at) - self.present(self.shaft.at));
+            return MotorGoal::Position { at, speed: profile.min(limit).min(self.speed) };
         }
         if self.table.get(series.operating_mode) == i32::from(series.velocity_mode) {
-            return MotorGoal::Speed(speed(self.table.get(series.goal_velocity)).clamp(-self.speed, self.speed));
+            let goal = self.sign() * speed(self.table.get(series.goal_velocity));
+            return MotorGoal::Speed(goal.clamp(-self.speed, self.speed));
         }
         MotorGoal::Rest
     }

@@ -46,6 +46,10 @@ impl ControlTable {
                 // Small models run on 5 V, the others on 12 V.
                 let small = model.name.starts_with("XL330") || model.name.starts_with("XC330-M");
                 table.set(Register { address: 6, ..series.id }, 52);
+                // Secondary id: none.
+                table.set(Register { address: 12, ..series.id }, 255);
+                table.set(Register { address: 36, width: 2, ..series.id }, 885);
+                table.set(Register { address: 38, width: 2, ..series.id }, 1750);
                 table.set(series.return_delay, 250);
                 table.set(series.temperature_limit, if small { 70 } else { 72 });
                 table.set(series.max_voltage, if small { 70 } else { 140 });
@@ -65,7 +69,12 @@ impl ControlTable {
                 table.set(series.max_voltage, 140);
                 table.set(series.min_voltage, 40);
                 table.set(series.shutdown, 44);
+                // Angular resolution, protection time, greatest torque and the gains of the position loop.
+                table.set(Register { address: 30, ..series.id }, 1);
                 table.set(Register { address: 35, ..series.id }, 200);
+                table.set(Register { address: 16, width: 2, ..series.id }, 1000);
+                table.set(Register { address: 21, ..series.id }, 32);
+                table.set(Register { address: 22, ..series.id }, 32);
                 if let Some(lock) = series.lock {
                     table.set(lock, 1);
                 }
@@ -84,6 +93,14 @@ impl ControlTable {
     pub fn set(&mut self, register: Register, value: i32) {
         let (from, width) = (usize::from(register.address), usize::from(register.width));
         self.current[from..from + width].copy_from_slice(&register.encode(value)[..width]);
+    }
+
+    /// Overwrites bytes from `address` on, for good, as another program may have done. Bytes beyond the table
+    /// are ignored.
+    pub fn overwrite(&mut self, address: u8, bytes: &[u8]) {
+        for (at, &byte) in (usize::from(address)..256).zip(bytes) {
+            (self.current[at], self.persistent[at]) = (byte, byte);
+        }
     }
 
     /// `length` bytes from `address`; `None` if the range is empty or outside the table.

@@ -12,9 +12,11 @@
 
 mod models;
 mod register;
+mod settings;
 
 pub use models::{MODELS, ServoModel, UnknownModel, model};
 pub use register::{Register, RegisterBlock, SignEncoding};
+pub use settings::KeptSetting;
 
 use std::f64::consts::TAU;
 
@@ -65,6 +67,14 @@ pub struct ServoSeries {
     pub min_position: Register,
     /// Highest goal position, steps. EEPROM.
     pub max_position: Register,
+    /// Offset of all positions, steps. EEPROM.
+    pub homing_offset: Register,
+    /// Sign with which the offset is added to what the encoder says.
+    pub homing_sign: i32,
+    /// Largest offset that position mode takes, steps.
+    pub homing_limit: i32,
+    /// Registers that are compared before torque comes on.
+    pub kept: &'static [KeptSetting],
     /// Which errors turn torque off, as bits of [`ServoSeries::hardware_error`]. EEPROM.
     pub shutdown: Register,
     /// Torque: 1 on, 0 off.
@@ -144,6 +154,10 @@ pub const DYNAMIXEL_X: ServoSeries = ServoSeries {
     velocity_limit: Some(Register::unsigned(44, 4)),
     max_position: Register::unsigned(48, 4),
     min_position: Register::unsigned(52, 4),
+    homing_offset: settings::DYNAMIXEL_HOMING,
+    homing_sign: 1,
+    homing_limit: 1024,
+    kept: settings::DYNAMIXEL,
     shutdown: Register::unsigned(63, 1),
     torque_enable: Register::unsigned(64, 1),
     hardware_error: Register::unsigned(70, 1),
@@ -186,6 +200,10 @@ pub const FEETECH_STS: ServoSeries = ServoSeries {
     max_voltage: Register::unsigned(14, 1),
     min_voltage: Register::unsigned(15, 1),
     velocity_limit: None,
+    homing_offset: settings::FEETECH_HOMING,
+    homing_sign: -1,
+    homing_limit: 2047,
+    kept: settings::FEETECH,
     shutdown: Register::unsigned(19, 1),
     operating_mode: Register::unsigned(33, 1),
     torque_enable: Register::unsigned(40, 1),

@@ -65,7 +65,7 @@ impl Basis {
         let (min, max) = (signal.min, signal.max);
         match family {
             ModelBasis::Maps => Self::Kernels(KernelRow::new(size, min, max, (max - min) / (size - 1) as f64)),
-            ModelBasis::Smooth if wraps(signal) => Self::Waves(size),
+            ModelBasis::Smooth if signal.wraps() => Self::Waves(size),
             ModelBasis::Smooth => {
                 let (centre, half) = (((min + max) / 2.0) as f32, ((max - min) / 2.0) as f32);
                 Self::Polynomials { order: size, centre, half }
@@ -122,11 +122,6 @@ impl Basis {
             }
         }
     }
-}
-
-/// Whether an input wraps: an angle with a range of a full turn.
-pub(super) fn wraps(signal: &SignalConfig) -> bool {
-    signal.unit == "rad" && ((signal.max - signal.min) / std::f64::consts::TAU - 1.0).abs() < 1e-6
 }
 
 #[cfg(test)]

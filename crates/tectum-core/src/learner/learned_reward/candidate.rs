@@ -34,6 +34,9 @@ pub(super) struct CandidatePolicy {
     pub age: u64,
     /// Running mean of the cost of a rollout.
     pub mean_cost: f32,
+    /// Running mean of how far the cost of a rollout is from that mean, and the sum over this tick.
+    pub cost_spread: f32,
+    deviation: f32,
 }
 
 /// Weight of the newest tick in the running mean of the cost.
@@ -53,7 +56,19 @@ impl CandidatePolicy {
             decay_powers: [1.0; 2],
             age: 0,
             mean_cost: 0.0,
+            cost_spread: 0.0,
+            deviation: 0.0,
         }
+    }
+
+    /// Forgets what rollouts cost, but not the weights.
+    pub fn forget_costs(&mut self) {
+        (self.cost, self.mean_cost, self.cost_spread, self.deviation) = (0.0, 0.0, 0.0, 0.0);
+    }
+
+    /// Takes in that a rollout of this tick had `cost`.
+    pub fn add_deviation(&mut self, cost: f32) {
+        self.deviation += (cost - self.mean_cost).abs();
     }
 
     /// Restarts from small random weights.
@@ -64,7 +79,8 @@ impl CandidatePolicy {
         for values in self.means.iter_mut().chain(&mut self.squares).chain(&mut self.slope) {
             values.fill(0.0);
         }
-        (self.decay_powers, self.age, self.cost, self.mean_cost) = ([1.0; 2], 0, 0.0, 0.0);
+        (self.decay_powers, self.age) = ([1.0; 2], 0);
+        self.forget_costs();
     }
 
     /// Copies `other`, without allocating.
@@ -75,7 +91,8 @@ impl CandidatePolicy {
             self.squares[group].copy_from_slice(&other.squares[group]);
         }
         self.end_states.copy_from_slice(&other.end_states);
-        (self.decay_powers, self.age, self.mean_cost) = (other.decay_powers, other.age, other.mean_cost);
+        (self.decay_powers, self.age) = (other.decay_powers, other.age);
+        (self.mean_cost, self.cost_spread) = (other.mean_cost, other.cost_spread);
     }
 
     /// Copies the weights of `policy`.
@@ -104,9 +121,15 @@ impl CandidatePolicy {
     pub fn finish_tick(&mut self, rollouts: usize) {
         let cost = self.cost / rollouts as f32;
         if cost.is_finite() {
+            // In the first tick there is no mean to deviate from.
+            if self.mean_cost != 0.0 {
+                let spread = self.deviation / rollouts as f32;
+                let rate = if self.cost_spread == 0.0 { 1.0 } else { COST_RATE };
+                self.cost_spread += rate * (spread - self.cost_spread);
+            }
             self.mean_cost += if self.mean_cost == 0.0 { cost } else { COST_RATE * (cost - self.mean_cost) };
         }
-        self.cost = 0.0;
+        (self.cost, self.deviation) = (0.0, 0.0);
         self.age += 1;
     }
 
@@ -160,5 +183,6 @@ impl Persist for CandidatePolicy {
         visitor.numbers("starts", &mut self.decay_powers);
         visitor.number("age", &mut self.age);
         visitor.number("mean_cost", &mut self.mean_cost);
+        visitor.number("cost_spread", &mut self.cost_spread);
     }
 }

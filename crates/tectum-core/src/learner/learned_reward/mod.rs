@@ -24,6 +24,7 @@ mod basis;
 mod candidate;
 mod map_features;
 mod movement_model;
+mod outliers;
 mod reward_model;
 mod rollouts;
 mod whiten;
@@ -32,14 +33,15 @@ use rand::RngExt as _;
 
 use super::{LearnerSpec, ModelConfig};
 use super::{LearningRule, Transition, add};
-use crate::MAX_INPUTS;
 use crate::angle::wrap;
+use crate::plant::EpisodeEnd;
 use crate::policy::{LinearPolicy, Outputs};
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
+use crate::{MAX_INPUTS, SignalConfig};
 use candidate::CandidatePolicy;
 use map_features::MapFeatures;
-use movement_model::MovementModel;
+use movement_model::{MovementModel, MovementVerdict};
 use reward_model::RewardModel;
 use rollouts::Rollouts;
 use tectum_encoder::Encoder;
@@ -47,9 +49,12 @@ use tectum_encoder::Encoder;
 /// Rollouts start from states since the last change of the world, but from at least this number of the latest
 /// states.
 const MIN_START_STATES: u64 = 20;
-/// A challenger replaces the champion when its mean cost is below this fraction of the champion's,
-const REPLACEMENT_RATIO: f32 = 0.995;
-/// and not before this age, ticks.
+/// A challenger replaces the champion when it is better than it by this fraction of the champion's cost, or of
+/// [`SPREADS`] times the spread of its costs, whichever is less: a constant in all rewards adds to every cost and
+/// says nothing about the candidates.
+const REPLACEMENT_MARGIN: f32 = 0.005;
+const SPREADS: f32 = 4.0;
+/// Not before this age, ticks.
 const MIN_CHALLENGER_AGE: u64 = 200;
 /// Ticks after which the models are good enough for a challenger.
 const CHALLENGER_START: u64 = 100;
@@ -67,6 +72,8 @@ struct PendingTransition {
     changes: [f32; MAX_INPUTS],
     applied: Outputs,
     reward: f32,
+    /// Whether a new target began after it.
+    new_target: bool,
 }
 
 /// The learned-reward rule: models, candidate policies and remembered states.
@@ -113,10 +120,11 @@ impl LearnedReward {
 
         let signals: Vec<_> = inputs.iter().map(|&i| spec.inputs[i].clone()).collect();
         let reward = RewardModel::new(&config, &signals, fixed);
-        let wraps: Vec<_> = signals[fixed..].iter().map(basis::wraps).collect();
+        let wraps: Vec<_> = signals[fixed..].iter().map(SignalConfig::wraps).collect();
         let groups = MapFeatures::of(&spec.maps, encoder, &rank, fixed, config.ridge);
+        let (horizon, last_counts) = (config.horizon, config.last_counts as f32);
         let rollouts =
-            Rollouts::new(groups, &reward, wraps.clone(), spec.normalise, config.horizon, config.last_counts as f32);
+            Rollouts::new(groups, &reward, wraps.clone(), spec.max_command, spec.normalise, horizon, last_counts);
         Self {
             inputs,
             ranges: signals.iter().map(|s| [s.min as f32, s.max as f32]).collect(),
@@ -189,7 +197,9 @@ impl LearnedReward {
                 };
                 state[..fixed].copy_from_slice(&target[..fixed]);
                 let inputs = &state[..count];
+                let before = candidate.cost;
                 let end = self.rollouts.simulate(candidate, &mut self.reward, &self.movement, inputs);
+                candidate.add_deviation(candidate.cost - before);
                 // A rollout that diverged is not continued.
                 candidate.end_states[rollout] = if end.iter().all(|x| x.is_finite()) { end } else { recalled };
             }
@@ -219,6 +229,16 @@ impl LearnedReward {
         self.remembered.is_multiple_of(interval)
     }
 
+    /// The cost below which a challenger replaces the champion.
+    fn cost_to_beat(&self) -> f32 {
+        let (cost, spread) = (self.champion.mean_cost, SPREADS * self.champion.cost_spread);
+        if 0.0 <= cost && cost <= spread {
+            (1.0 - REPLACEMENT_MARGIN) * cost
+        } else {
+            cost - REPLACEMENT_MARGIN * cost.abs().min(spread)
+        }
+    }
+
     /// Starts a new challenger.
     fn restart_challenger(&mut self) {
         self.challenger.reset(&mut self.rng);
@@ -226,24 +246,28 @@ impl LearnedReward {
 
     /// Learns from the pending tick.
     fn learn_pending(&mut self) {
-        let Some(PendingTransition { inputs, before, changes, applied, reward }) = self.pending.take() else { return };
+        let Some(PendingTransition { inputs, before, changes, applied, reward, new_target }) = self.pending.take()
+        else {
+            return;
+        };
         let (count, moved) = (self.inputs.len(), self.wraps.len());
-        let plant_changed = self.movement.learn(&applied, &changes[..moved]);
+        let movement = self.movement.learn(&applied, &changes[..moved], new_target);
         // If the movement was not the commanded one, the reward says nothing about the command.
-        let changed = if plant_changed {
-            Some(false)
-        } else {
-            self.reward.learn(&inputs[..count], &changes[..moved], reward, self.is_work_tick())
+        let changed = match movement {
+            MovementVerdict::Usual => {
+                self.reward.learn(&inputs[..count], &changes[..moved], reward, self.is_work_tick())
+            }
+            MovementVerdict::Changed | MovementVerdict::Unrelated => Some(false),
         };
         let at = self.remembered as usize % self.memory.len();
         self.memory[at] = before;
         self.remembered += 1;
         self.halted = changed.is_none();
         self.unchanged_ticks += 1;
-        if changed == Some(true) || plant_changed {
+        if changed == Some(true) || movement == MovementVerdict::Changed {
             self.unchanged_ticks = 0;
             self.champion.age = 0;
-            self.champion.mean_cost = 0.0;
+            self.champion.forget_costs();
             self.restart_challenger();
         }
     }
@@ -266,8 +290,8 @@ impl LearningRule for LearnedReward {
             let change = after[fixed + i] - before[fixed + i];
             changes[i] = if wraps { wrap(change) } else { change };
         }
-        self.pending =
-            Some(PendingTransition { inputs: after, before, changes, applied: *tick.applied, reward: tick.reward });
+        let (applied, reward, new_target) = (*tick.applied, tick.reward, tick.new_target);
+        self.pending = Some(PendingTransition { inputs: after, before, changes, applied, reward, new_target });
         self.step_size(self.champion.age)
     }
 
@@ -291,13 +315,17 @@ impl LearningRule for LearnedReward {
         self.champion.finish_tick(rollouts);
         if with_challenger {
             self.challenger.finish_tick(rollouts);
-            let (cost, champion_cost) = (self.challenger.mean_cost, self.champion.mean_cost);
-            if self.challenger.age > MIN_CHALLENGER_AGE && cost < REPLACEMENT_RATIO * champion_cost {
+            if self.challenger.age > MIN_CHALLENGER_AGE && self.challenger.mean_cost < self.cost_to_beat() {
                 self.champion.copy_from(&self.challenger);
                 self.restart_challenger();
             }
         }
         self.champion.store_policy(policy, &self.rollouts.feature_groups);
+    }
+
+    /// Learns nothing: where the plant was at the end of the tick is not among the inputs of another episode.
+    fn learn_last(&mut self, _policy: &mut LinearPolicy, _tick: &Transition, _end: EpisodeEnd) -> Option<f32> {
+        None
     }
 
     /// Does nothing: there is no trace, and the models stay valid.
@@ -310,6 +338,10 @@ impl LearningRule for LearnedReward {
 
     fn halted(&self) -> bool {
         self.halted
+    }
+
+    fn outliers(&self) -> u64 {
+        self.reward.outliers()
     }
 }
 
@@ -331,11 +363,14 @@ impl Persist for LearnedReward {
         visitor.numbers("waiting_changes", &mut pending.changes);
         visitor.numbers("waiting_applied", &mut pending.applied);
         visitor.number("waiting_reward", &mut pending.reward);
+        visitor.boolean("waiting_new_target", &mut pending.new_target);
         self.pending.take_if(|_| !is_pending);
         visitor.number("slope_norm", &mut self.slope_norm);
         visitor.boolean("halted", &mut self.halted);
     }
 }
 
+#[cfg(test)]
+mod robustness_tests;
 #[cfg(test)]
 mod tests;

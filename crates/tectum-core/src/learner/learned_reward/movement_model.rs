@@ -22,6 +22,17 @@ const ERROR_WINDOW: f64 = 400.0;
 /// An input whose largest gain is below this fraction of the largest of all does not move.
 const MIN_GAIN_RATIO: f32 = 0.02;
 
+/// What a movement tells.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum MovementVerdict {
+    /// It was as expected, or the model has learned from it.
+    Usual,
+    /// The plant seems to have changed.
+    Changed,
+    /// A new target began, and something else than the command has moved the inputs. Nothing was learned.
+    Unrelated,
+}
+
 /// The movement model.
 #[derive(Debug, Clone)]
 pub(super) struct MovementModel {
@@ -82,9 +93,25 @@ impl MovementModel {
         }
     }
 
-    /// Learns that `applied` changed the moved inputs by `changes`. Returns whether the plant seems to have
-    /// changed.
-    pub fn learn(&mut self, applied: &Outputs, changes: &[f32]) -> bool {
+    /// The largest squared error of the model's prediction.
+    fn largest_error(&self, applied: &Outputs, changes: &[f32]) -> f64 {
+        let rows = self.gains.iter().zip(changes).take(self.moved);
+        let errors = rows.map(|(row, change)| f64::from(change - predicted(row, applied)));
+        errors.map(|error| error * error).fold(0.0, f64::max)
+    }
+
+    /// The squared error above which the plant counts as changed.
+    fn largest_usual_error(&self) -> f64 {
+        CHANGE_THRESHOLD * self.mean_square_change + OUTLIER_RATIO * self.mean_square_error
+    }
+
+    /// Learns that `applied` changed the moved inputs by `changes`. With `new_target` a new target began, and
+    /// changes that contradict the model, or come before there is one, are not the command's.
+    pub fn learn(&mut self, applied: &Outputs, changes: &[f32], new_target: bool) -> MovementVerdict {
+        let known = self.ticks_since_reset >= self.outputs;
+        if new_target && !(known && self.largest_error(applied, changes) <= self.largest_usual_error()) {
+            return MovementVerdict::Unrelated;
+        }
         let n = self.outputs;
         let mut gain = [0.0; MAX_OUTPUTS];
         let mut scale = FORGETTING;
@@ -95,8 +122,7 @@ impl MovementModel {
         let mut worst = 0.0_f64;
         let mut square = 0.0;
         for (row, &change) in self.gains.iter_mut().zip(changes).take(self.moved) {
-            let expected: f32 = row.iter().zip(applied).map(|(b, u)| b * u).sum();
-            let error = f64::from(change - expected);
+            let error = f64::from(change - predicted(row, applied));
             for (b, g) in row.iter_mut().zip(gain) {
                 *b += (g / scale * error) as f32;
             }
@@ -125,8 +151,13 @@ impl MovementModel {
         }
         self.ticks += 1;
         self.mean_square_change += (square - self.mean_square_change) / self.ticks.min(100) as f64;
-        changed
+        if changed { MovementVerdict::Changed } else { MovementVerdict::Usual }
     }
+}
+
+/// The change that `applied` makes by the gains in `row`.
+fn predicted(row: &Outputs, applied: &Outputs) -> f32 {
+    row.iter().zip(applied).map(|(b, u)| b * u).sum()
 }
 
 impl Persist for MovementModel {
@@ -154,7 +185,7 @@ mod tests {
             for _ in 0..ticks {
                 let u = exploration.draw();
                 let changes: [f32; 4] = std::array::from_fn(|j| gains[j] * u[j]);
-                model.learn(&u, &changes);
+                model.learn(&u, &changes, false);
             }
         };
         for gains in [[31.4; 4], [31.4, 31.4, 0.0, 31.4], [31.4, -20.0, 0.0, 31.4]] {
@@ -181,7 +212,7 @@ mod tests {
                 let (u, noise) = (exploration.draw(), exploration.draw());
                 // A fifth of each movement is error.
                 let changes: [f32; 4] = std::array::from_fn(|j| gains[j] * u[j] + 6.0 * noise[j]);
-                alarms += usize::from(model.learn(&u, &changes));
+                alarms += usize::from(model.learn(&u, &changes, false) == MovementVerdict::Changed);
             }
             alarms
         };

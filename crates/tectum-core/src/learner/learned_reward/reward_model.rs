@@ -9,9 +9,16 @@
 //! replaced by the prior (stabilised forgetting, Milek & Kraus 1995), which bounds its condition number. When
 //! rewards deviate from the prediction by many standard deviations in several ticks in a row, the world has
 //! changed, and a large fraction is replaced. The weights keep their values, and change only where new rewards
-//! contradict them.
+//! contradict them. Rewards far outside the range of all others are left out (`outliers.rs`). If no others come any
+//! more, the model begins anew, with a prior for rewards of their size.
+//!
+//! The variance of the noise is learned: it is the running mean of `z^2 R`, where `z^2` is the squared error in
+//! units of its expected variance and `R` the variance of the noise so far, and at least the configured one. What
+//! the basis cannot represent counts as noise. Otherwise it would raise the alarm for ever, and the model would
+//! forget in every tick.
 
 use super::basis::Basis;
+use super::outliers::{OutlierFilter, RewardVerdict};
 use crate::SignalConfig;
 use crate::learner::ModelConfig;
 use crate::state::{Persist, StateVisitor};
@@ -28,6 +35,9 @@ const MAX_SURPRISE: f64 = 25.0;
 const ALARM_THRESHOLD: f64 = 12.0;
 /// Normalised squared error below which a reward counts as expected.
 const EXPECTED_SURPRISE: f64 = 4.0;
+/// Weight of the newest tick in the estimate of the noise's variance. An alarm is over long before it has grown
+/// much.
+const NOISE_RATE: f64 = 2e-3;
 
 /// The reward model. Inputs are in the model's order: first the fixed ones, which commands do not move, then
 /// the moved ones.
@@ -52,7 +62,12 @@ pub(super) struct RewardModel {
     /// Upper triangle, row by row.
     covariance: Vec<f64>,
     prior: Vec<f64>,
+    /// Configured variance of the noise, the least one that is assumed, and the learned one.
+    least_noise: f64,
     noise: f64,
+    outliers: OutlierFilter,
+    /// Factor of the prior variances, for rewards of another size than the configured one.
+    prior_scale: f64,
     psi: Vec<f64>,
     gain: Vec<f64>,
     values: Vec<f32>,
@@ -88,7 +103,10 @@ impl RewardModel {
             pair_costs: vec![0.0; of_moved * of_moved],
             covariance: vec![0.0; n * (n + 1) / 2],
             prior,
-            noise: config.reward_noise * config.reward_noise,
+            least_noise: config.reward_noise * config.reward_noise,
+            noise: 0.0,
+            outliers: OutlierFilter::new(config.spread),
+            prior_scale: 1.0,
             psi: vec![0.0; n],
             gain: vec![0.0; n],
             values: vec![0.0; total],
@@ -104,9 +122,22 @@ impl RewardModel {
         self.covariance.fill(0.0);
         let (n, mut at) = (self.prior.len(), 0);
         for (i, prior) in self.prior.iter().enumerate() {
-            self.covariance[at] = *prior;
+            self.covariance[at] = self.prior_scale * prior;
             at += n - i;
         }
+    }
+
+    /// Forgets everything, and expects rewards that are `size` times as large as the configured prior has them.
+    fn restart(&mut self, size: f64) {
+        self.prior_scale = (size * size).max(1.0);
+        self.reset_covariance();
+        self.weights.fill(0.0);
+        (self.alarm, self.noise) = (0.0, 0.0);
+    }
+
+    /// Number of rewards left out as outliers.
+    pub fn outliers(&self) -> u64 {
+        self.outliers.left_out()
     }
 
     /// Computes psi.
@@ -140,9 +171,11 @@ impl RewardModel {
     pub fn learn(&mut self, inputs: &[f32], changes: &[f32], reward: f32, update: bool) -> Option<bool> {
         self.compute_features(inputs, changes);
         let error = f64::from(reward) - dot(&self.weights, &self.psi);
-        let surprise = error * error / self.noise;
+        let noise = self.noise.max(self.least_noise);
+        let surprise = error * error / noise;
         if !update && surprise < EXPECTED_SURPRISE {
             self.alarm += ALARM_RATE * (surprise - self.alarm);
+            self.outliers.believe(reward.into());
             return Some(false);
         }
         let n = self.psi.len();
@@ -164,10 +197,20 @@ impl RewardModel {
             self.reset_covariance();
             return Some(false);
         }
-        let scale = variance + self.noise;
+        let scale = variance + noise;
         let step = error / scale;
+        let surprise = (error * step).min(MAX_SURPRISE);
+        match self.outliers.judge(reward.into(), error, surprise) {
+            RewardVerdict::Believe => {}
+            RewardVerdict::LeaveOut => return Some(false),
+            RewardVerdict::NewSize(size) => {
+                self.restart(size);
+                return Some(true);
+            }
+        }
         add(&mut self.weights, &self.gain, step);
-        self.alarm += ALARM_RATE * ((error * step).min(MAX_SURPRISE) - self.alarm);
+        self.noise += NOISE_RATE * (surprise * noise - self.noise);
+        self.alarm += ALARM_RATE * (surprise - self.alarm);
         let changed = self.alarm > ALARM_THRESHOLD;
         let leak = if changed { CHANGE_LEAK } else { LEAK };
         let mut rest = self.covariance.as_mut_slice();
@@ -178,7 +221,7 @@ impl RewardModel {
             for (p, g) in row.iter_mut().zip(&self.gain[i..]) {
                 *p = (*p - gain * g) * (1.0 - leak);
             }
-            row[0] += leak * self.prior[i];
+            row[0] += leak * self.prior_scale * self.prior[i];
         }
         Some(changed)
     }
@@ -267,9 +310,10 @@ impl RewardModel {
         0.5 * twice.map(|((s, l), v)| (s + l) * v).sum::<f32>()
     }
 
-    /// The cost of a squared change of moved input `moved`.
+    /// The cost of a squared change of moved input `moved`. It is never negative: a reward for effort itself would
+    /// let rollouts run away, and the model predicts one only where it knows too little.
     pub fn effort(&self, moved: usize) -> f32 {
-        -self.weights_f32[self.squares + moved]
+        (-self.weights_f32[self.squares + moved]).max(0.0)
     }
 
     /// Number of functions of the moved inputs.
@@ -296,6 +340,9 @@ impl Persist for RewardModel {
         visitor.numbers("weights", &mut self.weights);
         visitor.numbers("covariance", &mut self.covariance);
         visitor.number("alarm", &mut self.alarm);
+        visitor.number("prior_scale", &mut self.prior_scale);
+        visitor.number("noise", &mut self.noise);
+        visitor.nested("outliers", &mut self.outliers);
     }
 }
 

@@ -3,7 +3,7 @@
 //! From a start state the mean policy is rolled out with the movement model, and the reward model gives the
 //! cost of each tick. The chain rule is applied backwards through reward, movement and policy (a value gradient
 //! in the sense of Heess et al. 2015, with both models learned). The last tick may have a larger weight, in
-//! place of the ticks that would follow.
+//! place of the ticks that would follow. Commands are limited as the gate limits them.
 
 use super::{
     candidate::CandidatePolicy, map_features::MapFeatures, movement_model::MovementModel, reward_model::RewardModel,
@@ -21,6 +21,7 @@ struct RolloutTick {
     features: Vec<f32>,
     /// Factor that normalises the features.
     scale: f32,
+    /// The policy's mean. The gate's limit is not applied yet.
     mean: Outputs,
     changes: [f32; MAX_INPUTS],
     /// Slopes of the tick's cost along the moved inputs.
@@ -36,6 +37,8 @@ pub(super) struct Rollouts {
     last_counts: f32,
     /// Which of the moved inputs wrap.
     wraps: Vec<bool>,
+    /// Largest command that the gate lets through.
+    max_command: Outputs,
     /// Features of the fixed inputs alone, and features that depend on moved inputs.
     pub feature_groups: [MapFeatures; 2],
     ticks: Vec<RolloutTick>,
@@ -53,6 +56,7 @@ impl Rollouts {
         feature_groups: [MapFeatures; 2],
         reward: &RewardModel,
         wraps: Vec<bool>,
+        max_command: Outputs,
         normalise: bool,
         horizon: usize,
         last_counts: f32,
@@ -71,6 +75,7 @@ impl Rollouts {
             normalise,
             last_counts,
             wraps,
+            max_command,
             ticks: vec![tick; horizon],
             values: vec![0.0; feature_groups[0].lines],
             slopes: vec![0.0; feature_groups[0].lines],
@@ -110,8 +115,11 @@ impl Rollouts {
             for ((mean, fixed_output), row) in tick.mean.iter_mut().zip(fixed_output).zip(rows) {
                 *mean = (fixed_output + dot(row, &tick.features)) * tick.scale;
             }
+            let limits = tick.mean.iter().zip(&self.max_command);
+            let mut applied = [0.0; MAX_OUTPUTS];
+            applied.iter_mut().zip(limits).for_each(|(u, (mean, limit))| *u = mean.clamp(-limit, *limit));
             for (i, &wraps) in self.wraps.iter().enumerate() {
-                let change = movement.gains[i].iter().zip(&tick.mean).map(|(b, u)| b * u).sum();
+                let change = movement.gains[i].iter().zip(&applied).map(|(b, u)| b * u).sum();
                 tick.changes[i] = change;
                 let reached = state[fixed + i] + change;
                 state[fixed + i] = if wraps { wrap(reached) } else { reached };
@@ -144,6 +152,13 @@ impl Rollouts {
                 }
             }
             weight = 1.0;
+            // A command beyond the gate's limit has no effect by how far it is beyond. Its slope counts only where
+            // the descent, which goes against the slope, leads back.
+            for ((slope, &mean), limit) in output_slopes.iter_mut().zip(&tick.mean).zip(&self.max_command) {
+                if mean.abs() > *limit && *slope * mean < 0.0 {
+                    *slope = 0.0;
+                }
+            }
             let scale = tick.scale;
             // The slope through the norm of the features.
             let norm_slope: f32 = tick.mean.iter().zip(&output_slopes).map(|(u, o)| u * o).sum();

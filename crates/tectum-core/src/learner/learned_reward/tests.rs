@@ -5,7 +5,7 @@ use crate::learner::test_specs::arm;
 use crate::learner::{LearnerConfig, ModelBasis, Rule};
 use crate::policy::Exploration;
 
-fn spec(basis: ModelBasis) -> LearnerSpec {
+pub(super) fn spec(basis: ModelBasis) -> LearnerSpec {
     let mut learner = LearnerConfig::preset(Rule::LearnedReward);
     learner.model.get_or_insert_default().basis = basis;
     LearnerSpec { learner, ..arm() }
@@ -16,7 +16,7 @@ fn encoder(spec: &LearnerSpec) -> Encoder {
 }
 
 /// The arm's reward, in double precision.
-fn reward(inputs: &[f32], changes: &[f32]) -> f32 {
+pub(super) fn reward(inputs: &[f32], changes: &[f32]) -> f32 {
     let [mut x, mut y] = [-f64::from(inputs[0]), -1.0 - f64::from(inputs[1])];
     let (mut angles, mut effort) = (0.0, 0.0);
     for (&theta, &change) in inputs[2..6].iter().zip(changes) {
@@ -28,14 +28,14 @@ fn reward(inputs: &[f32], changes: &[f32]) -> f32 {
     (-0.1 * (x * x + y * y + 0.025 * effort + 0.01 * angles)) as f32
 }
 
-fn draw(rng: &mut Rng) -> [f32; 6] {
+pub(super) fn draw(rng: &mut Rng) -> [f32; 6] {
     let mut inputs: [f32; 6] = std::array::from_fn(|_| rng.random::<f32>() * 2.0 - 1.0);
     inputs[2..].iter_mut().for_each(|x| *x *= std::f32::consts::PI);
     inputs
 }
 
 /// A learner that has learned from `ticks` states drawn from the whole input box.
-fn trained(basis: ModelBasis, ticks: usize) -> LearnedReward {
+pub(super) fn trained(basis: ModelBasis, ticks: usize) -> LearnedReward {
     let spec = spec(basis);
     let mut rule = LearnedReward::of(&spec, &encoder(&spec));
     let mut rng = stream(3, "test");
@@ -44,7 +44,7 @@ fn trained(basis: ModelBasis, ticks: usize) -> LearnedReward {
         let (inputs, u) = (draw(&mut rng), exploration.draw());
         let changes: [f32; 4] = std::array::from_fn(|j| 31.4 * u[j]);
         assert!(rule.reward.learn(&inputs, &changes, reward(&inputs, &changes), true).is_some());
-        rule.movement.learn(&u, &changes);
+        rule.movement.learn(&u, &changes, false);
     }
     rule.reward.prepare_rollouts();
     rule
@@ -138,6 +138,7 @@ fn a_number_that_is_not_finite_stops_learning() {
             reward,
             next_features: &features,
             next_inputs: &[0.1; 6],
+            new_target: false,
         };
         rule.learn(&mut policy, &tick);
         rule.improve(&mut policy);
@@ -175,6 +176,7 @@ fn it_works_rarely_while_nothing_changes_and_always_after_a_change() {
                 reward: factor * reward(&next, &changes),
                 next_features: &features,
                 next_inputs: &next,
+                new_target: false,
             };
             rule.learn(&mut policy, &tick);
             rule.improve(&mut policy);

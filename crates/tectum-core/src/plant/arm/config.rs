@@ -116,8 +116,8 @@ pub struct MirrorConfig {
     pub tick: u64,
 }
 
-/// `[[plant.arm.payload]]`: from a tick on, the end-effector carries a load, and gravity pulls it along `-y`. Each motor
-/// turns slower against the torque and faster with it, in proportion, as a direct-current motor does.
+/// `[[plant.arm.payload]]`: from a tick on, the end-effector carries a load, and gravity pulls it along `-y`. Each
+/// motor turns slower against the torque and faster with it, in proportion, as a direct-current motor does.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PayloadConfig {

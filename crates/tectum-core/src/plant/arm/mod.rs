@@ -22,7 +22,7 @@ pub use config::{
 pub use kinematics::posture;
 pub use model::ArmModel;
 
-use super::{JointState, Outcome, Plant};
+use super::{JointState, MAX_JOINTS, Outcome, Plant};
 use crate::angle::wrap;
 use crate::state::{Persist, StateVisitor};
 use crate::{MAX_MEASURES, MAX_OUTPUTS};
@@ -120,8 +120,8 @@ impl Arm {
         (stop, if stop == reached { rate } else { (stop - from) / self.period })
     }
 
-    /// How much slower each joint turns in `tick` under the load, rad/s: in proportion to the load's lever, which is how
-    /// much the end-effector rises for a turn of the joint.
+    /// How much slower each joint turns in `tick` under the load, rad/s: in proportion to the load's lever, which is
+    /// how much the end-effector rises for a turn of the joint.
     fn droop(&self, tick: u64) -> [f32; MAX_OUTPUTS] {
         let per_metre = self.config.droop(tick) as f32;
         let chain = self.chain();
@@ -260,8 +260,11 @@ impl Plant for Arm {
     /// The angle of a joint that turns freely is in [-pi, pi). A position limit within this range stops the
     /// joint from both sides; a limit outside has no effect. In an open loop every tick starts from angle 0.
     fn joints(&self) -> Option<JointState> {
-        let position = if self.config.open_loop { [0.0; MAX_OUTPUTS] } else { self.theta };
-        Some(JointState { position, travel: [self.period * self.gain; MAX_OUTPUTS] })
+        let mut position = [0.0; MAX_JOINTS];
+        if !self.config.open_loop {
+            position[..MAX_OUTPUTS].copy_from_slice(&self.theta);
+        }
+        Some(JointState { position, travel: [self.period * self.gain; MAX_JOINTS] })
     }
 }
 
