@@ -1,19 +1,21 @@
 //! The learner: acts from a plan that was made a tick ahead, and then learns and plans.
 
-use super::belief::{Belief, Verdict};
+mod learning;
+mod persist;
+
+use super::belief::Belief;
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
 use super::exploration::Noise;
 use super::layout::Places;
 use super::layouts::{dynamics_layout, reward_layout};
 use super::linalg::dot;
-use super::memory::{Changes, Data, Entry, Lesson, Memory, Rewards};
+use super::memory::Memory;
 use super::model::{Model, ModelSize};
 use super::planner::{Plan, Planner};
 use super::refit::RefitSettings;
 use super::rivals;
 use super::world::{CHANGE, LearnedWorld, Ranges, World, WorldScratch, wrap};
 use crate::seed::{Rng, stream};
-use crate::state::{Persist, StateVisitor};
 use crate::{MAX_INPUTS, MAX_OUTPUTS};
 
 /// What happened in the tick before.
@@ -121,21 +123,7 @@ impl ModelPredictive {
         assert!(places.commands <= MAX_OUTPUTS && places.inputs <= MAX_INPUTS);
         let n = places.inputs;
         let mut rng = stream(spec.seed, "models");
-        let settings = RefitSettings {
-            points: config.points,
-            steps: config.steps,
-            step: 0.25,
-            width: 2.5,
-            noise_floor: config.noise_floor,
-            standardise: false,
-        };
-        let layout = dynamics_layout(places, &spec.inputs);
-        let size = ModelSize::within(&layout, n, config.dynamics_products, config.dynamics_features);
-        let dynamics = Model::new(layout, size, settings, &mut rng);
-        let layout = reward_layout(places, &spec.inputs);
-        let size = ModelSize::within(&layout, 1, config.reward_products, config.reward_features);
-        let settings = RefitSettings { standardise: true, ..settings };
-        let rewards = [0, 1].map(|_| Model::new(layout.clone(), size, settings, &mut rng));
+        let [dynamics, before, after] = models(spec, places, &mut rng);
         let horizon = if config.horizon > 0 { config.horizon } else { (480 / places.len()).clamp(20, 40) };
         let ends = |sign: f64| spec.inputs.iter().map(|_| sign).collect::<Vec<_>>();
         Self {
@@ -174,7 +162,7 @@ impl ModelPredictive {
             rivals: 1,
             scores: [0.0; 2],
             dynamics,
-            rewards,
+            rewards: [before, after],
             rng,
             places,
             config,
@@ -251,173 +239,6 @@ impl ModelPredictive {
         self.refit();
         if self.dynamics.refit.completed > 0 && self.rewards.iter().all(|r| r.refit.completed > 0) {
             self.make_plan();
-        }
-    }
-
-    fn learn(&mut self) {
-        let n = self.places.inputs;
-        let mut changes = [0.0; MAX_INPUTS];
-        changes[..n].copy_from_slice(&self.state[n..2 * n]);
-        self.dynamics.observe(&self.before);
-        let mut lesson = Lesson::default();
-        self.after.copy_from_slice(&self.before);
-        self.after[..2 * n].copy_from_slice(&self.state[..2 * n]);
-        let mut alarm = false;
-        for i in 0..n {
-            let bit = 1 << i;
-            let z = self.state[i];
-            if !self.ranges.wraps[i] {
-                lesson.upper_end |= if z >= self.ranges.high[i] - 1e-6 { bit } else { 0 };
-                lesson.lower_end |= if z <= self.ranges.low[i] + 1e-6 { bit } else { 0 };
-            }
-            let error = lesson.heed(i, self.dynamics.error(i, changes[i]));
-            let surprise = if error == 0.0 { 0.0 } else { self.dynamics.surprise(i, changes[i]) };
-            if self.boundary {
-                // Neither a jump nor a new start is a movement.
-                lesson.missing |= bit;
-                if surprise >= 25.0 && error * error > 16.0 * self.beliefs[i].usual {
-                    self.after[n + i] = self.dynamics.predicted[i];
-                    self.after[i] = self.ranges.bring_in(i, self.before[i] + CHANGE * self.dynamics.predicted[i]);
-                    self.state[n + i] = 0.0;
-                }
-                continue;
-            }
-            match self.beliefs[i].judge(surprise, error, changes[i], 0.2) {
-                Verdict::Believed => {}
-                Verdict::Both => *self.memory.missing(self.memory.stored - 1) &= !bit,
-                Verdict::Outlier => {
-                    lesson.missing |= bit;
-                    self.counts.input_outliers += 1;
-                    // What the input would be without the jump.
-                    let d = self.dynamics.predicted[i];
-                    self.after[n + i] = d;
-                    self.after[i] = self.ranges.bring_in(i, self.before[i] + CHANGE * d);
-                    // The jump is not a movement that goes on.
-                    self.state[n + i] = d;
-                }
-            }
-            alarm |= self.beliefs[i].alarmed(12.0);
-        }
-        self.dynamics.learn(&changes[..n], lesson, &mut self.rng);
-        if alarm {
-            self.dynamics.fit.regression.doubt(10.0, 3.0);
-            self.beliefs.iter_mut().for_each(Belief::calm);
-            self.alarm();
-        }
-        let rewarded = self.reward.is_finite() && self.learn_reward();
-        let entry = Entry {
-            before: &self.before,
-            after: &self.after,
-            changes: &changes[..n],
-            reward: if self.reward.is_finite() { self.reward } else { 0.0 },
-            lesson,
-            rewarded,
-        };
-        self.memory.push(&entry);
-    }
-
-    fn alarm(&mut self) {
-        self.counts.alarms += 1;
-        if self.memory.stored >= self.changed_at + 100 {
-            self.changed_at = self.memory.stored;
-        }
-        self.next_refit = self.next_refit.min(self.tick + 40);
-    }
-
-    /// Learns the reward of the last tick. Returns whether it was believed.
-    fn learn_reward(&mut self) -> bool {
-        let reward = self.reward;
-        if self.memory.stored == 0 {
-            for model in &mut self.rewards {
-                model.fit.center = reward;
-            }
-        }
-        let mut surprises = [0.0; 2];
-        for (k, model) in self.rewards.iter_mut().enumerate() {
-            model.observe(if k == 0 { &self.before } else { &self.after });
-            surprises[k] = model.surprise(0, reward);
-        }
-        let better = self.better();
-        let model = &self.rewards[better];
-        let error = model.error(0, reward) * model.fit.scale;
-        let change = reward - self.last_reward;
-        let verdict = self.reward_belief.judge(surprises[better], error, change, 0.1);
-        if verdict == Verdict::Outlier {
-            self.counts.reward_outliers += 1;
-            return false;
-        }
-        if verdict == Verdict::Both {
-            self.memory.set_rewarded(self.memory.stored - 1, true);
-        }
-        self.best = self.best.max(reward);
-        self.worst = self.worst.min(reward);
-        let alarm = self.reward_belief.alarmed(14.0);
-        for (k, model) in self.rewards.iter_mut().enumerate() {
-            let spread = model.nu * model.fit.regression.scale(0) * model.fit.scale * model.fit.scale;
-            let score = -0.5 * (surprises[k].min(100.0) + libm::log(spread));
-            self.scores[k] += 0.01_f64.max(1.0 / (self.tick as f64)) * (score - self.scores[k]);
-            model.learn(&[reward], Lesson::default(), &mut self.rng);
-            if alarm {
-                model.fit.regression.doubt(5.0, 2.0);
-            }
-        }
-        if alarm {
-            self.reward_belief.calm();
-            self.alarm();
-        }
-        true
-    }
-
-    /// The reward model that predicts better: 0 before the tick, 1 after it.
-    fn better(&self) -> usize {
-        usize::from(self.scores[1] > self.scores[0])
-    }
-
-    /// Works on refits.
-    fn refit(&mut self) {
-        if self.tick >= self.next_refit && !self.dynamics.refit.busy() && !self.rewards.iter().any(|r| r.refit.busy()) {
-            self.forget_another_world();
-            self.dynamics.refit.begin();
-            // The reward model that predicts much worse is fitted anew in every third refit only.
-            let clear = (self.scores[1] - self.scores[0]).abs() > 0.5;
-            for (k, model) in self.rewards.iter_mut().enumerate() {
-                if k == usize::from(self.scores[1] > self.scores[0]) || !clear || self.refits.is_multiple_of(3) {
-                    model.refit.begin();
-                }
-            }
-            self.refits += 1;
-            self.next_refit = self.tick + (0.35 * self.tick as f64).min(1000.0) as u64 + 5;
-        }
-        let mut left = (self.config.refit_operations * 1e6) as u64;
-        let better = self.better();
-        let (used, _) = self.dynamics.work(&Changes(&self.memory), left, &mut self.rng);
-        left = left.saturating_sub(used);
-        for k in [better, 1 - better] {
-            let data = Rewards { memory: &self.memory, after: k == 1 };
-            let (used, _) = self.rewards[k].work(&data, left, &mut self.rng);
-            left = left.saturating_sub(used);
-        }
-    }
-
-    /// After an alarm: ticks from before it are left out from now on, if the models have adapted to those since the
-    /// alarm, and now leave much of the older ones unexplained.
-    fn forget_another_world(&mut self) {
-        let (first, change, end) = (self.memory.first, self.changed_at, self.memory.stored);
-        if change <= first || end < change + 30 || end > change + 300 {
-            return;
-        }
-        let better = self.better();
-        let memory = &self.memory;
-        let rewards = Rewards { memory, after: better == 1 };
-        let q = &mut self.after;
-        let mut another = |model: &mut Model, data: &dyn Data| {
-            let new = model.unexplained(data, change, end, q).unwrap_or(1.0);
-            let old = model.unexplained(data, first, change, q).unwrap_or(0.0);
-            new < 0.1 && old > 0.3
-        };
-        if another(&mut self.dynamics, &Changes(memory)) | another(&mut self.rewards[better], &rewards) {
-            self.memory.first = change;
-            self.counts.worlds += 1;
         }
     }
 
@@ -511,38 +332,23 @@ impl Differences<'_> {
     }
 }
 
-impl Persist for ModelPredictive {
-    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
-        visitor.nested("dynamics", &mut self.dynamics);
-        let [before, after] = &mut self.rewards;
-        visitor.nested("reward_before", before);
-        visitor.nested("reward_after", after);
-        visitor.numbers("scores", &mut self.scores);
-        visitor.nested("memory", &mut self.memory);
-        for belief in &mut self.beliefs {
-            belief.visit(visitor);
-        }
-        self.reward_belief.visit(visitor);
-        visitor.nested("plan", &mut self.plan);
-        visitor.nested("noise", &mut self.noise);
-        visitor.nested("rng", &mut self.rng);
-        visitor.number("tick", &mut self.tick);
-        visitor.numbers("state", &mut self.state);
-        visitor.numbers("before", &mut self.before);
-        visitor.numbers("command", &mut self.command);
-        let mut numbers = [self.reward, self.last_reward, self.best, self.worst];
-        visitor.numbers("rewards", &mut numbers);
-        [self.reward, self.last_reward, self.best, self.worst] = numbers;
-        visitor.boolean("teaches", &mut self.teaches);
-        visitor.boolean("boundary", &mut self.boundary);
-        visitor.boolean("planned", &mut self.planned);
-        visitor.number("next_refit", &mut self.next_refit);
-        visitor.number("refits", &mut self.refits);
-        visitor.number("changed_at", &mut self.changed_at);
-        visitor.number("rival_kind", &mut self.rival_kind);
-        let Counts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable } = &mut self.counts;
-        for count in [input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable] {
-            visitor.number("counts", count);
-        }
-    }
+/// The models of a learner that knows nothing: dynamics, reward before the tick, reward after it.
+fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> [Model; 3] {
+    let config = &spec.config;
+    let settings = RefitSettings {
+        points: config.points,
+        steps: config.steps,
+        step: 0.25,
+        width: 2.5,
+        noise_floor: config.noise_floor,
+        standardise: false,
+    };
+    let layout = dynamics_layout(places, &spec.inputs);
+    let size = ModelSize::within(&layout, places.inputs, config.dynamics_products, config.dynamics_features);
+    let dynamics = Model::new(layout, size, settings, rng);
+    let layout = reward_layout(places, &spec.inputs);
+    let size = ModelSize::within(&layout, 1, config.reward_products, config.reward_features);
+    let settings = RefitSettings { standardise: true, ..settings };
+    let [before, after] = [0, 1].map(|_| Model::new(layout.clone(), size, settings, rng));
+    [dynamics, before, after]
 }

@@ -4,7 +4,7 @@
 //! change. A running mean of the squared errors in units of their variance that stays high is an alarm: the world is
 //! another one.
 
-use crate::state::{Persist, StateVisitor};
+use crate::state::StateVisitor;
 
 /// Squared errors from here on, in predictive variances, are outliers.
 const OUTLIER: f64 = 25.0;
@@ -33,9 +33,14 @@ pub enum Verdict {
 }
 
 impl Belief {
+    /// Whether an error is an outlier's.
+    pub fn is_wild(&self, surprise: f64, error: f64) -> bool {
+        surprise >= OUTLIER && error * error > 16.0 * self.usual
+    }
+
     /// Judges a value with its squared error in predictive variances, its error and its change.
     pub fn judge(&mut self, surprise: f64, error: f64, change: f64, rate: f64) -> Verdict {
-        let wild = surprise >= OUTLIER && error * error > 16.0 * self.usual;
+        let wild = self.is_wild(surprise, error);
         if wild && !self.doubted {
             self.doubted = true;
             return Verdict::Outlier;
@@ -69,11 +74,5 @@ impl Belief {
         visitor.numbers("belief", &mut numbers);
         [self.usual, self.seen, self.surprise] = numbers;
         visitor.boolean("doubted", &mut self.doubted);
-    }
-}
-
-impl Persist for Belief {
-    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
-        self.visit(visitor);
     }
 }

@@ -167,29 +167,7 @@ impl Evidence {
         if !cholesky(&mut self.matrix, n) {
             return None;
         }
-        let mut log_determinant = 0.0;
-        for i in 0..n {
-            log_determinant += 2.0 * libm::log(self.matrix[packed(i) + i]);
-        }
-        let mut evidence = 0.0;
-        let mut counted = 0;
-        for j in 0..self.outputs {
-            let targets = &self.targets[j * capacity..j * capacity + n];
-            let alpha = &mut self.alpha[j * capacity..j * capacity + n];
-            alpha.copy_from_slice(targets);
-            solve_lower(&self.matrix, alpha);
-            solve_lower_transposed(&self.matrix, alpha);
-            let scale = dot(targets, alpha) / n as f64;
-            if dot(targets, targets) < 1e-9 * n as f64 || scale <= 0.0 {
-                // An output that never changes says nothing about the scales.
-                alpha.fill(0.0);
-                continue;
-            }
-            evidence -= 0.5 * (log_determinant + n as f64 * libm::log(scale));
-            let root = 1.0 / scale.sqrt();
-            alpha.iter_mut().for_each(|a| *a *= root);
-            counted += 1;
-        }
+        let (mut evidence, counted) = self.weigh_outputs();
         invert(&mut self.matrix, n, &mut self.plain);
         self.gradient.fill(0.0);
         // The trace of dL/dK: the noise depends on the diagonal.
@@ -211,6 +189,36 @@ impl Evidence {
             *g = if layout.learned[k] { *g - from / width } else { 0.0 };
         }
         Some(evidence)
+    }
+
+    /// The evidence of the outputs, from the Cholesky factor, and how many of them count. `alpha` is then `alpha_j` over
+    /// the root of `s_j`.
+    fn weigh_outputs(&mut self) -> (f64, u32) {
+        let (n, capacity) = (self.len, self.capacity);
+        let mut log_determinant = 0.0;
+        for i in 0..n {
+            log_determinant += 2.0 * libm::log(self.matrix[packed(i) + i]);
+        }
+        let mut evidence = 0.0;
+        let mut counted = 0_u32;
+        for j in 0..self.outputs {
+            let targets = &self.targets[j * capacity..j * capacity + n];
+            let alpha = &mut self.alpha[j * capacity..j * capacity + n];
+            alpha.copy_from_slice(targets);
+            solve_lower(&self.matrix, alpha);
+            solve_lower_transposed(&self.matrix, alpha);
+            let scale = dot(targets, alpha) / n as f64;
+            if dot(targets, targets) < 1e-9 * n as f64 || scale <= 0.0 {
+                // An output that never changes says nothing about the scales.
+                alpha.fill(0.0);
+                continue;
+            }
+            evidence -= 0.5 * (log_determinant + n as f64 * libm::log(scale));
+            let root = 1.0 / scale.sqrt();
+            alpha.iter_mut().for_each(|a| *a *= root);
+            counted += 1;
+        }
+        (evidence, counted)
     }
 
     /// Cosines and sines of all angles and points.
@@ -325,29 +333,12 @@ impl Evidence {
             } else {
                 plain[..n].fill(0.0);
             }
+            let x = &values[unit.at * capacity..][..n];
+            let scaled = [linear, square, v, rho];
             if unit.circle {
-                let turned = &row.turned[u * capacity..][..n];
-                let at = Layout::scale(u, Scale::Frequency);
-                let w = exp(scales[at]);
-                let x = &values[unit.at * capacity..][..n];
-                let (mut smooth, mut frequency) = (0.0, 0.0);
-                for j in 0..n {
-                    smooth += row.smooth[j] * (1.0 - inner[j]);
-                    let slope = linear * outer[j] + v * plain[j] + rho * row.smooth[j];
-                    frequency -= slope * turned[j] * (x[i] - x[j]);
-                }
-                gradient[Layout::scale(u, Scale::Smooth)] -= rho * smooth;
-                gradient[at] += w * frequency;
+                row.circle_gradient(u, [outer, &plain[..n], x], scaled, scales, gradient);
             } else {
-                let x = &values[unit.at * capacity..][..n];
-                let (mut smooth, mut squares) = (0.0, 0.0);
-                for j in 0..n {
-                    let apart = x[i] - x[j];
-                    smooth += row.smooth[j] * apart * apart;
-                    squares += outer[j] * inner[j] * inner[j];
-                }
-                gradient[Layout::scale(u, Scale::Smooth)] -= 0.5 * rho * smooth;
-                gradient[Layout::scale(u, Scale::Square)] += square * squares;
+                row.number_gradient(u, [outer, x], scaled, gradient);
             }
         }
     }
@@ -372,6 +363,44 @@ impl Evidence {
             self.scales[k] += step * self.first[k] / first_total / size;
         }
         Some(evidence)
+    }
+}
+
+impl Row {
+    /// Gradient by the frequency and the inverse squared length of angle `u`; see `gradient_row` for the arguments.
+    fn circle_gradient(
+        &self,
+        u: usize,
+        [outer, plain, x]: [&[f64]; 3],
+        [linear, _, v, rho]: [f64; 4],
+        scales: &[f64],
+        gradient: &mut [f64],
+    ) {
+        let (n, from) = (x.len(), u * self.product.len());
+        let (inner, turned) = (&self.inner[from..][..n], &self.turned[from..][..n]);
+        let at = Layout::scale(u, Scale::Frequency);
+        let (mut smooth, mut frequency) = (0.0, 0.0);
+        for j in 0..n {
+            smooth += self.smooth[j] * (1.0 - inner[j]);
+            let slope = linear * outer[j] + v * plain[j] + rho * self.smooth[j];
+            frequency -= slope * turned[j] * (x[n - 1] - x[j]);
+        }
+        gradient[Layout::scale(u, Scale::Smooth)] -= rho * smooth;
+        gradient[at] += exp(scales[at]) * frequency;
+    }
+
+    /// Gradient by the square's variance and the inverse squared length of the number `u`.
+    fn number_gradient(&self, u: usize, [outer, x]: [&[f64]; 2], [_, square, _, rho]: [f64; 4], gradient: &mut [f64]) {
+        let (n, from) = (x.len(), u * self.product.len());
+        let inner = &self.inner[from..][..n];
+        let (mut smooth, mut squares) = (0.0, 0.0);
+        for j in 0..n {
+            let apart = x[n - 1] - x[j];
+            smooth += self.smooth[j] * apart * apart;
+            squares += outer[j] * inner[j] * inner[j];
+        }
+        gradient[Layout::scale(u, Scale::Smooth)] -= 0.5 * rho * smooth;
+        gradient[Layout::scale(u, Scale::Square)] += square * squares;
     }
 }
 

@@ -1,0 +1,40 @@
+//! The state of the learner.
+
+use super::{Counts, ModelPredictive};
+use crate::state::{Persist, StateVisitor};
+
+impl Persist for ModelPredictive {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("dynamics", &mut self.dynamics);
+        let [before, after] = &mut self.rewards;
+        visitor.nested("reward_before", before);
+        visitor.nested("reward_after", after);
+        visitor.numbers("scores", &mut self.scores);
+        visitor.nested("memory", &mut self.memory);
+        for belief in &mut self.beliefs {
+            belief.visit(visitor);
+        }
+        self.reward_belief.visit(visitor);
+        visitor.nested("plan", &mut self.plan);
+        visitor.nested("noise", &mut self.noise);
+        visitor.nested("rng", &mut self.rng);
+        visitor.number("tick", &mut self.tick);
+        visitor.numbers("state", &mut self.state);
+        visitor.numbers("before", &mut self.before);
+        visitor.numbers("command", &mut self.command);
+        let mut numbers = [self.reward, self.last_reward, self.best, self.worst];
+        visitor.numbers("rewards", &mut numbers);
+        [self.reward, self.last_reward, self.best, self.worst] = numbers;
+        visitor.boolean("teaches", &mut self.teaches);
+        visitor.boolean("boundary", &mut self.boundary);
+        visitor.boolean("planned", &mut self.planned);
+        visitor.number("next_refit", &mut self.next_refit);
+        visitor.number("refits", &mut self.refits);
+        visitor.number("changed_at", &mut self.changed_at);
+        visitor.number("rival_kind", &mut self.rival_kind);
+        let Counts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable } = &mut self.counts;
+        for count in [input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable] {
+            visitor.number("counts", count);
+        }
+    }
+}
