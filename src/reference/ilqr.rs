@@ -211,7 +211,7 @@ impl IterativeLqr {
         let mut free: Vec<usize> = (0..outputs).collect();
         // Outputs that the unlimited solution drives beyond a limit are put there, until none is.
         for _ in 0..=outputs {
-            let solution = solve_free(&free, &change, |i, j| block(i, j), &q[dynamic..]);
+            let solution = solve_free(&free, &change, block, &q[dynamic..]);
             let Some(solution) = solution else { break };
             let mut limited = false;
             for (&i, wanted) in free.iter().zip(&solution) {
@@ -228,7 +228,7 @@ impl IterativeLqr {
         for state in 0..dynamic {
             let coupling: Vec<f64> = (0..outputs).map(|i| hessian[(dynamic + i, state)]).collect();
             let still = vec![0.0; outputs];
-            if let Some(column) = solve_free(&free, &still, |i, j| block(i, j), &coupling) {
+            if let Some(column) = solve_free(&free, &still, block, &coupling) {
                 free.iter().zip(column).for_each(|(&i, value)| feedback[(i, state)] = value);
             }
         }

@@ -62,6 +62,9 @@ pub struct TaskTable {
     seconds: f64,
 }
 
+/// The runs of one controller on a task, with their seeds.
+type TaskRuns<'a> = (&'a TaskPlan, Vec<(u64, RunResult)>);
+
 /// One job of the pool: a controller on a task, with one seed.
 struct Job<'a> {
     task: &'a TaskPlan,
@@ -116,14 +119,14 @@ fn jobs<'a>(study: &TaskStudy, plans: &'a [TaskPlan], candidates: &[Candidate]) 
 
 /// The results by task and controller, in the order in which they were asked for.
 fn outcomes(jobs: &[Job], results: Vec<Option<RunResult>>) -> Vec<TaskOutcome> {
-    let mut found: BTreeMap<(usize, Candidate), (&TaskPlan, Vec<(u64, RunResult)>)> = BTreeMap::new();
+    let mut found: BTreeMap<(usize, Candidate), TaskRuns> = BTreeMap::new();
     for (job, result) in jobs.iter().zip(results) {
         if let Some(result) = result {
             let entry = found.entry((job.task.number, job.candidate)).or_insert_with(|| (job.task, Vec::new()));
             entry.1.push((job.seed, result));
         }
     }
-    let of = |((_, candidate), (task, mut runs)): ((usize, Candidate), (&TaskPlan, Vec<(u64, RunResult)>))| {
+    let of = |((_, candidate), (task, mut runs)): ((usize, Candidate), TaskRuns)| {
         runs.sort_by_key(|(seed, _)| *seed);
         TaskOutcome::of(task, candidate, &runs)
     };
