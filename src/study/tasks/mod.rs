@@ -62,6 +62,9 @@ pub struct TaskTable {
     seconds: f64,
 }
 
+/// The runs of one controller on a task, with their seeds.
+type TaskRuns<'a> = (&'a TaskPlan, Vec<(u64, RunResult)>);
+
 /// One job of the pool: a controller on a task, with one seed.
 struct Job<'a> {
     task: &'a TaskPlan,

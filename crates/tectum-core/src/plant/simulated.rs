@@ -11,6 +11,8 @@ use crate::flag;
 use crate::state::{Persist, StateVisitor};
 
 /// The configuration of a body.
+// Read once a run, so that its size does not matter.
+#[expect(clippy::large_enum_variant)]
 #[derive(Debug, Clone, PartialEq)]
 // A run has one of them, so that its size does not matter.
 #[allow(clippy::large_enum_variant)]

@@ -26,9 +26,8 @@ const TABLE: f64 = 0.03;
 /// Targets are drawn from this share of each joint's range.
 const SHARE: f64 = 0.8;
 
-/// Position, m, and roll, pitch and yaw, rad, of each joint in the frame before it.
-// The numbers stand as they are in the published file.
-#[allow(clippy::approx_constant)]
+/// Position, m, and roll, pitch and yaw, rad, of each joint in the frame before it. The digits are those of the file.
+#[expect(clippy::approx_constant)]
 const ORIGINS: [([f64; 3], [f64; 3]); JOINTS] = [
     ([0.0388353, -8.97657e-09, 0.0624], [3.14159, 4.18253e-17, -3.14159]),
     ([-0.0303992, -0.0182778, -0.0542], [-1.5708, -1.5708, 0.0]),

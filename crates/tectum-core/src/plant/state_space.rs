@@ -100,7 +100,7 @@ impl<M: SimulatedModel> StateSpacePlant<M> {
     fn begin_trials(&mut self, tick: u64) -> bool {
         let states = self.model.states();
         let every = self.model.trial_ticks();
-        let due = tick.checked_div(every).map_or(1, |trials| trials + 1);
+        let due = tick.checked_div(every).map_or(1, |ended| ended + 1);
         let fresh = self.trials < due;
         self.truncated = fresh && M::RESETS && self.trials > 0;
         while self.trials < due {
