@@ -535,11 +535,11 @@ fn a_goal_outside_the_limits_is_not_sent() {
 fn registers_that_others_left_are_refused() {
     for (protocol, address, bytes, name) in [
         (Protocol::Feetech, 31, &[44_u8, 9][..], "homing_offset (address 31) is -300 and should be 0"),
-        (Protocol::Feetech, 30, &[2][..], "angular_resolution (address 30) is 2"),
+        (Protocol::Feetech, 30, &[2][..], "angular_resolution (address 30) is 0x2"),
         (Protocol::Feetech, 21, &[3][..], "p_coefficient (address 21) is 3 and should be 32, as when"),
         (Protocol::Dynamixel, 20, &[44, 1, 0, 0][..], "homing_offset (address 20) is 300 and should be 0"),
         (Protocol::Dynamixel, 10, &[1][..], "drive_mode (address 10) is 1"),
-        (Protocol::Dynamixel, 12, &[3][..], "secondary_id (address 12) is 3"),
+        (Protocol::Dynamixel, 60, &[1][..], "startup_configuration (address 60) is 1"),
     ] {
         let plan = plan("", 10, |text| {
             let text = with_protocol(&text, protocol);

@@ -70,7 +70,7 @@ fn scenario(test_folder: &TestFolder, protocol: &str) -> String {
     let (_, tail) = tail.split_once("[encoder]").unwrap();
     let head = head.replace("\"emulator\" ", "\"arm\" ").replace("\"dynamixel\" ", &format!("\"{protocol}\" "));
     let head = head.replace("max_speed = 12.0", "max_speed = 1.0").replace("period_ms = 50", "period_ms = 200");
-    let tail = tail.replace("\"learned-reward\"", "\"paper\"").replace("sigma = 0.001", "sigma = 0.02");
+    let tail = tail.replace("\"learned-reward\"", "\"paper\"").replace("sigma = 0.001", "sigma = 0.01");
     let text = format!("{head}\n[encoder]{tail}\n[restart]\nplant = \"never\"\n");
     test_folder.write_file("scenario.toml", text).to_str().unwrap().to_owned()
 }

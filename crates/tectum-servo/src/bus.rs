@@ -9,6 +9,7 @@
 //! *USB adapters* deliver answers when their latency timer expires, by default 16 ms for FTDI adapters. Set it to 1
 //! (`/sys/bus/usb-serial/devices/ttyUSB0/latency_timer`); otherwise a read does not fit into a tick of 50 ms.
 
+use std::cell::Cell;
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::Path;
@@ -129,7 +130,7 @@ impl Bus {
             Protocol::Dynamixel => DynamixelProtocolHandler::v2(),
             Protocol::Feetech => DynamixelProtocolHandler::v1(),
         };
-        let port = DeadlinePort { port: Some(port), clock, deadline: u64::MAX };
+        let port = DeadlinePort { port: Some(port), clock, deadline: u64::MAX, failed: Cell::new(false) };
         Self { port, handler, series: protocol.series(), budget, opener: None, goal_limits: Vec::new() }
     }
 
@@ -193,6 +194,9 @@ impl Bus {
         let began = self.now();
         self.port.deadline = began.saturating_add(budget);
         let result = work(&self.handler, &mut self.port).map_err(|e| BusError::NoAnswer(e.to_string()));
+        if self.port.failed.take() {
+            self.port.port = None;
+        }
         (result, self.now().saturating_sub(began))
     }
 
@@ -397,6 +401,8 @@ struct DeadlinePort {
     clock: BusClock,
     /// Deadline of the current instruction, ns.
     deadline: u64,
+    /// Whether the operating system has refused to say how much there is to read: the device is no longer there.
+    failed: Cell<bool>,
 }
 
 /// The error of a port that is gone.
@@ -470,13 +476,18 @@ impl SerialPort for DeadlinePort {
         self.port.as_ref().ok_or_else(gone)?.clear(buffer)
     }
 
+    fn bytes_to_read(&self) -> serialport::Result<u32> {
+        let waiting = self.port.as_ref().ok_or_else(gone)?.bytes_to_read();
+        self.failed.set(waiting.is_err());
+        waiting
+    }
+
     delegate! {
         baud_rate(&self) -> serialport::Result<u32>;
         data_bits(&self) -> serialport::Result<serialport::DataBits>;
         flow_control(&self) -> serialport::Result<serialport::FlowControl>;
         parity(&self) -> serialport::Result<serialport::Parity>;
         stop_bits(&self) -> serialport::Result<serialport::StopBits>;
-        bytes_to_read(&self) -> serialport::Result<u32>;
         bytes_to_write(&self) -> serialport::Result<u32>;
         try_clone(&self) -> serialport::Result<Box<dyn SerialPort>>;
         set_break(&self) -> serialport::Result<()>;

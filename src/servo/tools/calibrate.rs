@@ -131,8 +131,8 @@ pub fn calibrate(
         if let Err(why) = joint.check_seam() {
             let [low, high] = joint.raw_ends().unwrap_or_default();
             let (_, answer) = ask(&format!(
-                "it would go from {low} to {high} steps, across the 0 of its encoder. Enter writes a homing offset into \
-                 the servo, for good, which puts the 0 outside the range; or say no, and nothing is written."
+                "it would go from {low} to {high} steps, across the 0 of its encoder. Enter writes a homing offset \
+                 into the servo, for good, which puts the 0 outside the range; or say no, and nothing is written."
             ))?;
             if !answer.is_empty() {
                 return Err(ToolError::Refused(format!("servo {id}: {why}")));

@@ -97,7 +97,7 @@ fn joints_of_lists(lists: &LerobotLists) -> Result<Vec<JointConfig>, String> {
     let joint = |i: usize| {
         if calib_mode[i] != "LINEAR" {
             return Err(format!(
-                "{}: an old file states no range for it; calibrate the arm with `tectum-bridge calibrate`, or again with \
+                "{}: an old file states no range for it; calibrate the arm anew, with `tectum-bridge calibrate` or \
                  LeRobot",
                 motor_names[i]
             ));

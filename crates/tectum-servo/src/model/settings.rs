@@ -50,7 +50,7 @@ pub(super) const DYNAMIXEL: &[KeptSetting] = &[
     // Bit 0 turns the direction round, bit 2 makes times of speeds, bit 3 lets a goal turn torque on.
     byte("drive_mode", 10, Some(0)).without(0b1100),
     // A second id at which the servo obeys too; 253 and more: none.
-    byte("secondary_id", 12, Some(255)),
+    byte("secondary_id", 12, None),
     kept("homing_offset", DYNAMIXEL_HOMING, Some(0)),
     word("pwm_limit", 36),
     word("current_limit", 38),
@@ -73,8 +73,8 @@ pub(super) const FEETECH: &[KeptSetting] = &[
     byte("cw_dead_zone", 26, None),
     byte("ccw_dead_zone", 27, None),
     word("protection_current", 28),
-    // Positions are multiples of this many steps.
-    byte("angular_resolution", 30, Some(1)).without(!1),
+    // 2 and more: positions are multiples of so many steps.
+    byte("angular_resolution", 30, None).without(!1),
     kept("homing_offset", FEETECH_HOMING, Some(0)),
     byte("protective_torque", 34, None),
     byte("protection_time", 35, None),
