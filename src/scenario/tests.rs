@@ -316,7 +316,7 @@ fn texts() -> Vec<String> {
 fn roles_wrapping_and_radii_are_explicit() {
     let text = |measures: &str, wraps: &str, radius: &str| {
         format!(
-            "name = \"x\"\n[plant]\nprogram = \"p\"\nmeasures = {measures}\n\
+            "name = \"x\"\nticks = 100\n[plant]\nprogram = \"p\"\nmeasures = {measures}\n\
              inputs = [{{ name = \"a\", unit = \"deg\", min = -3.141592653589793, max = 3.141592653589793{wraps} }},\n\
              {{ name = \"b\", unit = \"rad\", min = -3.141592653589793, max = 3.141592653589793 }}]\n\
              outputs = [{{ name = \"c\", min = -1, max = 1 }}]\n\
