@@ -117,9 +117,6 @@ fn jobs<'a>(study: &TaskStudy, plans: &'a [TaskPlan], candidates: &[Candidate]) 
     jobs
 }
 
-/// The runs of a controller on a task, with their seeds.
-type TaskRuns<'a> = (&'a TaskPlan, Vec<(u64, RunResult)>);
-
 /// The results by task and controller, in the order in which they were asked for.
 fn outcomes(jobs: &[Job], results: Vec<Option<RunResult>>) -> Vec<TaskOutcome> {
     let mut found: BTreeMap<(usize, Candidate), TaskRuns> = BTreeMap::new();

@@ -14,8 +14,6 @@ use crate::state::{Persist, StateVisitor};
 // Read once a run, so that its size does not matter.
 #[expect(clippy::large_enum_variant)]
 #[derive(Debug, Clone, PartialEq)]
-// A run has one of them, so that its size does not matter.
-#[allow(clippy::large_enum_variant)]
 pub enum BodyConfig {
     /// The planar arm.
     Arm(ArmConfig),
