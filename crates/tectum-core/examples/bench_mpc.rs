@@ -38,7 +38,7 @@ fn main() {
             config: config.clone(),
         };
         let mut agent = ModelPredictive::new(&spec);
-        let (mut x, mut u, mut applied) = (vec![0f32; 16], vec![0.0; m], vec![0.0; m]);
+        let (mut x, mut u, mut applied) = (vec![0f32; 32], vec![0.0; m], vec![0.0; m]);
         let mut reward = 0.0;
         let (mut sum, mut end) = (0.0, 0.0);
         let mut line = String::new();
@@ -68,7 +68,7 @@ fn main() {
             if (tick + 1) % window == 0 {
                 line += &format!(" {:.4}({:.3})", sum / window as f64, end);
                 if verbose {
-                    println!("{tick} {:.4} end {end:.3} | {}", sum / window as f64, agent.describe());
+                    println!("{tick} {:.4} end {end:.3} | {}", sum / window as f64, format!("{:?}", agent.columns()));
                 }
                 sum = 0.0;
                 end = 0.0;

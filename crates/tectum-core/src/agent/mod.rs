@@ -12,11 +12,14 @@
 //! gives the same commands only if the agent is a function of its state and of what it is called with. So randomness
 //! comes from [seeded streams](crate::seed), and nothing in an agent depends on time.
 //!
-//! [`LinearAgent`] is the agent of the learning rules in [`crate::learner`].
+//! [`LinearAgent`] is the agent of the learning rules in [`crate::learner`], [`ModelPredictiveAgent`] that of the
+//! model-predictive learner.
 
 mod linear;
+mod model_predictive;
 
 pub use linear::LinearAgent;
+pub use model_predictive::ModelPredictiveAgent;
 
 use crate::flag;
 use crate::policy::LinearPolicy;

@@ -101,6 +101,8 @@ pub struct ModelPredictive {
     best: f64,
     worst: f64,
     command: [f64; MAX_OUTPUTS],
+    /// The last command without noise, in its unit.
+    mean: [f64; MAX_OUTPUTS],
     next_refit: u64,
     refits: u64,
     changed_at: u64,
@@ -150,6 +152,7 @@ impl ModelPredictive {
             best: f64::NEG_INFINITY,
             worst: f64::INFINITY,
             command: [0.0; MAX_OUTPUTS],
+            mean: [0.0; MAX_OUTPUTS],
             next_refit: 25,
             refits: 0,
             changed_at: 0,
@@ -180,6 +183,7 @@ impl ModelPredictive {
             for (j, u) in u.iter_mut().enumerate() {
                 let back = dot(&self.plan.gains[j * nx..(j + 1) * nx], &self.apart);
                 *u = (self.plan.commands[j] + back).clamp(-1.0, 1.0);
+                self.mean[j] = *u * self.limits[j];
             }
             self.noise.add(&self.sigma, u);
         } else {
@@ -299,22 +303,26 @@ impl ModelPredictive {
         self.planned = true;
     }
 
-    /// For a look at what was learned: evidence and noise of the models, scores.
-    pub fn describe(&self) -> String {
-        let model = |m: &Model| format!("{:.1}/{:.1e}", m.refit.log_evidence, m.fit.regression.lambda);
-        format!(
-            "w {:.2?} dyn {} {} before {} after {} scores {:.2} {:.2} value {:.3} mu {:.1e} {:?}",
-            self.rewards[self.better()].fit.features.frequencies,
-            self.beliefs.iter().map(|b| format!("{:.1}/{:.1e}", b.level(), b.usual)).collect::<Vec<_>>().join(" "),
-            model(&self.dynamics),
-            model(&self.rewards[0]),
-            model(&self.rewards[1]),
-            self.scores[0],
-            self.scores[1],
+    /// The last command without exploration noise, in its unit; 0 before the first plan.
+    pub fn mean(&self) -> &[f64] {
+        &self.mean[..self.places.commands]
+    }
+
+    /// Numbers for a record: the plan's predicted sum of rewards (in standard deviations of the reward), the noise of
+    /// the models of dynamics and reward as parts of their prior's scale, and counts of outliers, alarms, rivals, clipped
+    /// commands and refits.
+    pub fn columns(&self) -> [f64; 8] {
+        let (counts, reward) = (&self.counts, &self.rewards[self.better()]);
+        [
             self.plan.value,
-            self.plan.mu,
-            self.counts
-        )
+            self.dynamics.fit.regression.lambda,
+            reward.fit.regression.lambda,
+            (counts.input_outliers + counts.reward_outliers) as f64,
+            counts.alarms as f64,
+            counts.rivals as f64,
+            counts.clipped as f64,
+            self.refits as f64,
+        ]
     }
 }
 

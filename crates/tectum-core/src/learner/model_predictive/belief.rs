@@ -58,11 +58,6 @@ impl Belief {
         self.surprise > level
     }
 
-    /// The running mean of the squared errors.
-    pub fn level(&self) -> f64 {
-        self.surprise
-    }
-
     /// Begins to measure anew.
     pub fn calm(&mut self) {
         self.surprise = 0.0;

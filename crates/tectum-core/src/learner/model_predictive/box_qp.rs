@@ -23,7 +23,12 @@ pub struct Solution {
 /// Solves for `n` coordinates from `start`; `H` has rows of `n`. `None` if the free part is not positive definite.
 pub fn solve(h: &[f64], g: &[f64], low: &[f64], high: &[f64], start: &[f64]) -> Option<Solution> {
     let n = g.len();
-    let mut s = Solution { x: [0.0; MAX_OUTPUTS], free: [true; MAX_OUTPUTS], factor: [0.0; 36], order: n };
+    let mut s = Solution {
+        x: [0.0; MAX_OUTPUTS],
+        free: [true; MAX_OUTPUTS],
+        factor: [0.0; MAX_OUTPUTS * (MAX_OUTPUTS + 1) / 2],
+        order: n,
+    };
     for i in 0..n {
         s.x[i] = start[i].clamp(low[i], high[i]);
     }

@@ -118,7 +118,7 @@ impl Data for Changes<'_> {
         q.copy_from_slice(memory.q(tick));
         y.copy_from_slice(&memory.changes[at * memory.places.inputs..][..memory.places.inputs]);
         let [missing, upper_end, lower_end, _] = memory.masks[at];
-        let all = (1_u32 << memory.places.inputs) - 1;
+        let all = u32::MAX >> (32 - memory.places.inputs);
         (missing != all).then_some(Lesson { missing, upper_end, lower_end })
     }
 }

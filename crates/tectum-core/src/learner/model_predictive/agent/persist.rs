@@ -22,6 +22,7 @@ impl Persist for ModelPredictive {
         visitor.numbers("state", &mut self.state);
         visitor.numbers("before", &mut self.before);
         visitor.numbers("command", &mut self.command);
+        visitor.numbers("mean", &mut self.mean);
         let mut numbers = [self.reward, self.last_reward, self.best, self.worst];
         visitor.numbers("rewards", &mut numbers);
         [self.reward, self.last_reward, self.best, self.worst] = numbers;

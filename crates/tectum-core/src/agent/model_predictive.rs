@@ -1,0 +1,177 @@
+//! The agent of the model-predictive learner.
+
+use super::{Agent, AgentRecord, Answer, Boundary, Experience, Percept};
+use crate::learner::model_predictive::{
+    InputRange, ModelPredictive, ModelPredictiveConfig, ModelPredictiveSpec, Observed, TickFlags,
+};
+use crate::state::{Persist, StateVisitor};
+use crate::{MAX_INPUTS, MAX_OUTPUTS, SignalConfig};
+
+/// [`ModelPredictive`] behind the trait [`Agent`]: it answers from the plan of the tick before, and learns and plans in
+/// [`Agent::improve`].
+///
+/// A tick that may not be learned from, or after which another episode begins, teaches nothing.
+#[derive(Debug, Clone)]
+pub struct ModelPredictiveAgent {
+    learner: ModelPredictive,
+    /// What became of the last command.
+    reward: f64,
+    applied: [f64; MAX_OUTPUTS],
+    flags: TickFlags,
+    /// Whether this tick was already learned from and planned after.
+    improved: bool,
+}
+
+/// What an input's description says about its range.
+fn range(signal: &SignalConfig) -> InputRange {
+    let radians = match signal.unit.as_str() {
+        "rad" => Some(1.0),
+        "deg" => Some(std::f64::consts::PI / 180.0),
+        _ => None,
+    };
+    InputRange { min: signal.min, max: signal.max, wraps: signal.wraps(), radians }
+}
+
+impl ModelPredictiveAgent {
+    /// An agent for `inputs`, with the largest magnitude and the exploration noise's standard deviation of each command.
+    pub fn new(
+        inputs: &[SignalConfig],
+        limits: &[f64],
+        sigma: &[f64],
+        seed: u64,
+        config: &ModelPredictiveConfig,
+    ) -> Self {
+        let learner = ModelPredictive::new(&ModelPredictiveSpec {
+            inputs: inputs.iter().map(range).collect(),
+            limits: limits.to_vec(),
+            sigma: sigma.to_vec(),
+            seed,
+            config: config.clone(),
+        });
+        let flags = TickFlags { missed: true, ..TickFlags::default() };
+        Self { learner, reward: 0.0, applied: [0.0; MAX_OUTPUTS], flags, improved: false }
+    }
+
+    /// The learner.
+    pub fn learner(&self) -> &ModelPredictive {
+        &self.learner
+    }
+}
+
+impl Agent for ModelPredictiveAgent {
+    fn act(&mut self, percept: &Percept, answer: &mut Answer) {
+        let mut inputs = [0.0; MAX_INPUTS];
+        for (to, input) in inputs.iter_mut().zip(percept.inputs) {
+            *to = f64::from(*input);
+        }
+        let (n, m) = (percept.inputs.len(), answer.command.len());
+        let mut command = [0.0; MAX_OUTPUTS];
+        let observed =
+            Observed { inputs: &inputs[..n], reward: self.reward, applied: &self.applied[..m], flags: self.flags };
+        self.learner.act(&observed, &mut command[..m]);
+        for (to, command) in answer.command.iter_mut().zip(command) {
+            *to = command as f32;
+        }
+        for (to, mean) in answer.mean.iter_mut().zip(self.learner.mean()) {
+            *to = *mean as f32;
+        }
+        self.flags = TickFlags { missed: true, ..TickFlags::default() };
+        self.improved = false;
+    }
+
+    fn learn(&mut self, experience: &Experience) -> bool {
+        self.reward = f64::from(experience.reward);
+        for (to, applied) in self.applied.iter_mut().zip(experience.applied) {
+            *to = f64::from(*applied);
+        }
+        self.flags = TickFlags {
+            missed: experience.withheld.is_some(),
+            limited: experience.limited,
+            new_target: experience.boundary == Boundary::NewTarget,
+            terminated: experience.boundary == Boundary::Terminated,
+            truncated: experience.boundary == Boundary::Truncated,
+        };
+        experience.withheld.is_none()
+    }
+
+    /// The work of a tick is fixed, so that more than one update a tick is the same as one.
+    fn improve(&mut self, updates: u32) {
+        if updates > 0 && !std::mem::replace(&mut self.improved, true) {
+            self.learner.improve();
+        }
+    }
+
+    fn columns(&self) -> &'static [&'static str] {
+        &["plan_value", "dynamics_noise", "reward_noise", "outliers", "alarms", "rivals", "clipped", "refits"]
+    }
+
+    fn record(&self, record: &mut AgentRecord) {
+        let columns = self.learner.columns();
+        for (to, value) in record.columns.iter_mut().zip(columns) {
+            *to = value as f32;
+        }
+    }
+}
+
+impl Persist for ModelPredictiveAgent {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.nested("learner", &mut self.learner);
+        visitor.number("reward", &mut self.reward);
+        visitor.numbers("applied", &mut self.applied);
+        let TickFlags { missed, limited, new_target, terminated, truncated } = &mut self.flags;
+        for flag in [missed, limited, new_target, terminated, truncated] {
+            visitor.boolean("flags", flag);
+        }
+        visitor.boolean("improved", &mut self.improved);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plant::{Plant as _, task::Task};
+
+    /// Mean reward of the ticks from `first` on, of `ticks`, on a task.
+    fn run(name: &str, ticks: u64, first: u64, config: &ModelPredictiveConfig) -> f64 {
+        let task = Task::named(name).unwrap();
+        let signals = task.body.signals();
+        let (n, m) = (signals.inputs.len(), signals.outputs.len());
+        let (limits, sigma) = (vec![task.max_command; m], vec![task.sigma; m]);
+        let mut agent = ModelPredictiveAgent::new(&signals.inputs, &limits, &sigma, 1, config);
+        let mut plant = task.plant(1);
+        let (mut inputs, mut before) = ([0.0; MAX_INPUTS], [0.0; MAX_INPUTS]);
+        let (mut command, mut mean) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
+        let (mut reward, mut sum) = (0.0, 0.0);
+        for tick in 0..ticks {
+            let new_target = plant.sense(tick, &mut inputs);
+            if tick > 0 {
+                agent.learn(&Experience {
+                    tick: tick - 1,
+                    inputs: &before[..n],
+                    asked: &command[..m],
+                    applied: &command[..m],
+                    limited: false,
+                    reward,
+                    next_inputs: &inputs[..n],
+                    boundary: if new_target { Boundary::NewTarget } else { Boundary::None },
+                    withheld: None,
+                });
+            }
+            let percept = Percept { tick, inputs: &inputs[..n], age: 0, flags: 0 };
+            agent.act(&percept, &mut Answer { command: &mut command[..m], mean: &mut mean[..m] });
+            agent.improve(1);
+            before = inputs;
+            reward = plant.advance(tick, &command[..m]).reward;
+            sum += if tick >= first { f64::from(reward) } else { 0.0 };
+        }
+        sum / (ticks - first) as f64
+    }
+
+    #[test]
+    fn the_arm_is_learned_within_seconds() {
+        let config = ModelPredictiveConfig { horizon: 12, rival_iterations: 3, ..ModelPredictiveConfig::default() };
+        // Standing still gives about -0.25 on these targets.
+        let mean = run("arm", 240, 120, &config);
+        assert!(mean > -0.08, "{mean}");
+    }
+}
