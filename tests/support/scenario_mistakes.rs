@@ -261,11 +261,12 @@ pub const CASES: &[Case] = &[
         "x.toml:7: plant.outputs is empty; a program other than tectum-simulator lists its inputs and outputs"),
     (OTHER, "measures = [\"error\"]", "measures = [\"a\", \"b\", \"c\", \"d\", \"e\", \"f\", \"g\"]",
         "x.toml:8: plant.measures has 7 entries; give at most 6"),
-    (OTHER, "measures = [\"error\"]", "measures = [{ name = \"a\", role = \"error\" }, { name = \"b\", role = \"error\" }]",
+    (OTHER, "measures = [\"error\"]",
+        "measures = [{ name = \"a\", role = \"error\" }, { name = \"b\", role = \"error\" }]",
         "x.toml:8: plant.measures has two entries with the role error; give it to one"),
     (OTHER, "radius = 0.5", "radius = [0.5]",
-        "x.toml:10: encoder.maps[0].radius has length 1 and inputs has length 2; give one for each input, or one number \
-         for all"),
+        "x.toml:10: encoder.maps[0].radius has length 1 and inputs has length 2; give one for each input, or one \
+         number for all"),
     (OTHER, "radius = 0.5", "radius = [0.5, 0]",
         "x.toml:10: encoder.maps[0].radius[1] is 0; give more than 0 (1e-9 or more), up to 1e9"),
     (OTHER, "measures = [\"error\"]", "measures = [\"a\", \"a\"]",

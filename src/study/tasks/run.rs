@@ -25,8 +25,8 @@ pub(super) fn test_interval(since: u64) -> u64 {
     }
 }
 
-/// An agent that can be tested: what it has learned so far answers inputs, without exploration noise, and learns nothing
-/// from the test.
+/// An agent that can be tested: what it has learned so far answers inputs, without exploration noise, and learns
+/// nothing from the test.
 pub(super) trait TestedAgent: Agent {
     /// The answers of the agent as it is now.
     fn answers(&self, plan: &Plan) -> impl FnMut(&Observation) -> Outputs;

@@ -5,13 +5,13 @@ mod persist;
 
 use super::belief::Belief;
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
-use super::exploration::Noise;
+use super::exploration::ExplorationPulses;
 use super::layout::Places;
 use super::layouts::{dynamics_layout, reward_layout};
 use super::linalg::dot;
 use super::memory::Memory;
 use super::model::{Model, ModelSize};
-use super::planner::{Plan, Planner};
+use super::planner::{MotionPlan, Planner};
 use super::refit::RefitSettings;
 use super::rivals;
 use super::world::{CHANGE, LearnedWorld, Ranges, World, WorldScratch, wrap};
@@ -81,11 +81,11 @@ pub struct ModelPredictive {
     memory: Memory,
     beliefs: Vec<Belief>,
     reward_belief: Belief,
-    plan: Plan,
-    rival: Plan,
+    plan: MotionPlan,
+    rival: MotionPlan,
     planner: Planner,
     scratch: WorldScratch,
-    noise: Noise,
+    noise: ExplorationPulses,
     rng: Rng,
     /// Number of observations.
     tick: u64,
@@ -137,11 +137,11 @@ impl ModelPredictive {
             memory: Memory::new(places, config.memory),
             beliefs: vec![Belief::default(); n],
             reward_belief: Belief::default(),
-            plan: Plan::new(places, horizon),
-            rival: Plan::new(places, horizon),
+            plan: MotionPlan::new(places, horizon),
+            rival: MotionPlan::new(places, horizon),
             planner: Planner::new(places, horizon),
             scratch: WorldScratch::new(places),
-            noise: Noise::new(spec.seed),
+            noise: ExplorationPulses::new(spec.seed),
             tick: 0,
             state: vec![0.0; places.state()],
             before: vec![0.0; places.len()],
@@ -309,8 +309,8 @@ impl ModelPredictive {
     }
 
     /// Numbers for a record: the plan's predicted sum of rewards (in standard deviations of the reward), the noise of
-    /// the models of dynamics and reward as parts of their prior's scale, and counts of outliers, alarms, rivals, clipped
-    /// commands and refits.
+    /// the models of dynamics and reward as parts of their prior's scale, and counts of outliers, alarms, rivals,
+    /// clipped commands and refits.
     pub fn columns(&self) -> [f64; 8] {
         let (counts, reward) = (&self.counts, &self.rewards[self.better()]);
         [

@@ -105,9 +105,9 @@ impl Memory {
 
 /// The memory as data of the dynamics model.
 #[derive(Debug, Clone, Copy)]
-pub struct Changes<'a>(pub &'a Memory);
+pub struct RecentChanges<'a>(pub &'a Memory);
 
-impl Data for Changes<'_> {
+impl Data for RecentChanges<'_> {
     fn range(&self) -> (u64, u64) {
         (self.0.first, self.0.stored)
     }
