@@ -586,9 +586,12 @@ fn loss_row(name: &str, loss: Loss, protocol: Protocol, rearm: &str) -> String {
     let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
     let mut bus = bus_to(&chain, &clock, &plan);
     let (line, now) = (Arc::clone(&chain), clock.clone());
-    bus.set_opener(Box::new(move || match line.lock().unwrap().is_cable_out() {
-        true => Err(BusError::NoPort("arm".to_owned())),
-        false => Ok(Box::new(EmulatedPort::new(Arc::clone(&line), now.clone(), servos.baud))),
+    bus.set_opener(Box::new(move || {
+        let out = line.lock().unwrap().is_cable_out();
+        if out {
+            return Err(BusError::NoPort("arm".to_owned()));
+        }
+        Ok(Box::new(EmulatedPort::new(Arc::clone(&line), now.clone(), servos.baud)))
     }));
     let mut bridge = Bridge::new(&plan, bus, joints_of(&plan).unwrap(), Box::new(|_| {})).unwrap();
     let tick_now = Arc::new(std::sync::atomic::AtomicU64::new(0));

@@ -50,7 +50,7 @@ impl Arm {
 
     /// Waits until a shaft turns.
     fn wait_for_motion(&mut self) {
-        while self.servos[1..].iter().all(|servo| servo["speed"].as_f64().unwrap().abs() < 100.0) {
+        while self.servos[1..].iter().all(|servo| servo["speed"] == 0.0) {
             self.emulator.send_command("state");
             self.take_report();
             std::thread::park_timeout(std::time::Duration::from_millis(20));

@@ -175,7 +175,7 @@ fn the_first_difference_is_named() {
     assert!(replay_error(learning, 168).contains("at tick 290, channel learning, weights_hash is "));
     // A log that still has its checksums is also replayed only to the difference.
     let mut whole = log.clone();
-    whole[command.offset + 88] ^= 1;
+    whole[command.offset + 120] ^= 1;
     test_folder.write_file("whole.mcap", &whole);
     assert!(
         test_folder

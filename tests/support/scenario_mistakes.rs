@@ -141,7 +141,7 @@ pub const CASES: &[Case] = &[
     (ARM, "ticks = 2_000_000", "",
         "x.toml: ticks is missing; this key has no default, so add it"),
     (OTHER, "radius = 0.5", "",
-        "x.toml:10: encoder.maps[0].radius is missing; this key has no default, so add it"),
+        "x.toml:12: encoder.maps[0].radius is missing; this key has no default, so add it"),
     (OTHER, ", max = 1 }", " }",
         "x.toml:6: plant.inputs[0].max is missing; this key has no default, so add it"),
     (ARM, "ticks = 2_000_000", "ticks = 2e6",
@@ -265,10 +265,10 @@ pub const CASES: &[Case] = &[
         "measures = [{ name = \"a\", role = \"error\" }, { name = \"b\", role = \"error\" }]",
         "x.toml:8: plant.measures has two entries with the role error; give it to one"),
     (OTHER, "radius = 0.5", "radius = [0.5]",
-        "x.toml:10: encoder.maps[0].radius has length 1 and inputs has length 2; give one for each input, or one \
+        "x.toml:12: encoder.maps[0].radius has length 1 and inputs has length 2; give one for each input, or one \
          number for all"),
     (OTHER, "radius = 0.5", "radius = [0.5, 0]",
-        "x.toml:10: encoder.maps[0].radius[1] is 0; give more than 0 (1e-9 or more), up to 1e9"),
+        "x.toml:12: encoder.maps[0].radius[1] is 0; give more than 0 (1e-9 or more), up to 1e9"),
     (OTHER, "measures = [\"error\"]", "measures = [\"a\", \"a\"]",
         "x.toml:8: plant.measures[1] is \"a\"; this name is in the list already, and each may occur once"),
     (OTHER, "measures = [\"error\"]", "measures = [\"\"]",

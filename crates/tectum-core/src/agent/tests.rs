@@ -73,7 +73,9 @@ fn a_new_target_is_learned_from_like_any_other_tick() {
         let (mut target, mut none) = (Tick::after_some(rule), Tick::after_some(rule));
         assert!(target.learn(40, &inputs(40), Boundary::NewTarget, None));
         assert!(none.learn(40, &inputs(40), Boundary::None, None));
-        assert_eq!(state::hash(&mut target.agent), state::hash(&mut none.agent), "{rule:?}");
+        // `learned-reward` alone tells a target that jumps from a movement.
+        let same = state::hash(&mut target.agent) == state::hash(&mut none.agent);
+        assert_eq!(same, rule != Rule::LearnedReward, "{rule:?}");
         assert_eq!(target.agent.trace_norm(), none.agent.trace_norm());
     }
 }
