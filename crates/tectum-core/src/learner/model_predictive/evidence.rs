@@ -11,7 +11,7 @@
 //! The logarithms of the scales have the prior `N(log p_0, width^2)`. Steps are Adam's (Kingma & Ba 2015).
 
 use super::functions::{exp, sines_and_cosines};
-use super::layout::{BIAS, Layout, NOISE, PRODUCTS, SMOOTH, Scale};
+use super::layout::{BIAS, Layout, NOISE, PRODUCTS, SMOOTH, ScaleKind};
 use super::linalg::{add_scaled, cholesky, dot, invert, packed, solve_lower, solve_lower_transposed};
 use crate::state::{Persist, StateVisitor};
 
@@ -225,7 +225,7 @@ impl Evidence {
     fn angles(&mut self, layout: &Layout) {
         let (n, capacity) = (self.len, self.capacity);
         for (u, unit) in layout.units[..layout.circles].iter().enumerate() {
-            let w = exp(self.scales[Layout::scale(u, Scale::Frequency)]);
+            let w = exp(self.scales[Layout::scale(u, ScaleKind::Frequency)]);
             let values = &self.values[unit.at * capacity..][..n];
             for (to, x) in self.plain.iter_mut().zip(values) {
                 *to = w * x;
@@ -250,7 +250,7 @@ impl Evidence {
         for (u, unit) in layout.units.iter().enumerate() {
             let inner = &mut row.inner[u * capacity..][..n];
             let scale = |s| if unit.scales[s as usize] { exp(scales[Layout::scale(u, s)]) } else { 0.0 };
-            let (linear, square, rho) = (scale(Scale::Linear), scale(Scale::Square), scale(Scale::Smooth));
+            let (linear, square, rho) = (scale(ScaleKind::Linear), scale(ScaleKind::Square), scale(ScaleKind::Smooth));
             if unit.circle {
                 let (c, s) = (&cosines[u * capacity..][..n], &sines[u * capacity..][..n]);
                 let turned = &mut row.turned[u * capacity..][..n];
@@ -270,7 +270,7 @@ impl Evidence {
                 }
             }
             if let Some(group) = unit.group {
-                let v = scale(Scale::Product);
+                let v = scale(ScaleKind::Product);
                 let factors = &mut row.factors[group * capacity..][..n];
                 for j in 0..n {
                     factors[j] += v * inner[j];
@@ -318,10 +318,10 @@ impl Evidence {
         for (u, unit) in layout.units.iter().enumerate() {
             let inner = &row.inner[u * capacity..][..n];
             let scale = |s| if unit.scales[s as usize] { exp(scales[Layout::scale(u, s)]) } else { 0.0 };
-            let (linear, square, rho) = (scale(Scale::Linear), scale(Scale::Square), scale(Scale::Smooth));
+            let (linear, square, rho) = (scale(ScaleKind::Linear), scale(ScaleKind::Square), scale(ScaleKind::Smooth));
             let along_inner = dot(outer, inner);
-            gradient[Layout::scale(u, Scale::Linear)] += linear * along_inner;
-            let v = scale(Scale::Product);
+            gradient[Layout::scale(u, ScaleKind::Linear)] += linear * along_inner;
+            let v = scale(ScaleKind::Product);
             if let Some(group) = unit.group {
                 let factors = &row.factors[group * capacity..][..n];
                 for j in 0..n {
@@ -329,7 +329,7 @@ impl Evidence {
                     let others = if factors[j] == 0.0 { 0.0 } else { row.product[j] / factors[j] };
                     plain[j] = row.scratch[j] * (others - 1.0);
                 }
-                gradient[Layout::scale(u, Scale::Product)] += v * dot(&plain[..n], inner);
+                gradient[Layout::scale(u, ScaleKind::Product)] += v * dot(&plain[..n], inner);
             } else {
                 plain[..n].fill(0.0);
             }
@@ -378,14 +378,14 @@ impl Row {
     ) {
         let (n, from) = (x.len(), u * self.product.len());
         let (inner, turned) = (&self.inner[from..][..n], &self.turned[from..][..n]);
-        let at = Layout::scale(u, Scale::Frequency);
+        let at = Layout::scale(u, ScaleKind::Frequency);
         let (mut smooth, mut frequency) = (0.0, 0.0);
         for j in 0..n {
             smooth += self.smooth[j] * (1.0 - inner[j]);
             let slope = linear * outer[j] + v * plain[j] + rho * self.smooth[j];
             frequency -= slope * turned[j] * (x[n - 1] - x[j]);
         }
-        gradient[Layout::scale(u, Scale::Smooth)] -= rho * smooth;
+        gradient[Layout::scale(u, ScaleKind::Smooth)] -= rho * smooth;
         gradient[at] += exp(scales[at]) * frequency;
     }
 
@@ -399,8 +399,8 @@ impl Row {
             smooth += self.smooth[j] * apart * apart;
             squares += outer[j] * inner[j] * inner[j];
         }
-        gradient[Layout::scale(u, Scale::Smooth)] -= 0.5 * rho * smooth;
-        gradient[Layout::scale(u, Scale::Square)] += square * squares;
+        gradient[Layout::scale(u, ScaleKind::Smooth)] -= 0.5 * rho * smooth;
+        gradient[Layout::scale(u, ScaleKind::Square)] += square * squares;
     }
 }
 

@@ -1,6 +1,6 @@
 //! A learned model: features, the posterior of their weights, and the refit that renews both.
 
-use super::features::{Basis, Features};
+use super::features::{BasisValues, ModelFeatures};
 use super::layout::{Layout, NOISE};
 use super::memory::{Data, Lesson};
 use super::refit::{Refit, RefitSettings};
@@ -14,9 +14,9 @@ pub const MAX_MODEL_OUTPUTS: usize = crate::MAX_INPUTS;
 
 /// What is fitted: exchanged as a whole when a refit is done.
 #[derive(Debug, Clone)]
-pub struct Fit {
+pub struct ModelFit {
     /// The features.
-    pub features: Features,
+    pub features: ModelFeatures,
     /// The posterior.
     pub regression: Regression,
     /// Outputs are `(y - center) / scale`.
@@ -31,12 +31,12 @@ pub struct Model {
     /// What it looks at.
     pub layout: Layout,
     /// The fit that predicts.
-    pub fit: Fit,
+    pub fit: ModelFit,
     /// The work on the next one.
     pub refit: Refit,
     /// The planner's function.
     pub weighted: Weighted,
-    basis: Basis,
+    basis: BasisValues,
     phi: Vec<f64>,
     /// Predictions for the last point.
     pub predicted: [f64; MAX_MODEL_OUTPUTS],
@@ -74,13 +74,13 @@ impl ModelSize {
 impl Model {
     /// A model that knows nothing.
     pub fn new(layout: Layout, size: ModelSize, settings: RefitSettings, rng: &mut Rng) -> Self {
-        let features = Features::new(&layout, size.pairs, size.products, || normal(rng));
+        let features = ModelFeatures::new(&layout, size.pairs, size.products, || normal(rng));
         let lambda = super::functions::exp(layout.prior[NOISE]);
         let regression = Regression::new(features.len, size.outputs, lambda);
-        let mut fit = Fit { features, regression, center: 0.0, scale: 1.0 };
+        let mut fit = ModelFit { features, regression, center: 0.0, scale: 1.0 };
         fit.regression.forget(|| normal(rng));
         let weighted = Weighted::new(&layout, &fit.features, size.outputs);
-        let basis = Basis::new(&layout, &fit.features);
+        let basis = BasisValues::new(&layout, &fit.features);
         let phi = vec![0.0; fit.features.len];
         let refit = Refit::new(&layout, &fit, settings);
         Self { layout, fit, refit, weighted, basis, phi, predicted: [0.0; MAX_MODEL_OUTPUTS], nu: 1.0 }
@@ -149,7 +149,7 @@ impl Model {
 
     /// The planner's function from now on: the mean and a part of what the sample differs.
     pub fn take(&mut self, part: f64) {
-        let Fit { features, regression, .. } = &self.fit;
+        let ModelFit { features, regression, .. } = &self.fit;
         self.weighted.take(&self.layout, features, regression, part);
     }
 
@@ -186,7 +186,7 @@ pub fn normal(rng: &mut Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-impl Fit {
+impl ModelFit {
     /// Passes on the state.
     pub fn visit(&mut self, layout: &Layout, visitor: &mut dyn StateVisitor) {
         self.features.visit_scales(layout, visitor);

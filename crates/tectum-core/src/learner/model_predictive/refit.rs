@@ -17,11 +17,11 @@ mod solve;
 use rand::RngExt as _;
 
 use super::evidence::Evidence;
-use super::features::Basis;
+use super::features::BasisValues;
 use super::layout::{Layout, NOISE};
 use super::linalg::{add_outer, add_scaled, packed};
 use super::memory::Data;
-use super::model::{Fit, MAX_MODEL_OUTPUTS, normal};
+use super::model::{MAX_MODEL_OUTPUTS, ModelFit, normal};
 use crate::seed::Rng;
 use crate::state::StateVisitor;
 
@@ -80,7 +80,7 @@ pub struct Refit {
     /// The ticks that are gathered.
     range: [u64; 2],
     /// Next fit; its covariance is where `A` is factored.
-    next: Fit,
+    next: ModelFit,
     evidence: Evidence,
     matrix: Vec<f64>,
     right: Vec<f64>,
@@ -101,7 +101,7 @@ pub struct Refit {
 
 impl Refit {
     /// No refit yet.
-    pub fn new(layout: &Layout, fit: &Fit, settings: RefitSettings) -> Self {
+    pub fn new(layout: &Layout, fit: &ModelFit, settings: RefitSettings) -> Self {
         let (len, outputs) = (fit.regression.len, fit.regression.outputs);
         let mut next = fit.clone();
         next.features.reserve(layout);
@@ -157,9 +157,9 @@ impl Refit {
     pub fn step(
         &mut self,
         layout: &Layout,
-        fit: &mut Fit,
+        fit: &mut ModelFit,
         data: &dyn Data,
-        basis: &mut Basis,
+        basis: &mut BasisValues,
         phi: &mut [f64],
         rng: &mut Rng,
     ) -> (u64, bool) {
@@ -182,10 +182,10 @@ impl Refit {
     fn read(
         &mut self,
         layout: &Layout,
-        fit: &Fit,
+        fit: &ModelFit,
         data: &dyn Data,
         tick: u64,
-        basis: &mut Basis,
+        basis: &mut BasisValues,
         phi: &mut [f64],
     ) -> bool {
         let outputs = fit.regression.outputs;
@@ -205,9 +205,9 @@ impl Refit {
     fn choose_points(
         &mut self,
         layout: &Layout,
-        fit: &Fit,
+        fit: &ModelFit,
         data: &dyn Data,
-        basis: &mut Basis,
+        basis: &mut BasisValues,
         phi: &mut [f64],
         rng: &mut Rng,
     ) -> u64 {
@@ -242,7 +242,7 @@ impl Refit {
     }
 
     /// Centre and scale of the outputs from now on.
-    fn standardise(&mut self, fit: &Fit, data: &dyn Data) {
+    fn standardise(&mut self, fit: &ModelFit, data: &dyn Data) {
         (self.next.center, self.next.scale) = (0.0, 1.0);
         if !self.settings.standardise {
             return;
@@ -297,7 +297,7 @@ impl Refit {
         let features = &mut self.next.features;
         for u in 0..layout.circles {
             features.frequencies[u] =
-                super::functions::exp(features.scales[Layout::scale(u, super::layout::Scale::Frequency)]);
+                super::functions::exp(features.scales[Layout::scale(u, super::layout::ScaleKind::Frequency)]);
         }
         features.mean_squares.fill(1e-6);
         for point in 0..self.evidence.len {
@@ -310,7 +310,14 @@ impl Refit {
         }
     }
 
-    fn gather(&mut self, layout: &Layout, fit: &Fit, data: &dyn Data, basis: &mut Basis, phi: &mut [f64]) -> u64 {
+    fn gather(
+        &mut self,
+        layout: &Layout,
+        fit: &ModelFit,
+        data: &dyn Data,
+        basis: &mut BasisValues,
+        phi: &mut [f64],
+    ) -> u64 {
         let tick = self.range[0] + self.at;
         self.at += 1;
         if tick >= self.range[1] || tick < data.range().0 {
@@ -337,9 +344,9 @@ impl Refit {
     fn catch_up(
         &mut self,
         layout: &Layout,
-        fit: &mut Fit,
+        fit: &mut ModelFit,
         data: &dyn Data,
-        basis: &mut Basis,
+        basis: &mut BasisValues,
         phi: &mut [f64],
         rng: &mut Rng,
     ) -> (u64, bool) {

@@ -4,7 +4,7 @@
 //! over chosen places of `q`. Products are differentiated backwards through their tree; their Hessian is the forward
 //! derivative of that (Griewank & Walther 2008).
 
-use super::features::{Basis, Features, has_feature, parent};
+use super::features::{BasisValues, ModelFeatures, has_feature, parent};
 use super::layout::Layout;
 use super::linalg::{add_scaled, dot};
 use super::regression::Regression;
@@ -18,7 +18,7 @@ pub struct Weighted {
     pub weights: Vec<f64>,
     /// Weights of the nodes of the products, by node, then output.
     nodes: Vec<f64>,
-    basis: Basis,
+    basis: BasisValues,
     // Scratch memory of derivatives.
     projected: Vec<f64>,
     slopes: Vec<f64>,
@@ -32,14 +32,14 @@ pub struct Weighted {
 
 impl Weighted {
     /// For `outputs` outputs.
-    pub fn new(layout: &Layout, features: &Features, outputs: usize) -> Self {
+    pub fn new(layout: &Layout, features: &ModelFeatures, outputs: usize) -> Self {
         let (nodes, pairs) = (features.most_nodes, features.pairs);
         Self {
             outputs,
             len: features.len,
             weights: vec![0.0; outputs * features.len],
             nodes: vec![0.0; outputs * nodes],
-            basis: Basis::new(layout, features),
+            basis: BasisValues::new(layout, features),
             projected: vec![0.0; layout.width * pairs],
             slopes: vec![0.0; outputs * pairs],
             curves: vec![0.0; pairs],
@@ -52,7 +52,7 @@ impl Weighted {
     }
 
     /// Takes the weights `mean + part (sample - mean)` of a posterior.
-    pub fn take(&mut self, layout: &Layout, features: &Features, posterior: &Regression, part: f64) {
+    pub fn take(&mut self, layout: &Layout, features: &ModelFeatures, posterior: &Regression, part: f64) {
         for j in 0..self.outputs {
             let at = j * self.len;
             let part = part * posterior.scale(j).sqrt();
@@ -71,12 +71,12 @@ impl Weighted {
     }
 
     /// The values of all outputs at `q`.
-    pub fn value(&mut self, layout: &Layout, features: &Features, q: &[f64], out: &mut [f64]) {
+    pub fn value(&mut self, layout: &Layout, features: &ModelFeatures, q: &[f64], out: &mut [f64]) {
         self.basis.evaluate(layout, features, q);
         self.value_of_basis(layout, features, out);
     }
 
-    fn value_of_basis(&self, layout: &Layout, features: &Features, out: &mut [f64]) {
+    fn value_of_basis(&self, layout: &Layout, features: &ModelFeatures, out: &mut [f64]) {
         let parts = features.parts(layout);
         let (basis, pairs) = (&self.basis, features.pairs);
         for (j, y) in out.iter_mut().enumerate() {
@@ -95,7 +95,14 @@ impl Weighted {
     }
 
     /// Values and Jacobian (by output, then place of `q`) at `q`.
-    pub fn jacobian(&mut self, layout: &Layout, features: &Features, q: &[f64], out: &mut [f64], jacobian: &mut [f64]) {
+    pub fn jacobian(
+        &mut self,
+        layout: &Layout,
+        features: &ModelFeatures,
+        q: &[f64],
+        out: &mut [f64],
+        jacobian: &mut [f64],
+    ) {
         self.value(layout, features, q, out);
         jacobian.fill(0.0);
         self.project(layout, features);
@@ -117,7 +124,7 @@ impl Weighted {
     }
 
     /// For each place of `q`, the derivative of the phase of each wave.
-    fn project(&mut self, layout: &Layout, features: &Features) {
+    fn project(&mut self, layout: &Layout, features: &ModelFeatures) {
         let pairs = features.pairs;
         self.projected.fill(0.0);
         for unit in &layout.units {
@@ -129,7 +136,7 @@ impl Weighted {
     }
 
     /// The derivative of each output by the phase of each wave.
-    fn wave_slopes(&mut self, layout: &Layout, features: &Features) {
+    fn wave_slopes(&mut self, layout: &Layout, features: &ModelFeatures) {
         let (parts, pairs) = (features.parts(layout), features.pairs);
         for j in 0..self.outputs {
             let w = &self.weights[j * self.len..(j + 1) * self.len];
@@ -141,7 +148,7 @@ impl Weighted {
     }
 
     /// The derivative of each output by each component, the waves left out.
-    fn component_slopes(&mut self, layout: &Layout, features: &Features) {
+    fn component_slopes(&mut self, layout: &Layout, features: &ModelFeatures) {
         let (parts, outputs, components) = (features.parts(layout), self.outputs, layout.components);
         for j in 0..outputs {
             let w = &self.weights[j * self.len..(j + 1) * self.len];
@@ -174,7 +181,7 @@ impl Weighted {
     pub fn hessian(
         &mut self,
         layout: &Layout,
-        features: &Features,
+        features: &ModelFeatures,
         q: &[f64],
         places: &[usize],
         gradient: &mut [f64],
@@ -193,7 +200,7 @@ impl Weighted {
     }
 
     /// Second derivatives of the waves by two places.
-    fn wave_curves(&mut self, layout: &Layout, features: &Features, places: &[usize], hessian: &mut [f64]) {
+    fn wave_curves(&mut self, layout: &Layout, features: &ModelFeatures, places: &[usize], hessian: &mut [f64]) {
         let (parts, pairs, n) = (features.parts(layout), features.pairs, places.len());
         let w = &self.weights;
         for k in 0..pairs {
@@ -213,7 +220,7 @@ impl Weighted {
     }
 
     /// What the curvature of single units gives: squares, and that of cosines and sines.
-    fn unit_curves(&mut self, layout: &Layout, features: &Features, places: &[usize], hessian: &mut [f64]) {
+    fn unit_curves(&mut self, layout: &Layout, features: &ModelFeatures, places: &[usize], hessian: &mut [f64]) {
         let (parts, pairs, n) = (features.parts(layout), features.pairs, places.len());
         for (u, unit) in layout.units.iter().enumerate() {
             let Some(r) = places.iter().position(|&at| at == unit.at) else { continue };
@@ -231,7 +238,14 @@ impl Weighted {
     }
 
     /// Adds one row of the products' Hessian: the derivative along place `at`.
-    fn product_curves(&mut self, layout: &Layout, features: &Features, at: usize, places: &[usize], row: &mut [f64]) {
+    fn product_curves(
+        &mut self,
+        layout: &Layout,
+        features: &ModelFeatures,
+        at: usize,
+        places: &[usize],
+        row: &mut [f64],
+    ) {
         let mut moved = [false; 256];
         for unit in layout.units.iter().filter(|unit| unit.at == at) {
             moved[unit.component..unit.component + if unit.circle { 2 } else { 1 }].fill(true);
