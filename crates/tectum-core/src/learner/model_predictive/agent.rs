@@ -5,13 +5,13 @@ mod persist;
 
 use super::belief::Belief;
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
-use super::exploration::ExplorationPulses;
+use super::exploration::NoiseSource;
 use super::layout::Places;
 use super::layouts::{dynamics_layout, reward_layout};
 use super::linalg::dot;
 use super::memory::Memory;
 use super::model::{Model, ModelSize};
-use super::planner::{MotionPlan, Planner};
+use super::planner::{CommandPlan, Planner};
 use super::refit::RefitSettings;
 use super::rivals;
 use super::world::{CHANGE, LearnedWorld, Ranges, World, WorldScratch, wrap};
@@ -48,7 +48,7 @@ pub struct Observed<'a> {
 
 /// What the guards did, and how well the models predict.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Counts {
+pub struct GuardCounts {
     /// Inputs that were not believed.
     pub input_outliers: u64,
     /// Rewards that were not believed.
@@ -81,11 +81,11 @@ pub struct ModelPredictive {
     memory: Memory,
     beliefs: Vec<Belief>,
     reward_belief: Belief,
-    plan: MotionPlan,
-    rival: MotionPlan,
+    plan: CommandPlan,
+    rival: CommandPlan,
     planner: Planner,
     scratch: WorldScratch,
-    noise: ExplorationPulses,
+    noise: NoiseSource,
     rng: Rng,
     /// Number of observations.
     tick: u64,
@@ -108,7 +108,7 @@ pub struct ModelPredictive {
     changed_at: u64,
     planned: bool,
     /// Counts of guards.
-    pub counts: Counts,
+    pub counts: GuardCounts,
     after: Vec<f64>,
     start: Vec<f64>,
     apart: Vec<f64>,
@@ -137,11 +137,11 @@ impl ModelPredictive {
             memory: Memory::new(places, config.memory),
             beliefs: vec![Belief::default(); n],
             reward_belief: Belief::default(),
-            plan: MotionPlan::new(places, horizon),
-            rival: MotionPlan::new(places, horizon),
+            plan: CommandPlan::new(places, horizon),
+            rival: CommandPlan::new(places, horizon),
             planner: Planner::new(places, horizon),
             scratch: WorldScratch::new(places),
-            noise: ExplorationPulses::new(spec.seed),
+            noise: NoiseSource::new(spec.seed),
             tick: 0,
             state: vec![0.0; places.state()],
             before: vec![0.0; places.len()],
@@ -157,7 +157,7 @@ impl ModelPredictive {
             refits: 0,
             changed_at: 0,
             planned: false,
-            counts: Counts::default(),
+            counts: GuardCounts::default(),
             after: vec![0.0; places.len()],
             start: vec![0.0; places.state()],
             apart: vec![0.0; places.state()],
@@ -309,8 +309,8 @@ impl ModelPredictive {
     }
 
     /// Numbers for a record: the plan's predicted sum of rewards (in standard deviations of the reward), the noise of
-    /// the models of dynamics and reward as parts of their prior's scale, and counts of outliers, alarms, rivals,
-    /// clipped commands and refits.
+    /// the models of dynamics and reward as parts of their prior's scale, and counts of outliers, alarms, rivals, clipped
+    /// commands and refits.
     pub fn columns(&self) -> [f64; 8] {
         let (counts, reward) = (&self.counts, &self.rewards[self.better()]);
         [

@@ -23,7 +23,7 @@ pub struct Belief {
 
 /// What to do with a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum OutlierVerdict {
+pub enum BeliefVerdict {
     /// Learn it.
     Believed,
     /// Leave it out.
@@ -39,18 +39,18 @@ impl Belief {
     }
 
     /// Judges a value with its squared error in predictive variances, its error and its change.
-    pub fn judge(&mut self, surprise: f64, error: f64, change: f64, rate: f64) -> OutlierVerdict {
+    pub fn judge(&mut self, surprise: f64, error: f64, change: f64, rate: f64) -> BeliefVerdict {
         let wild = self.is_wild(surprise, error);
         if wild && !self.doubted {
             self.doubted = true;
-            return OutlierVerdict::Outlier;
+            return BeliefVerdict::Outlier;
         }
         self.surprise += rate * (surprise.min(OUTLIER) - self.surprise);
         self.seen += 1.0;
         self.usual += (change * change - self.usual) / self.seen.min(200.0);
         let both = wild && self.doubted;
         self.doubted = false;
-        if both { OutlierVerdict::Both } else { OutlierVerdict::Believed }
+        if both { BeliefVerdict::Both } else { BeliefVerdict::Believed }
     }
 
     /// Whether the errors have been too large for a while.

@@ -1,8 +1,7 @@
 //! Marginal likelihood of the scales on a few points, with its gradient, and Adam steps on it.
 //!
-//! For points `q_1 .. q_N`, outputs `y_j` (N each) and `A = K + lambda I`, `lambda = (floor + noise) tr K / N`, the
-//! logarithm of the evidence, with the scale `s_j = y_jᵀ A⁻¹ y_j / N` of each output at its optimum, is (Rasmussen &
-//! Williams 2006, 5.4.1)
+//! For points `q_1 .. q_N`, outputs `y_j` (N each) and `A = K + lambda I`, `lambda = (floor + noise) tr K / N`, the logarithm of the evidence, with the
+//! scale `s_j = y_jᵀ A⁻¹ y_j / N` of each output at its optimum, is (Rasmussen & Williams 2006, 5.4.1)
 //!
 //! ```text
 //! L = sum_j (-1/2 log |A| - N/2 log s_j) + const
@@ -12,7 +11,7 @@
 //! The logarithms of the scales have the prior `N(log p_0, width^2)`. Steps are Adam's (Kingma & Ba 2015).
 
 use super::functions::{exp, sines_and_cosines};
-use super::layout::{BIAS, Layout, LearnedScale, NOISE, PRODUCTS, SMOOTH};
+use super::layout::{BIAS, Layout, NOISE, PRODUCTS, SMOOTH, ScaleKind};
 use super::linalg::{add_scaled, cholesky, dot, invert, packed, solve_lower, solve_lower_transposed};
 use crate::state::{Persist, StateVisitor};
 
@@ -192,8 +191,8 @@ impl Evidence {
         Some(evidence)
     }
 
-    /// The evidence of the outputs, from the Cholesky factor, and how many of them count. `alpha` is then `alpha_j`
-    /// over the root of `s_j`.
+    /// The evidence of the outputs, from the Cholesky factor, and how many of them count. `alpha` is then `alpha_j` over
+    /// the root of `s_j`.
     fn weigh_outputs(&mut self) -> (f64, u32) {
         let (n, capacity) = (self.len, self.capacity);
         let mut log_determinant = 0.0;
@@ -226,7 +225,7 @@ impl Evidence {
     fn angles(&mut self, layout: &Layout) {
         let (n, capacity) = (self.len, self.capacity);
         for (u, unit) in layout.units[..layout.circles].iter().enumerate() {
-            let w = exp(self.scales[Layout::scale(u, LearnedScale::Frequency)]);
+            let w = exp(self.scales[Layout::scale(u, ScaleKind::Frequency)]);
             let values = &self.values[unit.at * capacity..][..n];
             for (to, x) in self.plain.iter_mut().zip(values) {
                 *to = w * x;
@@ -251,8 +250,7 @@ impl Evidence {
         for (u, unit) in layout.units.iter().enumerate() {
             let inner = &mut row.inner[u * capacity..][..n];
             let scale = |s| if unit.scales[s as usize] { exp(scales[Layout::scale(u, s)]) } else { 0.0 };
-            let (linear, square, rho) =
-                (scale(LearnedScale::Linear), scale(LearnedScale::Square), scale(LearnedScale::Smooth));
+            let (linear, square, rho) = (scale(ScaleKind::Linear), scale(ScaleKind::Square), scale(ScaleKind::Smooth));
             if unit.circle {
                 let (c, s) = (&cosines[u * capacity..][..n], &sines[u * capacity..][..n]);
                 let turned = &mut row.turned[u * capacity..][..n];
@@ -272,7 +270,7 @@ impl Evidence {
                 }
             }
             if let Some(group) = unit.group {
-                let v = scale(LearnedScale::Product);
+                let v = scale(ScaleKind::Product);
                 let factors = &mut row.factors[group * capacity..][..n];
                 for j in 0..n {
                     factors[j] += v * inner[j];
@@ -320,11 +318,10 @@ impl Evidence {
         for (u, unit) in layout.units.iter().enumerate() {
             let inner = &row.inner[u * capacity..][..n];
             let scale = |s| if unit.scales[s as usize] { exp(scales[Layout::scale(u, s)]) } else { 0.0 };
-            let (linear, square, rho) =
-                (scale(LearnedScale::Linear), scale(LearnedScale::Square), scale(LearnedScale::Smooth));
+            let (linear, square, rho) = (scale(ScaleKind::Linear), scale(ScaleKind::Square), scale(ScaleKind::Smooth));
             let along_inner = dot(outer, inner);
-            gradient[Layout::scale(u, LearnedScale::Linear)] += linear * along_inner;
-            let v = scale(LearnedScale::Product);
+            gradient[Layout::scale(u, ScaleKind::Linear)] += linear * along_inner;
+            let v = scale(ScaleKind::Product);
             if let Some(group) = unit.group {
                 let factors = &row.factors[group * capacity..][..n];
                 for j in 0..n {
@@ -332,7 +329,7 @@ impl Evidence {
                     let others = if factors[j] == 0.0 { 0.0 } else { row.product[j] / factors[j] };
                     plain[j] = row.scratch[j] * (others - 1.0);
                 }
-                gradient[Layout::scale(u, LearnedScale::Product)] += v * dot(&plain[..n], inner);
+                gradient[Layout::scale(u, ScaleKind::Product)] += v * dot(&plain[..n], inner);
             } else {
                 plain[..n].fill(0.0);
             }
@@ -381,14 +378,14 @@ impl Row {
     ) {
         let (n, from) = (x.len(), u * self.product.len());
         let (inner, turned) = (&self.inner[from..][..n], &self.turned[from..][..n]);
-        let at = Layout::scale(u, LearnedScale::Frequency);
+        let at = Layout::scale(u, ScaleKind::Frequency);
         let (mut smooth, mut frequency) = (0.0, 0.0);
         for j in 0..n {
             smooth += self.smooth[j] * (1.0 - inner[j]);
             let slope = linear * outer[j] + v * plain[j] + rho * self.smooth[j];
             frequency -= slope * turned[j] * (x[n - 1] - x[j]);
         }
-        gradient[Layout::scale(u, LearnedScale::Smooth)] -= rho * smooth;
+        gradient[Layout::scale(u, ScaleKind::Smooth)] -= rho * smooth;
         gradient[at] += exp(scales[at]) * frequency;
     }
 
@@ -402,8 +399,8 @@ impl Row {
             smooth += self.smooth[j] * apart * apart;
             squares += outer[j] * inner[j] * inner[j];
         }
-        gradient[Layout::scale(u, LearnedScale::Smooth)] -= 0.5 * rho * smooth;
-        gradient[Layout::scale(u, LearnedScale::Square)] += square * squares;
+        gradient[Layout::scale(u, ScaleKind::Smooth)] -= 0.5 * rho * smooth;
+        gradient[Layout::scale(u, ScaleKind::Square)] += square * squares;
     }
 }
 

@@ -9,13 +9,13 @@ use crate::state::{Persist, StateVisitor};
 
 /// The source of noise.
 #[derive(Debug, Clone)]
-pub struct ExplorationPulses {
+pub struct NoiseSource {
     rng: Rng,
     held: [f64; MAX_OUTPUTS],
     left: [u32; MAX_OUTPUTS],
 }
 
-impl ExplorationPulses {
+impl NoiseSource {
     /// From the run's stream `exploration`.
     pub fn new(seed: u64) -> Self {
         Self { rng: stream(seed, "exploration"), held: [0.0; MAX_OUTPUTS], left: [0; MAX_OUTPUTS] }
@@ -41,7 +41,7 @@ impl ExplorationPulses {
     }
 }
 
-impl Persist for ExplorationPulses {
+impl Persist for NoiseSource {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.nested("rng", &mut self.rng);
         visitor.numbers("held", &mut self.held);

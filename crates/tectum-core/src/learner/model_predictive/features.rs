@@ -9,7 +9,7 @@
 //! those of largest prior variance have a feature; they are chosen anew when the scales change.
 
 use super::functions::{exp, sines_and_cosines};
-use super::layout::{BIAS, Layout, LearnedScale, PRODUCTS, SMOOTH};
+use super::layout::{BIAS, Layout, PRODUCTS, SMOOTH, ScaleKind};
 use crate::state::StateVisitor;
 
 /// Most groups of a layout's products: inputs and commands.
@@ -81,7 +81,7 @@ pub struct Parts {
 
 /// Scratch memory for the basis functions of one point.
 #[derive(Debug, Clone)]
-pub struct FeatureBasis {
+pub struct BasisValues {
     /// Components.
     pub e: Vec<f64>,
     /// Their slopes.
@@ -95,7 +95,7 @@ pub struct FeatureBasis {
     pub nodes: Vec<f64>,
 }
 
-impl FeatureBasis {
+impl BasisValues {
     /// For features of `layout`.
     pub fn new(layout: &Layout, features: &ModelFeatures) -> Self {
         Self {
@@ -175,18 +175,18 @@ impl ModelFeatures {
     pub fn build(&mut self, layout: &Layout) {
         self.built.copy_from_slice(&self.scales);
         self.built_squares.copy_from_slice(&self.mean_squares);
-        let scale = |u: usize, s: LearnedScale| {
+        let scale = |u: usize, s: ScaleKind| {
             if layout.units[u].scales[s as usize] { exp(self.scales[Layout::scale(u, s)]) } else { 0.0 }
         };
         for u in 0..layout.circles {
-            self.frequencies[u] = exp(self.scales[Layout::scale(u, LearnedScale::Frequency)]);
+            self.frequencies[u] = exp(self.scales[Layout::scale(u, ScaleKind::Frequency)]);
         }
         let parts = self.parts(layout);
         self.amplitudes.fill(0.0);
         self.amplitudes[0] = exp(self.scales[BIAS]).sqrt();
         for (u, unit) in layout.units.iter().enumerate() {
-            let linear = scale(u, LearnedScale::Linear).sqrt();
-            let rho = scale(u, LearnedScale::Smooth).sqrt();
+            let linear = scale(u, ScaleKind::Linear).sqrt();
+            let rho = scale(u, ScaleKind::Smooth).sqrt();
             let components = if unit.circle { 2 } else { 1 };
             for c in unit.component..unit.component + components {
                 self.amplitudes[1 + c] = linear;
@@ -194,7 +194,7 @@ impl ModelFeatures {
                     self.waves[k] = self.draws[k] * rho;
                 }
             }
-            self.amplitudes[parts.squares + u] = scale(u, LearnedScale::Square).sqrt();
+            self.amplitudes[parts.squares + u] = scale(u, ScaleKind::Square).sqrt();
         }
         let smooth = (exp(self.scales[SMOOTH]) / self.pairs.max(1) as f64).sqrt();
         self.amplitudes[parts.waves..parts.products].fill(smooth);
@@ -213,7 +213,7 @@ impl ModelFeatures {
                 self.spare.push(*candidate);
                 for &u in units {
                     let unit = &layout.units[u];
-                    let v = exp(self.scales[Layout::scale(u, LearnedScale::Product)]);
+                    let v = exp(self.scales[Layout::scale(u, ScaleKind::Product)]);
                     for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
                         if self.spare.len() == 4 * beam {
                             break;
@@ -252,7 +252,7 @@ impl ModelFeatures {
             for g in (0..MAX_GROUPS).filter(|&g| candidate.choice[g] > 0) {
                 let component = usize::from(candidate.choice[g]) - 1;
                 let unit = layout.units.iter().rposition(|u| u.component <= component).unwrap_or(0);
-                variance *= exp(self.scales[Layout::scale(unit, LearnedScale::Product)]);
+                variance *= exp(self.scales[Layout::scale(unit, ScaleKind::Product)]);
                 if g >= shared {
                     path[g] = self.nodes.len() as u32;
                     self.nodes.push(Node { parent, component: component as u32, feature: NONE });
@@ -266,7 +266,7 @@ impl ModelFeatures {
     }
 
     /// Writes the features at `q` to `phi`.
-    pub fn evaluate(&self, layout: &Layout, q: &[f64], basis: &mut FeatureBasis, phi: &mut [f64]) {
+    pub fn evaluate(&self, layout: &Layout, q: &[f64], basis: &mut BasisValues, phi: &mut [f64]) {
         basis.evaluate(layout, self, q);
         let parts = self.parts(layout);
         phi[0] = 1.0;
@@ -348,7 +348,7 @@ mod tests {
         let features = ModelFeatures::new(&layout, 4, 20, || 0.3);
         // (1 + 2)(1 + 1)(1 + 1) = 12 products, of which 1 + 4 have less than two factors.
         assert_eq!(features.nodes.iter().filter(|n| has_feature(n).is_some()).count(), 7);
-        let mut basis = FeatureBasis::new(&layout, &features);
+        let mut basis = BasisValues::new(&layout, &features);
         let (mut a, mut b) = (vec![0.0; features.len], vec![0.0; features.len]);
         let (q, r) = ([0.3, -0.8, 0.5], [-0.6, 0.2, 0.9]);
         features.evaluate(&layout, &q, &mut basis, &mut a);

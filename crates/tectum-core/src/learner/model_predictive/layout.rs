@@ -59,13 +59,13 @@ pub struct Unit {
     pub component: usize,
     /// The group of the products to which it belongs.
     pub group: Option<usize>,
-    /// Which of the scales are learned (by [`LearnedScale`]).
-    pub scales: [bool; LearnedScale::COUNT],
+    /// Which of the scales are learned (by [`ScaleKind`]).
+    pub scales: [bool; ScaleKind::COUNT],
 }
 
 /// The scales of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum LearnedScale {
+pub enum ScaleKind {
     /// Prior variance of linear weights.
     Linear,
     /// Prior variance of the square's weight.
@@ -78,7 +78,7 @@ pub enum LearnedScale {
     Frequency,
 }
 
-impl LearnedScale {
+impl ScaleKind {
     /// Number of scales of a unit.
     pub const COUNT: usize = 5;
 }
@@ -115,13 +115,13 @@ pub struct Layout {
 /// The first values of a unit's scales; 0 leaves the part out.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Priors {
-    /// See [`LearnedScale::Linear`].
+    /// See [`ScaleKind::Linear`].
     pub linear: f64,
-    /// See [`LearnedScale::Square`].
+    /// See [`ScaleKind::Square`].
     pub square: f64,
-    /// See [`LearnedScale::Product`].
+    /// See [`ScaleKind::Product`].
     pub product: f64,
-    /// See [`LearnedScale::Smooth`].
+    /// See [`ScaleKind::Smooth`].
     pub smooth: f64,
 }
 
@@ -135,8 +135,8 @@ impl Layout {
 
     /// The place of a unit's scale among the scales.
     #[inline]
-    pub fn scale(unit: usize, scale: LearnedScale) -> usize {
-        GLOBAL + unit * LearnedScale::COUNT + scale as usize
+    pub fn scale(unit: usize, scale: ScaleKind) -> usize {
+        GLOBAL + unit * ScaleKind::COUNT + scale as usize
     }
 
     /// Adds place `at` as an angle of `frequency`, which is learned if `learned`. All angles come before the other
@@ -157,8 +157,8 @@ impl Layout {
         let group = group.filter(|_| priors.product > 0.0);
         let values = [priors.linear, priors.square, priors.product, priors.smooth, w];
         let mut scales = values.map(|v| v > 0.0);
-        scales[LearnedScale::Product as usize] = group.is_some();
-        scales[LearnedScale::Frequency as usize] = learns;
+        scales[ScaleKind::Product as usize] = group.is_some();
+        scales[ScaleKind::Frequency as usize] = learns;
         if let Some(group) = group {
             self.groups.resize(self.groups.len().max(group + 1), Vec::new());
             self.groups[group].push(self.units.len());

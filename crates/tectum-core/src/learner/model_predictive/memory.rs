@@ -105,9 +105,9 @@ impl Memory {
 
 /// The memory as data of the dynamics model.
 #[derive(Debug, Clone, Copy)]
-pub struct RecentChanges<'a>(pub &'a Memory);
+pub struct ChangeData<'a>(pub &'a Memory);
 
-impl Data for RecentChanges<'_> {
+impl Data for ChangeData<'_> {
     fn range(&self) -> (u64, u64) {
         (self.0.first, self.0.stored)
     }
@@ -125,14 +125,14 @@ impl Data for RecentChanges<'_> {
 
 /// The memory as data of a reward model.
 #[derive(Debug, Clone, Copy)]
-pub struct Rewards<'a> {
+pub struct RewardData<'a> {
     /// The memory.
     pub memory: &'a Memory,
     /// Whether the reward depends on the inputs after the tick.
     pub after: bool,
 }
 
-impl Data for Rewards<'_> {
+impl Data for RewardData<'_> {
     fn range(&self) -> (u64, u64) {
         (self.memory.first, self.memory.stored)
     }

@@ -79,5 +79,5 @@ mod plan_tests;
 #[cfg(test)]
 mod tests;
 
-pub use agent::{Counts, ModelPredictive, Observed, TickFlags};
+pub use agent::{GuardCounts, ModelPredictive, Observed, TickFlags};
 pub use config::{InputRange, ModelPredictiveConfig, ModelPredictiveSpec};

@@ -1,6 +1,6 @@
 //! A learned model: features, the posterior of their weights, and the refit that renews both.
 
-use super::features::{FeatureBasis, ModelFeatures};
+use super::features::{BasisValues, ModelFeatures};
 use super::layout::{Layout, NOISE};
 use super::memory::{Data, Lesson};
 use super::refit::{Refit, RefitSettings};
@@ -36,7 +36,7 @@ pub struct Model {
     pub refit: Refit,
     /// The planner's function.
     pub weighted: Weighted,
-    basis: FeatureBasis,
+    basis: BasisValues,
     phi: Vec<f64>,
     /// Predictions for the last point.
     pub predicted: [f64; MAX_MODEL_OUTPUTS],
@@ -80,7 +80,7 @@ impl Model {
         let mut fit = ModelFit { features, regression, center: 0.0, scale: 1.0 };
         fit.regression.forget(|| normal(rng));
         let weighted = Weighted::new(&layout, &fit.features, size.outputs);
-        let basis = FeatureBasis::new(&layout, &fit.features);
+        let basis = BasisValues::new(&layout, &fit.features);
         let phi = vec![0.0; fit.features.len];
         let refit = Refit::new(&layout, &fit, settings);
         Self { layout, fit, refit, weighted, basis, phi, predicted: [0.0; MAX_MODEL_OUTPUTS], nu: 1.0 }
@@ -120,8 +120,8 @@ impl Model {
         self.fit.regression.update(&self.phi, &errors[..outputs], || normal(rng));
     }
 
-    /// The part of the outputs' variance that the fit leaves unexplained in the ticks from `first` to `end`, at most
-    /// 100 of them: the largest of all outputs that move. `None` where there are fewer than 20 ticks.
+    /// The part of the outputs' variance that the fit leaves unexplained in the ticks from `first` to `end`, at most 100
+    /// of them: the largest of all outputs that move. `None` where there are fewer than 20 ticks.
     pub fn unexplained(&mut self, data: &dyn Data, first: u64, end: u64, q: &mut [f64]) -> Option<f64> {
         let outputs = self.outputs();
         let step = (end.saturating_sub(first) / 100).max(1) as usize;

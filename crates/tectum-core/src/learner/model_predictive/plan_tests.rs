@@ -1,7 +1,7 @@
 //! Tests of the plan: against differences, and on a world that is known.
 
 use super::layout::Places;
-use super::planner::{MotionPlan, Planner};
+use super::planner::{CommandPlan, Planner};
 use super::world::World;
 
 /// A linear world: two positions with velocities that commands change, and a cost of distance and effort.
@@ -51,7 +51,7 @@ impl World for Linear {
 #[test]
 fn a_linear_world_with_quadratic_rewards_is_solved_within_the_limits() {
     let mut planner = Planner::new(PLACES, 12);
-    let mut plan = MotionPlan::new(PLACES, 12);
+    let mut plan = CommandPlan::new(PLACES, 12);
     let start = [0.0; 8];
     planner.roll_out(&mut Linear, &mut plan, &start);
     for _ in 0..15 {
@@ -74,7 +74,7 @@ fn a_linear_world_with_quadratic_rewards_is_solved_within_the_limits() {
 #[test]
 fn the_gains_give_the_plan_of_a_disturbed_start() {
     let mut planner = Planner::new(PLACES, 12);
-    let (mut plan, mut other) = (MotionPlan::new(PLACES, 12), MotionPlan::new(PLACES, 12));
+    let (mut plan, mut other) = (CommandPlan::new(PLACES, 12), CommandPlan::new(PLACES, 12));
     let start = [0.7, -0.4, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0];
     let mut disturbed = start;
     disturbed[0] += 0.01;

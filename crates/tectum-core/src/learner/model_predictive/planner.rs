@@ -21,7 +21,7 @@ use crate::state::{Persist, StateVisitor};
 
 /// A plan: states, commands, gains.
 #[derive(Debug, Clone)]
-pub struct MotionPlan {
+pub struct CommandPlan {
     places: Places,
     /// Number of commands.
     pub horizon: usize,
@@ -37,7 +37,7 @@ pub struct MotionPlan {
     pub mu: f64,
 }
 
-impl MotionPlan {
+impl CommandPlan {
     /// Commands of 0.
     pub fn new(places: Places, horizon: usize) -> Self {
         let (nx, m) = (places.state(), places.commands);
@@ -80,7 +80,7 @@ impl MotionPlan {
     }
 }
 
-impl Persist for MotionPlan {
+impl Persist for CommandPlan {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.numbers("states", &mut self.states);
         visitor.numbers("commands", &mut self.commands);
@@ -94,7 +94,7 @@ impl Persist for MotionPlan {
 #[derive(Debug, Clone)]
 pub struct Planner {
     places: Places,
-    trial: MotionPlan,
+    trial: CommandPlan,
     steps: Vec<f64>,
     jacobian: Vec<f64>,
     gradient: Vec<f64>,
@@ -117,7 +117,7 @@ impl Planner {
         let (nx, m, width) = (places.state(), places.commands, places.len());
         Self {
             places,
-            trial: MotionPlan::new(places, horizon),
+            trial: CommandPlan::new(places, horizon),
             steps: vec![0.0; horizon * m],
             jacobian: vec![0.0; nx * width],
             gradient: vec![0.0; width],
@@ -134,7 +134,7 @@ impl Planner {
     }
 
     /// Predicts states and rewards of a plan from `start`.
-    pub fn roll_out(&mut self, world: &mut dyn World, plan: &mut MotionPlan, start: &[f64]) {
+    pub fn roll_out(&mut self, world: &mut dyn World, plan: &mut CommandPlan, start: &[f64]) {
         let (nx, m) = (self.places.state(), self.places.commands);
         plan.states[..nx].copy_from_slice(start);
         plan.value = 0.0;
@@ -148,7 +148,7 @@ impl Planner {
     }
 
     /// One iteration. Returns whether the plan became better.
-    pub fn improve(&mut self, world: &mut dyn World, plan: &mut MotionPlan) -> bool {
+    pub fn improve(&mut self, world: &mut dyn World, plan: &mut CommandPlan) -> bool {
         self.backward(world, plan);
         for size in [1.0, 0.5, 0.2, 0.05] {
             self.forward(world, plan, size);
@@ -164,7 +164,7 @@ impl Planner {
         false
     }
 
-    fn forward(&mut self, world: &mut dyn World, plan: &MotionPlan, size: f64) {
+    fn forward(&mut self, world: &mut dyn World, plan: &CommandPlan, size: f64) {
         let (nx, m) = (self.places.state(), self.places.commands);
         self.trial.states[..nx].copy_from_slice(&plan.states[..nx]);
         self.trial.value = 0.0;
@@ -185,7 +185,7 @@ impl Planner {
         self.work[0] += plan.horizon as u64;
     }
 
-    fn backward(&mut self, world: &mut dyn World, plan: &mut MotionPlan) {
+    fn backward(&mut self, world: &mut dyn World, plan: &mut CommandPlan) {
         let (nx, m) = (self.places.state(), self.places.commands);
         self.value.fill(0.0);
         self.slope.fill(0.0);
@@ -226,7 +226,7 @@ impl Planner {
     }
 
     /// Step and gain of command `t`.
-    fn optimise_step(&mut self, plan: &mut MotionPlan, t: usize, m: usize) {
+    fn optimise_step(&mut self, plan: &mut CommandPlan, t: usize, m: usize) {
         let (nx, width) = (self.places.state(), self.places.len());
         let (mut h, mut g) = ([0.0; MAX_OUTPUTS * MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
         let (mut low, mut high) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
@@ -267,7 +267,7 @@ impl Planner {
     }
 
     /// `v` and `V` of step `t`.
-    fn pass_value(&mut self, plan: &MotionPlan, t: usize) {
+    fn pass_value(&mut self, plan: &CommandPlan, t: usize) {
         let (nx, m, width) = (self.places.state(), self.places.commands, self.places.len());
         let gains = &plan.gains[t * m * nx..(t + 1) * m * nx];
         let steps = &self.steps[t * m..(t + 1) * m];

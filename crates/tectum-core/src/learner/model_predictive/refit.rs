@@ -17,7 +17,7 @@ mod solve;
 use rand::RngExt as _;
 
 use super::evidence::Evidence;
-use super::features::FeatureBasis;
+use super::features::BasisValues;
 use super::layout::{Layout, NOISE};
 use super::linalg::{add_outer, add_scaled, packed};
 use super::memory::Data;
@@ -159,7 +159,7 @@ impl Refit {
         layout: &Layout,
         fit: &mut ModelFit,
         data: &dyn Data,
-        basis: &mut FeatureBasis,
+        basis: &mut BasisValues,
         phi: &mut [f64],
         rng: &mut Rng,
     ) -> (u64, bool) {
@@ -185,7 +185,7 @@ impl Refit {
         fit: &ModelFit,
         data: &dyn Data,
         tick: u64,
-        basis: &mut FeatureBasis,
+        basis: &mut BasisValues,
         phi: &mut [f64],
     ) -> bool {
         let outputs = fit.regression.outputs;
@@ -207,7 +207,7 @@ impl Refit {
         layout: &Layout,
         fit: &ModelFit,
         data: &dyn Data,
-        basis: &mut FeatureBasis,
+        basis: &mut BasisValues,
         phi: &mut [f64],
         rng: &mut Rng,
     ) -> u64 {
@@ -297,7 +297,7 @@ impl Refit {
         let features = &mut self.next.features;
         for u in 0..layout.circles {
             features.frequencies[u] =
-                super::functions::exp(features.scales[Layout::scale(u, super::layout::LearnedScale::Frequency)]);
+                super::functions::exp(features.scales[Layout::scale(u, super::layout::ScaleKind::Frequency)]);
         }
         features.mean_squares.fill(1e-6);
         for point in 0..self.evidence.len {
@@ -315,7 +315,7 @@ impl Refit {
         layout: &Layout,
         fit: &ModelFit,
         data: &dyn Data,
-        basis: &mut FeatureBasis,
+        basis: &mut BasisValues,
         phi: &mut [f64],
     ) -> u64 {
         let tick = self.range[0] + self.at;
@@ -346,7 +346,7 @@ impl Refit {
         layout: &Layout,
         fit: &mut ModelFit,
         data: &dyn Data,
-        basis: &mut FeatureBasis,
+        basis: &mut BasisValues,
         phi: &mut [f64],
         rng: &mut Rng,
     ) -> (u64, bool) {

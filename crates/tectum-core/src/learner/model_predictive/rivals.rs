@@ -16,7 +16,7 @@ use rand::RngExt as _;
 
 use super::linalg::{add_scaled, cholesky, dot, packed, solve_lower, solve_lower_transposed};
 use super::memory::Memory;
-use super::planner::MotionPlan;
+use super::planner::CommandPlan;
 use super::world::{CHANGE, LearnedWorld, World as _, wrap};
 use crate::seed::Rng;
 use crate::{MAX_INPUTS, MAX_OUTPUTS};
@@ -33,8 +33,8 @@ pub fn draw(
     rng: &mut Rng,
     world: &mut LearnedWorld,
     (memory, moving): (&Memory, u32),
-    plan: &MotionPlan,
-    rival: &mut MotionPlan,
+    plan: &CommandPlan,
+    rival: &mut CommandPlan,
 ) {
     let start = plan.state(0);
     rival.mu = 1e-3;
@@ -53,7 +53,7 @@ pub fn draw(
 }
 
 /// Adds a square wave of random period, phase and height to each command.
-fn add_wave(rng: &mut Rng, rival: &mut MotionPlan, m: usize) {
+fn add_wave(rng: &mut Rng, rival: &mut CommandPlan, m: usize) {
     for j in 0..m {
         let period = rng.random_range(2..=rival.horizon);
         let phase = rng.random_range(0..2 * period);
@@ -73,7 +73,7 @@ fn approach(
     memory: &Memory,
     moving: u32,
     start: &[f64],
-    rival: &mut MotionPlan,
+    rival: &mut CommandPlan,
 ) {
     let places = world.places;
     let (n, m, nx) = (places.inputs, places.commands, places.state());

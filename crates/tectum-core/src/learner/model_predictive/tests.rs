@@ -1,7 +1,7 @@
 //! Tests of the models.
 
 use super::evidence::Evidence;
-use super::features::{FeatureBasis, ModelFeatures};
+use super::features::{BasisValues, ModelFeatures};
 use super::layout::{Layout, Priors};
 use super::regression::Regression;
 use super::weighted::Weighted;
@@ -51,7 +51,7 @@ fn derivatives_of_a_model_match_differences() {
         let (mut y, mut jacobian) = (vec![0.0; outputs], vec![0.0; outputs * 5]);
         model.jacobian(&layout, &features, &q, &mut y, &mut jacobian);
         let mut phi = vec![0.0; features.len];
-        features.evaluate(&layout, &q, &mut FeatureBasis::new(&layout, &features), &mut phi);
+        features.evaluate(&layout, &q, &mut BasisValues::new(&layout, &features), &mut phi);
         for j in 0..outputs {
             let sum: f64 = phi.iter().zip(&weights[j * features.len..]).map(|(a, b)| a * b).sum();
             assert!((sum - y[j]).abs() < 1e-9, "{sum} {}", y[j]);
@@ -127,14 +127,14 @@ fn recursion_gives_what_the_normal_equations_give() {
 
 /// The kernel as the documentation of the layout states it.
 fn kernel(layout: &Layout, scales: &[f64], a: &[f64], b: &[f64]) -> f64 {
-    use super::layout::LearnedScale;
-    let at = |u: usize, s: LearnedScale| {
+    use super::layout::ScaleKind;
+    let at = |u: usize, s: ScaleKind| {
         if layout.units[u].scales[s as usize] { scales[Layout::scale(u, s)].exp() } else { 0.0 }
     };
     let inner = |u: usize| {
         let unit = &layout.units[u];
         if unit.circle {
-            (at(u, LearnedScale::Frequency) * (a[unit.at] - b[unit.at])).cos()
+            (at(u, ScaleKind::Frequency) * (a[unit.at] - b[unit.at])).cos()
         } else {
             a[unit.at] * b[unit.at]
         }
@@ -142,12 +142,12 @@ fn kernel(layout: &Layout, scales: &[f64], a: &[f64], b: &[f64]) -> f64 {
     let mut k = scales[0].exp();
     let (mut apart, mut singles) = (0.0_f64, 0.0);
     for (u, unit) in layout.units.iter().enumerate() {
-        k += at(u, LearnedScale::Linear) * inner(u) + at(u, LearnedScale::Square) * inner(u).powi(2);
-        singles += if unit.group.is_some() { at(u, LearnedScale::Product) * inner(u) } else { 0.0 };
+        k += at(u, ScaleKind::Linear) * inner(u) + at(u, ScaleKind::Square) * inner(u).powi(2);
+        singles += if unit.group.is_some() { at(u, ScaleKind::Product) * inner(u) } else { 0.0 };
         let square = if unit.circle { 2.0 - 2.0 * inner(u) } else { (a[unit.at] - b[unit.at]).powi(2) };
-        apart += at(u, LearnedScale::Smooth) * square;
+        apart += at(u, ScaleKind::Smooth) * square;
     }
-    let factor = |units: &Vec<usize>| 1.0 + units.iter().map(|&u| at(u, LearnedScale::Product) * inner(u)).sum::<f64>();
+    let factor = |units: &Vec<usize>| 1.0 + units.iter().map(|&u| at(u, ScaleKind::Product) * inner(u)).sum::<f64>();
     let product: f64 = layout.groups.iter().map(factor).product();
     k + scales[1].exp() * (product - 1.0 - singles) + scales[2].exp() * (-0.5 * apart).exp()
 }
@@ -212,7 +212,7 @@ fn features_give_the_kernel_where_there_is_no_smooth_part() {
     layout.prior[2] = -60.0;
     let mut rng = stream(6, "test");
     let features = ModelFeatures::new(&layout, 4, 200, || normal(&mut rng));
-    let mut basis = FeatureBasis::new(&layout, &features);
+    let mut basis = BasisValues::new(&layout, &features);
     let (mut a, mut b) = (vec![0.0; features.len], vec![0.0; features.len]);
     for _ in 0..20 {
         let q: Vec<f64> = (0..5).map(|_| 0.6 * normal(&mut rng)).collect();

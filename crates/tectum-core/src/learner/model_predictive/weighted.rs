@@ -4,7 +4,7 @@
 //! over chosen places of `q`. Products are differentiated backwards through their tree; their Hessian is the forward
 //! derivative of that (Griewank & Walther 2008).
 
-use super::features::{FeatureBasis, ModelFeatures, has_feature, parent};
+use super::features::{BasisValues, ModelFeatures, has_feature, parent};
 use super::layout::Layout;
 use super::linalg::{add_scaled, dot};
 use super::regression::Regression;
@@ -18,7 +18,7 @@ pub struct Weighted {
     pub weights: Vec<f64>,
     /// Weights of the nodes of the products, by node, then output.
     nodes: Vec<f64>,
-    basis: FeatureBasis,
+    basis: BasisValues,
     // Scratch memory of derivatives.
     projected: Vec<f64>,
     slopes: Vec<f64>,
@@ -39,7 +39,7 @@ impl Weighted {
             len: features.len,
             weights: vec![0.0; outputs * features.len],
             nodes: vec![0.0; outputs * nodes],
-            basis: FeatureBasis::new(layout, features),
+            basis: BasisValues::new(layout, features),
             projected: vec![0.0; layout.width * pairs],
             slopes: vec![0.0; outputs * pairs],
             curves: vec![0.0; pairs],

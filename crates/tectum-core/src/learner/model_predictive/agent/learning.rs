@@ -1,7 +1,7 @@
 //! Learning from a tick: which of its values are believed, what they teach the models, and when these are fitted anew.
 
-use super::super::belief::{Belief, OutlierVerdict};
-use super::super::memory::{Data, Entry, Lesson, RecentChanges, Rewards};
+use super::super::belief::{Belief, BeliefVerdict};
+use super::super::memory::{ChangeData, Data, Entry, Lesson, RewardData};
 use super::super::model::Model;
 use super::super::world::CHANGE;
 use super::ModelPredictive;
@@ -58,12 +58,12 @@ impl ModelPredictive {
             self.beliefs[i].is_wild(surprise, error)
         } else {
             match self.beliefs[i].judge(surprise, error, change, 0.2) {
-                OutlierVerdict::Believed => false,
-                OutlierVerdict::Both => {
+                BeliefVerdict::Believed => false,
+                BeliefVerdict::Both => {
                     *self.memory.missing(self.memory.stored - 1) &= !bit;
                     false
                 }
-                OutlierVerdict::Outlier => {
+                BeliefVerdict::Outlier => {
                     lesson.missing |= bit;
                     self.counts.input_outliers += 1;
                     true
@@ -104,11 +104,11 @@ impl ModelPredictive {
         let error = model.error(0, reward) * model.fit.scale;
         let change = reward - self.last_reward;
         let verdict = self.reward_belief.judge(surprises[better], error, change, 0.1);
-        if verdict == OutlierVerdict::Outlier {
+        if verdict == BeliefVerdict::Outlier {
             self.counts.reward_outliers += 1;
             return false;
         }
-        if verdict == OutlierVerdict::Both {
+        if verdict == BeliefVerdict::Both {
             self.memory.set_rewarded(self.memory.stored - 1, true);
         }
         self.best = self.best.max(reward);
@@ -152,10 +152,10 @@ impl ModelPredictive {
         }
         let mut left = (self.config.refit_operations * 1e6) as u64;
         let better = self.better();
-        let (used, _) = self.dynamics.work(&RecentChanges(&self.memory), left, &mut self.rng);
+        let (used, _) = self.dynamics.work(&ChangeData(&self.memory), left, &mut self.rng);
         left = left.saturating_sub(used);
         for k in [better, 1 - better] {
-            let data = Rewards { memory: &self.memory, after: k == 1 };
+            let data = RewardData { memory: &self.memory, after: k == 1 };
             let (used, _) = self.rewards[k].work(&data, left, &mut self.rng);
             left = left.saturating_sub(used);
         }
@@ -170,14 +170,14 @@ impl ModelPredictive {
         }
         let better = self.better();
         let memory = &self.memory;
-        let rewards = Rewards { memory, after: better == 1 };
+        let rewards = RewardData { memory, after: better == 1 };
         let q = &mut self.after;
         let mut another = |model: &mut Model, data: &dyn Data| {
             let new = model.unexplained(data, change, end, q).unwrap_or(1.0);
             let old = model.unexplained(data, first, change, q).unwrap_or(0.0);
             new < 0.1 && old > 0.3
         };
-        if another(&mut self.dynamics, &RecentChanges(memory)) | another(&mut self.rewards[better], &rewards) {
+        if another(&mut self.dynamics, &ChangeData(memory)) | another(&mut self.rewards[better], &rewards) {
             self.memory.first = change;
             self.counts.worlds += 1;
         }

@@ -1,6 +1,6 @@
 //! The state of the learner.
 
-use super::{Counts, ModelPredictive};
+use super::{GuardCounts, ModelPredictive};
 use crate::state::{Persist, StateVisitor};
 
 impl Persist for ModelPredictive {
@@ -33,7 +33,8 @@ impl Persist for ModelPredictive {
         visitor.number("refits", &mut self.refits);
         visitor.number("changed_at", &mut self.changed_at);
         visitor.number("rival_kind", &mut self.rival_kind);
-        let Counts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable } = &mut self.counts;
+        let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable } =
+            &mut self.counts;
         for count in [input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable] {
             visitor.number("counts", count);
         }
