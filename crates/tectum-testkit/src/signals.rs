@@ -7,7 +7,7 @@ use std::time::Duration;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Sends a signal to a process, by the name that `kill` takes: `"KILL"`, `"STOP"`, `"CONT"`, `"TERM"`, `"INT"`,
-/// `"HUP"`, `"QUIT"`, `"USR1"` or `"USR2"`. A process that has ended meanwhile is no error: which of the two comes
+/// `"HUP"`, `"QUIT"`, `"TSTP"`, `"USR1"` or `"USR2"`. A process that has ended meanwhile is no error: which of the two comes
 /// first is often what a test leaves open.
 ///
 /// # Panics
@@ -23,9 +23,10 @@ pub fn signal_process(pid: u32, signal: &str) {
         "QUIT" => Signal::QUIT,
         "STOP" => Signal::STOP,
         "TERM" => Signal::TERM,
+        "TSTP" => Signal::TSTP,
         "USR1" => Signal::USR1,
         "USR2" => Signal::USR2,
-        _ => panic!("no signal {signal:?}; give CONT, HUP, INT, KILL, QUIT, STOP, TERM, USR1 or USR2"),
+        _ => panic!("no signal {signal:?}; give CONT, HUP, INT, KILL, QUIT, STOP, TERM, TSTP, USR1 or USR2"),
     };
     if let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
         let _ = kill_process(pid, signal);

@@ -33,7 +33,8 @@ fn range(signal: &SignalConfig) -> InputRange {
 }
 
 impl ModelPredictiveAgent {
-    /// An agent for `inputs`, with the largest magnitude and the exploration noise's standard deviation of each command.
+    /// An agent for `inputs`, with the largest magnitude and the exploration noise's standard deviation of each
+    /// command.
     pub fn new(
         inputs: &[SignalConfig],
         limits: &[f64],

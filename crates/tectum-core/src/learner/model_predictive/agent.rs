@@ -309,8 +309,8 @@ impl ModelPredictive {
     }
 
     /// Numbers for a record: the plan's predicted sum of rewards (in standard deviations of the reward), the noise of
-    /// the models of dynamics and reward as parts of their prior's scale, and counts of outliers, alarms, rivals, clipped
-    /// commands and refits.
+    /// the models of dynamics and reward as parts of their prior's scale, and counts of outliers, alarms, rivals,
+    /// clipped commands and refits.
     pub fn columns(&self) -> [f64; 8] {
         let (counts, reward) = (&self.counts, &self.rewards[self.better()]);
         [

@@ -26,7 +26,7 @@ impl Reach {
 
     /// One tick, with `change` applied to the reward that is reported. Returns the command and the true reward.
     fn tick(&mut self, agent: &mut ModelPredictive, change: impl FnOnce(u64, f64) -> f64) -> (f64, f64) {
-        let new_target = self.tick % 20 == 0;
+        let new_target = self.tick.is_multiple_of(20);
         if new_target {
             self.target = self.rng.random_range(-0.9..0.9);
         }

@@ -1,7 +1,8 @@
 //! Marginal likelihood of the scales on a few points, with its gradient, and Adam steps on it.
 //!
-//! For points `q_1 .. q_N`, outputs `y_j` (N each) and `A = K + lambda I`, `lambda = (floor + noise) tr K / N`, the logarithm of the evidence, with the
-//! scale `s_j = y_jᵀ A⁻¹ y_j / N` of each output at its optimum, is (Rasmussen & Williams 2006, 5.4.1)
+//! For points `q_1 .. q_N`, outputs `y_j` (N each) and `A = K + lambda I`, `lambda = (floor + noise) tr K / N`, the
+//! logarithm of the evidence, with the scale `s_j = y_jᵀ A⁻¹ y_j / N` of each output at its optimum, is (Rasmussen &
+//! Williams 2006, 5.4.1)
 //!
 //! ```text
 //! L = sum_j (-1/2 log |A| - N/2 log s_j) + const
@@ -191,8 +192,8 @@ impl Evidence {
         Some(evidence)
     }
 
-    /// The evidence of the outputs, from the Cholesky factor, and how many of them count. `alpha` is then `alpha_j` over
-    /// the root of `s_j`.
+    /// The evidence of the outputs, from the Cholesky factor, and how many of them count. `alpha` is then `alpha_j`
+    /// over the root of `s_j`.
     fn weigh_outputs(&mut self) -> (f64, u32) {
         let (n, capacity) = (self.len, self.capacity);
         let mut log_determinant = 0.0;

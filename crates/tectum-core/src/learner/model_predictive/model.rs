@@ -120,8 +120,8 @@ impl Model {
         self.fit.regression.update(&self.phi, &errors[..outputs], || normal(rng));
     }
 
-    /// The part of the outputs' variance that the fit leaves unexplained in the ticks from `first` to `end`, at most 100
-    /// of them: the largest of all outputs that move. `None` where there are fewer than 20 ticks.
+    /// The part of the outputs' variance that the fit leaves unexplained in the ticks from `first` to `end`, at most
+    /// 100 of them: the largest of all outputs that move. `None` where there are fewer than 20 ticks.
     pub fn unexplained(&mut self, data: &dyn Data, first: u64, end: u64, q: &mut [f64]) -> Option<f64> {
         let outputs = self.outputs();
         let step = (end.saturating_sub(first) / 100).max(1) as usize;
