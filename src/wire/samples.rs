@@ -19,7 +19,7 @@ sample! {
         published_ns: u64,
         /// The writer's start number within the run, from 0.
         incarnation: u32,
-        /// Bits of [`flag`].
+        /// Bits of `flag`.
         flags: u32,
     }
 }

@@ -141,7 +141,7 @@ pub const CASES: &[Case] = &[
     (ARM, "ticks = 2_000_000", "",
         "x.toml: ticks is missing; this key has no default, so add it"),
     (OTHER, "radius = 0.5", "",
-        "x.toml:12: encoder.maps[0].radius is missing; this key has no default, so add it"),
+        "x.toml:10: encoder.maps[0].radius is missing; this key has no default, so add it"),
     (OTHER, ", max = 1 }", " }",
         "x.toml:6: plant.inputs[0].max is missing; this key has no default, so add it"),
     (ARM, "ticks = 2_000_000", "ticks = 2e6",

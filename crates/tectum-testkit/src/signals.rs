@@ -7,8 +7,8 @@ use std::time::Duration;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Sends a signal to a process, by the name that `kill` takes: `"KILL"`, `"STOP"`, `"CONT"`, `"TERM"`, `"INT"`,
-/// `"HUP"`, `"QUIT"`, `"TSTP"`, `"USR1"` or `"USR2"`. A process that has ended meanwhile is no error: which of the two comes
-/// first is often what a test leaves open.
+/// `"HUP"`, `"QUIT"`, `"TSTP"`, `"USR1"` or `"USR2"`. A process that has ended meanwhile is no error: which of
+/// the two comes first is often what a test leaves open.
 ///
 /// # Panics
 ///

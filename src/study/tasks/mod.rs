@@ -3,7 +3,7 @@
 //!
 //! A task is a simulated plant with its settings ([`crate::plant::task`]). Every learner runs on every task with every
 //! seed, in one process without transport. At intervals what it has learned is tested without exploration noise on the
-//! same starts and targets for all; the test decides when the task's level ([`levels`]) is reached. Everything but
+//! same starts and targets for all; the test decides when the task's level (`levels`) is reached. Everything but
 //! times is a function of tasks, controllers and seeds.
 
 mod candidate;
