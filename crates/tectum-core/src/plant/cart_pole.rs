@@ -6,13 +6,10 @@
 //! `control_timestep`.
 
 use serde::{Deserialize, Serialize};
-use std::f64::consts::PI;
 
-use super::pendulum::{Start, normal, uniform};
+use super::pendulum::{Start, normal};
 use super::soft_limit::SoftLimit;
-use super::state_space::{
-    SimulatedModel, StateSpace, StateSpacePlant, quadratic_tolerance, runge_kutta, substeps, tolerance,
-};
+use super::state_space::{SimulatedModel, StateSpace, StateSpacePlant, runge_kutta, substeps, swing_up_reward};
 use crate::MAX_MEASURES;
 use crate::angle::wrap_f64;
 use crate::seed::Rng;
@@ -128,16 +125,13 @@ impl StateSpace for CartPoleModel {
             runge_kutta(&mut q, &mut v, dt, |q, v| self.accelerations(q, v, FORCE * command));
         }
         state.copy_from_slice(&[q[0], wrap_f64(q[1]), v[0], v[1]]);
-        let upright = (libm::cos(q[1]) + 1.0) / 2.0;
-        let centred = (1.0 + tolerance(q[0], 2.0)) / 2.0;
-        let small_command = (4.0 + quadratic_tolerance(command)) / 5.0;
-        let slow = (1.0 + tolerance(v[1], 5.0)) / 2.0;
-        upright * small_command * slow * centred
+        swing_up_reward(q[1], [v[1], 5.0], q[0], command)
     }
 }
 
 impl SimulatedModel for CartPoleModel {
     const STREAM: &'static str = "starts";
+    const INPUTS: &'static [usize] = &[0, 1, 2, 3];
     const RESETS: bool = true;
 
     fn trial_ticks(&self) -> u64 {
@@ -145,18 +139,9 @@ impl SimulatedModel for CartPoleModel {
     }
 
     fn begin(&self, rng: &mut Rng, state: &mut [f64], _first: bool) {
-        let angle = match self.config.start {
-            Start::Hanging => PI + 0.01 * normal(rng),
-            Start::Random => uniform(rng, PI),
-        };
+        let angle = self.config.start.angle(rng);
         let position = 0.01 * normal(rng);
         state.copy_from_slice(&[position, wrap_f64(angle), 0.01 * normal(rng), 0.01 * normal(rng)]);
-    }
-
-    fn sense(&self, state: &[f64], inputs: &mut [f32]) {
-        for (input, value) in inputs.iter_mut().zip(&state[..4]) {
-            *input = *value as f32;
-        }
     }
 
     fn measures(&self, state: &[f64]) -> [f64; MAX_MEASURES] {

@@ -44,6 +44,16 @@ pub enum Start {
     Random,
 }
 
+impl Start {
+    /// The angle from upright with which an episode starts, rad.
+    pub(super) fn angle(self, rng: &mut Rng) -> f64 {
+        match self {
+            Self::Hanging => PI + 0.01 * normal(rng),
+            Self::Random => uniform(rng, PI),
+        }
+    }
+}
+
 impl Default for PendulumConfig {
     fn default() -> Self {
         Self { episode_ticks: 200, start: Start::Random }
@@ -110,6 +120,7 @@ impl StateSpace for PendulumModel {
 
 impl SimulatedModel for PendulumModel {
     const STREAM: &'static str = "starts";
+    const INPUTS: &'static [usize] = &[0, 1];
     const RESETS: bool = true;
 
     fn trial_ticks(&self) -> u64 {
@@ -117,14 +128,9 @@ impl SimulatedModel for PendulumModel {
     }
 
     fn begin(&self, rng: &mut Rng, state: &mut [f64], _first: bool) {
-        match self.config.start {
-            Start::Hanging => state.copy_from_slice(&[wrap_f64(PI + 0.01 * normal(rng)), 0.0]),
-            Start::Random => state.copy_from_slice(&[uniform(rng, PI), uniform(rng, 1.0)]),
-        }
-    }
-
-    fn sense(&self, state: &[f64], inputs: &mut [f32]) {
-        inputs[..2].copy_from_slice(&[state[0] as f32, state[1] as f32]);
+        let angle = wrap_f64(self.config.start.angle(rng));
+        let speed = if self.config.start == Start::Random { uniform(rng, 1.0) } else { 0.0 };
+        state.copy_from_slice(&[angle, speed]);
     }
 
     fn measures(&self, state: &[f64]) -> [f64; MAX_MEASURES] {

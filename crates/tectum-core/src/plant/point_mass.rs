@@ -100,6 +100,7 @@ impl StateSpace for PointMassModel {
 }
 
 impl SimulatedModel for PointMassModel {
+    const INPUTS: &'static [usize] = &[4, 5, 0, 1, 2, 3];
     const RESETS: bool = false;
 
     fn trial_ticks(&self) -> u64 {
@@ -112,12 +113,6 @@ impl SimulatedModel for PointMassModel {
         }
         for axis in 0..2 {
             state[4 + axis] = ARENA * (2.0 * rng.random::<f64>() - 1.0);
-        }
-    }
-
-    fn sense(&self, state: &[f64], inputs: &mut [f32]) {
-        for (input, value) in inputs.iter_mut().zip(state[4..6].iter().chain(&state[..4])) {
-            *input = *value as f32;
         }
     }
 

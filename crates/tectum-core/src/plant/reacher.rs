@@ -152,6 +152,7 @@ impl StateSpace for ReacherModel {
 }
 
 impl SimulatedModel for ReacherModel {
+    const INPUTS: &'static [usize] = &[4, 5, 0, 1, 2, 3];
     const RESETS: bool = true;
 
     fn trial_ticks(&self) -> u64 {
@@ -175,7 +176,7 @@ impl SimulatedModel for ReacherModel {
 
     fn sense(&self, state: &[f64], inputs: &mut [f32]) {
         let from_target = [state[6] - state[4], state[7] - state[5]];
-        for (input, value) in inputs.iter_mut().zip(state[4..6].iter().chain(&state[..4]).chain(&from_target)) {
+        for (input, value) in inputs.iter_mut().zip(Self::INPUTS.iter().map(|&i| &state[i]).chain(&from_target)) {
             *input = *value as f32;
         }
     }

@@ -152,6 +152,7 @@ impl StateSpace for So101Model {
 }
 
 impl SimulatedModel for So101Model {
+    const INPUTS: &'static [usize] = &[5, 6, 7, 0, 1, 2, 3, 4];
     const RESETS: bool = false;
 
     fn trial_ticks(&self) -> u64 {
@@ -170,12 +171,6 @@ impl SimulatedModel for So101Model {
                 state[JOINTS..].copy_from_slice(&target);
                 return;
             }
-        }
-    }
-
-    fn sense(&self, state: &[f64], inputs: &mut [f32]) {
-        for (input, value) in inputs.iter_mut().zip(state[JOINTS..JOINTS + 3].iter().chain(&state[..JOINTS])) {
-            *input = *value as f32;
         }
     }
 

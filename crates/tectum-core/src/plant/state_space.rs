@@ -40,6 +40,9 @@ pub trait StateSpace {
 pub trait SimulatedModel: StateSpace {
     /// Name of the random stream of starts and targets.
     const STREAM: &'static str = "targets";
+    /// Indices of the numbers of a state that are inputs, in their order. A model with further inputs adds them in
+    /// [`SimulatedModel::sense`].
+    const INPUTS: &'static [usize];
     /// Whether a new trial begins from a new start, as an episode does. Otherwise it only has another target.
     const RESETS: bool;
 
@@ -50,7 +53,11 @@ pub trait SimulatedModel: StateSpace {
     fn begin(&self, rng: &mut Rng, state: &mut [f64], first: bool);
 
     /// Writes the inputs of `state`.
-    fn sense(&self, state: &[f64], inputs: &mut [f32]);
+    fn sense(&self, state: &[f64], inputs: &mut [f32]) {
+        for (input, &i) in inputs.iter_mut().zip(Self::INPUTS) {
+            *input = state[i] as f32;
+        }
+    }
 
     /// The measures of `state`; the first one is the error.
     fn measures(&self, state: &[f64]) -> [f64; MAX_MEASURES];
@@ -174,14 +181,24 @@ pub(super) fn runge_kutta<const N: usize>(
     q3
 }
 
+/// The reward of dm_control's cart-pole swing-up, which is 1 at best: for a rod that is upright (`angle`, rad), still
+/// (`rate` and its margin, rad/s), and near the middle (`position`), with a small command.
+pub(super) fn swing_up_reward(angle: f64, [rate, margin]: [f64; 2], position: f64, command: f64) -> f64 {
+    let upright = (libm::cos(angle) + 1.0) / 2.0;
+    let centred = (1.0 + tolerance(position, 2.0)) / 2.0;
+    let small_command = (4.0 + quadratic_tolerance(command)) / 5.0;
+    let slow = (1.0 + tolerance(rate, margin)) / 2.0;
+    upright * small_command * slow * centred
+}
+
 /// A value of 1 at 0 that falls to `at_margin` at a distance of `margin`, along a Gaussian: the function `tolerance`
 /// of dm_control with its default arguments, where `at_margin` is 0.1.
-pub(super) fn tolerance(x: f64, margin: f64) -> f64 {
+fn tolerance(x: f64, margin: f64) -> f64 {
     let scaled = x / margin * libm::sqrt(-2.0 * libm::log(0.1));
     libm::exp(-0.5 * scaled * scaled)
 }
 
 /// The same along a parabola that reaches 0 at a distance of 1.
-pub(super) fn quadratic_tolerance(x: f64) -> f64 {
+fn quadratic_tolerance(x: f64) -> f64 {
     (1.0 - x * x).max(0.0)
 }
