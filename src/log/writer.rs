@@ -20,9 +20,11 @@ use super::{
 };
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
 use mcap::records::MessageHeader;
+use rustix::fs::{CWD, RenameFlags};
+use rustix::io::Errno;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{self, BufWriter, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -77,7 +79,8 @@ pub struct LogSummary {
 }
 
 impl LogWriter {
-    /// Starts a new log at `path` and writes everything up to the first message.
+    /// Starts a new log at `path` and writes everything up to the first message. The file gets its name when it
+    /// describes its run: a process that is killed meanwhile leaves no log that cannot be read.
     ///
     /// # Errors
     ///
@@ -85,11 +88,14 @@ impl LogWriter {
     /// `header` lacks the scenario.
     pub fn create(path: &Path, header: &LogHeader) -> Result<LogWriter, LogError> {
         let run = header.to_map(path)?;
-        let file = File::create_new(path).map_err(|e| LogError::write(path, e))?;
-        // The lock tells `repair` that the log is not torn but being written. A file system without locks
-        // cannot tell.
-        let _ = file.try_lock();
-        Self::over(file, path, header, run)
+        let draft = draft_of(path);
+        let file = open_draft(path, &draft).map_err(|e| LogError::write(path, e))?;
+        let log = Self::over(file, path, header, run)
+            .and_then(|log| rename_to_new(&draft, path).map(|()| log).map_err(|e| LogError::write(path, e)));
+        if log.is_err() {
+            let _ = std::fs::remove_file(&draft);
+        }
+        log
     }
 
     fn over(file: File, path: &Path, header: &LogHeader, run: BTreeMap<String, String>) -> Result<LogWriter, LogError> {
@@ -311,6 +317,38 @@ impl Drop for Output {
 }
 
 /// Writes everything before the first message; returns the ids of the four channels.
+/// Where a log is begun.
+fn draft_of(path: &Path) -> PathBuf {
+    let mut draft = path.as_os_str().to_owned();
+    draft.push(".new");
+    draft.into()
+}
+
+/// Opens the draft of a log that does not exist yet. A draft that a killed process left is begun anew.
+fn open_draft(path: &Path, draft: &Path) -> io::Result<File> {
+    if path.try_exists()? {
+        return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    let file = File::options().write(true).create(true).truncate(false).open(draft)?;
+    // The lock tells `repair` that the log is not torn but being written, and another writer that the draft is in
+    // use. A file system without locks cannot tell.
+    if let Err(TryLockError::WouldBlock) = file.try_lock() {
+        return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    file.set_len(0)?;
+    Ok(file)
+}
+
+/// Renames a file unless the new name is taken.
+fn rename_to_new(from: &Path, to: &Path) -> io::Result<()> {
+    match rustix::fs::renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+        // Not every file system knows the flag.
+        Err(Errno::INVAL | Errno::NOSYS) if !to.try_exists()? => std::fs::rename(from, to),
+        Err(Errno::INVAL | Errno::NOSYS) => Err(io::ErrorKind::AlreadyExists.into()),
+        result => Ok(result?),
+    }
+}
+
 fn write_description(mcap: &mut Mcap, header: &LogHeader, run: BTreeMap<String, String>) -> mcap::McapResult<[u16; 4]> {
     mcap.attach(&mcap::Attachment {
         log_time: header.wall_at_t0_ns,
