@@ -48,7 +48,7 @@ pub struct Controller<A = LinearAgent> {
 }
 
 /// Whether all values are finite. There is no branch per value, because they nearly always are.
-fn finite(values: &[f32]) -> bool {
+fn finite(values: &[f32; MAX_OUTPUTS]) -> bool {
     values.iter().fold(true, |all, x| all & x.is_finite())
 }
 
@@ -140,13 +140,13 @@ impl<A: Agent> Controller<A> {
         let invalid = !inputs.iter().fold(true, |all, x| all & (f64::from(x.abs()) <= RANGE));
         self.age = if observation.header.flags & flag::BLIND == 0 { 0 } else { self.age.saturating_add(1) };
         self.learn(observation, invalid);
-        self.applied_before[..self.outputs].copy_from_slice(&observation.applied[..self.outputs]);
+        // Whole arrays: copies of a fixed size are a few instructions.
+        self.applied_before = observation.applied;
 
         command.header.tick = tick;
         command.header.flags = 0;
+        (command.mean, command.drawn) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
         let (mean, drawn) = (&mut command.mean[..self.outputs], &mut command.drawn[..self.outputs]);
-        mean.fill(0.0);
-        drawn.fill(0.0);
         if invalid {
             self.answered = None;
             self.acted = false;
@@ -154,19 +154,18 @@ impl<A: Agent> Controller<A> {
             self.report.invalid += 1;
             return;
         }
-        self.answered_inputs[..self.inputs].copy_from_slice(inputs);
+        self.answered_inputs = observation.inputs;
         (self.answered, self.acted) = (Some(tick), true);
         let percept = Percept { tick, inputs, age: self.age, flags: observation.header.flags };
         self.agent.act(&percept, &mut Answer { command: drawn, mean });
-        if !(finite(mean) && finite(drawn)) {
-            mean.fill(0.0);
-            drawn.fill(0.0);
+        if !(finite(&command.mean) && finite(&command.drawn)) {
+            (command.mean, command.drawn) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
             (self.answered, self.acted) = (None, false);
             self.flags |= flag::DIVERGED;
             command.header.flags = flag::DIVERGED;
             self.report.diverged_at.get_or_insert(tick);
         }
-        self.asked[..self.outputs].copy_from_slice(drawn);
+        self.asked = command.drawn;
     }
 
     /// Whether a gate could have made `applied` from the agent's command. The limits of size, ramp and

@@ -101,30 +101,46 @@ impl Gate {
     /// One tick: takes the command that arrived for it, or `None`, and the ranges that the position limits
     /// leave ([`Gate::command_ranges`]). A command with a value that is not finite counts as none.
     pub fn pass(&mut self, command: Option<&OutputValues>, ranges: Option<&CommandRanges>) -> Applied {
-        let finite = |command: &&OutputValues| command[..self.outputs].iter().all(|u| u.is_finite());
-        let arrived = command.filter(finite);
-        let (wanted, mut flags) = match arrived {
+        let arrived = command.map(|command| self.used(command)).filter(all_finite);
+        let (wanted, mut flags) = match &arrived {
             Some(command) => self.limit_rate(command),
             None => self.hold_policy(),
         };
         if arrived.is_none() && command.is_some() {
             flags |= flag::NON_FINITE;
         }
-        for output in 0..self.outputs {
-            let mut u = wanted[output];
-            if let Some(step) = &self.step {
-                let [low, high] = step_range(self.applied[output], step[output]);
-                flags |= clamp_to(&mut u, [low, high], flag::STEP_LIMITED);
-            }
-            if let Some(ranges) = ranges {
-                flags |= clamp_to(&mut u, ranges[output], flag::POSITION_LIMITED);
-            }
-            self.applied[output] = u;
+        let mut applied = wanted;
+        if let Some(step) = &self.step {
+            let ranges = std::array::from_fn(|output| step_range(self.applied[output], step[output]));
+            flags |= self.limit(&mut applied, &ranges, flag::STEP_LIMITED);
         }
+        if let Some(ranges) = ranges {
+            flags |= self.limit(&mut applied, ranges, flag::POSITION_LIMITED);
+        }
+        self.applied = applied;
         if arrived.is_some() {
-            self.last = self.applied;
+            self.last = applied;
         }
-        Applied { command: self.applied, flags }
+        Applied { command: applied, flags }
+    }
+
+    /// A command with zeros for the outputs that the plant does not have. Here and below the loops run over all
+    /// outputs, a fixed number, because they then compile to a few vector operations.
+    fn used(&self, command: &OutputValues) -> OutputValues {
+        let mut used = *command;
+        for (output, u) in used.iter_mut().enumerate() {
+            *u = if output < self.outputs { *u } else { 0.0 };
+        }
+        used
+    }
+
+    /// Clamps each output to its range. Returns [`flag::CLAMPED`] and `reason` where that changes one.
+    fn limit(&self, applied: &mut OutputValues, ranges: &CommandRanges, reason: u32) -> u32 {
+        let mut flags = 0;
+        for (u, range) in applied[..self.outputs].iter_mut().zip(ranges) {
+            flags |= clamp_to(u, *range, reason);
+        }
+        flags
     }
 
     /// Replaces the gate's output of the last tick by the command that was really applied.
@@ -139,15 +155,16 @@ impl Gate {
             if starts { 1 } else { self.ramp_commands.saturating_add(1).min(self.ramp.saturating_add(1)) };
         self.missing = 0;
         let share = self.ramp_commands as f32 / self.ramp.saturating_add(1) as f32;
-        let (mut wanted, mut flags) = ([0.0; MAX_OUTPUTS], 0);
-        for ((to, &u), limit) in wanted[..self.outputs].iter_mut().zip(command).zip(self.limit) {
-            *to = u.clamp(-limit, limit);
-            if *to != u {
-                flags |= flag::CLAMPED;
-            }
-            if share < 1.0 {
-                flags |= clamp_to(to, [-limit * share, limit * share], flag::RAMPED);
-            }
+        let (mut wanted, mut changed) = (*command, false);
+        for (u, limit) in wanted.iter_mut().zip(self.limit) {
+            let before = *u;
+            *u = u.clamp(-limit, limit);
+            changed |= *u != before;
+        }
+        let mut flags = if changed { flag::CLAMPED } else { 0 };
+        if share < 1.0 {
+            let ranges = self.limit.map(|limit| [-limit * share, limit * share]);
+            flags |= self.limit(&mut wanted, &ranges, flag::RAMPED);
         }
         (wanted, flags)
     }
@@ -165,6 +182,11 @@ impl Gate {
         };
         (self.last.map(|u| u * share), flags | flag::MISSED)
     }
+}
+
+/// Whether all values are finite. There is no branch per value, because they nearly always are.
+fn all_finite(values: &OutputValues) -> bool {
+    values.iter().fold(true, |all, u| all & u.is_finite())
 }
 
 /// Clamps `u` to a range. Returns [`flag::CLAMPED`] and `reason` where that changes it.

@@ -105,17 +105,18 @@ impl<P: Plant> PlantSide<P> {
     /// on to a plant that acts within the tick.
     pub fn apply(&mut self, tick: u64, command: Option<&Command>, act: bool) {
         let command = command.filter(|c| c.header.flags & flag::UNHEARD == 0);
-        let (mut received, mut late) = (None, 0);
-        if self.commands.is_fault_free() {
-            received = command.map(|c| c.drawn);
+        let (mut passed_on, mut late) = (None, 0);
+        let received = if self.commands.is_fault_free() {
+            command.map(|c| &c.drawn)
         } else {
             self.commands.pass(tick, command, |c| match c.header.tick == tick {
-                true => received = Some(c.drawn),
+                true => passed_on = Some(c.drawn),
                 false => late += 1,
             });
-        }
+            passed_on.as_ref()
+        };
         let ranges = self.gate.command_ranges(|| self.body.joints());
-        let mut applied = self.gate.pass(received.as_ref(), self.known_ranges.as_ref().or(ranges.as_ref()));
+        let mut applied = self.gate.pass(received, self.known_ranges.as_ref().or(ranges.as_ref()));
         if act && self.body.command_deadline_ns().is_some() {
             let before = applied.command;
             applied.flags |= self.body.act(tick, &mut applied.command[..self.outputs], applied.flags);
@@ -123,7 +124,19 @@ impl<P: Plant> PlantSide<P> {
                 self.gate.set_applied(applied.command);
             }
         }
+        self.count(applied.flags, late);
+        self.applied = applied.command;
+        // An episode that ended in a skipped tick is stated in the next observation.
+        let ended = self.flags & flag::EPISODE_END;
+        self.flags = applied.flags | ended | if late > 0 { flag::LATE } else { 0 };
+    }
+
+    /// Counts what the gate did in a tick, by its flags, and the commands that came late.
+    fn count(&mut self, flags: u32, late: u64) {
         self.report.late += late;
+        if flags == 0 {
+            return;
+        }
         for (count, flag) in [
             (&mut self.report.missed, flag::MISSED),
             (&mut self.report.clamped, flag::CLAMPED),
@@ -132,12 +145,8 @@ impl<P: Plant> PlantSide<P> {
             (&mut self.report.ramped, flag::RAMPED),
             (&mut self.report.non_finite, flag::NON_FINITE),
         ] {
-            *count += u64::from(applied.flags & flag != 0);
+            *count += u64::from(flags & flag != 0);
         }
-        self.applied = applied.command;
-        // An episode that ended in a skipped tick is stated in the next observation.
-        let ended = self.flags & flag::EPISODE_END;
-        self.flags = applied.flags | ended | if late > 0 { flag::LATE } else { 0 };
     }
 
     /// The second half of [`step`](Self::step): the tick is over. Advances the plant and keeps the tick's

@@ -122,10 +122,13 @@ impl Agent for LinearAgent {
             self.mean = self.policy.mean(self.features.as_slice());
         }
         self.noise = drawn;
-        answer.mean.copy_from_slice(&self.mean[..self.outputs]);
-        for (command, (mean, noise)) in answer.command.iter_mut().zip(self.mean.iter().zip(self.noise)) {
-            *command = mean + noise;
+        // Over all outputs, a fixed number: vector operations, and no read of what was just written piece by piece.
+        let mut command = self.mean;
+        for (command, noise) in command.iter_mut().zip(self.noise) {
+            *command += noise;
         }
+        answer.mean.copy_from_slice(&self.mean[..self.outputs]);
+        answer.command.copy_from_slice(&command[..self.outputs]);
     }
 
     #[inline]
