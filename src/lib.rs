@@ -81,12 +81,12 @@
 pub mod log;
 pub mod process;
 pub mod runtime;
-pub mod scenario;
 pub mod study;
 pub mod wire;
 
 pub use tectum_core::{agent, learner, plant, policy, seed, state};
 pub use tectum_encoder as encoder;
+pub use tectum_scenario as scenario;
 
 // The programs, tests and benches of this package are crates of their own and need the following modules, so
 // they are public. They are hidden because a plant, a tracker or a study of your own does not need them. They

@@ -1,28 +1,6 @@
-//! Names of the installed programs that the launcher starts. The scenario's checks must recognise simulator and
-//! controller, because some tables belong to them.
+//! Finds the programs that the launcher starts.
 
-use std::path::{Path, PathBuf};
-
-/// The simulated plant.
-pub(crate) const SIMULATOR: &str = "tectum-simulator";
-/// The controller.
-pub(crate) const CONTROLLER: &str = "tectum-controller";
-/// The logger.
-pub(crate) const LOGGER: &str = "tectum-logger";
-
-/// Whether the plant's program is the package's simulator. Only the file name counts, not the folder.
-pub(crate) fn is_simulator(program: &str) -> bool {
-    is_named(program, SIMULATOR)
-}
-
-/// Whether the controller's program is the package's own. Only the file name counts, not the folder.
-pub(crate) fn is_shipped_controller(program: &str) -> bool {
-    is_named(program, CONTROLLER)
-}
-
-fn is_named(program: &str, name: &str) -> bool {
-    Path::new(program).file_name().is_some_and(|file| file == name)
-}
+use std::path::PathBuf;
 
 /// Locates a program: given by path, beside this program, or in `PATH`.
 pub(crate) fn find(name: &str) -> Option<PathBuf> {

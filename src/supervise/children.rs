@@ -218,7 +218,7 @@ impl SpawnCommand {
         let (name, arguments): (&str, &[String]) = match role {
             Role::Plant => (&plan.scenario.plant.program, &plan.scenario.plant.args),
             Role::Controller => (&plan.scenario.controller.program, &plan.scenario.controller.args),
-            Role::Logger => (programs::LOGGER, &[]),
+            Role::Logger => (crate::scenario::programs::LOGGER, &[]),
         };
         let program = programs::find(name).ok_or_else(|| LaunchError::Start {
             role: role.name(),

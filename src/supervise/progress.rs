@@ -7,7 +7,6 @@ use super::progress_line::ProgressLine;
 use crate::channel::RunServices;
 use crate::clock::monotonic_ns;
 use crate::process::print_error_line;
-use crate::programs;
 use crate::runtime::Mode;
 use crate::text::thousands;
 use crate::wire::Role;
@@ -35,7 +34,7 @@ impl RunProgress {
             let program = match role {
                 Role::Plant => launch.plan.scenario.plant.program.as_str(),
                 Role::Controller => launch.plan.scenario.controller.program.as_str(),
-                Role::Logger => programs::LOGGER,
+                Role::Logger => crate::scenario::programs::LOGGER,
             };
             print_error_line(&format!("waiting for the {}: {program} --run {}", role.name(), folder.path().display()));
         }

@@ -12,7 +12,7 @@ sample! {
         checkpoints: u32,
         /// Start of tick 0 on the run's clock, ns; valid from [`Phase::Run`] on.
         t0_ns: u64,
-        /// Start number of each process within the run, by [`Role`]; the last entry is unused.
+        /// Start number of each process within the run, by [`Role`](super::Role); the last entry is unused.
         incarnations: [u32; 4],
     }
 }
@@ -114,31 +114,6 @@ impl Status {
             3 => ProcessState::Running,
             4 => ProcessState::Finished,
             _ => ProcessState::Failed,
-        }
-    }
-}
-
-/// The three parts of a run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Role {
-    /// The controlled system: simulator or hardware.
-    Plant,
-    /// Encoder, policy and learner.
-    Controller,
-    /// Writes all samples to a file.
-    Logger,
-}
-
-impl Role {
-    /// All roles, in the order of their start.
-    pub const ALL: [Role; 3] = [Role::Plant, Role::Controller, Role::Logger];
-
-    /// The role's name, as in file names and messages.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Role::Plant => "plant",
-            Role::Controller => "controller",
-            Role::Logger => "logger",
         }
     }
 }

@@ -9,22 +9,17 @@
 //! lockstep).
 
 mod boards;
-mod channel_names;
 mod samples;
 mod schema;
 
-pub use boards::{Control, Phase, ProcessState, Role, Status};
-pub use channel_names::ChannelNames;
+pub use boards::{Control, Phase, ProcessState, Status};
 pub use samples::{Command, Gap, Header, Learning, Observation, Vision};
 pub use schema::{Field, Sample, schema_hash};
 
-pub use tectum_core::MAX_MEASURES;
 pub use tectum_core::agent::MAX_COLUMNS;
 pub use tectum_core::flag;
+pub use tectum_scenario::limits::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
+pub use tectum_scenario::{ChannelNames, Role};
 
-/// Most inputs of an observation.
-pub const MAX_INPUTS: usize = 32;
-/// Most outputs of a command.
-pub const MAX_OUTPUTS: usize = tectum_core::plant::MAX_JOINTS;
 /// A number for each output that a command can carry; those beyond the plant's outputs are 0.
 pub type OutputValues = [f32; MAX_OUTPUTS];

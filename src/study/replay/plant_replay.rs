@@ -13,9 +13,9 @@
 use super::sample_diff::{Difference, compare};
 use super::stamps::StampChecker;
 use crate::plant::{JointState, Outcome, Plant, SimulatedPlant};
-use crate::programs::is_simulator;
 use crate::runtime::PlantSide;
 use crate::scenario::Plan;
+use crate::scenario::programs::is_simulator;
 use crate::state::{Persist, StateVisitor};
 use crate::wire::{Command, MAX_INPUTS, Observation, OutputValues, flag};
 

@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use proptest::prelude::*;
 
 use super::*;
-use crate::wire::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
+use crate::limits::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
 
 /// Asserts all bounds on which the rest of the program relies. The numbers are repeated here instead of taken
 /// from [`limits`], so that a wrong number there fails a test.
@@ -405,7 +405,7 @@ fn a_scenario_built_in_memory_is_checked_too() {
 fn missing_keys_get_the_defaults_of_the_files_rule() {
     use super::{LearnerConfig, Rule};
     let learner = |table: &str| {
-        let arm = std::fs::read_to_string("scenarios/arm.toml").unwrap();
+        let arm = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/arm.toml")).unwrap();
         let text = arm.replacen("[learner]\nrule = \"learned-reward\"", &format!("[learner]\n{table}"), 1);
         assert_ne!(text, arm);
         Scenario::parse(&text, "x").unwrap().learner

@@ -1,7 +1,7 @@
 //! The inputs, outputs and measures of a scenario's plant: those that the file lists, or else those of its body.
 
 use super::{MeasureConfig, Scenario, SignalConfig};
-use crate::wire::MAX_MEASURES;
+use crate::limits::MAX_MEASURES;
 
 /// The signals of a plant, in the order in which samples carry them.
 pub(super) struct PlantSignals {

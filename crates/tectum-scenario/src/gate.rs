@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::check::{number, show};
 use super::error::Violation;
 use super::{PlantConfig, SignalConfig, limits};
-use crate::wire::MAX_OUTPUTS;
+use crate::limits::MAX_OUTPUTS;
 use tectum_core::serde_pairs::pairs;
 
 /// `[gate]`: limits between a command and the actuators.

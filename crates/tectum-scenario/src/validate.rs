@@ -8,7 +8,7 @@ use super::{
     LogConfig, Rule, Scenario, controller, encoder, error::Violation, error::quoted, faults, gate, learner, limits,
     plant, plant_signals::PlantSignals, plant_signals::signals, realtime, restart, servos,
 };
-use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
+use crate::limits::{MAX_INPUTS, MAX_OUTPUTS};
 
 /// Checks a whole scenario.
 pub(super) fn check(scenario: &Scenario) -> Result<(), Violation> {
@@ -94,7 +94,7 @@ fn check_channels(scenario: &Scenario) -> Result<(), Violation> {
         vec![("observation", &channels.observation), ("command", &channels.command), ("learning", &channels.learning)];
     if scenario.vision().is_some() {
         named_channels.push(("vision", &channels.vision));
-    } else if channels.vision != crate::wire::ChannelNames::default().vision {
+    } else if channels.vision != crate::ChannelNames::default().vision {
         let text = "names a channel that exists only with plant.servos.sight = \"vision\"; take it out, or give that";
         return Err(Violation::new("channels.vision", text));
     }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::check::{number, show, ticks};
 use super::error::Violation;
 use super::limits;
-use crate::wire::Role;
+use crate::Role;
 
 /// `[faults]`: injected faults.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]

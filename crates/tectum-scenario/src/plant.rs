@@ -11,8 +11,8 @@ use super::{
     PointMassConfig, ReacherConfig, ServosConfig, SignalConfig, So101Config, TimingConfig, bodies, error::Violation,
     error::quoted, limits,
 };
+use crate::limits::MAX_MEASURES;
 use crate::programs::is_simulator;
-use crate::wire::MAX_MEASURES;
 
 /// `[plant]`: the plant's program, its signals and its settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -9,7 +9,7 @@ use super::{
     ControllerConfig, EncoderConfig, FaultsConfig, GateConfig, LearnerConfig, Noise, OverrunConfig, PlantConfig,
     RealtimeConfig, RestartConfig, ScenarioSource,
 };
-use crate::wire::ChannelNames;
+use crate::ChannelNames;
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

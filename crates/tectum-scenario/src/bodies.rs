@@ -3,7 +3,7 @@
 
 use super::check::{number, ticks};
 use super::{PlantConfig, error::Violation, limits};
-use crate::plant::{BodyConfig, MAX_DELAY};
+use tectum_core::plant::{BodyConfig, MAX_DELAY};
 
 impl PlantConfig {
     /// The body that is simulated, or that serves another program as a model. `None` if the plant is another program

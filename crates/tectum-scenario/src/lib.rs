@@ -11,8 +11,24 @@
 //! Between the two steps the caller may change the keys that the command line overrides (seed, ticks). After
 //! them nothing is checked again: a [`Plan`] keeps the bounds in [`limits`]. No input makes these functions
 //! panic.
+//!
+//! ```
+//! use tectum_scenario::Scenario;
+//!
+//! let scenario = Scenario::find("arm")?;
+//! let plan = Scenario { ticks: 400, ..scenario }.plan()?;
+//! assert_eq!(plan.period_ns, 50_000_000);
+//! assert_eq!(plan.inputs.len(), 6);
+//!
+//! let error = Scenario::parse("name = \"mine\"\nsead = 3", "mine.toml").unwrap_err();
+//! assert!(error.to_string().starts_with("mine.toml:2"), "{error}");
+//! # Ok::<(), tectum_scenario::ScenarioError>(())
+//! ```
+
+#![warn(missing_docs)]
 
 mod bodies;
+mod channel_names;
 mod check;
 mod controller;
 mod emulator;
@@ -29,8 +45,11 @@ mod per_axis;
 mod plant;
 mod plant_signals;
 mod presets;
+#[doc(hidden)]
+pub mod programs;
 mod realtime;
 mod restart;
+mod role;
 mod servos;
 mod source;
 mod steps;
@@ -39,10 +58,12 @@ mod validate;
 #[cfg(test)]
 mod tests;
 
+pub use channel_names::ChannelNames;
 pub use controller::{ControllerConfig, LearnerTable};
 pub use encoder::{EncoderConfig, MapConfig};
 pub use error::{FilePosition, ScenarioError};
-pub(crate) use error::{nearest_name, word_list};
+#[doc(hidden)]
+pub use error::{nearest_name, word_list};
 pub use faults::{
     ChannelFault, FaultChannel, FaultKind, FaultProcess, FaultValue, FaultsConfig, ProcessFault, ProcessFaultKind,
 };
@@ -54,6 +75,7 @@ pub use plant::PlantConfig;
 pub use presets::{Preset, presets};
 pub use realtime::{RealtimeConfig, RealtimeProcess};
 pub use restart::{RestartConfig, RestartPolicy};
+pub use role::Role;
 pub use servos::{JointConfig, PoseSource, Rearm, ServoGoal, ServosConfig, check_joints};
 pub use source::ScenarioSource;
 pub use tectum_core::SignalConfig;
@@ -72,12 +94,12 @@ use std::{fs::File, io::Read, path::Path};
 
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::agent::LinearAgent;
-use crate::encoder::{Axis, Encoder, Map};
-use crate::learner::LearnerSpec;
-use crate::plant::SimulatedPlant;
 use error::{Violation, tables};
 use plant_signals::signals;
+use tectum_core::agent::LinearAgent;
+use tectum_core::learner::LearnerSpec;
+use tectum_core::plant::SimulatedPlant;
+use tectum_encoder::{Axis, Encoder, Map};
 
 /// Largest scenario file, bytes.
 pub const MAX_FILE_BYTES: u64 = 1 << 20;
@@ -90,11 +112,11 @@ pub struct Plan {
     pub scenario: Scenario,
     /// Period of the tick, ns.
     pub period_ns: u64,
-    /// The observation's inputs, in order; at most [`crate::wire::MAX_INPUTS`].
+    /// The observation's inputs, in order; at most [`crate::limits::MAX_INPUTS`].
     pub inputs: Vec<SignalConfig>,
-    /// The command's outputs, in order; at most [`crate::wire::MAX_OUTPUTS`].
+    /// The command's outputs, in order; at most [`crate::limits::MAX_OUTPUTS`].
     pub outputs: Vec<SignalConfig>,
-    /// Names of the observation's measures, in order; at most [`crate::wire::MAX_MEASURES`].
+    /// Names of the observation's measures, in order; at most [`crate::limits::MAX_MEASURES`].
     pub measures: Vec<String>,
     /// Index of the measure with the role `error`: the distance from the target.
     pub error: Option<usize>,
@@ -127,7 +149,7 @@ impl Plan {
 
     /// The same plan, whose messages about `[learner]` name `file`, if that still has the same table: a process of a
     /// run reads a copy of the scenario, and its user wrote that file.
-    pub(crate) fn with_origin(mut self, file: &str) -> Self {
+    pub fn with_origin(mut self, file: &str) -> Self {
         // Only a regular file can be read a second time, and only the messages about `[learner]` come so late.
         let path = Path::new(file);
         if self.scenario.own_learner.is_none() || !path.is_file() {
@@ -266,7 +288,7 @@ impl Scenario {
 
     /// The scenario as a TOML file, as it is. Where the controller is another program, its own `[learner]` stands in
     /// it, and `[policy]` only if it was changed.
-    pub(crate) fn text(&self) -> Result<String, toml::ser::Error> {
+    pub fn text(&self) -> Result<String, toml::ser::Error> {
         if self.controller.is_shipped() { toml::to_string(self) } else { toml::to_string(&self.with_own_learner()?) }
     }
 
@@ -284,7 +306,7 @@ impl Scenario {
     }
 
     /// The scenario as a JSON object, for programs in other languages.
-    pub(crate) fn to_json(&self) -> serde_json::Value {
+    pub fn to_json(&self) -> serde_json::Value {
         let tables = if self.controller.is_shipped() { None } else { self.with_own_learner().ok() };
         tables.map_or_else(|| serde_json::to_value(self), serde_json::to_value).unwrap_or_default()
     }
@@ -312,7 +334,7 @@ impl Scenario {
     }
 
     /// The error for the value of `key`; `problem` says what is wrong and what to do.
-    pub(crate) fn invalid(&self, key: &str, problem: impl std::fmt::Display) -> ScenarioError {
+    pub fn invalid(&self, key: &str, problem: impl std::fmt::Display) -> ScenarioError {
         let place = FilePosition { file: self.source.name().to_owned(), line: self.line_of(key) };
         ScenarioError::Invalid { place, key: key.to_owned(), problem: problem.to_string() }
     }

@@ -1,10 +1,17 @@
-//! The bounds that a [`Plan`](super::Plan) keeps. The rest of the program relies on them without checking
+//! The bounds that a [`Plan`](crate::Plan) keeps. The rest of the program relies on them without checking
 //! again.
 //!
 //! Many are far beyond any use. They exist so that no file can make later arithmetic overflow: f32 kernels,
 //! nanoseconds in u64, buffers sized from the plan.
 
 use std::ops::RangeInclusive;
+
+pub use tectum_core::MAX_MEASURES;
+
+/// Most inputs of an observation.
+pub const MAX_INPUTS: usize = 32;
+/// Most outputs of a command.
+pub const MAX_OUTPUTS: usize = tectum_core::plant::MAX_JOINTS;
 
 /// Most characters of a scenario's name, a signal's name or a unit.
 pub const NAME_CHARS: usize = 32;

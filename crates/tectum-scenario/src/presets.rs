@@ -23,7 +23,7 @@ pub struct Preset {
 /// A preset whose text is `scenarios/<name>.toml`.
 macro_rules! preset {
     ($name:literal, $about:literal) => {
-        Preset { name: $name, about: $about, text: include_str!(concat!("../../scenarios/", $name, ".toml")) }
+        Preset { name: $name, about: $about, text: include_str!(concat!("../scenarios/", $name, ".toml")) }
     };
 }
 

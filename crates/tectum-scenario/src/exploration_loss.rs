@@ -1,12 +1,12 @@
 //! The loss that exploration alone causes. No policy can avoid it. It is known for the built-in arm only.
 
 use super::Plan;
-use crate::plant::noise_share;
+use tectum_core::plant::noise_share;
 
 impl Plan {
     /// The mean loss per tick that exploration alone causes, as steps of (first tick, loss) in the order of
     /// ticks; empty where it is not known. It changes only when a joint blocks.
-    pub(crate) fn exploration_loss(&self) -> Vec<(u64, f64)> {
+    pub fn exploration_loss(&self) -> Vec<(u64, f64)> {
         let Some(arm) = &self.scenario.plant.arm else { return Vec::new() };
         let mut ticks: Vec<u64> = std::iter::once(0).chain(arm.block.iter().map(|block| block.tick)).collect();
         ticks.sort_unstable();
@@ -17,8 +17,8 @@ impl Plan {
 
 #[cfg(test)]
 mod tests {
-    use crate::plant::noise_share;
-    use crate::scenario::Scenario;
+    use crate::Scenario;
+    use tectum_core::plant::noise_share;
 
     #[test]
     fn steps_equal_the_arms_noise_share_in_every_tick() {

@@ -280,7 +280,7 @@ fn names_in_backticks(list: &str) -> Vec<&str> {
 }
 
 /// The names as a list in a sentence: `a, b or c`, where `word` is `or`.
-pub(crate) fn word_list(names: &[impl AsRef<str>], word: &str) -> String {
+pub fn word_list(names: &[impl AsRef<str>], word: &str) -> String {
     let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
     match names.split_last() {
         Some((last, [])) => (*last).to_owned(),
@@ -307,7 +307,7 @@ fn remedy_for_unknown(table: &str, unknown: &str, known: &[&str]) -> String {
 
 /// The name among `names` that is nearest to `name`, if it is near enough to be a misspelling: the first one with the
 /// smallest edit distance.
-pub(crate) fn nearest_name<'n>(name: &str, names: impl Iterator<Item = &'n str>) -> Option<&'n str> {
+pub fn nearest_name<'n>(name: &str, names: impl Iterator<Item = &'n str>) -> Option<&'n str> {
     /// Limits the cost of the comparisons, which grows with the length. A longer text is not a misspelt name.
     const MAX_CHARS: usize = 60;
     if name.is_empty() || name.chars().count() > MAX_CHARS {

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{number, show};
 use super::error::Violation;
-use crate::wire::Role;
+use crate::Role;
 
 /// When the launcher restarts a process that has ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

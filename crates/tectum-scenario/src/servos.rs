@@ -354,10 +354,10 @@ pub fn check_joints(table: &[JointConfig], segments: usize, protocol: Protocol, 
 
 #[cfg(test)]
 mod tests {
-    use crate::scenario::{Scenario, ScenarioError};
+    use crate::{Scenario, ScenarioError};
 
-    fn plan(change: impl FnOnce(String) -> String) -> Result<crate::scenario::Plan, ScenarioError> {
-        Scenario::parse(&change(include_str!("../../scenarios/servo-vision.toml").to_owned()), "vision.toml")?.plan()
+    fn plan(change: impl FnOnce(String) -> String) -> Result<crate::Plan, ScenarioError> {
+        Scenario::parse(&change(include_str!("../scenarios/servo-vision.toml").to_owned()), "vision.toml")?.plan()
     }
 
     #[test]
@@ -389,7 +389,7 @@ mod tests {
     #[test]
     fn a_range_across_the_encoders_zero_is_refused() {
         let with = |joint: &str| {
-            let text = include_str!("../../scenarios/servo-emulated.toml").replace("max_speed = 12.0", joint);
+            let text = include_str!("../scenarios/servo-emulated.toml").replace("max_speed = 12.0", joint);
             Scenario::parse(&text, "arm.toml")?.plan()
         };
         for (joint, fits) in [

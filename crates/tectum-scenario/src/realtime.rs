@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::Violation;
 use super::limits;
-use crate::wire::Role;
+use crate::Role;
 
 /// `[realtime]`: one table per process.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]

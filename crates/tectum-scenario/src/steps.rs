@@ -6,8 +6,8 @@
 //! the arm's maps without normalisation its mean over the input box is 44. The limits were measured on the arm,
 //! over some 100,000 ticks. Where rewards are much smaller, longer steps work too.
 
-use crate::encoder::Encoder;
-use crate::seed::stream;
+use tectum_core::seed::stream;
+use tectum_encoder::Encoder;
 
 use super::check::show;
 use super::error::Violation;
