@@ -1,5 +1,5 @@
 //! An emulated chain of servos accepts any bytes at any instants without a panic, and its answers are ordered
-//! by time.
+//! by time. The host takes any bytes for an answer, a part of one, or a reason against it.
 
 #![no_main]
 
@@ -7,10 +7,16 @@ use libfuzzer_sys::fuzz_target;
 use tectum::scenario::EmulatorConfig;
 use tectum::servo::emulator::EmulatedChain;
 use tectum::servo::model::Protocol;
+use tectum::servo::packet;
 
 fuzz_target!(|bytes: &[u8]| {
     let Some((&first, rest)) = bytes.split_first() else { return };
     let protocol = if first & 1 == 0 { Protocol::Dynamixel } else { Protocol::Feetech };
+    for n in 0..rest.len() {
+        if let Ok(Some((taken, reply))) = packet::answer(protocol, 2, usize::from(first >> 1), &rest[n..]) {
+            assert!(taken <= rest.len() - n && reply.bytes.len() == usize::from(first >> 1));
+        }
+    }
     let mut chain = EmulatedChain::new(protocol, &[1, 2, 2, 7], 1_000_000, &EmulatorConfig::default(), 1);
     let (mut now, mut last) = (0, 0);
     for piece in rest.chunks(usize::from(first >> 1) + 1) {

@@ -2,7 +2,8 @@
 //!
 //! - [`model`]: Dynamixel X (protocol 2.0) and Feetech STS (protocol 1.0) series: registers, units, signs, limits.
 //! - [`bus`]: the host's end. Every instruction ends by its deadline, even if the bus fails.
-//! - [`emulator`]: the servos' end, without hardware: codec, control tables, motion and faults, in stepped or
+//! - [`packet`]: the packets of both protocols, for both ends.
+//! - [`emulator`]: the servos' end, without hardware: control tables, motion and faults, in stepped or
 //!   real time.
 //!
 //! Reading positions over a bus of two emulated servos, in virtual time:
@@ -34,3 +35,4 @@
 pub mod bus;
 pub mod emulator;
 pub mod model;
+pub mod packet;

@@ -120,7 +120,7 @@ impl BridgeError {
 
     /// Whether a servo did not answer, which refuses nothing.
     pub fn is_silence(&self) -> bool {
-        matches!(self, Self::NoAnswer(_) | Self::Bus(BusError::NoAnswer(_)))
+        matches!(self, Self::NoAnswer(_) | Self::Bus(BusError::NoAnswer { .. } | BusError::NotSent(_)))
     }
 }
 

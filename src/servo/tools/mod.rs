@@ -127,8 +127,7 @@ pub fn scan(bus: &mut Bus, ids: impl Iterator<Item = u8>, mut stop: impl FnMut()
 
 /// Whether an error means that something answered, but not with a valid packet.
 fn is_garbled(error: &BusError) -> bool {
-    let text = error.to_string();
-    text.contains("Checksum") || text.contains("Parsing") || text.contains("Incorrect id")
+    matches!(error, BusError::NoAnswer { fault, .. } if fault.is_garbled())
 }
 
 /// Checks that all `ids` answer, are given once, and are known models of the bus's series.

@@ -18,11 +18,11 @@
 //! Feetech's step mode, setting the middle position by writing 128 to torque, and the residual torque after an
 //! overload (torque is turned off completely).
 
-mod codec;
 mod config;
 mod faults;
 mod motion;
 mod port;
+mod requests;
 mod servo;
 mod table;
 
@@ -34,8 +34,9 @@ pub use config::{EmulatorConfig, ServoFault, ServoFaultKind};
 pub use port::{EmulatedPort, SteppedClock};
 
 use crate::model::{MODELS, Protocol, ServoModel};
-use codec::{BROADCAST, Request, RequestParser, instruction};
+use crate::packet::{self, BROADCAST, Packet, instruction};
 use faults::ChainFaults;
+use requests::RequestParser;
 use servo::{EmulatedServo, ServoFaultState};
 use table::instruction_error;
 use tectum_core::seed::{self, Rng};
@@ -233,7 +234,7 @@ impl EmulatedChain {
     }
 
     /// Executes a request that was received completely at `at`.
-    fn execute(&mut self, request: &Request, at: u64, baud: u32, wire_baud: u32) {
+    fn execute(&mut self, request: &Packet, at: u64, baud: u32, wire_baud: u32) {
         let tuned = |servo: &EmulatedServo| servo.is_powered() && (baud == 0 || servo.table.baud() == baud);
         let listening: Vec<usize> = (0..self.servos.len()).filter(|&i| tuned(&self.servos[i])).collect();
         if !request.checksum_ok {
@@ -250,7 +251,7 @@ impl EmulatedChain {
         let all = request.id == BROADCAST;
         let addressed: Vec<usize> =
             listening.iter().copied().filter(|&i| all || self.servos[i].id() == request.id).collect();
-        match request.instruction {
+        match request.code {
             instruction::PING if all => self.broadcast_ping(&listening, &addressed, at, wire_baud),
             instruction::PING => self.answer(addressed, at, wire_baud, 0, ping),
             instruction::READ if !all => match self.read_range(&request.parameters) {
@@ -409,7 +410,7 @@ impl EmulatedChain {
                 continue;
             }
             let sent_id = if fault.wrong_id { id.wrapping_add(1) % BROADCAST } else { id };
-            let mut bytes = codec::status(self.protocol, sent_id, error | servo.alert(), &parameters);
+            let mut bytes = packet::status(self.protocol, sent_id, error | servo.alert(), &parameters);
             if fault.bad_checksum
                 && let Some(last) = bytes.last_mut()
             {
