@@ -3,7 +3,7 @@
 mod support;
 
 use serde_json::Value;
-use support::{TECTUM, TestFolder};
+use support::{TECTUM, TestFolder, children, example};
 
 /// A quick comparison: few ticks and a rough optimum.
 const QUICK: [&str; 8] = ["compare", "--json", "--out", "run", "--starts", "1", "--ticks", "3000"];
@@ -121,4 +121,91 @@ fn ctrl_c_ends_a_comparison_and_leaves_no_files() {
     let outcome = run.wait().expect(130);
     assert!(outcome.stderr.contains("so there are none"), "{outcome:#?}");
     assert!(!folder.exists());
+}
+
+/// A scenario of the built-in arm with a controller's program of one's own. Returns its path.
+fn own_scenario(test_folder: &TestFolder, program: &str, learner: &str) -> String {
+    let text = std::fs::read_to_string("scenarios/arm.toml").unwrap();
+    let (head, rest) = text.split_once("[learner]").unwrap();
+    let (_, gate) = rest.split_once("# The gate").unwrap();
+    let program = format!("{:?}", example(program));
+    let head = head.replace("\"tectum-controller\"", &program).replace("sigma = 0.001", "sigma = 0.003");
+    let head = head.replace("name = \"arm\"", "name = \"own\"");
+    let text = format!("{head}[learner]\n{learner}\n\n[restart]\nhang_s = 0\n\n# The gate{gate}");
+    test_folder.write_file("own.toml", text).to_str().unwrap().to_owned()
+}
+
+/// A program that runs the paper's rule over a pipe, beside the same rule in this process: every number is the same.
+#[test]
+fn a_controllers_program_is_measured_as_the_rule_that_it_runs() {
+    let test_folder = TestFolder::new();
+    let learners = format!("paper,{}", own_scenario(&test_folder, "foreign", "rule = \"paper\"\ncalled = \"mine\""));
+    let arguments = ["compare", "--json", "--out", "run", "--starts", "1", "--ticks", "300", "--seeds", "2"];
+    let more = ["--block", "200", "--learners", &learners];
+    let json = test_folder.start(TECTUM, &[&arguments[..], &more].concat()).wait().expect(0).json();
+    let learners = numbers(json)["learners"].as_array().unwrap().clone();
+    let [paper, own] = &learners[..] else { panic!("two learners: {learners:?}") };
+    assert_eq!((&paper["name"], &own["name"]), (&"paper".into(), &"own".into()));
+    assert_eq!(own["settings"], serde_json::json!({ "rule": "paper", "called": "mine" }));
+    for (key, value) in paper.as_object().unwrap().iter().filter(|(key, _)| *key != "name" && *key != "settings") {
+        assert_eq!(own[key], *value, "{key}");
+    }
+    let curves = std::fs::read_to_string(test_folder.run_folder().join("curves.csv")).unwrap();
+    let of = |name: &str| -> Vec<String> {
+        let rows = curves.lines().filter_map(|row| row.split_once(',')).filter(|(learner, _)| *learner == name);
+        rows.map(|(_, numbers)| numbers.to_owned()).collect()
+    };
+    assert_eq!(of("paper"), of("own"));
+    assert_eq!(of("own").len(), 2 * (10 + 5), "tests every 20 ticks, from the beginning and from the change");
+}
+
+/// A test leaves no trace in the state of an agent with a memory and a random stream.
+#[test]
+fn a_test_changes_nothing_in_a_controllers_run() {
+    let test_folder = TestFolder::new();
+    let learner = "rule = \"pd\"\nposition = \"theta_1\"\ntarget = \"target_x\"\ngain = 0.01\ntrial = 20";
+    let own = own_scenario(&test_folder, "pd", learner);
+    let run = ["run", &own, "--mode", "in-process", "--ticks", "200", "--seed", "1001", "--json", "--out", "alone"];
+    let alone = test_folder.start(TECTUM, &run).wait().expect(0).json();
+    let arguments = ["compare", "--json", "--out", "run", "--starts", "1", "--ticks", "200", "--seeds", "2"];
+    let compared = test_folder.start(TECTUM, &[&arguments[..], &["--learners", &own]].concat()).wait().expect(0).json();
+    assert_eq!(compared["learners"][0]["weights_hash"][1], alone["weights_hash"], "{compared}");
+    assert_eq!(compared["learners"][0]["changes"][0]["tick"], 100, "the usual block comes in the middle");
+}
+
+#[test]
+fn a_controllers_program_that_fails_ends_the_comparison_with_a_sentence() {
+    for (learner, code, expected) in [
+        ("rule = \"ends\"", 4, "foreign ended with exit code 7 at tick 100, before the run was over"),
+        ("rule = \"fails-in-tests\"", 4, "foreign ended with exit code 8 at tick 20, before the run was over"),
+        ("rule = \"none\"", 2, ": learner.rule is \"none\"; foreign has \"paper\", \"wide\", \"ends\","),
+    ] {
+        let test_folder = TestFolder::new();
+        let own = own_scenario(&test_folder, "foreign", learner);
+        let all: Vec<&str> = QUICK.iter().chain(&["--learners", &own]).copied().collect();
+        let outcome = test_folder.start(TECTUM, &all).wait().expect(code);
+        assert!(outcome.stderr.starts_with("tectum: own with seed 100"), "{outcome:#?}");
+        assert!(outcome.stderr.contains(expected) && outcome.stderr.lines().count() == 1, "{outcome:#?}");
+        assert!(!test_folder.run_folder().exists());
+    }
+    let test_folder = TestFolder::new();
+    let all: Vec<&str> = QUICK.iter().chain(&["--learners", "pendulum.toml"]).copied().collect();
+    let refused = test_folder.start(TECTUM, &all).wait().expect(2).stderr;
+    assert!(refused.contains("has another plant than the simulator's arm"), "{refused}");
+}
+
+/// Also where the program never answers and may take any time.
+#[test]
+fn ctrl_c_ends_a_comparison_with_a_program_that_hangs() {
+    let test_folder = TestFolder::new();
+    let own = own_scenario(&test_folder, "foreign", "rule = \"hangs\"");
+    let mut run = test_folder.start(TECTUM, &["compare", "--learners", &own, "--seeds", "2", "--out", "run"]);
+    let id = run.id();
+    run.wait_until("a controller that hangs", || test_folder.path().join("hangs").exists());
+    let started = children(id);
+    run.signal("INT");
+    let outcome = run.wait().expect(130);
+    assert!(outcome.stderr.contains("so there are none"), "{outcome:#?}");
+    assert!(!test_folder.run_folder().exists());
+    assert!(!started.is_empty() && started.iter().all(|(pid, _)| support::has_ended(*pid)), "{started:?}");
 }

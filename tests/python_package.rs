@@ -112,6 +112,114 @@ fn a_controller_in_python_comes_back_in_real_time() {
     assert!(summary["missed"].as_u64().unwrap() > 0, "{summary}");
 }
 
+/// Both processes in Python: a run that is resumed from a checkpoint in its middle ends as the whole one did.
+#[test]
+#[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
+fn a_run_in_python_is_resumed_from_its_checkpoints() {
+    let test_folder = TestFolder::new();
+    let scenario = scenario(&test_folder, "controller.toml", &[], "");
+    let run = test_folder.run(&[&scenario, "--ticks", "3000", "--checkpoint-every", "1000", "--json"]);
+    let whole = run.wait().expect(0).json();
+    let file = |tick: &str, role: &str| {
+        test_folder.run_folder().join("checkpoints").join(format!("{tick}.{role}.safetensors"))
+    };
+    for tick in ["1000", "2000", "3000"] {
+        assert!(file(tick, "plant").exists() && file(tick, "controller").exists(), "{tick}: {whole}");
+    }
+    for role in ["plant", "controller"] {
+        for tick in ["2000", "3000"] {
+            std::fs::remove_file(file(tick, role)).unwrap();
+        }
+    }
+    let resume = ["run", "--resume", "run", "--out", "rest", "--json"];
+    let resumed = test_folder.start(TECTUM, &resume).wait().expect(0).json();
+    assert_eq!((&resumed["resumed_at"], &resumed["lost"]), (&json!(1000), &json!(0)), "{resumed}");
+    assert_eq!(resumed["weights_hash"], whole["weights_hash"], "{resumed}");
+    let csv = |run: &str| test_folder.tectum("log", &["csv", run, "--channel", "command"]).expect(0).stdout;
+    assert!(csv("run").lines().skip(1 + 1000).eq(csv("rest").lines().skip(1)));
+
+    // What is damaged is refused by name, before anything starts.
+    let path = file("1000", "controller");
+    let mut bytes = std::fs::read(&path).unwrap();
+    let at = bytes.len() - 9;
+    bytes[at] ^= 1;
+    std::fs::write(&path, bytes).unwrap();
+    let refused = test_folder.start(TECTUM, &["run", "--resume", "run", "--out", "no"]).wait().expect(2);
+    assert!(
+        refused.stderr.contains("1000.controller.safetensors") && refused.stderr.contains("damaged"),
+        "{refused:#?}"
+    );
+}
+
+/// The launcher's faults of processes need nothing of a process but that it comes back.
+#[test]
+#[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
+fn faults_of_processes_change_no_bit_of_a_run_in_python() {
+    let run = |faults: &str, restarts: usize| {
+        let test_folder = TestFolder::new();
+        let scenario = scenario(&test_folder, "controller.toml", &[], faults);
+        let summary = test_folder.run(&[&scenario, "--json"]).wait().expect(0).json();
+        assert_no_debris(test_folder.run_folder());
+        assert_eq!(summary["restarts"].as_array().unwrap().len(), restarts, "{summary}");
+        summary["weights_hash"].clone()
+    };
+    let faults: String = [("controller", "kill", 500), ("plant", "kill", 1000), ("controller", "restart", 1500)]
+        .map(|(process, act, at)| format!("[[faults.process]]\nprocess = \"{process}\"\ndo = \"{act}\"\nat = [{at}]\n"))
+        .concat();
+    assert_eq!(run("", 0), run(&faults, 3));
+}
+
+/// A controller in Python with a memory and a generator, on the simulator's arm, beside a rule of this package.
+#[test]
+#[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
+fn a_controller_in_python_is_compared_and_a_test_changes_nothing_in_its_run() {
+    const MINE: &str = r#"
+import tectum
+
+class Mine(tectum.Controller):
+    def __init__(self, run):
+        self.gain, self.before, self.updates, self.noise = 0.002, 0.0, 0, run.generator("noise")
+
+    def act(self, percept):
+        mean = [self.gain * (percept.inputs[0] - percept.inputs[2]) - 0.001 * self.before] * 4
+        self.before = float(percept.inputs[2])
+        return tectum.Answer([one + 0.003 * self.noise.normal() for one in mean], mean)
+
+    def learn(self, experience):
+        self.gain *= 1.0 + 0.001 * experience.reward
+
+    def improve(self):
+        self.updates += 1
+
+    def state(self):
+        return {"gain": self.gain, "before": self.before, "updates": self.updates, "noise": self.noise}
+
+    def restore(self, state):
+        self.gain, self.before, self.updates = state["gain"], state["before"], state["updates"]
+        tectum.restore_generator(self.noise, state["noise"])
+
+tectum.main(Mine)
+"#;
+    let test_folder = TestFolder::new();
+    let script = test_folder.write_file("mine.py", MINE);
+    let text = format!(
+        "name = \"mine\"\nticks = 60\n[plant.arm]\n[controller]\nprogram = {:?}\nargs = [{:?}]\nupdates = 2\n\
+         [gate]\nmax_command = 0.05\n",
+        python(),
+        script.to_str().unwrap()
+    );
+    let mine = test_folder.write_file("mine.toml", text).to_str().unwrap().to_owned();
+    let run = ["run", &mine, "--mode", "in-process", "--seed", "1000", "--out", "alone", "--json"];
+    let alone = test_folder.start(TECTUM, &run).wait().expect(0).json();
+    let compare = ["compare", "--learners", &format!("paper,{mine}"), "--seeds", "1", "--starts", "1", "--ticks", "60"];
+    let more = ["--block", "never", "--out", "run", "--json"];
+    let compared = test_folder.start(TECTUM, &[&compare[..], &more].concat()).wait().expect(0).json();
+    let learner = &compared["learners"][1];
+    assert_eq!((&learner["name"], &learner["weights_hash"][0]), (&json!("mine"), &alone["weights_hash"]), "{compared}");
+    let loss = |i: usize| compared["learners"][i]["loss"]["median"].as_f64().unwrap();
+    assert!(loss(1) > 0.1 && loss(0) > 0.1 && loss(0) != loss(1), "{compared}");
+}
+
 #[test]
 #[ignore = "needs a Python with the packages of tests/python/requirements.txt, named by TECTUM_PYTHON"]
 fn runs_are_launched_viewed_and_stopped_from_python() {

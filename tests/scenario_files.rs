@@ -10,7 +10,8 @@ use std::path::Path;
 use scenario_mistakes::{ARM, CASES, EYE, OTHER};
 use tectum::{
     encoder::Map,
-    scenario::{Scenario, ScenarioError, presets},
+    plant::Plant as _,
+    scenario::{LearnerConfig, Retina, Rule, Scenario, ScenarioError, presets},
 };
 
 /// The message that reading or planning gives for a text.
@@ -68,6 +69,70 @@ fn the_eye_has_two_log_polar_maps() {
     assert_eq!(names, ["up", "down", "left", "right"]);
     assert_eq!(plan.measures, ["error"]);
     assert_eq!(features(&plan.maps), 512);
+}
+
+/// Targets are drawn from a normal distribution: the declared ranges hold all that a run will see.
+#[test]
+fn the_eyes_inputs_lie_within_their_ranges() {
+    for retina in [Retina::LogPolar, Retina::Linear] {
+        let mut scenario = Scenario::find("eye").unwrap();
+        scenario.plant.eye.as_mut().unwrap().retina = retina;
+        let linear = ["position_x", "position_y", "velocity_x", "velocity_y"];
+        if retina == Retina::Linear {
+            for (map, names) in scenario.encoder.maps.iter_mut().zip(linear.chunks(2)) {
+                map.inputs = names.iter().map(|&name| name.to_owned()).collect();
+            }
+        }
+        let plan = scenario.plan().unwrap();
+        let mut eye = plan.simulated_plant().unwrap();
+        let (mut inputs, mut farthest) = ([0.0; 4], 0.0_f32);
+        for tick in 0..200_000 {
+            eye.sense(tick, &mut inputs);
+            for (value, input) in inputs.iter().zip(&plan.inputs) {
+                assert!((input.min..=input.max).contains(&f64::from(*value)), "{} is {value}", input.name);
+            }
+            farthest = farthest.max(inputs[0]);
+        }
+        assert!(farthest > 1.0, "targets appear beyond the retina's edge, too");
+    }
+}
+
+/// `learned-reward` must know which inputs the commands move. Nothing is guessed.
+#[test]
+fn what_the_commands_move_is_said_by_the_plant_or_by_the_scenario() {
+    let plan = |name: &str, moved: &[&str]| {
+        let mut scenario = Scenario::find(name).unwrap();
+        scenario.learner = LearnerConfig::preset(Rule::LearnedReward);
+        let moved = moved.iter().map(|&name| name.to_owned()).collect();
+        scenario.learner.model.get_or_insert_default().moved = moved;
+        scenario.plan()
+    };
+    for name in ["arm", "so101"] {
+        let spec = plan(name, &[]).unwrap().learner_spec();
+        let outputs = plan(name, &[]).unwrap().outputs.len();
+        let angles = spec.inputs[spec.inputs.len() - outputs..].iter().map(|input| input.name.clone());
+        assert_eq!(spec.moved, angles.collect::<Vec<_>>(), "{name}");
+    }
+    let missing = plan("pendulum", &[]).unwrap_err().to_string();
+    let expected = "learner.model.moved is missing, and the plant does not say it; name the inputs that the commands \
+                    move, of \"theta\", \"omega\"";
+    assert!(missing.contains(expected), "{missing}");
+    plan("pendulum", &["omega"]).unwrap();
+}
+
+#[test]
+fn the_number_of_updates_is_part_of_a_scenario() {
+    let arm = Scenario::find("arm").unwrap();
+    let with = |updates: u32| {
+        let mut scenario = arm.clone();
+        scenario.controller.updates = updates;
+        scenario.plan()
+    };
+    let hash = |updates| with(updates).unwrap().hash;
+    assert!(hash(1) == arm.clone().plan().unwrap().hash && hash(2) != hash(1));
+    let refused = with(0).unwrap_err().to_string();
+    assert!(refused.contains("controller.updates is 0; give 1 to 1000 updates a tick"), "{refused}");
+    assert!(with(1001).is_err());
 }
 
 #[test]

@@ -12,7 +12,7 @@ use std::process::Command as Process;
 use snapshot::assert_snapshot;
 use tectum::wire::{
     Command, Control, Gap, Header, Learning, MAX_COLUMNS, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Phase,
-    ProcessState, Role, Sample, Status, Vision, flag::FLAGS,
+    ProcessState, Role, Sample, Status, Vision, flag::FLAGS, schema_hash,
 };
 
 /// The parts of a sample that a table shows.
@@ -224,6 +224,27 @@ fn the_wire_tables_match_the_rust_layout() {
         let (head, rest) = text.split_once(&open).unwrap_or_else(|| panic!("{path} has no mark {open}"));
         let (_, tail) = rest.split_once(&close).unwrap_or_else(|| panic!("{path} has no mark {close}"));
         text = format!("{head}{open}{table}{close}{tail}");
+    }
+    assert_snapshot(path, &text);
+}
+
+/// Flags and schema of the Python package, and its names of phases, states and roles. What lies where is compared by
+/// `tests/python.rs`, which needs a Python.
+#[test]
+fn the_python_package_has_the_rust_flags() {
+    let path = "python/src/tectum/layouts.py";
+    let text = std::fs::read_to_string(path).unwrap();
+    let (head, rest) = text.split_once("class Flag(IntFlag):\n").unwrap();
+    let (doc, rest) = rest.split_once("\n\n").unwrap();
+    let (_, tail) = rest.split_once("\n\n\n").unwrap();
+    let (before, after) = head.split_once("SCHEMA = \"").unwrap();
+    let (_, after) = after.split_once('"').unwrap();
+    let bits: Vec<_> = flags().iter().map(|(name, bit, _)| format!("    {name} = 1 << {bit}")).collect();
+    let head = format!("{before}SCHEMA = \"{:016x}\"{after}", schema_hash());
+    let text = format!("{head}class Flag(IntFlag):\n{doc}\n\n{}\n\n\n{tail}", bits.join("\n"));
+    for (class, names) in [("Phase", phases().map(|p| p.0).join(", ")), ("State", states().map(|s| s.0).join(", "))] {
+        let (_, of_class) = text.split_once(&format!("class {class}(IntEnum):")).unwrap();
+        assert!(of_class.lines().nth(3).unwrap().contains(&format!("{names} = range(")), "{class} is {names}");
     }
     assert_snapshot(path, &text);
 }

@@ -6,7 +6,9 @@ use std::process::ExitCode;
 use clap::Args;
 use tectum::reference::STARTS;
 use tectum::study::StudyError;
-use tectum::study::compare::{ArmChange, Changes, Comparison, ComparisonResult, LEARNERS, compare, rule};
+use tectum::study::compare::{
+    ArmChange, Changes, ComparedLearner, Comparison, ComparisonResult, LEARNERS, compare, learner,
+};
 
 use super::study_ended;
 use super::tick_count::tick_count;
@@ -26,11 +28,13 @@ Examples:
   tectum compare --learners learned-reward --ticks 12000 --change block:3@3000 \\
       --change shorten:2:0.3@6000 --change mirror:x@9000
                                                        one change after another
+  tectum compare --learners learned-reward,mine.toml --ticks 6000
+                                                       beside a controller of your own (docs/controllers.md)
   tectum compare --learners actor-critic --first-seed 1 --set learner.critic.step=0.1
                                                        try a setting, on seeds to tune on")]
 pub struct Arguments {
     /// Learners to compare, separated by commas: paper, baseline, actor-critic, natural-actor-critic,
-    /// learned-reward [default: all]
+    /// learned-reward, or scenario files with a controller or settings of your own [default: the five rules]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     learners: Vec<String>,
     /// Number of seeds
@@ -71,8 +75,8 @@ pub fn main(arguments: &Arguments) -> ExitCode {
 /// The comparison for the arguments.
 fn comparison(arguments: &Arguments) -> Result<Comparison, StudyError> {
     let learners = match &arguments.learners[..] {
-        [] => LEARNERS.to_vec(),
-        names => names.iter().map(|name| rule(name)).collect::<Result<_, _>>()?,
+        [] => LEARNERS.map(ComparedLearner::Rule).to_vec(),
+        names => names.iter().map(|name| learner(name)).collect::<Result<_, _>>()?,
     };
     let changes = match arguments.block.as_deref() {
         None if arguments.change.is_empty() => Changes::Usual,

@@ -62,6 +62,16 @@ pub struct Score {
     pub miss_m: f64,
 }
 
+/// What a controller is shown in a tick of a test.
+pub(crate) struct TestTick<'a> {
+    /// The tick, from 0.
+    pub tick: u64,
+    /// Whether a target begins with it.
+    pub fresh: bool,
+    /// The inputs.
+    pub inputs: &'a [f32],
+}
+
 /// The test for one condition of the arm. Built once, used for any number of policies.
 #[derive(Debug, Clone)]
 pub(crate) struct TestSet {
@@ -91,12 +101,17 @@ impl TestSet {
     }
 
     /// The score of a controller: `control` answers each tick's inputs with a command.
-    pub fn drive(&self, control: impl FnMut(&[f32]) -> Outputs) -> Score {
+    pub fn drive(&self, mut control: impl FnMut(&[f32]) -> Outputs) -> Score {
+        self.drive_targets(|tick| control(tick.inputs), |_| {})
+    }
+
+    /// The same for a controller that is told of ticks and new targets.
+    pub fn drive_ticks(&self, control: impl FnMut(TestTick) -> Outputs) -> Score {
         self.drive_targets(control, |_| {})
     }
 
     /// The same. Calls `each` with the score of each target when that is over.
-    fn drive_targets(&self, mut control: impl FnMut(&[f32]) -> Outputs, mut each: impl FnMut(Score)) -> Score {
+    fn drive_targets(&self, mut control: impl FnMut(TestTick) -> Outputs, mut each: impl FnMut(Score)) -> Score {
         let period_s = self.plan.scenario.period_ms / 1000.0;
         let config = self.plan.scenario.plant.arm.clone().unwrap_or_default();
         let mut rollout = Rollout::new(Arm::new(&config, period_s, TEST_SEED), &self.plan);
@@ -104,8 +119,8 @@ impl TestSet {
         let ticks = TARGETS as u64 * every;
         let (mut loss, mut miss, mut target_loss) = (0.0, 0.0, 0.0);
         for tick in 0..ticks {
-            rollout.sense(tick);
-            let outcome = rollout.advance(tick, &mut control);
+            let fresh = rollout.sense(tick);
+            let outcome = rollout.advance(tick, |inputs| control(TestTick { tick, fresh, inputs }));
             loss -= f64::from(outcome.reward);
             target_loss -= f64::from(outcome.reward);
             if (tick + 1).is_multiple_of(every) {
@@ -125,7 +140,8 @@ impl TestSet {
     /// The score of each target with a policy's mean commands, in the order of the targets.
     pub fn score_targets(&self, policy: &LinearPolicy) -> Vec<Score> {
         let mut scores = Vec::with_capacity(TARGETS);
-        self.drive_targets(self.mean_commands(policy), |score| scores.push(score));
+        let mut mean = self.mean_commands(policy);
+        self.drive_targets(|tick| mean(tick.inputs), |score| scores.push(score));
         scores
     }
 

@@ -28,6 +28,8 @@ pub struct Controller<A = LinearAgent> {
     outputs: usize,
     ticks: u64,
     hash_every: u64,
+    /// Updates of the agent in a tick.
+    updates: u32,
     /// The tick answered last; `None` when its command was not the agent's.
     answered: Option<u64>,
     answered_inputs: [f32; MAX_INPUTS],
@@ -48,8 +50,19 @@ pub struct Controller<A = LinearAgent> {
 }
 
 /// Whether all values are finite. There is no branch per value, because they nearly always are.
-fn finite(values: &[f32; MAX_OUTPUTS]) -> bool {
+fn finite(values: &[f32]) -> bool {
     values.iter().fold(true, |all, x| all & x.is_finite())
+}
+
+/// Takes the command for its mean, where an agent has left the mean as it was: nothing of it is exploration. False if
+/// the agent has not, or if the command is not finite.
+#[cold]
+fn take_for_mean(mean: &mut [f32], command: &[f32]) -> bool {
+    let untouched = finite(command) && mean.iter().all(|x| x.is_nan());
+    if untouched {
+        mean.copy_from_slice(command);
+    }
+    untouched
 }
 
 impl Controller {
@@ -85,6 +98,7 @@ impl<A: Agent> Controller<A> {
             outputs: plan.outputs.len(),
             ticks: plan.scenario.ticks,
             hash_every: plan.scenario.log.hash_every,
+            updates: plan.scenario.controller.updates,
             answered: None,
             answered_inputs: [0.0; MAX_INPUTS],
             asked: [0.0; MAX_OUTPUTS],
@@ -157,15 +171,34 @@ impl<A: Agent> Controller<A> {
         self.answered_inputs = observation.inputs;
         (self.answered, self.acted) = (Some(tick), true);
         let percept = Percept { tick, inputs, age: self.age, flags: observation.header.flags };
+        mean.fill(f32::NAN);
         self.agent.act(&percept, &mut Answer { command: drawn, mean });
-        if !(finite(&command.mean) && finite(&command.drawn)) {
-            (command.mean, command.drawn) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
+        if !(finite(mean) && finite(drawn)) && !take_for_mean(mean, drawn) {
+            mean.fill(0.0);
+            drawn.fill(0.0);
             (self.answered, self.acted) = (None, false);
             self.flags |= flag::DIVERGED;
             command.header.flags = flag::DIVERGED;
             self.report.diverged_at.get_or_insert(tick);
         }
         self.asked = command.drawn;
+    }
+
+    /// Answers an observation of a test: the agent's mean, without exploration noise. The agent decides and learns
+    /// nothing, and nothing is counted; its state is to be put back after the test. Faults of the channel do not act.
+    pub(super) fn answer_test(&mut self, observation: &Observation, command: &mut Command) {
+        let (header, inputs) = (&observation.header, &observation.inputs[..self.inputs]);
+        (command.header.tick, command.header.flags) = (header.tick, 0);
+        let (mean, drawn) = (&mut command.mean[..self.outputs], &mut command.drawn[..self.outputs]);
+        drawn.fill(0.0);
+        mean.fill(f32::NAN);
+        let percept = Percept { tick: header.tick, inputs, age: 0, flags: header.flags };
+        self.agent.act(&percept, &mut Answer { command: drawn, mean });
+        if !finite(mean) && !take_for_mean(mean, drawn) {
+            mean.fill(0.0);
+            command.header.flags = flag::DIVERGED;
+        }
+        drawn.copy_from_slice(mean);
     }
 
     /// Whether a gate could have made `applied` from the agent's command. The limits of size, ramp and
@@ -222,7 +255,7 @@ impl<A: Agent> Controller<A> {
     /// The work after the command has been sent: improves the agent, and adds the observation to the
     /// statistics.
     pub fn after_command(&mut self, observation: &Observation) {
-        self.agent.improve(1);
+        self.agent.improve(self.updates);
         if self.agent.halted() {
             self.report.diverged_at.get_or_insert(observation.header.tick);
         }
@@ -258,6 +291,10 @@ impl<A: Agent> Controller<A> {
     /// The agent.
     pub fn agent(&self) -> &A {
         &self.agent
+    }
+
+    pub(super) fn agent_mut(&mut self) -> &mut A {
+        &mut self.agent
     }
 
     /// Whether the agent has stopped learning because of a number that is not finite.

@@ -58,6 +58,11 @@ pub enum RuntimeError {
     /// The pipe to the program that started this controller failed.
     #[error("the pipe to the program that started this controller failed: {0}")]
     Pipe(std::io::Error),
+    /// The state of an agent cannot be put back after a test.
+    #[error(
+        "after a test the agent's visit_state lists other values than before it; it must always list all, in order"
+    )]
+    StateAfterTest,
     /// A file in the run's folder cannot be written.
     #[error("{path} cannot be written: {cause}")]
     File {
@@ -131,7 +136,9 @@ impl RuntimeError {
             | Self::Log(_)
             | Self::NotSimulated(_)
             | Self::NoJoints(_) => exit::INPUT,
-            Self::Orphaned(_) | Self::Aborted | Self::Overrun { .. } | Self::Pipe(_) => exit::PROCESS,
+            Self::Orphaned(_) | Self::Aborted | Self::Overrun { .. } | Self::Pipe(_) | Self::StateAfterTest => {
+                exit::PROCESS
+            }
             Self::Signal(number) => exit::by_signal(*number),
             Self::Channel(_) | Self::Signals(_) | Self::Thread(_) | Self::Lost { .. } | Self::Memory(_) => exit::ERROR,
         }

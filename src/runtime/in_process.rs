@@ -93,7 +93,7 @@ pub fn in_process_over_pipe<P: Plant>(
     let mut learning = Learning::default();
     for tick in 0..plan.scenario.ticks {
         side.observe(tick, 0, 0, &mut observation);
-        if tick.is_multiple_of(4096) && !progress(tick, &statistics) {
+        if controller.interrupted() || tick.is_multiple_of(4096) && !progress(tick, &statistics) {
             break;
         }
         controller.exchange(&observation, &mut command, &mut learning)?;

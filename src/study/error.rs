@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::report::ReportError;
-use crate::runtime::exit;
+use crate::runtime::{PipeError, exit};
 use crate::scenario::ScenarioError;
 use crate::supervise::LaunchError;
 
@@ -19,6 +19,16 @@ pub enum StudyError {
     /// An argument is invalid; the text names it and the remedy.
     #[error("{0}")]
     Asked(String),
+    /// A controller's program of one's own failed.
+    #[error("{name} with seed {seed}: {error}")]
+    Controller {
+        /// The learner.
+        name: String,
+        /// The seed of the run.
+        seed: u64,
+        /// What the program said, or how it ended.
+        error: PipeError,
+    },
     /// The figure cannot be drawn or written.
     #[error(transparent)]
     Report(#[from] ReportError),
@@ -40,6 +50,7 @@ impl StudyError {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Launch(error) => error.exit_code(),
+            Self::Controller { error, .. } => error.exit_code(),
             Self::Signal(number) => exit::by_signal(*number),
             Self::Scenario(_) | Self::Asked(_) | Self::Report(_) | Self::Write { .. } => exit::INPUT,
         }

@@ -26,6 +26,7 @@ pub(crate) struct WorkerPool {
 pub(crate) struct JobProgress<'a> {
     done: &'a AtomicU64,
     stop: &'a AtomicBool,
+    signals: &'a TerminationSignals,
 }
 
 impl JobProgress<'_> {
@@ -33,6 +34,16 @@ impl JobProgress<'_> {
     pub fn report(&self, ticks: u64) -> bool {
         self.done.fetch_add(ticks, Ordering::Relaxed);
         !self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Asks all jobs to stop, because this one has failed.
+    pub fn stop_all(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// The signals that end the study.
+    pub fn signals(&self) -> TerminationSignals {
+        self.signals.clone()
     }
 }
 
@@ -70,7 +81,8 @@ impl WorkerPool {
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     jobs.get(index).map(|job| (index, job))
                 } {
-                    results.push((index, work(job, &JobProgress { done: &done, stop: &stop })));
+                    let progress = JobProgress { done: &done, stop: &stop, signals: &self.signals };
+                    results.push((index, work(job, &progress)));
                 }
                 results
             };
@@ -78,6 +90,8 @@ impl WorkerPool {
             while !workers.iter().all(thread::ScopedJoinHandle::is_finished) {
                 if self.signals.received() != 0 {
                     stop.store(true, Ordering::Relaxed);
+                }
+                if stop.load(Ordering::Relaxed) {
                     next.store(jobs.len(), Ordering::Relaxed);
                 }
                 progress.show_study(done.load(Ordering::Relaxed), (f32::NAN, f32::NAN));

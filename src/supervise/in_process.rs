@@ -24,7 +24,10 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let plan = &launch.plan;
     let plant = simulated_plant(plan)?;
     // Started before the folder exists, so that a program that refuses the scenario leaves nothing behind.
-    let piped = if plan.scenario.controller.is_shipped() { None } else { Some(PipedController::start(plan)?) };
+    let piped = match plan.scenario.controller.is_shipped() {
+        true => None,
+        false => Some(PipedController::start_until(plan, Some(signals.clone()))?),
+    };
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.write_scenario(plan)?;
     folder.keep();

@@ -8,14 +8,17 @@ import unittest
 from pathlib import Path
 
 import numpy as np
+import safetensors.numpy
 import xxhash
 
 from tectum import streams
+from tectum.checkpoint import decode, encode
 from tectum.crash_store import HEAD, CrashStore, Ring
 from tectum.errors import Refused
 from tectum.programs import find
 from tectum.reports import Spread, Windows
 from tectum.state import pack, unpack
+from tectum.xxh3 import xxh3_64
 
 
 class Streams(unittest.TestCase):
@@ -24,7 +27,7 @@ class Streams(unittest.TestCase):
         for length in range(129):
             for seed in (0, 1, 2**32 + 5, 2**63 + 11, draw.getrandbits(64)):
                 data = draw.randbytes(length)
-                self.assertEqual(streams.xxh3_64(data, seed), xxhash.xxh3_64_intdigest(data, seed), (length, seed))
+                self.assertEqual(xxh3_64(data, seed), xxhash.xxh3_64_intdigest(data, seed), (length, seed))
 
     def test_a_generator_continues_from_its_state(self):
         source = streams.generator(3, "noise")
@@ -33,6 +36,40 @@ class Streams(unittest.TestCase):
         other = streams.generator(4, "other")
         streams.restore_generator(other, state)
         np.testing.assert_array_equal(source.normal(size=5), other.normal(size=5))
+
+
+class Hashes(unittest.TestCase):
+    def test_the_hash_of_any_content_is_xxh3(self):
+        draw = random.Random(2)
+        for length in [*range(1100), 2048, 2049, 3 * 1024 + 64, 3 * 1024 + 65, 100_000]:
+            data = draw.randbytes(length)
+            self.assertEqual(xxh3_64(data), xxhash.xxh3_64_intdigest(data), length)
+
+
+class CheckpointFiles(unittest.TestCase):
+    FACTS = {"format": 1, "role": "plant", "run": "0" * 16, "tick": 7, "sequence": 7}
+
+    def test_a_state_comes_back_and_any_safetensors_reader_reads_the_file(self):
+        for size in range(9):
+            state = bytes(range(1, size + 1))
+            content = encode(self.FACTS, state)
+            with tempfile.TemporaryDirectory() as folder:
+                file = Path(folder) / "7.plant.safetensors"
+                file.write_bytes(content)
+                self.assertEqual(decode(file), (self.FACTS, state))
+            self.assertEqual(safetensors.numpy.load(content)["python.length"], [size])
+
+    def test_every_changed_byte_is_found(self):
+        content = encode(self.FACTS, b"a state")
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "7.plant.safetensors"
+            for at in range(len(content)):
+                changed = bytearray(content)
+                changed[at] ^= 0x08
+                file.write_bytes(changed)
+                with self.assertRaises(Refused, msg=at) as caught:
+                    decode(file)
+                self.assertIn("7.plant.safetensors", str(caught.exception))
 
 
 class States(unittest.TestCase):

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::check::program;
 use super::error::{Violation, read_table};
-use super::{FilePosition, ScenarioError, ScenarioSource};
+use super::{FilePosition, ScenarioError, ScenarioSource, limits};
 use crate::programs::{CONTROLLER, is_shipped_controller};
 
 /// `[controller]`: the program that fills the controller's role.
@@ -21,11 +21,18 @@ pub struct ControllerConfig {
     /// Arguments for the program, before those that the launcher adds.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub args: Vec<String>,
+    /// Updates of the learner after each command (`Agent::improve`).
+    #[serde(skip_serializing_if = "is_one")]
+    pub updates: u32,
+}
+
+fn is_one(updates: &u32) -> bool {
+    *updates == 1
 }
 
 impl Default for ControllerConfig {
     fn default() -> Self {
-        Self { program: CONTROLLER.to_owned(), args: Vec::new() }
+        Self { program: CONTROLLER.to_owned(), args: Vec::new(), updates: 1 }
     }
 }
 
@@ -41,7 +48,11 @@ impl ControllerConfig {
 }
 
 pub(super) fn check(controller: &ControllerConfig) -> Result<(), Violation> {
-    program("controller", &controller.program, &controller.args)
+    program("controller", &controller.program, &controller.args)?;
+    if !limits::UPDATES.contains(&controller.updates) {
+        return Err(Violation::value("controller.updates", controller.updates, "give 1 to 1000 updates a tick"));
+    }
+    Ok(())
 }
 
 /// `[learner]` of a controller's program of your own. The program reads it and checks it by itself.

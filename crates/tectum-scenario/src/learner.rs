@@ -81,13 +81,17 @@ fn check_critic(table: &CriticConfig) -> Result<(), Violation> {
 
 fn check_model(table: &ModelConfig, signals: &PlantSignals) -> Result<(), Violation> {
     let key = |name: &str| format!("learner.model.{name}");
-    let (inputs, outputs) = (&signals.inputs, signals.outputs.len());
+    let inputs = &signals.inputs;
     if inputs.len() > limits::MODEL_INPUTS {
         let text = format!("is learned-reward, for which {} inputs are too many; it supports at most 10", inputs.len());
         return Err(Violation::new("learner.rule", text));
     }
-    if table.moved.is_empty() && inputs.len() < outputs {
-        let text = "is left out, and there are fewer inputs than outputs; name the inputs that the commands move";
+    if table.moved.is_empty() && signals.moved.is_empty() {
+        let names: Vec<_> = inputs.iter().map(|input| format!("{:?}", input.name)).collect();
+        let text = format!(
+            "is missing, and the plant does not say it; name the inputs that the commands move, of {}",
+            names.join(", ")
+        );
         return Err(Violation::new(key("moved"), text));
     }
     for (i, name) in table.moved.iter().enumerate() {

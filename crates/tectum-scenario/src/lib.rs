@@ -136,6 +136,7 @@ impl Plan {
     /// The specification from which the scenario's learner is built.
     pub fn learner_spec(&self) -> LearnerSpec {
         LearnerSpec {
+            moved: signals(&self.scenario).moved,
             inputs: self.inputs.clone(),
             outputs: self.outputs.len(),
             maps: self.maps.clone(),

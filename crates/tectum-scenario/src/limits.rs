@@ -115,6 +115,8 @@ pub const MEMORY: RangeInclusive<usize> = 1..=1_000_000;
 pub const LAST_COUNTS: RangeInclusive<f64> = 1.0..=1000.0;
 /// Size of the learned-reward rule's step, in units of a weight.
 pub const MODEL_STEP: RangeInclusive<f64> = 0.0..=1.0;
+/// Updates of a learner in a tick.
+pub const UPDATES: RangeInclusive<u32> = 1..=1000;
 /// Most inputs of a learned reward. The size of its covariance grows with the fourth power of their number.
 pub const MODEL_INPUTS: usize = 10;
 /// Most units along an input for a learned reward. The rule decorrelates the units along each input, and the

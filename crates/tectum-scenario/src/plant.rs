@@ -298,7 +298,9 @@ pub(super) fn signal_list(key: &str, signals: &[SignalConfig], max_len: usize) -
         return Err(Violation::new(key, text));
     }
     if signals.len() > max_len {
-        return Err(Violation::new(key, format_args!("has {} entries; give at most {max_len}", signals.len())));
+        let (count, first) = (signals.len(), quoted(&signals[max_len].name));
+        let text = format!("has {count} entries; give at most {max_len}: a sample has no room for {first}");
+        return Err(Violation::new(key, text));
     }
     for (i, signal) in signals.iter().enumerate() {
         signal_name(&format!("{key}[{i}].name"), &signal.name)?;

@@ -8,6 +8,8 @@ pub(super) struct PlantSignals {
     pub(super) inputs: Vec<SignalConfig>,
     pub(super) outputs: Vec<SignalConfig>,
     pub(super) measures: Vec<MeasureConfig>,
+    /// Names of the inputs that the commands move, where the plant says so.
+    pub(super) moved: Vec<String>,
 }
 
 /// The signals that the scenario lists. For a list that it leaves out, those of its body; without one the list is
@@ -19,13 +21,15 @@ pub(super) fn signals(scenario: &Scenario) -> PlantSignals {
         Some(body) => {
             let signals = body.signals();
             let outputs = (0..).zip(&signals.outputs).map(|(i, name)| output_signal(name, limit(i))).collect();
+            let unmoved = signals.inputs.len() - signals.moved;
             PlantSignals {
+                moved: signals.inputs[unmoved..].iter().map(|input| input.name.clone()).collect(),
                 inputs: signals.inputs,
                 outputs,
                 measures: signals.measures.into_iter().map(MeasureConfig::from).collect(),
             }
         }
-        None => PlantSignals { inputs: Vec::new(), outputs: Vec::new(), measures: Vec::new() },
+        None => PlantSignals { inputs: Vec::new(), outputs: Vec::new(), measures: Vec::new(), moved: Vec::new() },
     };
     if plant.servos.is_some() {
         defaults.measures.extend(["bus_read_us", "bus_write_us"].map(MeasureConfig::from));
@@ -33,8 +37,12 @@ pub(super) fn signals(scenario: &Scenario) -> PlantSignals {
     if plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model()) && defaults.measures.len() < MAX_MEASURES {
         defaults.measures.push("vision_age_ms".into());
     }
+    let inputs = if plant.inputs.is_empty() { defaults.inputs } else { plant.inputs.clone() };
+    // A list of other inputs says nothing about them.
+    defaults.moved.retain(|name| inputs.iter().any(|input| input.name == *name));
     PlantSignals {
-        inputs: if plant.inputs.is_empty() { defaults.inputs } else { plant.inputs.clone() },
+        inputs,
+        moved: defaults.moved,
         outputs: if plant.outputs.is_empty() { defaults.outputs } else { plant.outputs.clone() },
         measures: if plant.measures.is_empty() { defaults.measures } else { plant.measures.clone() },
     }

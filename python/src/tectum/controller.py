@@ -106,7 +106,8 @@ class Controller(ABC):
         learned. Returns whether something was learned; None stands for whatever may be."""
 
     def improve(self) -> None:
-        """The work for which no command waits. Called after the command has been sent, once a tick."""
+        """The work for which no command waits. Called after the command has been sent, once a tick, or as often as the
+        scenario's `[controller] updates` says."""
 
     def record(self) -> Sequence[float]:
         """The numbers of `columns`."""

@@ -14,7 +14,7 @@ from .facts import RunFacts
 from .layouts import MAX_COLUMNS, Command, Flag, Learning, Observation
 from .participant import program
 from .reports import Windows
-from .state import pack
+from .state import pack, unpack
 
 FIRST, CLAMPED, BLIND, NEW_TARGET = (int(flag) for flag in (Flag.FIRST, Flag.CLAMPED, Flag.BLIND, Flag.NEW_TARGET))
 LEARNED, TRACE_CUT, HASHED, INVALID = (int(flag) for flag in (Flag.LEARNED, Flag.TRACE_CUT, Flag.HASHED, Flag.INVALID))
@@ -31,6 +31,7 @@ class ControllerCore:
         self.learns, self.improves, self.keeps = (
             getattr(kind, name, None) not in (None, getattr(Controller, name)) for name in ("learn", "improve", "state")
         )
+        self.updates: int = run.settings.get("controller", {}).get("updates", 1)
         self.columns = [str(name) for name in getattr(body, "columns", ())]
         if len(self.columns) > MAX_COLUMNS:
             raise Refused(f"{self.author.name} has {len(self.columns)} columns; a learning record has room for 8")
@@ -44,6 +45,8 @@ class ControllerCore:
         counts = ("ticks", "unseen", "unheard", "stale", "learned", "cuts", "invalid", "checkpoints")
         self.report: dict[str, Any] = dict.fromkeys(counts, 0)
         self.windows, self.counts = Windows(run.ticks, run.error), Counts(run)
+        self.failure: str | None = None
+        """Why not all checkpoints were written."""
 
     def _refuse_what_cannot_be(self) -> None:
         faults = self.run.settings.get("faults", {}).get("channel", [])
@@ -79,10 +82,7 @@ class ControllerCore:
         command, m = self.command, len(self.run.outputs)
         command.header.flags = 0 if valid else INVALID
         if valid:
-            answer = self.call("act", tick, Percept(tick, inputs, self.age, header.flags))
-            drawn, mean = (answer.command, answer.mean) if isinstance(answer, Answer) else (answer, answer)
-            outputs = self.author.numbers("act", tick, "outputs", drawn, self.run.outputs)
-            means = outputs if mean is drawn else self.author.numbers("act", tick, "means", mean, self.run.outputs)
+            outputs, means = self.act(Percept(tick, inputs, self.age, header.flags))
         else:  # a plant in another language sent a number that is none
             outputs = means = [0.0] * m
             self.report["invalid"] += 1
@@ -90,6 +90,13 @@ class ControllerCore:
         command.mean[:m] = means
         self.asked, self.acted, self.answered = np.array(outputs, dtype=np.float32), valid, observation
         self.record(observation, flags)
+
+    def act(self, percept: Percept) -> tuple[list[float], list[float]]:
+        """Command and mean for a percept."""
+        answer, names, numbers = self.call("act", percept.tick, percept), self.run.outputs, self.author.numbers
+        drawn, mean = (answer.command, answer.mean) if isinstance(answer, Answer) else (answer, answer)
+        outputs = numbers("act", percept.tick, "outputs", drawn, names)
+        return outputs, outputs if mean is drawn else numbers("act", percept.tick, "means", mean, names)
 
     def learn(self, observation: Observation, inputs: np.ndarray, withheld: str | None) -> int:
         """Hands over what became of the last command. Returns the flags of the learning record."""
@@ -153,7 +160,7 @@ class ControllerCore:
 
     def after_command(self, observation: Observation) -> None:
         """The work for which the plant does not wait."""
-        if self.improves:
+        for _ in range(self.updates if self.improves else 0):
             self.call("improve", observation.header.tick)
         flags = observation.header.flags
         if not flags & FIRST:
@@ -162,6 +169,27 @@ class ControllerCore:
             self.windows.add(observation.header.tick - 1, observation.reward, measured, bool(flags & NEW_TARGET))
         self.report["ticks"] += 1
         self.count += 1
+
+    # --- a test of what was learned ----------------------------------------------------------------------------
+
+    def begin_test(self) -> None:
+        """Keeps the author's state: a test must not change it."""
+        self.kept = b"".join(self.packed_state(self.tick()))
+
+    def answer_test(self, observation: Observation) -> Command:
+        """The author's mean for an observation of a test. Nothing is learned or counted."""
+        header = observation.header
+        inputs = np.array(observation.inputs[: len(self.run.inputs)], dtype=np.float32)
+        _, means = self.act(Percept(header.tick, inputs, 0, header.flags))
+        command = Command()
+        command.header.tick = header.tick
+        command.drawn[: len(means)] = command.mean[: len(means)] = means
+        return command
+
+    def end_test(self) -> None:
+        """Continues from the state that was kept."""
+        if self.keeps:
+            self.call("restore", self.tick(), unpack(self.kept))
 
     # --- state and report --------------------------------------------------------------------------------------
 
@@ -195,7 +223,7 @@ class ControllerCore:
         nothing: dict[str, Any] = {name: [] for name in ("first_switch", "last_switch", "targets")}
         return self.report | nothing | {
             "diverged_at": None,
-            "checkpoint_failure": None,
+            "checkpoint_failure": self.failure,
             "tick_budget": budget,
             "weights_hash": hashed,
             "windows": self.windows.windows,

@@ -6,6 +6,7 @@ restores the state, repeats the ticks since then, and sends its last answer agai
 has it drops it. So no tick is learned twice, and none is lost.
 """
 
+import contextlib
 import ctypes
 import gc
 import sys
@@ -15,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from .checkpoint import Checkpoints
 from .controller_core import ControllerCore
 from .crash_store import CrashStore, Ring
 from .errors import Mistake, Refused, error_text
 from .layouts import Command, Learning, Observation, Role, State
-from .participant import Backoff, Participant, program
+from .participant import Backoff, Participant, TickLoop, program
 from .reports import Spread, write
 from .shared_memory import WakeWord
 from .state import pack, unpack
@@ -71,10 +73,12 @@ class ControllerPorts(Participant):
             self.returned(self.plant, Role.PLANT)
 
 
-class ControllerLoop(ControllerCore):
+class ControllerLoop(ControllerCore, TickLoop):
     """The loop of ticks around a controller."""
 
     run: JoinedRun
+    resumable = True
+    """Whether checkpoints are written."""
 
     def __init__(self, run: JoinedRun, body: Any, handle_signals: bool = True) -> None:
         super().__init__(run, body)
@@ -84,7 +88,12 @@ class ControllerLoop(ControllerCore):
         if self.columns:
             write(run.folder / "controller.columns.json", self.columns)
         self.spreads = {"answer": Spread(), "learner": Spread(), "slack": Spread()}
-        self.learner_ns = self.overruns = self.done = 0
+        self.learner_ns = self.overruns = 0
+        self.checkpoints = Checkpoints(run, "controller")
+
+    @property
+    def process(self) -> Participant:
+        return self.ports
 
     # --- what outlives the process -----------------------------------------------------------------------------
 
@@ -96,10 +105,12 @@ class ControllerLoop(ControllerCore):
         answer = ctypes.sizeof(Command) + ctypes.sizeof(Learning)
         self.answers = Ring(root / "controller.python.answers", entries, answer)
 
-    def keep(self) -> None:
-        """Keeps the whole state."""
+    def whole_state(self) -> list[bytes]:
+        """The whole state: what the package keeps, and the author's."""
         own = {
             "answered": bytes(self.answered) if self.answered is not None else None,
+            "command": bytes(self.command),
+            "learning": bytes(self.learning),
             "acted": self.acted,
             "age": self.age,
             "asked": self.asked,
@@ -110,23 +121,32 @@ class ControllerLoop(ControllerCore):
         }
         parts = pack(own)
         size = sum(len(part) for part in parts)
-        self.store.store(self.count, [size.to_bytes(8, "little"), *parts, *self.packed_state(self.tick())])
+        return [size.to_bytes(8, "little"), *parts, *self.packed_state(self.tick())]
 
-    def recall(self) -> None:
-        """Restores the newest state that was kept, and repeats the ticks since then."""
+    def restore_whole(self, count: int, data: bytes) -> None:
+        """Continues from a state that `whole_state` gave after `count` observations."""
+        self.count = count
+        size = int.from_bytes(data[:8], "little")
+        own = unpack(data[8 : 8 + size])
+        self.command = Command.from_buffer_copy(own["command"])
+        self.learning = Learning.from_buffer_copy(own["learning"])
+        self.asked, self.before, self.report = own["asked"], own["before"], own["report"]
+        self.acted, self.age = own["acted"], own["age"]
+        self.windows.restore(own["windows"])
+        self.counts.restore(own["counts"])
+        if own["answered"] is not None:
+            self.answered = Observation.from_buffer_copy(own["answered"])
+        if self.keeps:
+            self.call("restore", 0, unpack(data[8 + size :]))
+
+    def recall(self) -> bool:
+        """Restores the newest state that was kept, or else that with which the run resumes another one, and repeats the
+        ticks since then. Whether a process before this one has answered observations of this run."""
         record = self.store.newest()
-        if record is not None:
-            self.count, data = record
-            size = int.from_bytes(data[:8], "little")
-            own = unpack(data[8 : 8 + size])
-            self.asked, self.before, self.report = own["asked"], own["before"], own["report"]
-            self.acted, self.age = own["acted"], own["age"]
-            self.windows.restore(own["windows"])
-            self.counts.restore(own["counts"])
-            if own["answered"] is not None:
-                self.answered = Observation.from_buffer_copy(own["answered"])
-            if self.keeps:
-                self.call("restore", 0, unpack(data[8 + size :]))
+        begin = record or self.checkpoints.resumed()
+        if begin is not None:
+            self.restore_whole(*begin)
+        first = self.count
         differs = None
         while (entry := self.observed.entry(self.count)) is not None:
             observation, number = Observation.from_buffer_copy(entry), self.count
@@ -141,6 +161,7 @@ class ControllerLoop(ControllerCore):
         if differs is not None:
             text = "answered otherwise than before it was killed, so state() leaves something out"
             print(f"{program()}: warning: {self.author.name} {text} (first at tick {differs})", file=sys.stderr)
+        return record is not None or self.count > first
 
     def unstamped(self) -> bytes:
         """The command without what differs from start to start: instant and start number."""
@@ -150,25 +171,13 @@ class ControllerLoop(ControllerCore):
 
     # --- the loop ----------------------------------------------------------------------------------------------
 
-    def go(self) -> None:
-        """Takes part in the run, until it is over."""
-        try:
-            self.loop()
-        except Mistake:
-            # In lockstep, and in the first tick since the start, the next start would meet the same mistake.
-            if not self.run.real or self.done == 0:
-                self.finish()
-            raise
-        finally:
-            self.ports.fail()
-
     def loop(self) -> None:
         ports = self.ports
         self.open_journals()
-        self.recall()
+        returned = self.recall()
         ports.begin(ports.connected)
         gc.freeze()
-        if ports.incarnation and self.count:
+        if returned:
             self.send()
             self.learning_out()
             self.publish()
@@ -187,6 +196,8 @@ class ControllerLoop(ControllerCore):
         """Answers an observation, then does the work for which the plant does not wait."""
         number, real = self.count, self.run.real
         self.observed.append(number, [bytes(observation)])
+        # Read while the plant waits: it announces its next checkpoint together with the observation before it.
+        checkpoint = self.resumable and self.ports.plant.get().checkpoint == observation.header.tick + 2
         self.respond(observation)
         self.answers.append(number, [self.unstamped(), bytes(self.learning)])
         self.send()
@@ -195,7 +206,9 @@ class ControllerLoop(ControllerCore):
         improved = time.monotonic_ns()
         self.learning_out()
         if self.count % self.keep_every == 0:
-            self.keep()
+            self.store.store(self.count, self.whole_state())
+        if checkpoint:
+            self.checkpoints.write(observation.header.tick + 1, self.count, self.whole_state())
         if real:
             self.measure(observation.header.scheduled_ns, arrived, answered, improved)
         self.publish()
@@ -236,7 +249,13 @@ class ControllerLoop(ControllerCore):
         self.ports.publish_status()
 
     def finish(self) -> None:
-        """Leaves the run in good order: the report first."""
+        """Leaves the run in good order: the last checkpoint and the report first."""
+        if self.ports.status.state == State.FINISHED:
+            return
+        with contextlib.suppress(Mistake):  # the mistake for which the controller ends
+            end = self.tick() + 1 if self.answered is not None else self.checkpoints.begin
+            self.checkpoints.write(end, self.count, self.whole_state(), sync=not self.ports.stopping())
+        self.report["checkpoints"], self.failure = self.checkpoints.finish()
         self.write_report()
         self.ports.enter(State.FINISHED)
 

@@ -6,11 +6,12 @@ import os
 import signal
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from .errors import Ended, Refused, error_text
+from .errors import Ended, Mistake, Refused, error_text
 from .layouts import Phase, Role, State, Status
 from .reports import write
 from .transport import Board, JoinedRun
@@ -49,8 +50,6 @@ class Participant:
     def __init__(self, run: JoinedRun, role: Role, handle_signals: bool = True) -> None:
         self.run, self.role, self.name = run, role, role.name.lower()
         self.incarnation: int = run.control.get().incarnations[role]
-        if "resumed" in run.manifest:
-            raise Refused(f"a {self.name} in Python writes no checkpoints and cannot go on with another run")
         try:
             self.port, self.board = run.board_writer(role, self.incarnation)
         except Exception as cause:
@@ -175,3 +174,37 @@ class Participant:
         """Publishes that the process has failed, unless it has finished: nobody is to wait for it in vain."""
         if self.status.state != State.FINISHED:
             self.enter(State.FAILED)
+
+
+class TickLoop(ABC):
+    """The loop of ticks of a plant or a controller, as a process of a run."""
+
+    run: JoinedRun
+    done = 0
+    """Ticks since this process started."""
+
+    @property
+    @abstractmethod
+    def process(self) -> Participant:
+        """The process that it is."""
+
+    @abstractmethod
+    def loop(self) -> None:
+        """Goes through the ticks, and finishes."""
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Leaves the run in good order."""
+
+    def go(self) -> None:
+        """Takes part in the run, until it is over."""
+        try:
+            self.loop()
+        except Mistake:
+            # In lockstep, and in the first tick since the start, the next start would meet the same mistake: the process
+            # has finished its part of the run, and so is not started again.
+            if not self.run.real or self.done == 0:
+                self.finish()
+            raise
+        finally:
+            self.process.fail()

@@ -15,8 +15,8 @@ from .errors import Refused
 from .facts import RunFacts
 from .layouts import SCHEMA, Observation
 
-START, READY, OBSERVATION, COMMAND, LEARNING, REPORT, FAILED = range(1, 8)
-VERSION = 1
+START, READY, OBSERVATION, COMMAND, LEARNING, REPORT, FAILED, TEST, TESTED = range(1, 10)
+VERSION = 2
 
 
 class Pipe:
@@ -66,11 +66,19 @@ def answer_all(pipe: Pipe, make: Callable[[RunFacts], Any], arguments: Any) -> N
     run.arguments = arguments
     core = ControllerCore(run, make(run))
     pipe.write_json(READY, {"version": VERSION, "schema": SCHEMA, "columns": core.columns})
+    testing = False
     while (frame := pipe.read()) is not None:
         kind, data = frame
+        if kind == (TESTED if testing else TEST):
+            testing = not testing
+            core.begin_test() if testing else core.end_test()
+            continue
         if kind != OBSERVATION or len(data) != ctypes.sizeof(Observation):
             raise Refused(f"frame {kind} of {len(data)} bytes came where an observation was due")
         observation = Observation.from_buffer_copy(data)
+        if testing:
+            pipe.write(COMMAND, bytes(core.answer_test(observation)))
+            continue
         core.respond(observation)
         pipe.write(COMMAND, bytes(core.command))
         core.after_command(observation)

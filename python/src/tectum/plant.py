@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .checkpoint import Checkpoints
 from .checks import Author
 from .crash_store import CrashStore
-from .errors import Mistake, Refused, error_text
+from .errors import Refused, error_text
 from .gate import Gate
 from .layouts import CREDIT, LOG_BUFFER, Command, Flag, Observation, Role, State
-from .participant import Backoff, Participant, program
+from .participant import Backoff, Participant, TickLoop, program
 from .reports import Spread, write
 from .shared_memory import WakeWord
 from .state import pack, unpack
@@ -87,7 +88,7 @@ class PlantPorts(Participant):
         return self.out.connected_readers() >= 1 and writers >= 1
 
 
-class PlantLoop:
+class PlantLoop(TickLoop):
     """The loop of ticks."""
 
     def __init__(self, run: JoinedRun, body: Any) -> None:
@@ -108,6 +109,13 @@ class PlantLoop:
         self.answered = Spread()
         self.remembers = hasattr(body, "state") and hasattr(body, "restore")
         self.store: CrashStore | None = None
+        self.checkpoints = Checkpoints(run, "plant")
+        # Checkpoints that had been asked for when the last one was announced.
+        self.asked = run.control.get().checkpoints
+
+    @property
+    def process(self) -> Participant:
+        return self.participant
 
     def _refuse_what_cannot_be(self) -> None:
         """A plant that cannot do what the scenario asks for says so before it is ready."""
@@ -208,8 +216,11 @@ class PlantLoop:
 
     def remember(self, tick: int) -> None:
         """Keeps the whole state, with the observation that is about to be sent."""
-        if self.store is None:
-            return
+        if self.store is not None:
+            self.store.store(tick, self.whole_state(tick))
+
+    def whole_state(self, tick: int) -> list[bytes]:
+        """The whole state, with the last observation."""
         state = {
             "body": self.body_state(tick),
             "gate": self.gate.state(),
@@ -219,7 +230,7 @@ class PlantLoop:
             "observation": bytes(self.observation),
         }
         try:
-            self.store.store(tick, pack(state))
+            return pack(state)
         except Refused as cause:
             self.author.wrong("state", tick, str(cause))
 
@@ -235,9 +246,21 @@ class PlantLoop:
             return False
         self.store = CrashStore(Path(self.run.wire["root"]), "plant.python")
         record = self.store.newest()
-        if record is None:
-            return False
-        tick, state = record[0], unpack(record[1])
+        if record is not None:
+            self.restore_whole(*record)
+        return record is not None
+
+    def resume(self) -> bool:
+        """Restores the state with which the run goes on. False if it begins anew."""
+        resumed = self.checkpoints.resumed()
+        if resumed is not None:
+            self.participant.status.sent, data = resumed
+            self.restore_whole(self.checkpoints.begin, data)
+        return resumed is not None
+
+    def restore_whole(self, tick: int, data: bytes) -> None:
+        """Continues from a state that `whole_state` gave."""
+        state = unpack(data)
         try:
             self.body.restore(state["body"])
         except Exception as cause:
@@ -246,7 +269,18 @@ class PlantLoop:
         self.flags, self.report, self.expected = state["flags"], state["report"], state["expected"]
         ctypes.memmove(ctypes.addressof(self.observation), state["observation"], ctypes.sizeof(Observation))
         self.observation.header.incarnation = self.participant.incarnation
-        return True
+        self.observation.header.run = self.run.id
+
+    def checkpoint(self, tick: int) -> None:
+        """Writes the checkpoint that was announced for this tick, and announces the next one."""
+        status, every = self.participant.status, self.checkpoints.every
+        if self.remembers and status.checkpoint == tick + 1:
+            self.checkpoints.write(tick, status.sent, self.whole_state(tick))
+        # One tick ahead, before the observation is sent: the controller takes its own after its command.
+        asked = self.run.control.get().checkpoints
+        if asked != self.asked or (every > 0 and (tick + 1) % every == 0):
+            self.asked, status.checkpoint = asked, tick + 2
+            self.participant.publish_status()
 
     # --- the loop ----------------------------------------------------------------------------------------------
 
@@ -283,7 +317,8 @@ class PlantLoop:
         advanced to it."""
         participant, run = self.participant, self.run
         recalled = self.recall()
-        if participant.incarnation and not run.real and not recalled:
+        resumed = not recalled and self.resume()
+        if participant.incarnation and not run.real and not (recalled or resumed):
             text = f"{program()} died and remembers nothing: in lockstep it cannot come back"
             raise Refused(f"{text}; give {self.author.name} the methods state() and restore(state)")
         t0 = participant.begin(participant.connected)
@@ -298,24 +333,11 @@ class PlantLoop:
             # The body stood still while no process drove it: the ticks in between are missed.
             participant.status.sent = participant.before.sent
             return t0, participant.before.ticks + 1, False
-        return t0, 0, True
-
-    def go(self) -> None:
-        """Takes part in the run, until it is over."""
-        try:
-            self.loop()
-        except Mistake:
-            # In lockstep, and in the first tick since the start, the next start would meet the same mistake: the plant
-            # has finished its part of the run, and so is not started again.
-            if not self.run.real or self.done == 0:
-                self.finish()
-            raise
-        finally:
-            self.participant.fail()
+        return t0, self.checkpoints.begin, True
 
     def loop(self) -> None:
         participant, run, report = self.participant, self.run, self.report
-        self.done, self.spreads = 0, {"wake_up": Spread(), "observation_to_command": self.answered, "work": Spread()}
+        self.spreads = {"wake_up": Spread(), "observation_to_command": self.answered, "work": Spread()}
         t0, tick, advanced = self.start()
         report = self.report
         gc.freeze()
@@ -347,10 +369,13 @@ class PlantLoop:
                 break
             if not run.real and tick % CREDIT == 0 and not self.credit(tick):
                 break
+            self.checkpoint(tick)
             self.observe(tick, late, skipped)
             self.send(t0, tick, woken)
             tick, advanced, self.done = tick + 1, False, self.done + 1
         participant.heartbeat()
+        if self.remembers:
+            self.checkpoints.write(tick, participant.status.sent, self.whole_state(tick), not participant.stopping())
         self.finish()
         if given_up:
             raise Refused(given_up, 4)
@@ -381,7 +406,8 @@ class PlantLoop:
         """Leaves the run in good order: the report first."""
         if self.participant.status.state == State.FINISHED:
             return
-        report = self.report | {"checkpoint_failure": None}
+        self.report["checkpoints"], failure = self.checkpoints.finish()
+        report = self.report | {"checkpoint_failure": failure}
         report |= {name: spread.percentiles() if self.run.real else None for name, spread in self.spreads.items()}
         write(self.run.folder / "plant.json", report)
         self.participant.enter(State.FINISHED)

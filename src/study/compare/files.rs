@@ -91,7 +91,10 @@ fn curve(result: &ComparisonResult, condition: usize, learner: usize) -> Option<
         Some(CurvePoint { ticks: first.tick - from, low: min, middle: median, high: max })
     });
     // A learner's colour does not depend on the other learners in the comparison.
-    let colour = LEARNERS.iter().position(|&rule| name_of(rule) == learner.name).unwrap_or(LEARNERS.len());
+    let place = |name: &str| LEARNERS.iter().position(|&rule| name_of(rule) == name);
+    let own = result.learners.iter().filter(|other| place(&other.name).is_none());
+    let colour = place(&learner.name)
+        .unwrap_or_else(|| LEARNERS.len() + own.take_while(|other| other.name != learner.name).count());
     Some(LearnerCurve { name: learner.name.clone(), colour, points: points.collect() })
 }
 

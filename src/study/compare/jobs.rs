@@ -32,11 +32,14 @@ pub(super) fn run(
     let ticks = entries.iter().map(|entry| entry.plan.scenario.ticks * seeds.len() as u64).sum();
     let work = |job: &ComparisonJob, progress: &JobProgress| match *job {
         ComparisonJob::References(condition) => {
-            ReferenceScores::measure(&conditions[condition], starts, progress).map(JobResult::References)
+            Ok(ReferenceScores::measure(&conditions[condition], starts, progress).map(JobResult::References))
         }
-        ComparisonJob::Run(entry, seed) => run::run(&entries[entry], seed, conditions, progress).map(JobResult::Run),
+        ComparisonJob::Run(entry, seed) => {
+            let run = run::run(&entries[entry], seed, conditions, progress);
+            run.inspect_err(|_| progress.stop_all()).map(|run| run.map(JobResult::Run))
+        }
     };
-    let results = pool.run("compare", ticks, &jobs, work)?;
+    let results = pool.run("compare", ticks, &jobs, work)?.into_iter().collect::<Result<Vec<_>, StudyError>>()?;
 
     let mut references: Vec<Option<ReferenceScores>> = vec![None; conditions.len()];
     let mut runs: Vec<BTreeMap<u64, LearnerRun>> = vec![BTreeMap::new(); entries.len()];

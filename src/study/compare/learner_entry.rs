@@ -4,6 +4,7 @@ use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 
 use super::ArmChange;
+use crate::programs::is_simulator;
 use crate::scenario::{ArmConfig, FilePosition, LearnerConfig, Plan, Rule, Scenario, ScenarioError, merge};
 use crate::study::StudyError;
 use crate::text::thousands;
@@ -14,6 +15,9 @@ pub const LEARNERS: [Rule; 5] =
 
 /// Standard deviation of the exploration noise in a comparison: that of the paper, in units of the command.
 const PAPER_SIGMA: f64 = 0.003;
+
+/// Estimated time of a tick of a program at the other end of a pipe, with its share of the tests, ns.
+const PIPED_TICK_NS: u64 = 200_000;
 
 /// Which changes of the arm the learners meet.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,7 +33,7 @@ pub enum Changes {
 /// A learner with its scenario.
 #[derive(Debug, Clone)]
 pub(crate) struct LearnerEntry {
-    /// The rule's name, as in scenarios.
+    /// The rule's name, as in scenarios; of a scenario of one's own, that of the scenario.
     pub name: String,
     /// The scenario with seed 0.
     pub plan: Plan,
@@ -54,15 +58,29 @@ fn usual(rule: Rule) -> (u64, u64, u64) {
     }
 }
 
-/// The rule with this name.
+/// What can be compared.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ComparedLearner {
+    /// A rule of this package, with its preset.
+    Rule(Rule),
+    /// Controller, encoder, policy and learner of a scenario; a controller's program of one's own among them.
+    Scenario(Box<Scenario>),
+}
+
+/// The learner with this name: that of a rule, or the path of a scenario.
 ///
 /// # Errors
-/// [`StudyError::Asked`], with a list of the names.
-pub fn rule(name: &str) -> Result<Rule, StudyError> {
+/// [`StudyError::Asked`], with a list of the names; for a path, when there is no such scenario.
+pub fn learner(name: &str) -> Result<ComparedLearner, StudyError> {
+    if name.contains('/') || name.ends_with(".toml") {
+        return Ok(ComparedLearner::Scenario(Box::new(Scenario::find(name)?)));
+    }
     let source: serde::de::value::StrDeserializer<'_, serde::de::value::Error> = name.into_deserializer();
-    Rule::deserialize(source).map_err(|_| {
+    Rule::deserialize(source).map(ComparedLearner::Rule).map_err(|_| {
         let known = LEARNERS.map(name_of).join(", ");
-        StudyError::Asked(format!("there is no learner {name:?}; the learners are {known}"))
+        StudyError::Asked(format!(
+            "there is no learner {name:?}; the learners are {known}, and a scenario file (NAME.toml) is one of your own"
+        ))
     })
 }
 
@@ -71,25 +89,83 @@ pub(crate) fn name_of(rule: Rule) -> String {
     toml::Value::try_from(rule).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
+/// The built-in arm with seed 0: the arm that the reference controllers know, with no changes.
+fn arm() -> Result<Scenario, StudyError> {
+    let mut scenario = Scenario::built_in("arm")?;
+    scenario.name = "compare".to_owned();
+    scenario.seed = 0;
+    scenario.plant.arm = Some(ArmConfig::default());
+    Ok(scenario)
+}
+
 impl LearnerEntry {
-    /// The learner of `rule` with its preset. `settings` such as `learner.beta=0.5` replace those of the
-    /// preset. Without `ticks`, its runs have their usual length.
+    /// The entry of `learner`. `settings` such as `learner.beta=0.5` replace its own. Without `ticks`, its runs have
+    /// their usual length.
+    ///
+    /// # Errors
+    /// When a setting, a change or the length is invalid, or the scenario has another plant than the arm.
+    pub fn of(
+        learner: &ComparedLearner,
+        ticks: Option<u64>,
+        changes: &Changes,
+        settings: &[String],
+    ) -> Result<Self, StudyError> {
+        match learner {
+            ComparedLearner::Rule(rule) => Self::new(*rule, ticks, changes, settings),
+            ComparedLearner::Scenario(own) => Self::own(own, ticks, changes, settings),
+        }
+    }
+
+    /// The learner of `rule` with its preset.
     ///
     /// # Errors
     /// When a setting, a change or the length is invalid.
     pub fn new(rule: Rule, ticks: Option<u64>, changes: &Changes, settings: &[String]) -> Result<Self, StudyError> {
         let name = name_of(rule);
         let (usual_ticks, usual_block, estimated_tick_ns) = usual(rule);
-        let mut scenario = Scenario::built_in("arm")?;
-        scenario.name = "compare".to_owned();
-        scenario.seed = 0;
-        // The arm that the reference controllers know, with no other changes than those asked for.
-        scenario.plant.arm = Some(ArmConfig::default());
+        let mut scenario = arm()?;
         scenario.ticks = ticks.unwrap_or(usual_ticks);
         scenario.learner = LearnerConfig::preset(rule);
         // The paper's exploration noise: the rules that need many ticks were tuned with it.
         scenario.policy.sigma = PAPER_SIGMA;
-        let mut scenario = with_settings(scenario, settings, &name)?;
+        let scenario = with_settings(scenario, settings, &name)?;
+        let plan = |scenario: Scenario| scenario.plan().map_err(|error| without_line(error, &name));
+        Self::meeting(changes, usual_block, scenario, &name, plan, estimated_tick_ns)
+    }
+
+    /// The learner of a scenario: its controller, encoder, policy and learner, on the arm of all others.
+    fn own(own: &Scenario, ticks: Option<u64>, changes: &Changes, settings: &[String]) -> Result<Self, StudyError> {
+        // What is wrong with the file as it is has its line there.
+        own.clone().plan()?;
+        if own.plant.arm.is_none() || !is_simulator(&own.plant.program) {
+            let file = own.source.name();
+            return Err(StudyError::Asked(format!(
+                "{file} has another plant than the simulator's arm, on which learners are compared; \
+                 give a scenario with [plant.arm] and without plant.program"
+            )));
+        }
+        let mut scenario = arm()?;
+        scenario.ticks = ticks.unwrap_or(own.ticks);
+        scenario.controller = own.controller.clone();
+        (scenario.learner, scenario.own_learner) = (own.learner.clone(), own.own_learner.clone());
+        (scenario.encoder, scenario.policy) = (own.encoder.clone(), own.policy.clone());
+        scenario.restart.hang_s = own.restart.hang_s;
+        scenario.source = own.source.clone();
+        let estimated_tick_ns = if own.controller.is_shipped() { usual(own.learner.rule).2 } else { PIPED_TICK_NS };
+        let scenario = with_settings(scenario, settings, &own.name)?;
+        let block = scenario.ticks / 2;
+        Self::meeting(changes, block, scenario, &own.name, |s| Ok(s.plan()?), estimated_tick_ns)
+    }
+
+    /// The entry `name` of `scenario`, which meets `changes`; a usual one comes at `usual_block`.
+    fn meeting(
+        changes: &Changes,
+        usual_block: u64,
+        mut scenario: Scenario,
+        name: &str,
+        plan: impl FnOnce(Scenario) -> Result<Plan, StudyError>,
+        estimated_tick_ns: u64,
+    ) -> Result<Self, StudyError> {
         let ticks = scenario.ticks;
         let changes = match changes {
             Changes::None => Vec::new(),
@@ -97,16 +173,23 @@ impl LearnerEntry {
             Changes::Usual => vec![ArmChange::block(usual_block)],
             Changes::These(changes) => changes.clone(),
         };
-        check_order(&changes, ticks, &name)?;
+        check_order(&changes, ticks, name)?;
         if let Some(arm) = &mut scenario.plant.arm {
             changes.iter().for_each(|change| change.apply(arm));
         }
-        if !scenario.controller.is_shipped() {
-            let text = "a comparison knows the learners of this package only; take controller.program out of --set";
-            return Err(StudyError::Asked(text.to_owned()));
+        Ok(Self { name: name.to_owned(), plan: plan(scenario)?, changes, estimated_tick_ns })
+    }
+
+    /// The arm that this entry meets, with a learner that all comparisons know: what the tests are made for.
+    pub(super) fn test_plan(&self) -> Result<Plan, StudyError> {
+        let mut scenario = arm()?;
+        scenario.ticks = self.plan.scenario.ticks;
+        scenario.plant.arm.clone_from(&self.plan.scenario.plant.arm);
+        scenario.policy.sigma = PAPER_SIGMA;
+        if self.plan.scenario.controller.is_shipped() {
+            scenario.policy.clone_from(&self.plan.scenario.policy);
         }
-        let plan = scenario.plan().map_err(|error| without_line(error, &name))?;
-        Ok(Self { name, plan, changes, estimated_tick_ns })
+        Ok(scenario.plan()?)
     }
 
     /// The scenario with one seed.
@@ -158,7 +241,9 @@ fn with_settings(scenario: Scenario, settings: &[String], learner: &str) -> Resu
         merge(&mut table, setting);
     }
     let text = toml::to_string(&table).unwrap_or_default();
-    Scenario::parse(&text, "--set").map_err(|error| without_line(error, learner))
+    let read = Scenario::parse(&text, "--set").map_err(|error| without_line(error, learner))?;
+    // A program of one's own checks its `[learner]` when it starts; the file is what its user knows.
+    Ok(Scenario { source: scenario.source, ..read })
 }
 
 /// The scenario's error without its line number: the line is of a text that is in no file.
@@ -186,7 +271,7 @@ mod tests {
     fn every_learner_has_its_name_and_preset() {
         for rule_ in LEARNERS {
             let entry = LearnerEntry::new(rule_, None, &Changes::Usual, &[]).unwrap();
-            assert_eq!(rule(&entry.name).unwrap(), rule_);
+            assert_eq!(learner(&entry.name).unwrap(), ComparedLearner::Rule(rule_));
             assert_eq!(entry.plan.scenario.learner, LearnerConfig::preset(rule_));
             assert_eq!(entry.changes.len(), 1);
             let short = LearnerEntry::new(rule_, Some(1000), &Changes::Usual, &[]).unwrap();
@@ -194,9 +279,10 @@ mod tests {
             assert_eq!(short.plan.scenario.plant.arm, Some(ArmConfig::default()), "no changes unless asked for");
         }
         assert_eq!(
-            rule("papers").unwrap_err().to_string(),
+            learner("papers").unwrap_err().to_string(),
             "there is no learner \"papers\"; \
-             the learners are paper, baseline, actor-critic, natural-actor-critic, learned-reward"
+             the learners are paper, baseline, actor-critic, natural-actor-critic, learned-reward, \
+             and a scenario file (NAME.toml) is one of your own"
         );
     }
 
@@ -204,9 +290,9 @@ mod tests {
     fn settings_replace_those_of_the_preset() {
         let settings = ["learner.beta = 0.5".to_owned(), "learner.critic.step=0.1".to_owned()];
         let entry = LearnerEntry::new(Rule::ActorCritic, None, &Changes::None, &settings).unwrap();
-        let learner = &entry.plan.scenario.learner;
-        assert_eq!((learner.beta, learner.critic.as_ref().unwrap().step), (0.5, 0.1));
-        assert_eq!(learner.alpha_over_variance, LearnerConfig::preset(Rule::ActorCritic).alpha_over_variance);
+        let settings = &entry.plan.scenario.learner;
+        assert_eq!((settings.beta, settings.critic.as_ref().unwrap().step), (0.5, 0.1));
+        assert_eq!(settings.alpha_over_variance, LearnerConfig::preset(Rule::ActorCritic).alpha_over_variance);
     }
 
     #[test]

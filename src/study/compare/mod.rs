@@ -3,8 +3,8 @@
 //!
 //! Every learner runs with every seed, in one process without transport, on the built-in arm. At intervals
 //! the policy is tested without exploration noise on the [test set](crate::reference), which is the same for
-//! all learners; the loss in this test is the only measure of learning. The tick at which the level is
-//! reached, or a change is recovered from, is known to the interval between tests,
+//! all learners; the loss in this test is the only measure of learning. A controller's program of one's own is a
+//! child, and is tested over the same pipe (`subject.rs`). The tick at which the level is reached, or a change is recovered from, is known to the interval between tests,
 //! `test_interval` in `run.rs`. Everything except times is a function of learners and seeds.
 
 mod change;
@@ -14,14 +14,16 @@ mod learner_entry;
 mod outcome;
 mod references;
 mod run;
+mod subject;
 mod table;
 
 pub use change::{ArmChange, ArmChangeKind};
-pub use learner_entry::{Changes, LEARNERS, rule};
+pub use learner_entry::{Changes, ComparedLearner, LEARNERS, learner};
 pub(crate) use learner_entry::{LearnerEntry, name_of};
 use outcome::{DECADES, LearnerOutcome, SeedRow};
 use references::{Condition, ReferenceScores, ReferenceTable, conditions};
-use run::{LearnerRun, TickCost};
+use run::LearnerRun;
+use subject::TickCost;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -31,14 +33,13 @@ use serde::Serialize;
 use super::{StudyError, WorkerPool};
 use crate::clock::{machine_facts, monotonic_ns};
 use crate::reference::{LEVEL, TARGETS, TEST_SEED};
-use crate::scenario::Rule;
 use crate::supervise::RunFolder;
 
 /// What to compare.
 #[derive(Debug, Clone)]
 pub struct Comparison {
-    /// The rules, each once.
-    pub learners: Vec<Rule>,
+    /// The learners, each once.
+    pub learners: Vec<ComparedLearner>,
     /// First seed.
     pub first_seed: u64,
     /// Number of seeds.
@@ -108,7 +109,7 @@ pub fn compare(comparison: &Comparison) -> Result<ComparisonResult, StudyError> 
     let began = monotonic_ns();
     // All learners meet the same changes, but maybe at different ticks, and a short run may have none.
     let most_changes = entries.iter().max_by_key(|entry| entry.changes.len());
-    let conditions = most_changes.map_or_else(Vec::new, conditions);
+    let conditions = most_changes.map_or_else(|| Ok(Vec::new()), conditions)?;
     let seeds: Vec<u64> = (0..comparison.seeds).map(|i| comparison.first_seed.saturating_add(i)).collect();
     let (references, runs) = jobs::run(&pool, &entries, &seeds, &conditions, comparison.starts)?;
     let rows = rows(&entries, &seeds, &runs, &references);
@@ -145,16 +146,15 @@ fn entries(comparison: &Comparison) -> Result<Vec<LearnerEntry>, StudyError> {
             "--first-seed and --seeds go beyond the largest seed; give smaller ones".to_owned(),
         ));
     }
-    for (i, &rule) in learners.iter().enumerate() {
-        if learners[..i].contains(&rule) {
-            let name = name_of(rule);
-            return Err(StudyError::Asked(format!("--learners names {name} twice; name each learner once")));
+    let entry = |one| LearnerEntry::of(one, comparison.ticks, &comparison.changes, &comparison.settings);
+    let entries: Vec<LearnerEntry> = learners.iter().map(entry).collect::<Result<_, _>>()?;
+    for (i, LearnerEntry { name, .. }) in entries.iter().enumerate() {
+        if entries[..i].iter().any(|before| before.name == *name) {
+            let remedy = "name each learner once, and give each scenario a name of its own";
+            return Err(StudyError::Asked(format!("--learners names {name} twice; {remedy}")));
         }
     }
-    learners
-        .iter()
-        .map(|&rule| LearnerEntry::new(rule, comparison.ticks, &comparison.changes, &comparison.settings))
-        .collect()
+    Ok(entries)
 }
 
 /// One row per learner and seed.

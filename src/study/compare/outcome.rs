@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::run::{LearnerRun, TickCost};
+use super::run::LearnerRun;
+use super::subject::TickCost;
 use super::{LearnerEntry, ReferenceTable};
 use crate::reference::LEVEL;
-use crate::scenario::LearnerConfig;
+use crate::scenario::{LearnerConfig, Scenario};
 use crate::stats::Spread;
 
 /// The ticks at which losses are reported.
@@ -152,7 +153,26 @@ pub(super) struct LearnerOutcome {
     /// XXH3-64 of the weights at the end, hexadecimal, seed by seed.
     pub weights_hash: Vec<String>,
     /// The learner's settings.
-    pub settings: LearnerConfig,
+    pub settings: LearnerSettings,
+}
+
+/// `[learner]`, of a rule of this package or of a controller's program of one's own.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+pub(super) enum LearnerSettings {
+    /// Of a rule of this package.
+    Rule(Box<LearnerConfig>),
+    /// Of another program.
+    Own(toml::Table),
+}
+
+impl LearnerSettings {
+    fn of(scenario: &Scenario) -> Self {
+        match scenario.controller.is_shipped() {
+            true => Self::Rule(Box::new(scenario.learner.clone())),
+            false => Self::Own(scenario.own_learner.clone().unwrap_or_default()),
+        }
+    }
 }
 
 /// A change, and the recovery from it.
@@ -197,7 +217,7 @@ impl LearnerOutcome {
             diverged: rows.iter().filter(|r| r.diverged_at.is_some()).count(),
             diverged_at: rows.iter().map(|r| r.diverged_at).collect(),
             weights_hash: rows.iter().map(|r| r.weights_hash.clone()).collect(),
-            settings: entry.plan.scenario.learner.clone(),
+            settings: LearnerSettings::of(&entry.plan.scenario),
         }
     }
 }

@@ -6,7 +6,7 @@ use serde::{Serialize, Serializer};
 
 use super::{ArmChange, ArmChangeKind, LearnerEntry};
 use crate::reference::{FixedArm, Score, TestSet};
-use crate::study::JobProgress;
+use crate::study::{JobProgress, StudyError};
 
 /// The arm between two changes: its name and its test.
 pub(super) struct Condition {
@@ -15,8 +15,8 @@ pub(super) struct Condition {
 }
 
 /// The conditions in which a learner meets the arm: at the beginning, and after each change.
-pub(super) fn conditions(entry: &LearnerEntry) -> Vec<Condition> {
-    let plan = &entry.plan;
+pub(super) fn conditions(entry: &LearnerEntry) -> Result<Vec<Condition>, StudyError> {
+    let plan = &entry.test_plan()?;
     let period_s = plan.scenario.period_ms / 1000.0;
     let config = plan.scenario.plant.arm.clone().unwrap_or_default();
     let test = |tick| TestSet::new(plan, FixedArm::at(&config, period_s, tick));
@@ -26,7 +26,7 @@ pub(super) fn conditions(entry: &LearnerEntry) -> Vec<Condition> {
     };
     let first = Condition { name: "unblocked".to_owned(), test: test(0) };
     let changed = |change: &ArmChange| Condition { name: name(change), test: test(change.tick) };
-    std::iter::once(first).chain(entry.changes.iter().map(changed)).collect()
+    Ok(std::iter::once(first).chain(entry.changes.iter().map(changed)).collect())
 }
 
 /// The scores of the reference controllers in all conditions. In JSON, an object by controller, then by

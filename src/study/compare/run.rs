@@ -1,11 +1,10 @@
 //! The run of one learner with one seed: its noiseless tests, and the cost of its ticks.
 
-use std::time::Instant;
-
+use super::subject::{ClockCost, Subject, TickCost};
 use super::{Condition, LearnerEntry};
 use crate::reference::Score;
-use crate::runtime::{Controller, PlantSide};
-use crate::study::JobProgress;
+use crate::runtime::{PipeError, PlantSide};
+use crate::study::{JobProgress, StudyError};
 use crate::wire::{Command, Observation};
 
 /// One test of the policy.
@@ -17,15 +16,6 @@ pub(super) struct PolicyTest {
     pub condition: usize,
     /// The result.
     pub score: Score,
-}
-
-/// The cost of one tick, ns.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct TickCost {
-    /// From the observation to the command: learning, encoding, drawing.
-    pub before: f64,
-    /// After the command was sent.
-    pub after: f64,
 }
 
 /// The result of a run.
@@ -58,38 +48,49 @@ pub(super) fn test_interval(since: u64) -> u64 {
 
 /// Runs `entry` with `seed` and tests it in the current one of `conditions`. `None` if the study has to stop
 /// before the run ends.
+///
+/// # Errors
+/// When the controller's program fails.
 pub(super) fn run(
     entry: &LearnerEntry,
     seed: u64,
     conditions: &[Condition],
     progress: &JobProgress,
-) -> Option<LearnerRun> {
+) -> Result<Option<LearnerRun>, StudyError> {
+    match run_subject(entry, seed, conditions, progress) {
+        // The pool says it of the whole study.
+        Err(PipeError::Interrupted { .. }) => Ok(None),
+        other => other.map_err(|error| StudyError::Controller { name: entry.name.clone(), seed, error }),
+    }
+}
+
+fn run_subject(
+    entry: &LearnerEntry,
+    seed: u64,
+    conditions: &[Condition],
+    progress: &JobProgress,
+) -> Result<Option<LearnerRun>, PipeError> {
     let plan = entry.plan(seed);
-    let mut side = PlantSide::new(plan.simulated_plant()?, &plan);
-    let mut controller = Controller::new(&plan);
+    let Some(plant) = plan.simulated_plant() else { return Ok(None) };
+    let (mut side, mut subject) = (PlantSide::new(plant, &plan), Subject::new(&plan, progress)?);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let ticks = plan.scenario.ticks;
     let stride = (ticks / TIMES).max(TIMED);
-    let clock_ns = clock_read_ns();
+    let clock = ClockCost::measure();
     let (mut tests, mut costs) = (Vec::new(), Vec::new());
     let (mut condition, mut next) = (0, test_interval(0));
     for tick in 0..ticks {
         side.observe(tick, 0, 0, &mut observation);
-        if tick % stride < TIMED {
-            costs.push(timed_tick(&mut controller, &observation, &mut command, clock_ns));
-        } else {
-            controller.respond(&observation, &mut command);
-            controller.after_command(&observation);
-        }
+        costs.extend(subject.tick(&observation, &mut command, (tick % stride < TIMED).then_some(clock))?);
         side.step(tick, Some(&command));
 
         let done = tick + 1;
         if done.is_multiple_of(REPORT) && !progress.report(REPORT) {
-            return None;
+            return Ok(None);
         }
         let change = entry.changes.get(condition).map(|change| change.tick);
         if done == next || done == ticks || change == Some(done) {
-            let score = conditions[condition].test.score(controller.policy());
+            let Some(score) = subject.test(&conditions[condition], done, progress)? else { return Ok(None) };
             tests.push(PolicyTest { tick: done, condition, score });
             if change == Some(done) {
                 condition += 1;
@@ -99,36 +100,10 @@ pub(super) fn run(
         }
     }
     if !progress.report(ticks % REPORT) {
-        return None;
+        return Ok(None);
     }
-    let report = controller.finish();
-    Some(LearnerRun { tests, costs, diverged_at: report.diverged_at, weights_hash: report.weights_hash })
-}
-
-/// One tick of the controller, timed. Reading the clock takes `clock_ns`, which is not counted.
-fn timed_tick(
-    controller: &mut Controller,
-    observation: &Observation,
-    command: &mut Command,
-    clock_ns: f64,
-) -> TickCost {
-    let began = Instant::now();
-    controller.respond(observation, command);
-    let answered = Instant::now();
-    controller.after_command(observation);
-    let ended = Instant::now();
-    let ns = |from: Instant, to: Instant| ((to - from).as_nanos() as f64 - clock_ns).max(0.0);
-    TickCost { before: ns(began, answered), after: ns(answered, ended) }
-}
-
-/// The cost of reading the clock, ns.
-fn clock_read_ns() -> f64 {
-    const READS: u32 = 10_000;
-    let began = Instant::now();
-    for _ in 0..READS {
-        std::hint::black_box(Instant::now());
-    }
-    began.elapsed().as_nanos() as f64 / f64::from(READS)
+    let report = subject.finish()?;
+    Ok(Some(LearnerRun { tests, costs, diverged_at: report.diverged_at, weights_hash: report.weights_hash }))
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! The saccades (paper section 4.1, figure 2): a linear and a log-polar retina, each with scalar and
 //! topographic inputs.
 
+use std::f64::consts::PI;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -115,11 +116,16 @@ fn change(scenario: &mut Scenario, retina: Retina, scalar: bool) {
         encoder.scalars = names.map(str::to_owned).to_vec();
         scenario.learner.alpha_over_variance *= SCALAR_STEPS[usize::from(retina == Retina::LogPolar)];
     } else {
+        // Up to the retina's edge.
+        let ranges = match retina {
+            Retina::Linear => vec![[-1.0, 1.0]; 2],
+            Retina::LogPolar => vec![[0.0, 1.0], [-PI, PI]],
+        };
         let map = |pair: &[&str]| MapConfig {
             inputs: pair.iter().map(|&name| name.to_owned()).collect(),
             units: vec![16, 16],
             radius: PerAxis::All(0.5),
-            ranges: Vec::new(),
+            ranges: ranges.clone(),
         };
         encoder.maps = names.chunks(2).map(map).collect();
     }

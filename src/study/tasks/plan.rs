@@ -55,7 +55,7 @@ impl TaskPlan {
             Candidate::Reference(_) => Ok(()),
             Candidate::Learner(rule) => {
                 let mut scenario = self.plan.scenario.clone();
-                scenario.learner = LearnerConfig::preset(*rule);
+                scenario.learner = preset(*rule, &self.task.body);
                 let name = format!("{}, {}", self.task.name, candidate.name());
                 scenario.plan().map(drop).map_err(|error| without_line(error, &name))
             }
@@ -65,7 +65,7 @@ impl TaskPlan {
     /// The plan of a run with a rule's preset; its plan is valid, as [`check`](Self::check) found.
     pub fn of_run(&self, rule: Rule, seed: u64) -> Option<Plan> {
         let mut scenario = self.plan.scenario.clone();
-        scenario.learner = LearnerConfig::preset(rule);
+        scenario.learner = preset(rule, &self.task.body);
         scenario.seed = seed;
         scenario.plan().ok()
     }
@@ -94,6 +94,23 @@ impl TaskPlan {
     pub fn test_begins(&self, changed: bool) -> u64 {
         if changed { self.task.change.unwrap_or(0) } else { 0 }
     }
+}
+
+/// A rule's preset for a plant. `learned-reward` is told what the commands move within a tick, unless the plant says so
+/// itself.
+fn preset(rule: Rule, body: &BodyConfig) -> LearnerConfig {
+    let mut learner = LearnerConfig::preset(rule);
+    let moved: &[&str] = match body {
+        BodyConfig::Pendulum(_) | BodyConfig::CartPole(_) => &["omega"],
+        BodyConfig::Reacher(_) => &["from_target_x", "from_target_y"],
+        BodyConfig::Furuta(_) => &["alpha_rate"],
+        BodyConfig::PointMass(_) => &["v_x", "v_y"],
+        BodyConfig::Arm(_) | BodyConfig::Eye(_) | BodyConfig::So101(_) => &[],
+    };
+    if rule == Rule::LearnedReward {
+        learner.model.get_or_insert_default().moved = moved.iter().map(|&name| name.to_owned()).collect();
+    }
+    learner
 }
 
 /// The scenario of a task.

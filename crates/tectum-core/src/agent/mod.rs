@@ -41,12 +41,13 @@ pub struct Percept<'a> {
     pub flags: u32,
 }
 
-/// The answer to a percept, filled in by the agent. Both lists have an entry for each output, and begin as zeros.
+/// The answer to a percept, filled in by the agent. Both lists have an entry for each output.
 #[derive(Debug)]
 pub struct Answer<'a> {
-    /// The command. A number that is not finite makes the whole command zero.
+    /// The command. It begins as zeros. A number that is not finite makes the whole command zero.
     pub command: &'a mut [f32],
-    /// The command without exploration noise, for the log.
+    /// The command without exploration noise, for the log and for tests of what was learned. It begins as NaN: an agent
+    /// that leaves it so says that nothing of the command is exploration.
     pub mean: &'a mut [f32],
 }
 

@@ -101,7 +101,8 @@ pub struct ModelConfig {
     /// Least standard deviation of the difference between reward and model that is assumed. A greater one is
     /// learned.
     pub reward_noise: f64,
-    /// Names of the inputs that the commands move; if omitted, the last inputs, one per output.
+    /// Names of the inputs that the commands move. A plant with joint angles (arm, SO-101) says it by itself; of any
+    /// other plant the scenario must say it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub moved: Vec<String>,
     /// Number of ticks before the policy is first improved.

@@ -45,6 +45,8 @@ use crate::state::{Persist, StateVisitor};
 pub struct LearnerSpec {
     /// The inputs, in order; at most [`MAX_INPUTS`](crate::MAX_INPUTS).
     pub inputs: Vec<SignalConfig>,
+    /// Names of the inputs that the commands move, as far as the plant says it.
+    pub moved: Vec<String>,
     /// The number of outputs; at most [`MAX_OUTPUTS`](crate::MAX_OUTPUTS).
     pub outputs: usize,
     /// The maps of the policy's encoder.

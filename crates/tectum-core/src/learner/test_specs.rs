@@ -22,6 +22,7 @@ pub(crate) fn arm() -> LearnerSpec {
     let mut maps = vec![Map::Plane(axis(0, 1.0), axis(1, 1.0))];
     maps.extend((2..6).map(|input| Map::Line(axis(input, PI))));
     LearnerSpec {
+        moved: (1..=4).map(|joint| format!("theta_{joint}")).collect(),
         inputs,
         outputs: 4,
         maps,

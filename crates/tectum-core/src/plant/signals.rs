@@ -12,6 +12,8 @@ pub struct BodySignals {
     pub inputs: Vec<SignalConfig>,
     /// So many of them, the first ones, come from a camera.
     pub seen: usize,
+    /// So many of them, the last ones, are what the commands move: the joint angles. 0 where the plant does not say.
+    pub moved: usize,
     /// Names of the outputs. A command of 1 is the unit of each.
     pub outputs: Vec<String>,
     /// Names of the measures.
@@ -76,27 +78,34 @@ fn of_arm(arm: &ArmConfig) -> BodySignals {
         inputs.extend(joints.clone().map(|joint| signal(&format!("theta_{joint}"), "rad", range(joint))));
     }
     let quantity = if arm.open_loop { "angle" } else { "rate" };
+    let moved = if arm.open_loop { 0 } else { arm.lengths.len() };
     let outputs: Vec<_> = joints.map(|joint| format!("{quantity}_{joint}")).collect();
     let mut measures = ["error", "end_x", "end_y"].map(String::from).to_vec();
     if arm.reward.collision > 0.0 {
         measures.push("crossings".to_owned());
     }
-    BodySignals { inputs, seen: 2, outputs, measures }
+    BodySignals { inputs, seen: 2, moved, outputs, measures }
 }
 
+/// Standard deviations beyond which a target of the eye does not appear in any run.
+const FARTHEST: f64 = 8.0;
+
+/// Targets are drawn from a normal distribution, and are seen beyond the retina's edge, which is at 1.
 fn of_eye(eye: &EyeConfig) -> BodySignals {
+    let far = FARTHEST * eye.spread;
+    let eccentric = libm::log1p(eye.distortion * far) / libm::log1p(eye.distortion);
     let inputs = match eye.retina {
         Retina::Linear => vec![
-            signal("position_x", "1", [-1.0, 1.0]),
-            signal("position_y", "1", [-1.0, 1.0]),
-            signal("velocity_x", "1/s", [-1.0, 1.0]),
-            signal("velocity_y", "1/s", [-1.0, 1.0]),
+            signal("position_x", "1", [-far, far]),
+            signal("position_y", "1", [-far, far]),
+            signal("velocity_x", "1/s", [-far, far]),
+            signal("velocity_y", "1/s", [-far, far]),
         ],
         // The radius of a velocity is a logarithm and therefore has no unit.
         Retina::LogPolar => vec![
-            signal("position_rho", "1", [0.0, 1.0]),
+            signal("position_rho", "1", [0.0, eccentric]),
             signal("position_phi", "rad", [-PI, PI]),
-            signal("velocity_rho", "1", [0.0, 1.0]),
+            signal("velocity_rho", "1", [0.0, eccentric]),
             signal("velocity_phi", "rad", [-PI, PI]),
         ],
     };
@@ -135,12 +144,13 @@ fn of_so101() -> BodySignals {
     let reach = [-so101::REACH, so101::REACH];
     let mut inputs: Vec<_> = ["target_x", "target_y", "target_z"].map(|name| signal(name, "m", reach)).into();
     inputs.extend(so101::NAMES.iter().zip(so101::LIMITS).map(|(name, limits)| signal(name, "rad", limits)));
-    signals(3, inputs, &so101::NAMES, &["error", "end_x", "end_y", "end_z"])
+    let moved = so101::NAMES.len();
+    BodySignals { moved, ..signals(3, inputs, &so101::NAMES, &["error", "end_x", "end_y", "end_z"]) }
 }
 
 fn signals(seen: usize, inputs: Vec<SignalConfig>, outputs: &[&str], measures: &[&str]) -> BodySignals {
     let owned = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
-    BodySignals { inputs, seen, outputs: owned(outputs), measures: owned(measures) }
+    BodySignals { inputs, seen, moved: 0, outputs: owned(outputs), measures: owned(measures) }
 }
 
 fn signal(name: &str, unit: &str, [min, max]: [f64; 2]) -> SignalConfig {

@@ -141,6 +141,8 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.loop, self.last, self.begun = ControllerLoop(self.run, Asked(), handle_signals=False), None, False
         # With 0 the launcher does not wait for this program to end, or end it: it goes on after the run.
         self.loop.ports.status.pid = 0
+        # Whoever gives the actions keeps no state here with which another run could continue.
+        self.loop.resumable = False
         ranges = np.array(self.run.input_ranges, dtype=np.float32), np.array(self.run.output_ranges, dtype=np.float32)
         self.observation_space, self.action_space = (spaces.Box(r[:, 0], r[:, 1], dtype=np.float32) for r in ranges)
         self.ranges = ranges[0].T

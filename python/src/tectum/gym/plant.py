@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import Refused
 from ..plant import Outcome, Plant
-from ..streams import xxh3_64
+from ..xxh3 import xxh3_64
 from ..transport import JoinedRun
 from .spaces import flat, make, signals
 

@@ -109,9 +109,8 @@ impl LearnedReward {
     pub fn of(spec: &LearnerSpec, encoder: &Encoder) -> Self {
         let config = spec.learner.model.clone().unwrap_or_default();
         let (count, outputs) = (spec.inputs.len(), spec.outputs);
-        let moves = |i: usize| {
-            if config.moved.is_empty() { i + outputs >= count } else { config.moved.contains(&spec.inputs[i].name) }
-        };
+        let moved = if config.moved.is_empty() { &spec.moved } else { &config.moved };
+        let moves = |i: usize| moved.contains(&spec.inputs[i].name);
         let mut inputs: Vec<_> = (0..count).filter(|&i| !moves(i)).collect();
         let fixed = inputs.len();
         inputs.extend((0..count).filter(|&i| moves(i)));
