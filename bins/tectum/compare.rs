@@ -30,7 +30,7 @@ Examples:
                                                        try a setting, on seeds to tune on")]
 pub struct Arguments {
     /// Learners to compare, separated by commas: paper, baseline, actor-critic, natural-actor-critic,
-    /// learned-reward [default: all]
+    /// learned-reward, model-predictive [default: all]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     learners: Vec<String>,
     /// Number of seeds

@@ -2,7 +2,6 @@
 
 use super::damped_least_squares::{DampingSettings, TUNED};
 use super::*;
-use crate::encoder::Encoder;
 use crate::scenario::{ArmConfig, BlockConfig, MirrorAxis, MirrorConfig, Scenario, ShortenConfig};
 
 fn test_set(config: &ArmConfig) -> TestSet {
@@ -46,9 +45,7 @@ fn published_optima_level_and_targets() {
 #[test]
 fn a_policy_with_zero_weights_scores_as_zero_commands() {
     let set = test_set(&ArmConfig::default());
-    let encoder = Encoder::new(&set.plan.maps, true);
-    let policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
-    assert_eq!(set.score(&policy), set.zero());
+    assert_eq!(set.score_agent(&set.plan.agent()), set.zero());
 }
 
 #[test]

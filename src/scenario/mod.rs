@@ -59,6 +59,7 @@ pub use source::ScenarioSource;
 pub use tectum_core::SignalConfig;
 pub use tectum_core::learner::{
     BaselineConfig, CriticConfig, CriticFeatures, LearnerConfig, ModelBasis, ModelConfig, Rule,
+    model_predictive::ModelPredictiveConfig,
 };
 pub use tectum_core::plant::{
     Angles, ArmConfig, ArmRewardConfig, BlockConfig, CartPoleConfig, EyeConfig, FurutaConfig, MirrorAxis, MirrorConfig,
@@ -72,7 +73,7 @@ use std::{fs::File, io::Read, path::Path};
 
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::agent::LinearAgent;
+use crate::agent::ShippedAgent;
 use crate::encoder::{Axis, Encoder, Map};
 use crate::learner::LearnerSpec;
 use crate::plant::SimulatedPlant;
@@ -148,9 +149,9 @@ impl Plan {
         LearnerTable::new(scenario.own_learner.as_ref().unwrap_or(&EMPTY), &scenario.source)
     }
 
-    /// The agent of the scenario's learning rule, with weights 0.
-    pub fn linear_agent(&self) -> LinearAgent {
-        LinearAgent::new(&self.learner_spec(), self.encoder(), self.scenario.policy.noise)
+    /// The agent of the scenario's learner, which knows nothing yet.
+    pub fn agent(&self) -> ShippedAgent {
+        ShippedAgent::of(&self.learner_spec(), || self.encoder(), self.scenario.policy.noise)
     }
 
     /// The scenario's simulated plant, or `None` when the plant is another program.
@@ -293,7 +294,7 @@ impl Scenario {
     /// leaves out. The default range of a map is that of its input.
     fn resolved(&self) -> Self {
         let mut scenario = self.clone();
-        scenario.learner = scenario.learner.resolved();
+        scenario.learner = scenario.learner.resolved().within(scenario.period_ms);
         let inputs = signals(self).inputs;
         for map in &mut scenario.encoder.maps {
             if map.units.is_empty() {

@@ -72,7 +72,7 @@ pub(super) fn run(
     let stride = (ticks / TIMES).max(TIMED);
     let clock_ns = clock_read_ns();
     let (mut tests, mut costs) = (Vec::new(), Vec::new());
-    let (mut condition, mut next) = (0, test_interval(0));
+    let (mut condition, mut next) = (0, entry.test_stride * test_interval(0));
     for tick in 0..ticks {
         side.observe(tick, 0, 0, &mut observation);
         if tick % stride < TIMED {
@@ -89,13 +89,13 @@ pub(super) fn run(
         }
         let change = entry.changes.get(condition).map(|change| change.tick);
         if done == next || done == ticks || change == Some(done) {
-            let score = conditions[condition].test.score(controller.policy());
+            let score = conditions[condition].test.score_agent(controller.agent());
             tests.push(PolicyTest { tick: done, condition, score });
             if change == Some(done) {
                 condition += 1;
             }
             let since = done - if condition == 0 { 0 } else { entry.changes[condition - 1].tick };
-            next = done + test_interval(since);
+            next = done + entry.test_stride * test_interval(since);
         }
     }
     if !progress.report(ticks % REPORT) {
