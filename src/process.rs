@@ -20,7 +20,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory as _, FromArgMatches as _, Parser};
 use serde::Serialize;
 
-use crate::agent::{Agent, LinearAgent};
+use crate::agent::{Agent, ShippedAgent};
 use crate::runtime::{Participant, RuntimeError, run_controller, serve_controller};
 use crate::scenario::{Plan, ScenarioError};
 use crate::wire::Role;
@@ -166,14 +166,14 @@ fn build_agent(plan: &Plan, agents: &[(&str, AgentBuilder)]) -> Result<Box<dyn A
     }
 }
 
-/// The agent of the learning rule that the scenario of `plan` names: that of `tectum-controller`.
+/// The agent of the learner that the scenario of `plan` names: that of `tectum-controller`.
 ///
 /// # Errors
 ///
 /// When the scenario names another controller's program.
-pub fn shipped_agent(plan: &Plan) -> Result<LinearAgent, ScenarioError> {
+pub fn shipped_agent(plan: &Plan) -> Result<ShippedAgent, ScenarioError> {
     if plan.scenario.controller.is_shipped() {
-        return Ok(plan.linear_agent());
+        return Ok(plan.agent());
     }
     let (other, this) = (&plan.scenario.controller.program, program());
     let problem = format!("is {other:?}, and this is {this}; start that program in its place");

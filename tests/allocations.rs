@@ -21,7 +21,10 @@ struct ControlLoop {
 
 impl ControlLoop {
     fn new(name: &str) -> Self {
-        let mut scenario = Scenario::find(name).unwrap();
+        Self::of(Scenario::find(name).unwrap())
+    }
+
+    fn of(mut scenario: Scenario) -> Self {
         // Short windows, so that the report closes many of them.
         scenario.ticks = 10_000;
         let plan = scenario.plan().unwrap();
@@ -64,6 +67,23 @@ fn a_tick_allocates_nothing() {
         let mut control_loop = ControlLoop::new(name);
         let before = allocations();
         for tick in 0..ticks {
+            control_loop.tick(tick);
+        }
+        assert_eq!(allocations() - before, 0, "{name}");
+    }
+}
+
+/// The planner from its first tick on: refits, plans and rivals take memory that they have.
+#[test]
+fn a_planners_tick_allocates_nothing() {
+    for name in ["pendulum", "arm"] {
+        let mut scenario = Scenario::find(name).unwrap();
+        let learner = "rule = \"model-predictive\"\n[plan]\nhorizon = 6\nmemory = 200\npoints = 30\n\
+            reward_features = 100\ndynamics_features = 100\nrival_iterations = 1\nrefit_operations = 2.0";
+        scenario.learner = toml::from_str(learner).unwrap();
+        let mut control_loop = ControlLoop::of(scenario);
+        let before = allocations();
+        for tick in 0..260 {
             control_loop.tick(tick);
         }
         assert_eq!(allocations() - before, 0, "{name}");

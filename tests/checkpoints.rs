@@ -6,7 +6,7 @@ mod support;
 use std::fs;
 use std::path::Path;
 
-use support::{TECTUM, TestFolder, append, read_json, signal_process};
+use support::{TECTUM, TestFolder, append, planner_scenario, read_json, signal_process};
 use tectum::log::{LogReader, LogRecord};
 
 /// The names of the checkpoint files, in the order of their ticks.
@@ -38,6 +38,31 @@ fn samples(log: &Path) -> Vec<LogRecord> {
 
 fn tick(record: &LogRecord) -> u64 {
     record.header().unwrap().tick
+}
+
+/// A planner goes on from its checkpoint as if it had never stopped.
+#[test]
+fn a_resumed_planner_equals_an_uninterrupted_one() {
+    let test_folder = TestFolder::new();
+    let file = planner_scenario(&test_folder, "cart-pole", "");
+    let run = |arguments: &[&str]| test_folder.start(TECTUM, &[&["run"], arguments].concat());
+    run(&[&file, "--ticks", "400", "--out", "whole"]).wait().expect(0);
+    let log = test_folder.log_path();
+    let mut first = test_folder.run(&[&file, "--ticks", "400", "--checkpoint-every", "50"]);
+    first.wait_until("a grown log", || fs::metadata(&log).is_ok_and(|m| m.len() > 80_000));
+    first.signal("INT");
+    first.wait().expect(130);
+    let second = run(&["--resume", "run", "--out", "second", "--json"]).wait().expect(0).json();
+    let from = second["resumed_at"].as_u64().unwrap();
+    assert!(from > 0 && from < 400, "{second}");
+    let whole = read_json(test_folder.path().join("whole/summary.json"));
+    for key in ["weights_hash", "learner", "last"] {
+        assert_eq!(second[key], whole[key], "{key}");
+    }
+    let mut parts = samples(&log);
+    parts.retain(|record| tick(record) < from);
+    parts.extend(samples(&test_folder.path().join("second/log.mcap")));
+    assert!(parts == samples(&test_folder.path().join("whole/log.mcap")));
 }
 
 /// Plant, learner and log of the two parts together equal those of one run.

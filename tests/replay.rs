@@ -9,7 +9,7 @@ use std::time::Duration;
 use rand::{Rng as _, RngExt as _};
 use serde_json::Value;
 use support::bytes::{LoggedMessage, messages};
-use support::{TestFolder, read_json, stop_process_for};
+use support::{TestFolder, planner_scenario, read_json, stop_process_for};
 use tectum::log::LogRecord;
 use tectum::seed::stream;
 use tectum::study::replay::{ReplayError, ReplayResult, replay};
@@ -48,6 +48,27 @@ fn lockstep_logs_of_all_kinds_replay() {
         let summary = read_json(test_folder.run_folder().join("summary.json"));
         assert_eq!(done["weights_hash"], summary["weights_hash"], "{scenario}");
     }
+}
+
+/// A planner's log replays too, columns and hashes of its whole state included; the test set tests what it learned.
+#[test]
+fn a_planners_log_replays() {
+    let test_folder = TestFolder::new();
+    let scenario = planner_scenario(&test_folder, "pendulum", "");
+    test_folder.run(&[&scenario, "--ticks", "210"]).wait().expect(0);
+    let done = test_folder.tectum("replay", &["run", "--json"]).expect(0).json();
+    assert_eq!((&done["difference"], &done["learnings"], &done["hashes"]), (&Value::Null, &210.into(), &4.into()));
+    let summary = read_json(test_folder.run_folder().join("summary.json"));
+    assert_eq!(done["weights_hash"], summary["weights_hash"]);
+    let mut log = tectum::log::LogReader::open(&test_folder.log_path()).unwrap();
+    let columns: Vec<_> = log
+        .by_ref()
+        .filter_map(
+            |record| if let LogRecord::Learning(sample) = record.unwrap() { Some(sample.columns) } else { None },
+        )
+        .collect();
+    // The last one is the operations of the tick, in millions.
+    assert!(columns[200][7] > 0.1 && columns[200][7] < 25.0, "{:?}", columns[200]);
 }
 
 /// The bytes of a sample's header that hold its writer's incarnation.

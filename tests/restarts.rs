@@ -5,7 +5,7 @@ mod support;
 
 use std::path::Path;
 
-use support::{Process, ProcessOutcome, TestFolder, assert_no_debris, read_json, signal_process};
+use support::{Process, ProcessOutcome, TestFolder, assert_no_debris, planner_scenario, read_json, signal_process};
 
 /// The quickest possible restarts.
 const QUICK: &str = "\n[restart]\nbackoff_ms = 1\nbackoff_cap_ms = 10\ngive_up_after = 100\nhang_s = 1\n";
@@ -104,6 +104,19 @@ fn every_learning_rule_survives_kills() {
         let outcome = run_with_signals(&test_folder, &scenario, &ticks.to_string(), kill, sizes).expect(0);
         assert_eq!(check(&test_folder, &outcome, "controller", &hash), 2, "{rule}");
     }
+}
+
+/// The planner survives kills at any tick: models, refits in progress, memory and plan.
+#[test]
+fn a_planner_survives_kills() {
+    let test_folder = TestFolder::new();
+    let scenario = planner_scenario(&test_folder, "pendulum", QUICK);
+    let hash = undisturbed_hash(&scenario, "400");
+    let (kill, sizes) = (("tectum-controller", "KILL"), random_steps(9, 4, 400 * 745 / 2));
+    let outcome = run_with_signals(&test_folder, &scenario, "400", kill, sizes).expect(0);
+    assert_eq!(check(&test_folder, &outcome, "controller", &hash), 4);
+    let learner = &outcome.json()["learner"];
+    assert!(learner["plans"].as_u64().unwrap() > 300 && learner["refits"].as_u64().unwrap() > 5, "{learner}");
 }
 
 /// The state of the gate's ramp and the samples in a faulty channel survive.

@@ -34,7 +34,8 @@ Examples:
                                                        try a setting, on seeds to tune on")]
 pub struct Arguments {
     /// Learners to compare, separated by commas: paper, baseline, actor-critic, natural-actor-critic,
-    /// learned-reward, or scenario files with a controller or settings of your own [default: the five rules]
+    /// learned-reward, model-predictive, or scenario files with a controller or settings of your own [default: the
+    /// rules]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     learners: Vec<String>,
     /// Number of seeds

@@ -44,6 +44,8 @@ enum RuleArgument {
     NaturalActorCritic,
     /// Policy improvement through a learned model of the reward
     LearnedReward,
+    /// Plans through learned models of movement and reward
+    ModelPredictive,
 }
 
 impl RuleArgument {
@@ -54,6 +56,7 @@ impl RuleArgument {
             Self::ActorCritic => Rule::ActorCritic,
             Self::NaturalActorCritic => Rule::NaturalActorCritic,
             Self::LearnedReward => Rule::LearnedReward,
+            Self::ModelPredictive => Rule::ModelPredictive,
         }
     }
 }

@@ -39,7 +39,7 @@ fn a_restored_state_is_equal_to_the_bit() {
     for name in ["paper", "arm", "eye"] {
         let plan = plan(name);
         let (mut plant, mut controller) = after_ticks(&plan, 300);
-        let policy = controller.policy().clone();
+        let policy = controller.policy().unwrap().clone();
         for (role, part, policy) in
             [(Role::Plant, &mut plant as &mut dyn Persist, None), (Role::Controller, &mut controller, Some(&policy))]
         {
@@ -59,7 +59,7 @@ fn a_restored_state_is_equal_to_the_bit() {
 fn the_policy_is_stored_as_a_matrix() {
     let plan = plan("paper");
     let (_, mut controller) = after_ticks(&plan, 300);
-    let policy = controller.policy().clone();
+    let policy = controller.policy().unwrap().clone();
     let file = encode(&facts(Role::Controller, &plan), &mut controller, Some(&policy));
     let file = SafeTensors::deserialize(&file).unwrap();
     let weights = file.tensor("weights").unwrap();

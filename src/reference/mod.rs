@@ -32,7 +32,7 @@ mod true_model;
 use damped_least_squares::DampedLeastSquares;
 pub(crate) use fixed_arm::FixedArm;
 pub(crate) use ilqr::IterativeLqr;
-pub(crate) use noiseless::{MeanPolicy, Rollout};
+pub(crate) use noiseless::{FrozenAgent, MeanPolicy, Rollout, TestPercept};
 pub use optimum::STARTS;
 use optimum::trajectory_optimum;
 pub(crate) use resolved_rates::ResolvedRates;
@@ -41,6 +41,7 @@ pub(crate) use true_model::{LaggedModel, TrueModel, body_model};
 
 use serde::Serialize;
 
+use crate::agent::ShippedAgent;
 use crate::plant::Arm;
 use crate::policy::{Exploration, LinearPolicy, Outputs};
 use crate::scenario::Plan;
@@ -60,16 +61,6 @@ pub struct Score {
     pub loss: f64,
     /// Mean distance from the target in the targets' last ticks, m.
     pub miss_m: f64,
-}
-
-/// What a controller is shown in a tick of a test.
-pub(crate) struct TestTick<'a> {
-    /// The tick, from 0.
-    pub tick: u64,
-    /// Whether a target begins with it.
-    pub fresh: bool,
-    /// The inputs.
-    pub inputs: &'a [f32],
 }
 
 /// The test for one condition of the arm. Built once, used for any number of policies.
@@ -100,18 +91,13 @@ impl TestSet {
         self.arm.config().target_every
     }
 
-    /// The score of a controller: `control` answers each tick's inputs with a command.
-    pub fn drive(&self, mut control: impl FnMut(&[f32]) -> Outputs) -> Score {
-        self.drive_targets(|tick| control(tick.inputs), |_| {})
-    }
-
-    /// The same for a controller that is told of ticks and new targets.
-    pub fn drive_ticks(&self, control: impl FnMut(TestTick) -> Outputs) -> Score {
+    /// The score of a controller: `control` answers what it sees in each tick with a command.
+    pub fn drive(&self, control: impl FnMut(&TestPercept) -> Outputs) -> Score {
         self.drive_targets(control, |_| {})
     }
 
     /// The same. Calls `each` with the score of each target when that is over.
-    fn drive_targets(&self, mut control: impl FnMut(TestTick) -> Outputs, mut each: impl FnMut(Score)) -> Score {
+    fn drive_targets(&self, mut control: impl FnMut(&TestPercept) -> Outputs, mut each: impl FnMut(Score)) -> Score {
         let period_s = self.plan.scenario.period_ms / 1000.0;
         let config = self.plan.scenario.plant.arm.clone().unwrap_or_default();
         let mut rollout = Rollout::new(Arm::new(&config, period_s, TEST_SEED), &self.plan);
@@ -119,8 +105,8 @@ impl TestSet {
         let ticks = TARGETS as u64 * every;
         let (mut loss, mut miss, mut target_loss) = (0.0, 0.0, 0.0);
         for tick in 0..ticks {
-            let fresh = rollout.sense(tick);
-            let outcome = rollout.advance(tick, |inputs| control(TestTick { tick, fresh, inputs }));
+            rollout.sense(tick);
+            let outcome = rollout.advance(tick, &mut control);
             loss -= f64::from(outcome.reward);
             target_loss -= f64::from(outcome.reward);
             if (tick + 1).is_multiple_of(every) {
@@ -132,23 +118,24 @@ impl TestSet {
         Score { loss: loss / ticks as f64, miss_m: miss / TARGETS as f64 }
     }
 
-    /// The score of a policy's mean commands.
-    pub fn score(&self, policy: &LinearPolicy) -> Score {
-        self.drive(self.mean_commands(policy))
+    /// The score of what an agent has learned.
+    pub fn score_agent(&self, agent: &ShippedAgent) -> Score {
+        let mut frozen = FrozenAgent::of(agent, &self.plan);
+        self.drive(|seen| frozen.command(seen))
     }
 
     /// The score of each target with a policy's mean commands, in the order of the targets.
     pub fn score_targets(&self, policy: &LinearPolicy) -> Vec<Score> {
         let mut scores = Vec::with_capacity(TARGETS);
         let mut mean = self.mean_commands(policy);
-        self.drive_targets(|tick| mean(tick.inputs), |score| scores.push(score));
+        self.drive_targets(&mut mean, |score| scores.push(score));
         scores
     }
 
     /// A controller that answers inputs with the mean commands of `policy`.
-    fn mean_commands(&self, policy: &LinearPolicy) -> impl FnMut(&[f32]) -> Outputs {
+    fn mean_commands(&self, policy: &LinearPolicy) -> impl FnMut(&TestPercept) -> Outputs {
         let mut mean = self.policy.clone();
-        move |inputs| mean.command(policy, inputs)
+        move |seen| mean.command(policy, seen.inputs)
     }
 
     /// The score of zero commands, which is the score of a policy whose weights are 0.
@@ -173,7 +160,7 @@ impl TestSet {
     /// The score of damped least squares with the true arm.
     pub fn damped_least_squares(&self) -> Score {
         let controller = DampedLeastSquares::new(&self.arm);
-        self.drive(|inputs| controller.command(inputs))
+        self.drive(|seen| controller.command(seen.inputs))
     }
 
     /// The score of the best movements, each planned as a whole from `starts` first guesses. Takes seconds.

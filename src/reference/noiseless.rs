@@ -1,15 +1,16 @@
 //! The noiseless test: a plant that is driven without exploration noise, through the scenario's gate.
 //!
-//! The test set and all studies that test a policy use these two parts. [`MeanPolicy`] turns inputs into the
-//! policy's mean command. [`Rollout`] applies commands to a plant through a fresh gate, as the plant's
+//! The test set and all studies that test what was learned use these parts. [`MeanPolicy`] turns inputs into a
+//! policy's mean command. [`FrozenAgent`] answers as an agent would, which need not have a policy. [`Rollout`] applies commands to a plant through a fresh gate, as the plant's
 //! process does in a run. Faults of the channels do not act here: a test measures what was learned.
 
+use crate::agent::{Agent as _, Answer, Boundary, Experience, ModelPredictiveAgent, Percept, ShippedAgent};
 use crate::encoder::{Encoder, Features};
 use crate::plant::{Outcome, Plant};
 use crate::policy::{LinearPolicy, Outputs};
 use crate::runtime::Gate;
 use crate::scenario::Plan;
-use crate::wire::{MAX_INPUTS, MAX_OUTPUTS};
+use crate::wire::{MAX_INPUTS, MAX_OUTPUTS, flag};
 
 /// Computes the mean command of a policy: what a controller would send without exploration noise.
 #[derive(Debug, Clone)]
@@ -32,12 +33,76 @@ impl MeanPolicy {
     }
 }
 
+/// What a controller sees in a tick of a test.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct TestPercept<'a> {
+    /// The tick of the test, from 0.
+    pub tick: u64,
+    /// The inputs.
+    pub inputs: &'a [f32],
+    /// The command that was applied in the tick before.
+    pub applied: &'a [f32],
+    /// Whether a target or trial begins.
+    pub new_target: bool,
+}
+
+/// What an agent knew at some instant: it answers without exploration noise, and learns nothing from the test.
+#[derive(Debug, Clone)]
+pub(crate) enum FrozenAgent {
+    /// A policy answers with its mean.
+    Mean(Box<(MeanPolicy, LinearPolicy)>),
+    /// A planner plans on.
+    Planner(Box<ModelPredictiveAgent>),
+}
+
+impl FrozenAgent {
+    /// The agent of a run of `plan`, as it is now.
+    pub fn of(agent: &ShippedAgent, plan: &Plan) -> Self {
+        match agent {
+            ShippedAgent::Linear(agent) => Self::Mean(Box::new((MeanPolicy::new(plan), agent.linear_policy().clone()))),
+            ShippedAgent::ModelPredictive(agent) => Self::Planner(Box::new(agent.frozen())),
+        }
+    }
+
+    /// The command for what it sees in the next tick.
+    pub fn command(&mut self, seen: &TestPercept) -> Outputs {
+        let (tick, agent) = match self {
+            Self::Mean(of) => return of.0.command(&of.1, seen.inputs),
+            Self::Planner(agent) => (seen.tick, agent),
+        };
+        if tick > 0 {
+            agent.learn(&Experience {
+                tick: tick - 1,
+                inputs: seen.inputs,
+                asked: seen.applied,
+                applied: seen.applied,
+                limited: false,
+                reward: 0.0,
+                next_inputs: seen.inputs,
+                boundary: if seen.new_target { Boundary::NewTarget } else { Boundary::None },
+                withheld: None,
+            });
+        }
+        let (mut command, mut mean) = (Outputs::default(), Outputs::default());
+        let outputs = seen.applied.len();
+        let flags = if seen.new_target { flag::NEW_TARGET } else { 0 };
+        let percept = Percept { tick, inputs: seen.inputs, age: 0, flags };
+        agent.act(&percept, &mut Answer { command: &mut command[..outputs], mean: &mut mean[..outputs] });
+        agent.improve(1);
+        command
+    }
+}
+
 /// A plant behind its gate, driven tick by tick in one process.
 #[derive(Debug, Clone)]
 pub(crate) struct Rollout<P> {
     plant: P,
     gate: Gate,
     inputs: [f32; MAX_INPUTS],
+    /// The command applied last.
+    applied: [f32; MAX_OUTPUTS],
+    /// Whether a target or trial begins with the inputs.
+    new_target: bool,
     /// Number of inputs and outputs that the scenario uses.
     used: (usize, usize),
 }
@@ -52,7 +117,8 @@ impl<P: Plant> Rollout<P> {
     /// `inputs`.
     pub fn sensed(plant: P, plan: &Plan, inputs: [f32; MAX_INPUTS]) -> Self {
         let used = (plan.inputs.len(), plan.outputs.len());
-        Self { plant, gate: Gate::new(&plan.scenario.gate, used.1), inputs, used }
+        let gate = Gate::new(&plan.scenario.gate, used.1);
+        Self { plant, gate, inputs, applied: [0.0; MAX_OUTPUTS], new_target: true, used }
     }
 
     /// The plant.
@@ -62,17 +128,24 @@ impl<P: Plant> Rollout<P> {
 
     /// Senses the plant at the beginning of `tick`. True if a new target (or trial) begins.
     pub fn sense(&mut self, tick: u64) -> bool {
-        self.plant.sense(tick, &mut self.inputs[..self.used.0])
+        self.new_target = self.plant.sense(tick, &mut self.inputs[..self.used.0]);
+        self.new_target
     }
 
     /// Answers the inputs that were sensed last with `control`, and applies its command in `tick`.
-    pub fn advance(&mut self, tick: u64, mut control: impl FnMut(&[f32]) -> Outputs) -> Outcome {
+    pub fn advance(&mut self, tick: u64, mut control: impl FnMut(&TestPercept) -> Outputs) -> Outcome {
         let (inputs, outputs) = self.used;
         let mut command = [0.0; MAX_OUTPUTS];
-        command[..outputs].copy_from_slice(&control(&self.inputs[..inputs])[..outputs]);
+        let seen = TestPercept {
+            tick,
+            inputs: &self.inputs[..inputs],
+            applied: &self.applied[..outputs],
+            new_target: self.new_target,
+        };
+        command[..outputs].copy_from_slice(&control(&seen)[..outputs]);
         let ranges = self.gate.command_ranges(|| self.plant.joints());
-        let applied = self.gate.pass(Some(&command), ranges.as_ref()).command;
-        self.plant.advance(tick, &applied[..outputs])
+        self.applied = self.gate.pass(Some(&command), ranges.as_ref()).command;
+        self.plant.advance(tick, &self.applied[..outputs])
     }
 }
 
@@ -103,8 +176,8 @@ mod tests {
             }
             side.step(tick, Some(&command));
             rollout.sense(tick);
-            let outcome = rollout.advance(tick, |inputs| {
-                assert_eq!(inputs, &observation.inputs[..plan.inputs.len()]);
+            let outcome = rollout.advance(tick, |seen| {
+                assert_eq!(seen.inputs, &observation.inputs[..plan.inputs.len()]);
                 std::array::from_fn(|i| command.drawn[i])
             });
             side.observe(tick + 1, 0, 0, &mut observation);

@@ -2,7 +2,6 @@
 
 use super::damped_least_squares::{DampingSettings, TUNED};
 use super::*;
-use crate::encoder::Encoder;
 use crate::scenario::{ArmConfig, BlockConfig, MirrorAxis, MirrorConfig, Scenario, ShortenConfig};
 
 fn test_set(config: &ArmConfig) -> TestSet {
@@ -46,9 +45,7 @@ fn published_optima_level_and_targets() {
 #[test]
 fn a_policy_with_zero_weights_scores_as_zero_commands() {
     let set = test_set(&ArmConfig::default());
-    let encoder = Encoder::new(&set.plan.maps, true);
-    let policy = LinearPolicy::new(encoder.len(), encoder.positions().collect(), 4);
-    assert_eq!(set.score(&policy), set.zero());
+    assert_eq!(set.score_agent(&set.plan.agent()), set.zero());
 }
 
 #[test]
@@ -90,7 +87,7 @@ fn damped_least_squares_reaches_most_targets() {
     let set = test_set(&ArmConfig::default());
     let controller = DampedLeastSquares::new(&set.arm);
     let (mut tick, mut ends) = (0, Vec::new());
-    set.drive(|inputs| {
+    set.drive(|&TestPercept { inputs, .. }| {
         let angles: f64 = inputs[2..].iter().map(|a| f64::from(a * a)).sum();
         assert!(angles.is_finite());
         tick += 1;
@@ -119,7 +116,7 @@ fn halved_or_doubled_constants_are_worse() {
         .collect();
     let loss = |settings: DampingSettings| -> f64 {
         let controller = DampedLeastSquares::with(&whole.arm, settings);
-        sets.iter().map(|set| set.drive(|inputs| controller.command(inputs)).loss).sum()
+        sets.iter().map(|set| set.drive(|seen| controller.command(seen.inputs)).loss).sum()
     };
     let tuned = loss(TUNED);
     for factor in [0.5, 2.0] {
@@ -160,8 +157,8 @@ fn a_mirror_changes_the_inputs_and_not_the_targets() {
     assert_eq!(plain.damped_least_squares(), mirrored.damped_least_squares());
     let shown = |set: &TestSet| {
         let mut first = 0.0;
-        set.drive(|inputs| {
-            first = inputs[0];
+        set.drive(|seen| {
+            first = seen.inputs[0];
             Outputs::default()
         });
         first

@@ -4,7 +4,7 @@ use super::run_counts::RunCounter;
 use super::statistics::FinishedStatistics;
 use super::{ControllerReport, FaultyChannel, RunStatistics};
 use crate::agent::{
-    Agent, AgentRecord, Answer, Boundary, Experience, LinearAgent, MAX_COLUMNS, Percept, Withheld, learned_hash,
+    Agent, AgentRecord, Answer, Boundary, Experience, MAX_COLUMNS, Percept, ShippedAgent, Withheld, learned_hash,
 };
 use crate::policy::LinearPolicy;
 use crate::scenario::{Plan, limits::RANGE};
@@ -20,7 +20,7 @@ use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, flag}
 /// It tells the agent what became of its last command, and decides what may be learned from ([`Withheld`]): only the
 /// reward of a command that was applied as the agent gave it, or as the gate limited it.
 #[derive(Debug, Clone)]
-pub struct Controller<A = LinearAgent> {
+pub struct Controller<A = ShippedAgent> {
     /// The receiving end of the observation channel, with the scenario's faults.
     observations: FaultyChannel<Observation>,
     agent: A,
@@ -66,9 +66,9 @@ fn take_for_mean(mean: &mut [f32], command: &[f32]) -> bool {
 }
 
 impl Controller {
-    /// The controller of `plan` with its learning rule, and weights 0.
+    /// The controller of `plan` with its learner, which knows nothing yet.
     pub fn new(plan: &Plan) -> Self {
-        Self::with_agent(plan, plan.linear_agent())
+        Self::with_agent(plan, plan.agent())
     }
 
     /// The same controller for commands that another policy chose: every applied command is credited.
@@ -80,11 +80,6 @@ impl Controller {
     /// the same, bit for bit.
     pub fn on(self, path: SimdPath) -> Self {
         Self { agent: self.agent.on(path), ..self }
-    }
-
-    /// The current policy.
-    pub fn policy(&self) -> &LinearPolicy {
-        self.agent.linear_policy()
     }
 }
 
@@ -288,6 +283,11 @@ impl<A: Agent> Controller<A> {
         learning.weights_hash = if hashed { learned_hash(&mut self.agent) } else { 0 };
     }
 
+    /// The current policy, if the agent has a linear one.
+    pub fn policy(&self) -> Option<&LinearPolicy> {
+        self.agent.policy()
+    }
+
     /// The agent.
     pub fn agent(&self) -> &A {
         &self.agent
@@ -318,8 +318,17 @@ impl<A: Agent> Controller<A> {
         let FinishedStatistics { windows, first_switch, last_switch, targets } =
             self.statistics.finish(self.report.ticks + self.report.unseen);
         let counts = self.counter.finish(self.agent.outliers(), self.agent.policy().is_some_and(|p| p.norm() == 0.0));
-        let report =
-            ControllerReport { weights_hash, windows, first_switch, last_switch, targets, counts, ..self.report };
+        let learner = self.agent.counts().into_iter().map(|(name, count)| (name.to_owned(), count)).collect();
+        let report = ControllerReport {
+            weights_hash,
+            windows,
+            first_switch,
+            last_switch,
+            targets,
+            counts,
+            learner,
+            ..self.report
+        };
         (report, self.agent)
     }
 }

@@ -2,7 +2,7 @@
 //! the crash store.
 //!
 //! Every observation is appended to the crash store's journal before it is answered, and the whole state is
-//! stored every [`SAVE_EVERY`] observations. A controller that is restarted after a SIGKILL restores the newest
+//! stored every 64 observations, or as often as the agent wants ([`Agent::save_every`]). A controller that is restarted after a SIGKILL restores the newest
 //! complete state and replays the observations of the journal since then. As its state is a function of its
 //! observations alone, that is exactly the state in which it died. It then sends its last command and learning
 //! record again, under the same sequence numbers. Receivers that have received them drop them.
@@ -23,10 +23,10 @@ use crate::scenario::{Plan, ScenarioError};
 use crate::state::{self, Persist, StateVisitor};
 use crate::wire::{Command, Header, Learning, Observation, ProcessState, Role};
 
-/// Observations between two states in the crash store.
-const SAVE_EVERY: u64 = 64;
+/// Most observations between two states in the crash store.
+const MOST_UNSAVED: u64 = 64;
 /// Observations in the journal: enough for the older of the two states, in case the newer one is torn.
-const JOURNAL: usize = 4 * SAVE_EVERY as usize;
+const JOURNAL: usize = 4 * MOST_UNSAVED as usize;
 
 /// The part of the loop that survives the process: the controller and its last samples.
 struct ControllerLoopState<A> {
@@ -218,6 +218,8 @@ struct ControllerLoop<A> {
     crash_store: CrashStore,
     ports: ControllerPorts,
     state: ControllerLoopState<A>,
+    /// Observations between two states in the crash store.
+    save_every: u64,
     real: bool,
 }
 
@@ -227,6 +229,7 @@ impl<A: Agent> ControllerLoop<A> {
         if !agent.columns().is_empty() {
             write_columns(&participant.folder, agent.columns())?;
         }
+        let save_every = agent.save_every().clamp(1, MOST_UNSAVED);
         let mut state = ControllerLoopState::new(&participant.plan, agent);
         let (ports, status_board) = participant.open(ControllerPorts::open)?;
         let mut crash_store = participant.crash_store(state::size(&mut state), [JOURNAL, size_of::<Observation>()])?;
@@ -249,6 +252,7 @@ impl<A: Agent> ControllerLoop<A> {
             crash_store,
             ports,
             state,
+            save_every,
             real,
         };
         if restarted {
@@ -348,8 +352,8 @@ impl<A: Agent> ControllerLoop<A> {
             let next = header.tick + 1;
             self.writer.write(next, self.state.checkpoint(next, &self.session.participant));
         }
-        let state = &mut self.state;
-        if state.count.is_multiple_of(SAVE_EVERY) && !self.crash_store.store(state.count, |to| state::save(state, to)) {
+        let (every, state) = (self.save_every, &mut self.state);
+        if state.count.is_multiple_of(every) && !self.crash_store.store(state.count, |to| state::save(state, to)) {
             return Err(RuntimeError::Memory(Role::Controller.name()));
         }
         if let Some(meter) = &mut self.meter {

@@ -2,26 +2,14 @@
 //! time it is the third way to run a tick.
 
 use super::{Controller, ControllerReport, PipeError, PipedController, PlantReport, PlantSide, RunStatistics};
-use crate::agent::Agent;
+use crate::agent::{Agent, ShippedAgent};
 use crate::plant::Plant;
-use crate::policy::LinearPolicy;
 use crate::scenario::Plan;
 use crate::wire::{Command, Learning, Observation};
 
-/// The result of a run in one process.
+/// The result of a run in one process, with the scenario's learner or an agent of your own.
 #[derive(Debug, Clone)]
-pub struct InProcess {
-    /// The plant's report.
-    pub plant: PlantReport,
-    /// The controller's report.
-    pub controller: ControllerReport,
-    /// The policy at the end.
-    pub policy: LinearPolicy,
-}
-
-/// The result of a run in one process with an agent of your own.
-#[derive(Debug, Clone)]
-pub struct InProcessAgent<A> {
+pub struct InProcess<A = ShippedAgent> {
     /// The plant's report.
     pub plant: PlantReport,
     /// The controller's report.
@@ -47,8 +35,7 @@ pub fn in_process_with_observer<P: Plant>(
     body: P,
     observer: impl FnMut(&Observation, &Controller) -> bool,
 ) -> InProcess {
-    let InProcessAgent { plant, controller, agent } = in_process_with_agent(plan, body, plan.linear_agent(), observer);
-    InProcess { plant, controller, policy: agent.linear_policy().clone() }
+    in_process_with_agent(plan, body, plan.agent(), observer)
 }
 
 /// Like [`in_process_with_observer`], with an agent of your own in the place of the scenario's controller: the quick
@@ -58,7 +45,7 @@ pub fn in_process_with_agent<P: Plant, A: Agent>(
     body: P,
     agent: A,
     mut observer: impl FnMut(&Observation, &Controller<A>) -> bool,
-) -> InProcessAgent<A> {
+) -> InProcess<A> {
     let mut side = PlantSide::new(body, plan);
     let mut controller = Controller::with_agent(plan, agent);
     let (mut observation, mut command) = (Observation::default(), Command::default());
@@ -72,7 +59,7 @@ pub fn in_process_with_agent<P: Plant, A: Agent>(
         side.step(tick, Some(&command));
     }
     let (controller, agent) = controller.finish_with_agent();
-    InProcessAgent { plant: side.report, controller, agent }
+    InProcess { plant: side.report, controller, agent }
 }
 
 /// Runs `plan` with the plant `body` in this process and a controller's program at the other end of a pipe.

@@ -43,9 +43,7 @@ pub use controller_loop::run_controller;
 pub use error::{RuntimeError, exit};
 pub(crate) use faults::FaultyChannel;
 pub use gate::{Applied, CommandRange, CommandRanges, Gate};
-pub use in_process::{
-    InProcess, InProcessAgent, in_process, in_process_over_pipe, in_process_with_agent, in_process_with_observer,
-};
+pub use in_process::{InProcess, in_process, in_process_over_pipe, in_process_with_agent, in_process_with_observer};
 pub use logger::run_logger;
 pub use participant::{EndReason, Mode, Participant, ResumePoint, RunManifest, Session, identity};
 pub use pipe::{PIPE_OPTION, PipeError, PipedController, serve_controller};

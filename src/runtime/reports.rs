@@ -1,6 +1,7 @@
 //! The reports that processes write into the run's folder when their loops are over, for the launcher's
 //! summary.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -90,6 +91,8 @@ pub struct ControllerReport {
     pub diverged_at: Option<u64>,
     /// Counts from which the run is judged.
     pub counts: RunCounts,
+    /// What the learner counted, by name.
+    pub learner: BTreeMap<String, u64>,
     /// Checkpoints written by the process that ended the run.
     pub checkpoints: u64,
     /// Why a checkpoint could not be written, one sentence; null where all could.

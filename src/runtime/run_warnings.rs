@@ -67,9 +67,10 @@ pub fn judge(plan: &Plan, plant: &PlantReport, controller: Option<&ControllerRep
     warnings.extend(missed(plan, plant, controller));
     if let Some(report) = controller {
         let counts = &report.counts;
-        warnings.extend(rewards(counts));
+        warnings.extend(rewards(counts, !plan.scenario.learner.rule.is_linear()));
         warnings.extend(little_learned(report));
         warnings.extend(weights(report));
+        warnings.extend(planner(report));
         warnings.extend(limited(plan, counts));
         warnings.extend(inputs(plan, counts));
     }
@@ -124,7 +125,8 @@ fn missed(plan: &Plan, plant: &PlantReport, controller: Option<&ControllerReport
     warnings
 }
 
-fn rewards(counts: &RunCounts) -> Vec<RunWarning> {
+/// What is wrong with the rewards. A planner doubts single rewards now and then, which is no matter for a warning.
+fn rewards(counts: &RunCounts, planner: bool) -> Vec<RunWarning> {
     let mut warnings = Vec::new();
     let (finite, wrong) = (counts.rewards, counts.rewards_not_finite);
     if wrong > 0 {
@@ -141,10 +143,10 @@ fn rewards(counts: &RunCounts) -> Vec<RunWarning> {
         let text = format!("the reward had the same value in all {} ticks, which teaches nothing", thousands(finite));
         warnings.push(RunWarning::new("reward-constant", [finite, finite], text));
     }
-    if counts.outliers > 0 {
+    if counts.outliers > if planner { finite / 50 } else { 0 } {
         let text = format!(
-            "the learner took {} of {} rewards for outliers and left them out; they are far outside the range of all \
-             others",
+            "the learner took {} of {} rewards for outliers and left them out; they are far from what all others let \
+             it expect",
             thousands(counts.outliers),
             thousands(finite)
         );
@@ -178,6 +180,32 @@ fn weights(report: &ControllerReport) -> Option<RunWarning> {
         let text = format!("all weights are still 0 after {} ticks: the policy is noise alone", thousands(ticks));
         RunWarning::new("weights-zero", [ticks, ticks], text)
     })
+}
+
+/// A planner that never planned, or whose commands were always at a limit.
+fn planner(report: &ControllerReport) -> Vec<RunWarning> {
+    let (ticks, counted) = (report.counts.observations, |name: &str| report.learner.get(name).copied());
+    let mut warnings = Vec::new();
+    if ticks < LEAST_TICKS {
+        return warnings;
+    }
+    if counted("plans") == Some(0) {
+        let text = format!(
+            "no model was fitted in {} ticks, so that nothing was planned: all commands are noise; look at inputs and \
+             reward, or give more under `learner.budget_ms`",
+            thousands(ticks)
+        );
+        warnings.push(RunWarning::new("never-planned", [ticks, ticks], text));
+    }
+    if let Some(clipped) = counted("clipped").filter(|clipped| 10 * clipped >= 9 * ticks) {
+        let text = format!(
+            "commands were planned to be at their limit in {} of {} ticks; allow more under [gate], if the plant does",
+            thousands(clipped),
+            thousands(ticks)
+        );
+        warnings.push(RunWarning::new("plan-limited", [clipped, ticks], text));
+    }
+    warnings
 }
 
 fn limited(plan: &Plan, counts: &RunCounts) -> Vec<RunWarning> {
@@ -311,6 +339,23 @@ mod tests {
         assert_eq!(judged(none), one("reward-not-finite", 999, true));
         assert_eq!(judged(|_, c| c.counts.rewards_differed = false), one("reward-constant", 999, false));
         assert_eq!(judged(|_, c| c.counts.outliers = 3), one("reward-outliers", 3, false));
+        let (plant, mut controller) = well();
+        controller.counts.outliers = 3;
+        let mut planner = plan();
+        planner.scenario.learner.rule = crate::scenario::Rule::ModelPredictive;
+        assert_eq!(judge(&planner, &plant, Some(&controller)), [], "a planner doubts now and then");
+        controller.counts.outliers = 30;
+        assert_eq!(judge(&planner, &plant, Some(&controller))[0].name, "reward-outliers");
+    }
+
+    #[test]
+    fn a_planner_without_plans_or_at_its_limits_is_named() {
+        let counted = |name: &'static str, count: u64| {
+            judged(move |_, c| c.learner = [(name.to_owned(), count)].into_iter().collect())
+        };
+        assert_eq!(counted("plans", 0), one("never-planned", 1000, false));
+        assert_eq!(counted("clipped", 950), one("plan-limited", 950, false));
+        assert_eq!((counted("plans", 900), counted("clipped", 500)), (vec![], vec![]));
     }
 
     #[test]

@@ -51,11 +51,12 @@ enum TestJob<'a> {
 }
 
 /// Tests the policies of a run of `done` ticks, phase by phase. `None` where the controller is another
-/// program, where the plant is not the simulator's arm, or where the test would take too long. `snapshots` are in the
+/// program, where its learner has no policy, where the plant is not the simulator's arm, or where the test would take too long. `snapshots` are in the
 /// order of ticks.
 pub(super) fn evaluate(plan: &Plan, done: u64, snapshots: &[PolicySnapshot]) -> Option<Vec<PhaseTests>> {
     // The test set has no delays, so that it does not test what a late plant was learned with.
-    let testable = plan.scenario.controller.is_shipped() && plan.scenario.plant.timing.is_nothing();
+    let linear = plan.scenario.controller.is_shipped() && plan.scenario.learner.rule.is_linear();
+    let testable = linear && plan.scenario.plant.timing.is_nothing();
     let arm = plan.simulated_arm().filter(|arm| !arm.open_loop && testable)?;
     let features = plan.encoder().len() as u64;
     let work = features.saturating_mul(TARGETS as u64).saturating_mul(arm.target_every);

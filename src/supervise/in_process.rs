@@ -4,6 +4,7 @@ use super::folder::RunFolder;
 use super::progress::RunProgress;
 use super::summary::{RunOutcome, RunSummary};
 use super::{Launch, LaunchError};
+use crate::agent::Agent as _;
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::plant::SimulatedPlant;
 use crate::runtime::{
@@ -48,7 +49,7 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let result = in_process_with_observer(plan, plant, |observation, controller| {
         let tick = observation.header.tick;
         if due.get(snapshots.len()) == Some(&tick) {
-            snapshots.push(PolicySnapshot { tick, policy: controller.policy().clone() });
+            snapshots.extend(controller.policy().map(|policy| PolicySnapshot { tick, policy: policy.clone() }));
         }
         if !tick.is_multiple_of(CHECK_EVERY) {
             return true;
@@ -58,7 +59,7 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     });
     let end = result.controller.ticks;
     if !due.is_empty() && snapshots.last().is_none_or(|last| last.tick < end) {
-        snapshots.push(PolicySnapshot { tick: end, policy: result.policy.clone() });
+        snapshots.extend(result.agent.policy().map(|policy| PolicySnapshot { tick: end, policy: policy.clone() }));
     }
     let seconds = (monotonic_ns() - began) as f64 / 1e9;
     progress.clear();

@@ -111,7 +111,9 @@ pub struct RunSummary {
     pub lost: u64,
     /// The same by channel: observation, command, learning.
     pub lost_by_channel: [u64; 3],
-    /// XXH3-64 of the final weights, hexadecimal.
+    /// What the learner counted, by name; empty where it counts nothing.
+    pub learner: BTreeMap<String, u64>,
+    /// XXH3-64 of the final weights, or of the learner's whole state if it has none, hexadecimal.
     pub weights_hash: Option<String>,
     /// The first tick at which the weights were no longer numbers; null where they are.
     pub diverged_at: Option<u64>,
@@ -307,6 +309,7 @@ impl RunSummary {
             self.ticks = controller.ticks + controller.unseen;
             self.unheard = controller.unheard;
             self.stale = controller.stale;
+            self.learner = controller.learner.clone();
             self.weights_hash = Some(controller.weights_hash.clone());
             self.diverged_at = controller.diverged_at;
             self.tick_budget =

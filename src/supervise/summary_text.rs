@@ -80,6 +80,8 @@ impl RunSummary {
         row("heard", &[("nothing", self.unheard), ("too late", self.stale)]);
         let reasons: Vec<_> = self.without_torque.iter().map(|(why, &n)| (why.as_str(), n)).collect();
         row("ticks without torque", &reasons);
+        let learner: Vec<_> = self.learner.iter().map(|(what, &n)| (what.as_str(), n)).collect();
+        row("learner", &learner);
         for fault in &self.faults {
             let _ = writeln!(text, "{:<23} {fault}", "fault, on purpose");
         }

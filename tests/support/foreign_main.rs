@@ -78,7 +78,7 @@ impl Agent for Wide {
 
 fn main() -> ExitCode {
     controller_main(&[
-        ("paper", |plan| Ok(Box::new(plan.linear_agent()))),
+        ("paper", |plan| Ok(Box::new(plan.agent()))),
         ("wide", |_| Ok(Box::new(Wide { collected: 0.0, updates: 0 }))),
         ("ends", |_| Ok(Box::new(Failing::Ends))),
         ("fails-in-tests", |_| Ok(Box::new(Failing::FailsInTests))),

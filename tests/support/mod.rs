@@ -23,6 +23,20 @@ pub use tectum_testkit::{
 /// The `tectum` program under test.
 pub const TECTUM: &str = env!("CARGO_BIN_EXE_tectum");
 
+/// `[learner]` of a model-predictive learner with small models and short plans, so that debug builds are quick.
+pub const SMALL_PLANNER: &str = "[learner]\nrule = \"model-predictive\"\n[learner.plan]\nhorizon = 8\nmemory = 400\n\
+    points = 40\nreward_features = 150\ndynamics_features = 150\nrival_iterations = 2\nrefit_operations = 2.0\n";
+
+/// Writes a copy of a shipped scenario with [`SMALL_PLANNER`] in place of its learner, every tick in its log, and `more`
+/// appended. Returns its path.
+pub fn planner_scenario(test_folder: &TestFolder, name: &str, more: &str) -> String {
+    let text = fs::read_to_string(format!("scenarios/{name}.toml")).unwrap();
+    let (head, rest) = text.split_once("\n[learner]").unwrap();
+    let (_, tail) = rest.split_once("\n[gate]").unwrap();
+    let text = format!("{head}\n{SMALL_PLANNER}\n[gate]{tail}\n{more}");
+    test_folder.write_file("planner.toml", text).to_str().unwrap().to_owned()
+}
+
 /// The path of an example program; cargo builds the examples beside the binaries.
 pub fn example(name: &str) -> PathBuf {
     Path::new(TECTUM).parent().unwrap().join("examples").join(name)

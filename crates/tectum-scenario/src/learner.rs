@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use tectum_core::{MAX_INPUTS as RULE_INPUTS, MAX_OUTPUTS as RULE_OUTPUTS};
 
 use super::{
-    BaselineConfig, CriticConfig, LearnerConfig, ModelConfig, Rule,
+    BaselineConfig, CriticConfig, LearnerConfig, ModelConfig, ModelPredictiveConfig, Rule,
     check::{known_input, number, show},
     error::Violation,
     limits,
@@ -21,12 +21,13 @@ pub(super) fn check(learner: &LearnerConfig, signals: &PlantSignals) -> Result<(
         ("learner.baseline", learner.baseline.is_some(), rule == Rule::Baseline),
         ("learner.critic", learner.critic.is_some(), matches!(rule, Rule::ActorCritic | Rule::NaturalActorCritic)),
         ("learner.model", learner.model.is_some(), rule == Rule::LearnedReward),
+        ("learner.budget_ms", learner.budget_ms.is_some(), rule == Rule::ModelPredictive),
+        ("learner.plan", learner.plan.is_some(), rule == Rule::ModelPredictive),
     ] {
         if given && !used {
-            return Err(Violation::new(
-                key,
-                "is a table that the rule does not read; take it out, or give another rule",
-            ));
+            let what = if key == "learner.budget_ms" { "key" } else { "table" };
+            let text = format!("is a {what} that the rule does not read; take it out, or give another rule");
+            return Err(Violation::new(key, text));
         }
     }
     if let Some(BaselineConfig { ticks }) = learner.baseline {
@@ -35,10 +36,16 @@ pub(super) fn check(learner: &LearnerConfig, signals: &PlantSignals) -> Result<(
     if let Some(table) = &learner.critic {
         check_critic(table)?;
     }
-    if rule == Rule::LearnedReward {
-        check_model(&learner.model.clone().unwrap_or_default(), signals)?;
+    match rule {
+        Rule::LearnedReward => check_model(&learner.model.clone().unwrap_or_default(), signals),
+        Rule::ModelPredictive => check_plan(learner),
+        _ => Ok(()),
     }
-    Ok(())
+}
+
+/// The name of a rule, as files have it.
+pub(super) fn name(rule: Rule) -> String {
+    toml::Value::try_from(rule).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
 /// Checks that the rule has room for the plant's signals: a sample carries more than the rules of this package take.
@@ -46,8 +53,7 @@ fn check_size(rule: Rule, signals: &PlantSignals) -> Result<(), Violation> {
     let sizes = [("inputs", signals.inputs.len(), RULE_INPUTS), ("outputs", signals.outputs.len(), RULE_OUTPUTS)];
     for (what, count, most) in sizes {
         if count > most {
-            let name = toml::Value::try_from(rule).ok().and_then(|name| name.as_str().map(str::to_owned));
-            let name = name.unwrap_or_default();
+            let name = name(rule);
             let text = format!(
                 "is {name}, for which {count} {what} are too many; it supports at most {most}, \
                  and a controller of your own ([controller] program) as many as a plant may have"
@@ -121,6 +127,51 @@ fn check_model(table: &ModelConfig, signals: &PlantSignals) -> Result<(), Violat
     number(key("floor"), table.floor, 0.0..=1.0, "give 0 to 1")
 }
 
+fn check_plan(learner: &LearnerConfig) -> Result<(), Violation> {
+    if let Some(budget_ms) = learner.budget_ms {
+        number("learner.budget_ms", budget_ms, limits::BUDGET_MS, "give 0.1 to 1000 ms")?;
+    }
+    let key = |name: &str| format!("learner.plan.{name}");
+    let ModelPredictiveConfig {
+        horizon,
+        iterations,
+        rival_iterations,
+        rival_gain,
+        memory,
+        points,
+        steps,
+        reward_features,
+        dynamics_features,
+        reward_products,
+        dynamics_products,
+        sampled,
+        first_noise,
+        refit_operations,
+        operations,
+        noise_floor,
+    } = learner.plan.clone().unwrap_or_default();
+    if horizon != 0 {
+        whole_number(&key("horizon"), horizon, limits::PLAN_HORIZON)?;
+    }
+    whole_number(&key("iterations"), iterations, limits::PLAN_ITERATIONS)?;
+    whole_number(&key("rival_iterations"), rival_iterations, limits::PLAN_ITERATIONS)?;
+    number(key("rival_gain"), rival_gain, 0.0..=1.0, "give 0 to 1")?;
+    whole_number(&key("memory"), memory, limits::PLAN_MEMORY)?;
+    whole_number(&key("points"), points, limits::PLAN_POINTS)?;
+    whole_number(&key("steps"), usize::try_from(steps).unwrap_or(usize::MAX), limits::PLAN_ITERATIONS)?;
+    whole_number(&key("reward_features"), reward_features, limits::PLAN_FEATURES)?;
+    whole_number(&key("dynamics_features"), dynamics_features, limits::PLAN_FEATURES)?;
+    whole_number(&key("reward_products"), reward_products, limits::PLAN_PRODUCTS)?;
+    whole_number(&key("dynamics_products"), dynamics_products, limits::PLAN_PRODUCTS)?;
+    number(key("sampled"), sampled, 0.0..=1.0, "give 0 to 1")?;
+    number(key("first_noise"), first_noise, limits::FIRST_NOISE, "give 0 to 1000")?;
+    number(key("refit_operations"), refit_operations, limits::OPERATIONS, "give 0.01 to 1e6, in millions")?;
+    if operations != 0.0 {
+        number(key("operations"), operations, limits::OPERATIONS, "give 0.01 to 1e6, in millions")?;
+    }
+    number(key("noise_floor"), noise_floor, limits::NOISE_FLOOR, "give 1e-12 to 0.1")
+}
+
 fn whole_number(key: &str, value: usize, range: RangeInclusive<usize>) -> Result<(), Violation> {
     if range.contains(&value) {
         return Ok(());
@@ -142,7 +193,7 @@ mod tests {
 
     #[test]
     fn presets_are_valid_and_parse_back_unchanged() {
-        for rule in [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward] {
+        for rule in Rule::ALL {
             let mut scenario = Scenario::find("paper").unwrap();
             scenario.learner = LearnerConfig::preset(rule);
             let plan = scenario.plan().unwrap();
@@ -178,6 +229,11 @@ mod tests {
                 "learner.model.onward is 0.6, which with",
             ),
             ("rule = \"learned-reward\"\n[model]\nridge = 0", "learner.model.ridge is 0"),
+            ("rule = \"paper\"\nbudget_ms = 5", "learner.budget_ms is a key that the rule does not read"),
+            ("rule = \"model-predictive\"\nbudget_ms = 0", "learner.budget_ms is 0; give 0.1 to 1000 ms"),
+            ("rule = \"model-predictive\"\n[plan]\nhorizon = 1", "learner.plan.horizon is 1; give 2 to 200"),
+            ("rule = \"model-predictive\"\n[plan]\nsampled = 2", "learner.plan.sampled is 2; give 0 to 1"),
+            ("rule = \"model-predictive\"\n[model]\nrest = 1", "learner.model is a table that the rule does not read"),
             ("rule = \"learned-reward\"\n[model]\nrest = 0", "learner.model.rest is 0"),
             ("rule = \"learned-reward\"\n[model]\nreward_noise = nan", "learner.model.reward_noise is nan"),
         ] {

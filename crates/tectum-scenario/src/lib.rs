@@ -81,6 +81,7 @@ pub use source::ScenarioSource;
 pub use tectum_core::SignalConfig;
 pub use tectum_core::learner::{
     BaselineConfig, CriticConfig, CriticFeatures, LearnerConfig, ModelBasis, ModelConfig, Rule,
+    model_predictive::ModelPredictiveConfig,
 };
 pub use tectum_core::plant::{
     Angles, ArmConfig, ArmRewardConfig, BlockConfig, CartPoleConfig, EyeConfig, FurutaConfig, MirrorAxis, MirrorConfig,
@@ -96,7 +97,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use error::{Violation, tables};
 use plant_signals::signals;
-use tectum_core::agent::LinearAgent;
+use tectum_core::agent::ShippedAgent;
 use tectum_core::learner::LearnerSpec;
 use tectum_core::plant::SimulatedPlant;
 use tectum_encoder::{Axis, Encoder, Map};
@@ -171,9 +172,9 @@ impl Plan {
         LearnerTable::new(scenario.own_learner.as_ref().unwrap_or(&EMPTY), &scenario.source)
     }
 
-    /// The agent of the scenario's learning rule, with weights 0.
-    pub fn linear_agent(&self) -> LinearAgent {
-        LinearAgent::new(&self.learner_spec(), self.encoder(), self.scenario.policy.noise)
+    /// The agent of the scenario's learner, which knows nothing yet.
+    pub fn agent(&self) -> ShippedAgent {
+        ShippedAgent::of(&self.learner_spec(), || self.encoder(), self.scenario.policy.noise)
     }
 
     /// The scenario's simulated plant, or `None` when the plant is another program.
@@ -316,7 +317,7 @@ impl Scenario {
     /// leaves out. The default range of a map is that of its input.
     fn resolved(&self) -> Self {
         let mut scenario = self.clone();
-        scenario.learner = scenario.learner.resolved();
+        scenario.learner = scenario.learner.resolved().within(scenario.period_ms);
         let inputs = signals(self).inputs;
         for map in &mut scenario.encoder.maps {
             if map.units.is_empty() {

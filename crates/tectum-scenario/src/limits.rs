@@ -122,6 +122,26 @@ pub const MODEL_INPUTS: usize = 10;
 /// Most units along an input for a learned reward. The rule decorrelates the units along each input, and the
 /// work grows with the cube of their number.
 pub const MODEL_UNITS: usize = 256;
+/// Time of a tick's work after the command, ms.
+pub const BUDGET_MS: RangeInclusive<f64> = 0.1..=1000.0;
+/// Length of a plan, ticks.
+pub const PLAN_HORIZON: RangeInclusive<usize> = 2..=200;
+/// Iterations of a plan, and steps of a refit.
+pub const PLAN_ITERATIONS: RangeInclusive<usize> = 0..=1000;
+/// Ticks that the model-predictive learner remembers.
+pub const PLAN_MEMORY: RangeInclusive<usize> = 100..=100_000;
+/// Points of the evidence. The work grows with the cube of their number.
+pub const PLAN_POINTS: RangeInclusive<usize> = 16..=1000;
+/// Features of a learned model. Its covariance has half of their square.
+pub const PLAN_FEATURES: RangeInclusive<usize> = 10..=4000;
+/// Products among them.
+pub const PLAN_PRODUCTS: RangeInclusive<usize> = 0..=4000;
+/// Factor of the first ticks' noise.
+pub const FIRST_NOISE: RangeInclusive<f64> = 0.0..=1000.0;
+/// Operations of a tick, in millions.
+pub const OPERATIONS: RangeInclusive<f64> = 0.01..=1e6;
+/// Least noise of a model, as a part of its prior's scale.
+pub const NOISE_FLOOR: RangeInclusive<f64> = 1e-12..=0.1;
 /// Most features for a natural gradient. The rule inverts their second-moment matrix, and the work grows with
 /// the cube of their number.
 pub const METRIC_FEATURES: usize = 1024;

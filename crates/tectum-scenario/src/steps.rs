@@ -36,10 +36,13 @@ const MAX_CRITIC: f64 = 1.0;
 pub(super) fn check(plan: &Plan) -> Result<Vec<String>, Violation> {
     let learner = &plan.scenario.learner;
     let mut warnings = Vec::new();
+    if !learner.rule.is_linear() {
+        return Ok(warnings);
+    }
     let actor = learner.alpha_over_variance;
     let max_actor = match learner.rule {
-        // A natural step is measured in the metric of the features, and a learned reward has no such step.
-        Rule::NaturalActorCritic | Rule::LearnedReward => f64::INFINITY,
+        // A natural step is measured in the metric of the features; a learned reward and a plan have no such step.
+        Rule::NaturalActorCritic | Rule::LearnedReward | Rule::ModelPredictive => f64::INFINITY,
         _ if learner.beta == 0.0 => MAX_OPEN_LOOP,
         Rule::Paper => MAX_PAPER,
         Rule::Baseline => MAX_BASELINE,
@@ -129,7 +132,7 @@ mod tests {
         for preset in presets() {
             assert_eq!(preset.scenario().unwrap().plan().unwrap().warnings, [""; 0], "{}", preset.name);
         }
-        for rule in [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward] {
+        for rule in Rule::ALL {
             let mut scenario = Scenario::find("arm").unwrap();
             scenario.learner = LearnerConfig::preset(rule);
             assert_eq!(scenario.plan().unwrap().warnings, [""; 0], "{rule:?}");

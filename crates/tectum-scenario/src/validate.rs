@@ -5,8 +5,8 @@
 
 use super::check::{checked_name, number, show, ticks};
 use super::{
-    LogConfig, Rule, Scenario, controller, encoder, error::Violation, error::quoted, faults, gate, learner, limits,
-    plant, plant_signals::PlantSignals, plant_signals::signals, realtime, restart, servos,
+    LogConfig, Noise, Rule, Scenario, controller, encoder, error::Violation, error::quoted, faults, gate, learner,
+    limits, plant, plant_signals::PlantSignals, plant_signals::signals, realtime, restart, servos,
 };
 use crate::limits::{MAX_INPUTS, MAX_OUTPUTS};
 
@@ -41,19 +41,28 @@ fn check_learning(scenario: &Scenario, signals: &PlantSignals) -> Result<(), Vio
         }
         return Ok(());
     }
-    let features = encoder::check(&scenario.encoder, &signals.inputs)?;
+    let rule = scenario.learner.rule;
+    // A learner without features may be given an encoder all the same, so that one line changes the learner.
+    let features = match rule.is_linear() || !scenario.encoder.is_empty() {
+        true => encoder::check(&scenario.encoder, &signals.inputs)?,
+        false => 0,
+    };
     check_policy(scenario.policy.sigma, scenario.gate.max_command.least())?;
     let unmoved = match &scenario.plant {
         plant if plant.eye.is_some() => Some("the eye"),
         plant if plant.arm.as_ref().is_some_and(|arm| arm.open_loop) => Some("an arm in an open loop"),
         _ => None,
     };
-    if let (Rule::LearnedReward, Some(plant)) = (scenario.learner.rule, unmoved) {
-        let text =
-            format!("is learned-reward, which needs inputs that the commands move; {plant} has none, so give it paper");
+    if let (Rule::LearnedReward | Rule::ModelPredictive, Some(plant)) = (rule, unmoved) {
+        let rule = learner::name(rule);
+        let text = format!("is {rule}, which needs inputs that the commands move; {plant} has none, so give it paper");
         return Err(Violation::new("learner.rule", text));
     }
-    encoder::check_rule(scenario.learner.rule, &scenario.encoder, features)?;
+    if !rule.is_linear() && scenario.policy.noise != Noise::Gaussian {
+        let text = "is laplace, and model-predictive explores with Gaussian noise; take it out, or give another rule";
+        return Err(Violation::new("policy.noise", text));
+    }
+    encoder::check_rule(rule, &scenario.encoder, features)?;
     learner::check(&scenario.learner, signals)
 }
 

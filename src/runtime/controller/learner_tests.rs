@@ -6,8 +6,7 @@ use crate::runtime::{InProcess, in_process};
 use crate::scenario::{Plan, Scenario};
 use crate::wire::{Command, Observation, flag};
 
-const RULES: [Rule; 5] =
-    [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward];
+const RULES: [Rule; 6] = Rule::ALL;
 
 fn plan(rule: Rule, seed: u64, ticks: u64) -> Plan {
     let mut scenario = Scenario::find("paper").unwrap();
@@ -28,7 +27,7 @@ fn loss(rule: Rule, ticks: u64) -> f64 {
 #[test]
 fn every_rule_gives_the_same_weights_twice_and_others_with_another_seed() {
     for rule in RULES {
-        let ticks = if rule == Rule::LearnedReward { 60 } else { 500 };
+        let ticks = if matches!(rule, Rule::LearnedReward | Rule::ModelPredictive) { 60 } else { 500 };
         let hash = |seed| run(&plan(rule, seed, ticks)).controller.weights_hash;
         assert_eq!(hash(5), hash(5), "{rule:?}");
         assert_ne!(hash(5), hash(6), "{rule:?}");
@@ -38,7 +37,7 @@ fn every_rule_gives_the_same_weights_twice_and_others_with_another_seed() {
 #[test]
 fn threads_side_by_side_learn_what_one_alone_does() {
     for rule in RULES {
-        let ticks = if rule == Rule::LearnedReward { 40 } else { 300 };
+        let ticks = if matches!(rule, Rule::LearnedReward | Rule::ModelPredictive) { 40 } else { 300 };
         let plan = plan(rule, 5, ticks);
         let alone = run(&plan).controller.weights_hash;
         std::thread::scope(|scope| {
@@ -71,7 +70,7 @@ fn a_rule_that_halts_says_so_in_the_log_and_leaves_the_weights_alone() {
         observation.reward = reward;
         controller.respond(&observation, &mut command);
         controller.after_command(&observation);
-        (controller.halted(), controller.policy().hash())
+        (controller.halted(), controller.policy().unwrap().hash())
     };
     for tick in 0..5 {
         assert!(!answer(tick, -0.1).0);

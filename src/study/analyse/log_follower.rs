@@ -4,13 +4,13 @@
 //! say little about the policy. A log holds everything that plant and controller received, so both can be run
 //! again along it: the plant advances with the applied commands, and the controller learns from the
 //! observations. Their output must equal the log to the last bit. When a target appears, a copy of the plant,
-//! in the same posture, is moved towards it with the mean of the current policy, through the gate, until the
-//! next target.
+//! in the same posture, is moved towards it with the mean of the current policy (or by the plans of an agent that
+//! plans), through the gate, until the next target.
 
 use super::cutter::MovementCutter;
 use super::movement::RecordedMovement;
 use crate::plant::{Plant as _, SimulatedPlant};
-use crate::reference::{MeanPolicy, Rollout};
+use crate::reference::{FrozenAgent, Rollout};
 use crate::runtime::Controller;
 use crate::scenario::Plan;
 use crate::wire::{Command, MAX_INPUTS, Observation, flag};
@@ -21,7 +21,6 @@ pub(super) struct LogFollower {
     plan: Plan,
     plant: SimulatedPlant,
     controller: Controller,
-    mean: MeanPolicy,
     /// The observation that the next command answers.
     unanswered: Option<Observation>,
     last: Option<u64>,
@@ -40,7 +39,6 @@ impl LogFollower {
         Some(Self {
             plant: plan.simulated_plant()?,
             controller: Controller::new(plan),
-            mean: MeanPolicy::new(plan),
             plan: plan.clone(),
             unanswered: None,
             last: None,
@@ -97,14 +95,15 @@ impl LogFollower {
         movement
     }
 
-    /// The movement to the target of `observation` by the mean of the current policy.
+    /// The movement to the target of `observation` by what the agent knows now.
     fn noiseless_movement(&mut self, observation: &Observation, cutter: &MovementCutter) -> RecordedMovement {
         let mut rollout = Rollout::sensed(self.plant.clone(), &self.plan, observation.inputs);
+        let mut agent = FrozenAgent::of(self.controller.agent(), &self.plan);
         let mut tick = observation.header.tick;
         let mut movement =
             RecordedMovement { points: vec![cutter.end(&observation.measures)], ..RecordedMovement::default() };
         loop {
-            let outcome = rollout.advance(tick, |inputs| self.mean.command(self.controller.policy(), inputs));
+            let outcome = rollout.advance(tick, |seen| agent.command(seen));
             movement.points.push(cutter.end(&outcome.measures));
             movement.errors.push(f64::from(outcome.measures[cutter.error]));
             tick += 1;

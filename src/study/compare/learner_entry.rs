@@ -4,14 +4,13 @@ use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 
 use super::ArmChange;
-use crate::programs::is_simulator;
+use crate::scenario::programs::is_simulator;
 use crate::scenario::{ArmConfig, FilePosition, LearnerConfig, Plan, Rule, Scenario, ScenarioError, merge};
 use crate::study::StudyError;
 use crate::text::thousands;
 
 /// All learners, in the order in which they are shown.
-pub const LEARNERS: [Rule; 5] =
-    [Rule::Paper, Rule::Baseline, Rule::ActorCritic, Rule::NaturalActorCritic, Rule::LearnedReward];
+pub const LEARNERS: [Rule; 6] = Rule::ALL;
 
 /// Standard deviation of the exploration noise in a comparison: that of the paper, in units of the command.
 const PAPER_SIGMA: f64 = 0.003;
@@ -41,6 +40,9 @@ pub(crate) struct LearnerEntry {
     pub changes: Vec<ArmChange>,
     /// Estimated time of a tick, ns. It orders the jobs: long runs start first.
     pub(super) estimated_tick_ns: u64,
+    /// Factor of the intervals between tests. A learner that plans takes as long for a tick of the test as for one of
+    /// the run, and a test has 3,200 of them.
+    pub(super) test_stride: u64,
 }
 
 /// A rule's usual length of a run (ticks), its usual tick of the block, and the estimated time of a tick
@@ -55,6 +57,7 @@ fn usual(rule: Rule) -> (u64, u64, u64) {
         Rule::ActorCritic => (400_000, 200_000, 3_000),
         Rule::NaturalActorCritic => (400_000, 200_000, 30_000),
         Rule::LearnedReward => (6_000, 3_000, 3_000_000),
+        Rule::ModelPredictive => (2_400, 1_200, 20_000_000),
     }
 }
 
@@ -177,7 +180,9 @@ impl LearnerEntry {
         if let Some(arm) = &mut scenario.plant.arm {
             changes.iter().for_each(|change| change.apply(arm));
         }
-        Ok(Self { name: name.to_owned(), plan: plan(scenario)?, changes, estimated_tick_ns })
+        let plans = scenario.controller.is_shipped() && !scenario.learner.rule.is_linear();
+        let test_stride = if plans { 10 } else { 1 };
+        Ok(Self { name: name.to_owned(), plan: plan(scenario)?, changes, estimated_tick_ns, test_stride })
     }
 
     /// The arm that this entry meets, with a learner that all comparisons know: what the tests are made for.
@@ -227,7 +232,7 @@ fn with_settings(scenario: Scenario, settings: &[String], learner: &str) -> Resu
         return Ok(scenario);
     }
     let refused = |text: &str, why: &str| StudyError::Asked(format!("--set {text}: {why}"));
-    let mut table: toml::Table = toml::from_str(&scenario.to_toml()).unwrap_or_default();
+    let mut table: toml::Table = toml::from_str(&scenario.text().unwrap_or_default()).unwrap_or_default();
     for text in settings {
         let form = "write learner.KEY=VALUE or policy.KEY=VALUE in TOML, with words in quotes";
         let setting: toml::Table = toml::from_str(text).map_err(|_| refused(text, form))?;
@@ -281,7 +286,7 @@ mod tests {
         assert_eq!(
             learner("papers").unwrap_err().to_string(),
             "there is no learner \"papers\"; \
-             the learners are paper, baseline, actor-critic, natural-actor-critic, learned-reward, \
+             the learners are paper, baseline, actor-critic, natural-actor-critic, learned-reward, model-predictive, \
              and a scenario file (NAME.toml) is one of your own"
         );
     }

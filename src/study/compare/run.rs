@@ -78,7 +78,7 @@ fn run_subject(
     let stride = (ticks / TIMES).max(TIMED);
     let clock = ClockCost::measure();
     let (mut tests, mut costs) = (Vec::new(), Vec::new());
-    let (mut condition, mut next) = (0, test_interval(0));
+    let (mut condition, mut next) = (0, entry.test_stride * test_interval(0));
     for tick in 0..ticks {
         side.observe(tick, 0, 0, &mut observation);
         costs.extend(subject.tick(&observation, &mut command, (tick % stride < TIMED).then_some(clock))?);
@@ -96,7 +96,7 @@ fn run_subject(
                 condition += 1;
             }
             let since = done - if condition == 0 { 0 } else { entry.changes[condition - 1].tick };
-            next = done + test_interval(since);
+            next = done + entry.test_stride * test_interval(since);
         }
     }
     if !progress.report(ticks % REPORT) {

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use super::Condition;
 use crate::policy::Outputs;
-use crate::reference::{MeanPolicy, Score, TestTick};
+use crate::reference::{Score, TestPercept};
 use crate::runtime::{Controller, ControllerReport, PipeError, PipedController};
 use crate::scenario::Plan;
 use crate::study::JobProgress;
@@ -22,8 +22,8 @@ pub(super) struct TickCost {
 
 /// A learner in its run.
 pub(super) enum Subject {
-    /// A learning rule of this package, and what computes its mean commands in a test.
-    Shipped(Box<Controller>, Box<MeanPolicy>),
+    /// A learner of this package.
+    Shipped(Box<Controller>),
     /// A program of its own.
     Piped(Box<PipedController>, Box<Learning>),
 }
@@ -35,7 +35,7 @@ impl Subject {
     /// When the controller's program cannot be started, or refuses the scenario.
     pub fn new(plan: &Plan, progress: &JobProgress) -> Result<Self, PipeError> {
         if plan.scenario.controller.is_shipped() {
-            return Ok(Self::Shipped(Box::new(Controller::new(plan)), Box::new(MeanPolicy::new(plan))));
+            return Ok(Self::Shipped(Box::new(Controller::new(plan))));
         }
         let controller = PipedController::start_until(plan, Some(progress.signals()))?;
         Ok(Self::Piped(Box::new(controller), Box::default()))
@@ -53,12 +53,12 @@ impl Subject {
     ) -> Result<Option<TickCost>, PipeError> {
         let began = clock.map(|_| Instant::now());
         match self {
-            Self::Shipped(controller, _) => controller.respond(observation, command),
+            Self::Shipped(controller) => controller.respond(observation, command),
             Self::Piped(controller, _) => controller.ask(observation, command)?,
         }
         let answered = clock.map(|_| Instant::now());
         match self {
-            Self::Shipped(controller, _) => controller.after_command(observation),
+            Self::Shipped(controller) => controller.after_command(observation),
             Self::Piped(controller, learning) => controller.receive_learning(learning)?,
         }
         let cost = |clock: ClockCost, began, answered| TickCost {
@@ -80,10 +80,7 @@ impl Subject {
         progress: &JobProgress,
     ) -> Result<Option<Score>, PipeError> {
         match self {
-            Self::Shipped(controller, mean) => {
-                let policy = controller.policy();
-                Ok(Some(condition.test.drive(|inputs| mean.command(policy, inputs))))
-            }
+            Self::Shipped(controller) => Ok(Some(condition.test.score_agent(controller.agent()))),
             Self::Piped(controller, _) => {
                 controller.begin_test()?;
                 let score = test_over_pipe(controller, condition, done, progress)?;
@@ -99,7 +96,7 @@ impl Subject {
     /// When the controller's program fails.
     pub fn finish(self) -> Result<ControllerReport, PipeError> {
         match self {
-            Self::Shipped(controller, _) => Ok(controller.finish()),
+            Self::Shipped(controller) => Ok(controller.finish()),
             Self::Piped(controller, _) => controller.finish(),
         }
     }
@@ -115,14 +112,14 @@ fn test_over_pipe(
 ) -> Result<Option<Score>, PipeError> {
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let (mut failed, mut stopped) = (None, false);
-    let score = condition.test.drive_ticks(|TestTick { tick, fresh, inputs }| {
+    let score = condition.test.drive(|&TestPercept { tick, inputs, new_target, .. }| {
         stopped |= !progress.report(0);
         if stopped || failed.is_some() {
             return Outputs::default();
         }
         // The test is another episode than the run. Its ticks continue those of the run, so that time never goes back.
         let first = if tick == 0 { flag::FIRST | flag::TRUNCATED } else { 0 };
-        observation.header.flags = first | if fresh { flag::NEW_TARGET } else { 0 };
+        observation.header.flags = first | if new_target { flag::NEW_TARGET } else { 0 };
         (observation.header.tick, observation.header.sequence) = (done + tick, done + tick);
         observation.inputs[..inputs.len()].copy_from_slice(inputs);
         failed = controller.ask(&observation, &mut command).err();

@@ -1,6 +1,6 @@
 //! The controller that is replayed: this package's, or a program of your own, which is started for it.
 
-use crate::policy::LinearPolicy;
+use crate::agent::ShippedAgent;
 use crate::runtime::{Controller, ControllerReport, PipeError, PipedController, RunStatistics};
 use crate::scenario::Plan;
 use crate::wire::{Command, Learning, Observation};
@@ -57,10 +57,10 @@ impl ReplayedController {
         }
     }
 
-    /// The policy, if it is one of this package.
-    pub fn policy(&self) -> Option<&LinearPolicy> {
+    /// The agent, if it is one of this package.
+    pub fn agent(&self) -> Option<&ShippedAgent> {
         match self {
-            Self::Shipped(controller) => Some(controller.policy()),
+            Self::Shipped(controller) => Some(controller.agent()),
             Self::Piped(..) => None,
         }
     }

@@ -34,8 +34,8 @@ pub use error::ReplayError;
 pub use off_policy::OffPolicy;
 pub use sample_diff::Difference;
 
+use crate::agent::ShippedAgent;
 use crate::log::{LogRecord, RunLog};
-use crate::policy::LinearPolicy;
 use crate::reference::{FixedArm, Score, TestSet};
 use crate::scenario::{ControllerConfig, LearnerConfig, Plan, Rule, Scenario};
 use crate::supervise::RunProgress;
@@ -191,9 +191,9 @@ fn result(
     build: &str,
 ) -> Result<ReplayResult, ReplayError> {
     let test = run.other.as_ref().and_then(|_| test_set(plan, run.plant()));
-    let score = |policy: &LinearPolicy| test.as_ref().map(|test| test.score(policy));
-    let own = run.controller.policy().and_then(score);
-    let others = run.other.as_ref().and_then(|other| score(other.controller().policy()));
+    let score = |agent: &ShippedAgent| test.as_ref().map(|test| test.score_agent(agent));
+    let own = run.controller.agent().and_then(score);
+    let others = run.other.as_ref().and_then(|other| score(other.controller().agent()));
     let (counts, seen, plant_simulated) = (run.counts, run.plant().seen(), run.plant().simulated());
     Ok(ReplayResult {
         log: path,

@@ -15,9 +15,9 @@ use serde::Serialize;
 use super::ReproduceSettings;
 use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
 use super::trial_windows::{TrialWindows, mean};
+use crate::agent::ShippedAgent;
 use crate::plant::{Arm, Plant, posture};
-use crate::policy::LinearPolicy;
-use crate::reference::{MeanPolicy, Rollout, TEST_SEED};
+use crate::reference::{FrozenAgent, Rollout, TEST_SEED};
 use crate::report::figure::{PosturesFigure, PosturesRow, SeedPostures, draw_ways};
 use crate::scenario::Plan;
 use crate::stats::Spread;
@@ -127,21 +127,21 @@ fn run_open_loop(plan: &Plan, progress: &JobProgress) -> OpenLoopRun {
     let end = run(plan, progress, |observation, controller| {
         windows.observe(observation);
         if observation.header.tick + 1 == trials {
-            test = noiseless_postures(plan, controller.policy());
+            test = noiseless_postures(plan, controller.agent());
         }
     });
     OpenLoopRun { windows, test, end }
 }
 
 /// The postures for the test's targets without exploration noise.
-fn noiseless_postures(plan: &Plan, policy: &LinearPolicy) -> Vec<TestPosture> {
+fn noiseless_postures(plan: &Plan, agent: &ShippedAgent) -> Vec<TestPosture> {
     let config = plan.scenario.plant.arm.clone().unwrap_or_default();
     let mut rollout = Rollout::new(Arm::new(&config, plan.period_ns as f64 / 1e9, TEST_SEED), plan);
-    let mut mean = MeanPolicy::new(plan);
+    let mut frozen = FrozenAgent::of(agent, plan);
     (0..TARGETS as u64)
         .map(|tick| {
             rollout.sense(tick);
-            let outcome = rollout.advance(tick, |inputs| mean.command(policy, inputs));
+            let outcome = rollout.advance(tick, |seen| frozen.command(seen));
             TestPosture { directions: rollout.plant().angles().to_vec(), error: f64::from(outcome.measures[0]) }
         })
         .collect()

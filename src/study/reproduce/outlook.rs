@@ -13,9 +13,9 @@ use serde::Serialize;
 
 use super::ReproduceSettings;
 use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
+use crate::agent::ShippedAgent;
 use crate::plant::{Arm, noise_share};
-use crate::policy::LinearPolicy;
-use crate::reference::{MeanPolicy, Rollout, TARGETS, TEST_SEED};
+use crate::reference::{FrozenAgent, Rollout, TARGETS, TEST_SEED};
 use crate::scenario::{ArmConfig, Plan};
 use crate::stats::{Fit, Quartiles, Spread};
 use crate::study::analyse::movement::{Definitions, Measures, RecordedMovement, measure};
@@ -239,7 +239,7 @@ fn run_variant(plan: &Plan, progress: &JobProgress) -> OutlookRun {
             sums.add(&config, plan, observation);
         }
         if tick + 1 == length {
-            test = noiseless_movements(plan, controller.policy());
+            test = noiseless_movements(plan, controller.agent());
         }
     });
     let share = |sum: f64, of: f64| (of > 0.0).then_some(sum / of);
@@ -255,11 +255,11 @@ fn run_variant(plan: &Plan, progress: &JobProgress) -> OutlookRun {
 }
 
 /// The measures of the policy's movements to the test's targets, without exploration noise.
-fn noiseless_movements(plan: &Plan, policy: &LinearPolicy) -> Vec<Measures> {
+fn noiseless_movements(plan: &Plan, agent: &ShippedAgent) -> Vec<Measures> {
     let period_s = plan.period_ns as f64 / 1e9;
     let config = plan.scenario.plant.arm.as_ref().map(|arm| arm.at(plan.scenario.ticks)).unwrap_or_default();
     let mut rollout = Rollout::new(Arm::new(&config, period_s, TEST_SEED), plan);
-    let mut mean = MeanPolicy::new(plan);
+    let mut frozen = FrozenAgent::of(agent, plan);
     let movement = |target: u64| {
         let from = target * config.target_every;
         rollout.sense(from);
@@ -271,7 +271,7 @@ fn noiseless_movements(plan: &Plan, policy: &LinearPolicy) -> Vec<Measures> {
             if tick > from {
                 rollout.sense(tick);
             }
-            let outcome = rollout.advance(tick, |inputs| mean.command(policy, inputs));
+            let outcome = rollout.advance(tick, |seen| frozen.command(seen));
             movement.points.push(rollout.plant().end().map(f64::from));
             movement.errors.push(f64::from(outcome.measures[0]));
         }

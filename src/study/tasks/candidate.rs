@@ -56,6 +56,7 @@ impl Candidate {
         let tick_ns = match self {
             Self::Reference(ReferenceKind::IterativeLqr) => 20_000_000,
             Self::Learner(Rule::LearnedReward) => 3_000_000,
+            Self::Learner(Rule::ModelPredictive) => 60_000_000,
             Self::Learner(Rule::NaturalActorCritic) => 30_000,
             _ => 3_000,
         };

@@ -2,11 +2,9 @@
 
 use super::outcome::{PhaseTest, RunResult};
 use super::plan::TaskPlan;
-use super::test::drive;
-use crate::agent::{Agent, LinearAgent};
+use super::test::{TestScore, TestView, drive};
 use crate::clock::thread_cpu_ns;
-use crate::policy::Outputs;
-use crate::reference::MeanPolicy;
+use crate::reference::{FrozenAgent, TestPercept};
 use crate::runtime::{Controller, PlantSide};
 use crate::scenario::{Plan, Rule};
 use crate::wire::{Command, Observation};
@@ -25,36 +23,11 @@ pub(super) fn test_interval(since: u64) -> u64 {
     }
 }
 
-/// An agent that can be tested: what it has learned so far answers inputs, without exploration noise, and learns
-/// nothing from the test.
-pub(super) trait TestedAgent: Agent {
-    /// The answers of the agent as it is now.
-    fn answers(&self, plan: &Plan) -> impl FnMut(&Observation) -> Outputs;
-}
-
-impl TestedAgent for LinearAgent {
-    fn answers(&self, plan: &Plan) -> impl FnMut(&Observation) -> Outputs {
-        let mut mean = MeanPolicy::new(plan);
-        let inputs = plan.inputs.len();
-        move |observation| mean.command(self.linear_policy(), &observation.inputs[..inputs])
-    }
-}
-
-/// Runs a rule and tests it. `None` once `go_on` returns false.
+/// Runs a rule and tests it at intervals, at the change and at the end. `None` once `go_on` returns false.
 pub(super) fn run(task: &TaskPlan, rule: Rule, seed: u64, go_on: &dyn Fn(u64) -> bool) -> Option<RunResult> {
     let plan = task.of_run(rule, seed)?;
-    run_agent(task, &plan, plan.linear_agent(), go_on)
-}
-
-/// Runs an agent and tests it at intervals, at the change and at the end. `None` once `go_on` returns false.
-pub(super) fn run_agent<A: TestedAgent>(
-    task: &TaskPlan,
-    plan: &Plan,
-    agent: A,
-    go_on: &dyn Fn(u64) -> bool,
-) -> Option<RunResult> {
-    let mut side = PlantSide::new(plan.simulated_plant()?, plan);
-    let mut controller = Controller::with_agent(plan, agent);
+    let mut side = PlantSide::new(plan.simulated_plant()?, &plan);
+    let mut controller = Controller::new(&plan);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let change = task.change();
     let (mut tests, mut begins, mut next, mut used_ns) = (Vec::new(), 0, test_interval(0), 0);
@@ -72,8 +45,7 @@ pub(super) fn run_agent<A: TestedAgent>(
         }
         if done == next || done == task.ticks || change == Some(done) {
             let changed = begins > 0;
-            let mut answers = controller.agent().answers(plan);
-            let score = drive(task, changed, false, |view| answers(view.observation), &|| go_on(0))?;
+            let score = test(task, &plan, &controller, changed, go_on)?;
             tests.push(PhaseTest { tick: done, changed, score });
             if change == Some(done) {
                 begins = done;
@@ -84,6 +56,25 @@ pub(super) fn run_agent<A: TestedAgent>(
     go_on(task.ticks % REPORT);
     let diverged = controller.halted();
     Some(RunResult { tests, diverged, ms_per_tick: used_ns as f64 / 1e6 / task.ticks as f64 })
+}
+
+/// Tests what the controller's agent knows.
+fn test(
+    task: &TaskPlan,
+    plan: &Plan,
+    controller: &Controller,
+    changed: bool,
+    go_on: &dyn Fn(u64) -> bool,
+) -> Option<TestScore> {
+    let (inputs, outputs) = (plan.inputs.len(), plan.outputs.len());
+    let mut agent = FrozenAgent::of(controller.agent(), plan);
+    let mut ticks = 0..;
+    let control = |view: &TestView| {
+        let TestView { observation, fresh, .. } = view;
+        let (inputs, applied) = (&observation.inputs[..inputs], &observation.applied[..outputs]);
+        agent.command(&TestPercept { tick: ticks.next().unwrap_or_default(), inputs, applied, new_target: *fresh })
+    };
+    drive(task, changed, false, control, &|| go_on(0))
 }
 
 #[cfg(test)]

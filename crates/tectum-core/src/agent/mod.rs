@@ -13,13 +13,15 @@
 //! comes from [seeded streams](crate::seed), and nothing in an agent depends on time.
 //!
 //! [`LinearAgent`] is the agent of the learning rules in [`crate::learner`], [`ModelPredictiveAgent`] that of the
-//! model-predictive learner.
+//! model-predictive learner. [`ShippedAgent`] is the one of the two that a scenario names.
 
 mod linear;
 mod model_predictive;
+mod shipped;
 
 pub use linear::LinearAgent;
 pub use model_predictive::ModelPredictiveAgent;
+pub use shipped::ShippedAgent;
 
 use crate::flag;
 use crate::policy::LinearPolicy;
@@ -200,6 +202,17 @@ pub trait Agent: Persist {
         0
     }
 
+    /// What the agent counted, by name, for the summary of a run. Asked once, at its end.
+    fn counts(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
+
+    /// After how many ticks the crash store gets the whole state anew; at least 1. A controller that was killed repeats
+    /// fewer ticks than that, so an agent with long ticks wants it to be small, and one with a large state does not.
+    fn save_every(&self) -> u64 {
+        64
+    }
+
     /// The linear policy over encoded features, if that is what the agent has. The hash of a run's result is then that
     /// of its weights, and otherwise that of the agent's whole state ([`learned_hash`]).
     fn policy(&self) -> Option<&LinearPolicy> {
@@ -249,6 +262,14 @@ impl<A: Agent + ?Sized> Agent for Box<A> {
 
     fn outliers(&self) -> u64 {
         (**self).outliers()
+    }
+
+    fn counts(&self) -> Vec<(&'static str, u64)> {
+        (**self).counts()
+    }
+
+    fn save_every(&self) -> u64 {
+        (**self).save_every()
     }
 
     fn policy(&self) -> Option<&LinearPolicy> {

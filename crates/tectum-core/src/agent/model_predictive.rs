@@ -1,8 +1,9 @@
 //! The agent of the model-predictive learner.
 
 use super::{Agent, AgentRecord, Answer, Boundary, Experience, Percept};
+use crate::learner::LearnerSpec;
 use crate::learner::model_predictive::{
-    InputRange, ModelPredictive, ModelPredictiveConfig, ModelPredictiveSpec, Observed, TickFlags,
+    GuardCounts, InputRange, ModelPredictive, ModelPredictiveConfig, ModelPredictiveSpec, Observed, TickFlags,
 };
 use crate::state::{Persist, StateVisitor};
 use crate::{MAX_INPUTS, MAX_OUTPUTS, SignalConfig};
@@ -51,6 +52,20 @@ impl ModelPredictiveAgent {
         });
         let flags = TickFlags { missed: true, ..TickFlags::default() };
         Self { learner, reward: 0.0, applied: [0.0; MAX_OUTPUTS], flags, improved: false }
+    }
+
+    /// The agent that `spec` configures. It knows the limits of the gate, so that it plans within them.
+    pub fn of(spec: &LearnerSpec) -> Self {
+        let limits: Vec<f64> = spec.max_command[..spec.outputs].iter().map(|limit| f64::from(*limit)).collect();
+        let config = spec.learner.plan.clone().unwrap_or_default();
+        Self::new(&spec.inputs, &limits, &vec![spec.sigma; spec.outputs], spec.seed, &config)
+    }
+
+    /// A copy that answers as this agent would now, without exploration noise, and learns nothing any more: the one to
+    /// be tested. It goes on planning in [`Agent::improve`]. It takes the next percept as the first of an episode.
+    pub fn frozen(&self) -> Self {
+        let flags = TickFlags { truncated: true, ..TickFlags::default() };
+        Self { learner: self.learner.frozen(), reward: 0.0, applied: [0.0; MAX_OUTPUTS], flags, improved: false }
     }
 
     /// The learner.
@@ -103,14 +118,42 @@ impl Agent for ModelPredictiveAgent {
     }
 
     fn columns(&self) -> &'static [&'static str] {
-        &["plan_value", "dynamics_noise", "reward_noise", "outliers", "alarms", "rivals", "clipped", "refits"]
+        &["plan_value", "dynamics_noise", "reward_noise", "outliers", "alarms", "rivals", "clipped", "operations"]
     }
 
     fn record(&self, record: &mut AgentRecord) {
+        for ((noise, command), mean) in record.noise.iter_mut().zip(self.learner.command()).zip(self.learner.mean()) {
+            *noise = (command - mean) as f32;
+        }
         let columns = self.learner.columns();
         for (to, value) in record.columns.iter_mut().zip(columns) {
             *to = value as f32;
         }
+    }
+
+    fn outliers(&self) -> u64 {
+        self.learner.counts.reward_outliers
+    }
+
+    fn counts(&self) -> Vec<(&'static str, u64)> {
+        let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, plans } =
+            self.learner.counts;
+        vec![
+            ("input_outliers", input_outliers),
+            ("reward_outliers", reward_outliers),
+            ("alarms", alarms),
+            ("worlds", worlds),
+            ("rivals", rivals),
+            ("clipped", clipped),
+            ("unusable", unusable),
+            ("plans", plans),
+            ("refits", self.learner.refits()),
+        ]
+    }
+
+    /// A tick is milliseconds of planning, so that few of them may have to be done again.
+    fn save_every(&self) -> u64 {
+        4
     }
 }
 
@@ -132,13 +175,25 @@ mod tests {
     use super::*;
     use crate::plant::{Plant as _, task::Task};
 
-    /// Mean reward of the ticks from `first` on, of `ticks`, on a task.
-    fn run(name: &str, ticks: u64, first: u64, config: &ModelPredictiveConfig) -> f64 {
+    fn agent(name: &str, config: &ModelPredictiveConfig) -> ModelPredictiveAgent {
+        let task = Task::named(name).unwrap();
+        let signals = task.body.signals();
+        let m = signals.outputs.len();
+        let (limits, sigma) = (vec![task.max_command; m], vec![task.sigma; m]);
+        ModelPredictiveAgent::new(&signals.inputs, &limits, &sigma, 1, config)
+    }
+
+    /// Mean reward of the ticks from `first` on, of `ticks`, on a task. Calls `each` after every tick.
+    fn run(
+        name: &str,
+        ticks: u64,
+        first: u64,
+        agent: &mut ModelPredictiveAgent,
+        mut each: impl FnMut(&ModelPredictiveAgent),
+    ) -> f64 {
         let task = Task::named(name).unwrap();
         let signals = task.body.signals();
         let (n, m) = (signals.inputs.len(), signals.outputs.len());
-        let (limits, sigma) = (vec![task.max_command; m], vec![task.sigma; m]);
-        let mut agent = ModelPredictiveAgent::new(&signals.inputs, &limits, &sigma, 1, config);
         let mut plant = task.plant(1);
         let (mut inputs, mut before) = ([0.0; MAX_INPUTS], [0.0; MAX_INPUTS]);
         let (mut command, mut mean) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
@@ -161,6 +216,7 @@ mod tests {
             let percept = Percept { tick, inputs: &inputs[..n], age: 0, flags: 0 };
             agent.act(&percept, &mut Answer { command: &mut command[..m], mean: &mut mean[..m] });
             agent.improve(1);
+            each(agent);
             before = inputs;
             reward = plant.advance(tick, &command[..m]).reward;
             sum += if tick >= first { f64::from(reward) } else { 0.0 };
@@ -172,7 +228,65 @@ mod tests {
     fn the_arm_is_learned_within_seconds() {
         let config = ModelPredictiveConfig { horizon: 12, rival_iterations: 3, ..ModelPredictiveConfig::default() };
         // Standing still gives about -0.25 on these targets.
-        let mean = run("arm", 240, 120, &config);
+        let mut agent = agent("arm", &config);
+        let mean = run("arm", 240, 120, &mut agent, |_| ());
         assert!(mean > -0.08, "{mean}");
+
+        // A frozen copy plans on without noise, reaches, and learns nothing.
+        let (mut frozen, stored) = (agent.frozen(), agent.learner().refits());
+        let mean = run("arm", 120, 20, &mut frozen, |agent| {
+            let mut record = AgentRecord {
+                noise: &mut [0.0; 4],
+                step: 0.0,
+                weights_norm: 0.0,
+                trace_norm: 0.0,
+                columns: [0.0; super::super::MAX_COLUMNS],
+            };
+            agent.record(&mut record);
+            assert_eq!(record.noise, &[0.0; 4]);
+        });
+        assert!(mean > -0.08, "{mean}");
+        assert_eq!(frozen.learner().refits(), stored);
+        let model = |agent: &mut ModelPredictiveAgent| {
+            let mut rows = Rows(Vec::new(), String::new());
+            agent.visit_state(&mut rows);
+            rows.0
+        };
+        assert_eq!(model(&mut frozen), model(&mut agent), "models and memory are as they were");
+    }
+
+    /// The rows of models and memory.
+    struct Rows(Vec<u8>, String);
+
+    impl StateVisitor for Rows {
+        fn row(&mut self, _name: &'static str, _kind: crate::state::NumberKind, bytes: &mut [u8]) {
+            if ["dynamics", "reward_before", "reward_after", "memory"].iter().any(|part| self.1.contains(part)) {
+                self.0.extend_from_slice(bytes);
+            }
+        }
+
+        fn count(&mut self, _name: &'static str, _count: &mut u64) {}
+
+        fn enter(&mut self, name: &'static str) {
+            self.1 = format!("{}/{name}", self.1);
+        }
+
+        fn leave(&mut self) {
+            self.1.truncate(self.1.rfind('/').unwrap_or(0));
+        }
+    }
+
+    #[test]
+    fn a_small_budget_leaves_rivals_out_and_is_kept() {
+        let small = ModelPredictiveConfig { horizon: 8, reward_features: 150, ..ModelPredictiveConfig::default() };
+        let mut most = [0.0_f64; 2];
+        for (most, operations) in most.iter_mut().zip([0.0, 6.0]) {
+            let config = ModelPredictiveConfig { operations, ..small.clone() };
+            run("pendulum", 120, 0, &mut agent("pendulum", &config), |agent| {
+                *most = most.max(agent.learner().columns()[7]);
+            });
+        }
+        // A slice of a refit is not divided, and the plan itself is always improved.
+        assert!(most[1] < 9.0 && most[0] > 15.0, "{most:?}");
     }
 }

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::model_predictive::{ModelPredictiveConfig, OPERATIONS_PER_MS};
+
 /// `[learner]`: the rule and its constants. Omitted keys have the values of the rule's
 /// [preset](LearnerConfig::preset).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -23,6 +25,14 @@ pub struct LearnerConfig {
     /// `alpha_over_variance`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model: Option<ModelConfig>,
+    /// Rule `model-predictive`: how long its work after a command may take, ms, on a machine that makes
+    /// [`OPERATIONS_PER_MS`](super::model_predictive::OPERATIONS_PER_MS); half of the period if omitted. What counts is
+    /// the number of operations that follows, [`ModelPredictiveConfig::operations`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub budget_ms: Option<f64>,
+    /// Rule `model-predictive`: models and plans. This rule does not use `beta` and `alpha_over_variance`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plan: Option<ModelPredictiveConfig>,
 }
 
 /// The learning rules.
@@ -39,6 +49,25 @@ pub enum Rule {
     NaturalActorCritic,
     /// Policy improvement through a learned model of the reward.
     LearnedReward,
+    /// Planning through learned models of movement and reward.
+    ModelPredictive,
+}
+
+impl Rule {
+    /// All of them, in the order in which they are shown.
+    pub const ALL: [Self; 6] = [
+        Self::Paper,
+        Self::Baseline,
+        Self::ActorCritic,
+        Self::NaturalActorCritic,
+        Self::LearnedReward,
+        Self::ModelPredictive,
+    ];
+
+    /// Whether it learns the weights of a linear policy over the encoder's features.
+    pub fn is_linear(self) -> bool {
+        self != Self::ModelPredictive
+    }
 }
 
 /// `[learner.baseline]`.
@@ -191,7 +220,7 @@ impl LearnerConfig {
                 }),
                 ..config
             },
-            Rule::LearnedReward => config,
+            Rule::LearnedReward | Rule::ModelPredictive => config,
         }
         .resolved()
     }
@@ -203,6 +232,18 @@ impl LearnerConfig {
             Rule::Baseline => drop(self.baseline.get_or_insert_default()),
             Rule::ActorCritic | Rule::NaturalActorCritic => drop(self.critic.get_or_insert_default()),
             Rule::LearnedReward => drop(self.model.get_or_insert_default()),
+            Rule::ModelPredictive => drop(self.plan.get_or_insert_default()),
+        }
+        self
+    }
+
+    /// The same configuration with the operations of a tick of `period_ms`, where nothing else was given.
+    pub fn within(mut self, period_ms: f64) -> Self {
+        if let (Rule::ModelPredictive, Some(plan)) = (self.rule, &mut self.plan) {
+            let budget_ms = *self.budget_ms.get_or_insert(0.5 * period_ms);
+            if plan.operations == 0.0 {
+                plan.operations = budget_ms * OPERATIONS_PER_MS / 1e6;
+            }
         }
         self
     }
@@ -210,7 +251,16 @@ impl LearnerConfig {
 
 impl Default for LearnerConfig {
     fn default() -> Self {
-        Self { rule: Rule::Paper, beta: 0.9, alpha_over_variance: 0.01, baseline: None, critic: None, model: None }
+        Self {
+            rule: Rule::Paper,
+            beta: 0.9,
+            alpha_over_variance: 0.01,
+            baseline: None,
+            critic: None,
+            model: None,
+            budget_ms: None,
+            plan: None,
+        }
     }
 }
 

@@ -11,6 +11,9 @@
 //! | `actor-critic` | `actor_critic.rs`, `pair_features.rs` | Degris et al. 2012; bounded steps: Elsayed et al. 2024 |
 //! | `natural-actor-critic` | `actor_critic.rs`, `natural_metric.rs` | Kakade 2001; Bhatnagar et al. 2009 |
 //! | `learned-reward` | `learned_reward/` | value gradients: Heess et al. 2015, Deisenroth & Rasmussen 2011 |
+//!
+//! The learner `model-predictive`, in `model_predictive/`, has no such policy: it plans. Its agent is
+//! [`ModelPredictiveAgent`](crate::agent::ModelPredictiveAgent).
 
 mod actor_critic;
 mod baseline;
@@ -146,6 +149,10 @@ pub enum Learner {
 
 impl Learner {
     /// The learner that `spec` configures, for features of `encoder`.
+    ///
+    /// # Panics
+    /// For the rule `model-predictive`, which learns no linear policy: its agent is
+    /// [`ModelPredictiveAgent`](crate::agent::ModelPredictiveAgent).
     pub fn of(spec: &LearnerSpec, encoder: &Encoder) -> Self {
         let (config, len, outputs) = (&spec.learner, encoder.len(), spec.outputs);
         let paper = || PaperRule::new(len, outputs, config.beta as f32, config.alpha_over_variance as f32);
@@ -167,6 +174,7 @@ impl Learner {
             Rule::ActorCritic => actor_critic(None),
             Rule::NaturalActorCritic => actor_critic(Some(NaturalMetric::of(spec, encoder))),
             Rule::LearnedReward => Self::LearnedReward(Box::new(LearnedReward::of(spec, encoder))),
+            Rule::ModelPredictive => unreachable!("model-predictive has an agent of its own"),
         }
     }
 

@@ -11,6 +11,7 @@ use super::layouts::{dynamics_layout, reward_layout};
 use super::linalg::dot;
 use super::memory::Memory;
 use super::model::{Model, ModelSize};
+use super::operations::{OperationBudget, StepCost};
 use super::planner::{CommandPlan, Planner};
 use super::refit::RefitSettings;
 use super::rivals;
@@ -63,6 +64,8 @@ pub struct GuardCounts {
     pub clipped: u64,
     /// Observations that were not finite.
     pub unusable: u64,
+    /// Ticks that were planned after.
+    pub plans: u64,
 }
 
 /// The model-predictive learner.
@@ -115,6 +118,10 @@ pub struct ModelPredictive {
     rival_kind: u32,
     /// Rivals of a tick.
     rivals: usize,
+    /// The operations of a tick.
+    budget: OperationBudget,
+    /// Whether it only answers and plans.
+    frozen: bool,
 }
 
 impl ModelPredictive {
@@ -163,6 +170,8 @@ impl ModelPredictive {
             apart: vec![0.0; places.state()],
             rival_kind: 0,
             rivals: 1,
+            budget: OperationBudget::new(config.operations),
+            frozen: false,
             scores: [0.0; 2],
             dynamics,
             rewards: [before, after],
@@ -170,6 +179,16 @@ impl ModelPredictive {
             places,
             config,
         }
+    }
+
+    /// A copy that answers and plans as the learner would now, without exploration noise and by the mean of what it
+    /// knows, and learns nothing any more.
+    pub fn frozen(&self) -> Self {
+        let mut frozen = self.clone();
+        frozen.frozen = true;
+        frozen.sigma.fill(0.0);
+        frozen.config.sampled = 0.0;
+        frozen
     }
 
     /// Answers an observation with a command, in its unit: `u* + K (x - x*)` and noise, within the limits.
@@ -237,31 +256,27 @@ impl ModelPredictive {
 
     /// Learns from the last tick and plans the next command: a fixed amount of work, after the command has gone out.
     pub fn improve(&mut self) {
+        self.budget.spent = 0;
         if self.teaches {
             self.learn();
         }
-        self.refit();
+        if !self.frozen {
+            self.refit();
+        }
         if self.dynamics.refit.completed > 0 && self.rewards.iter().all(|r| r.refit.completed > 0) {
             self.make_plan();
         }
     }
 
     fn make_plan(&mut self) {
-        let (n, nx, m) = (self.places.inputs, self.places.state(), self.places.commands);
-        let better = self.better();
+        let (nx, m) = (self.places.state(), self.places.commands);
+        let (better, moving) = (self.better(), self.find_moving());
         self.dynamics.take(self.config.sampled);
         let reward = &mut self.rewards[better];
         reward.take(self.config.sampled);
-        self.scratch.active.clear();
-        let mut moving = 0;
-        for i in (0..n).filter(|&i| self.beliefs[i].usual > 1e-9) {
-            moving |= 1 << i;
-            self.scratch.active.extend([i, n + i]);
-        }
-        self.scratch.active.sort_unstable();
-        self.scratch.active.extend((0..m).map(|j| self.places.command(j, 0)));
         let cap = (2.0 * self.best - self.worst - reward.fit.center) / reward.fit.scale;
         let aim = (self.best - reward.fit.center) / reward.fit.scale * self.plan.horizon as f64;
+        self.budget.cost = StepCost::of(self.places, &self.dynamics, reward, self.scratch.active.len());
         let mut world = LearnedWorld {
             places: self.places,
             dynamics: &mut self.dynamics,
@@ -276,11 +291,16 @@ impl ModelPredictive {
         self.after[nx..].copy_from_slice(&self.command[..m]);
         world.step(&self.after, &mut self.start);
         self.plan.shift();
+        let began = self.planner.work;
         self.planner.roll_out(&mut world, &mut self.plan, &self.start);
         for _ in 0..self.config.iterations {
             self.planner.improve(&mut world, &mut self.plan);
         }
+        self.budget.spend_work(began, self.planner.work);
         for _ in 0..self.rivals {
+            if !self.budget.has_iteration(self.plan.horizon) {
+                break;
+            }
             self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
             rivals::draw(
                 self.rival_kind,
@@ -290,10 +310,13 @@ impl ModelPredictive {
                 &self.plan,
                 &mut self.rival,
             );
-            self.planner.roll_out(&mut world, &mut self.rival, &self.start);
-            for _ in 0..self.config.rival_iterations {
-                self.planner.improve(&mut world, &mut self.rival);
-            }
+            Self::work_on_rival(
+                (&mut self.planner, &mut self.budget),
+                &mut world,
+                &mut self.rival,
+                &self.start,
+                self.config.rival_iterations,
+            );
             let gap = (aim - self.plan.value).max(0.0);
             if self.rival.value > self.plan.value + self.config.rival_gain * gap + 1e-9 {
                 self.counts.rivals += 1;
@@ -301,6 +324,47 @@ impl ModelPredictive {
             }
         }
         self.planned = true;
+        self.counts.plans += 1;
+    }
+
+    /// The inputs that move, as bits. The reward's Hessian is taken over them, their changes and the commands.
+    fn find_moving(&mut self) -> u32 {
+        let (n, m) = (self.places.inputs, self.places.commands);
+        self.scratch.active.clear();
+        let mut moving = 0;
+        for i in (0..n).filter(|&i| self.beliefs[i].usual > 1e-9) {
+            moving |= 1 << i;
+            self.scratch.active.extend([i, n + i]);
+        }
+        self.scratch.active.sort_unstable();
+        self.scratch.active.extend((0..m).map(|j| self.places.command(j, 0)));
+        moving
+    }
+
+    /// Improves a rival, as far as the budget goes.
+    fn work_on_rival(
+        (planner, budget): (&mut Planner, &mut OperationBudget),
+        world: &mut LearnedWorld,
+        rival: &mut CommandPlan,
+        start: &[f64],
+        iterations: usize,
+    ) {
+        let mut began = planner.work;
+        planner.roll_out(world, rival, start);
+        for _ in 0..iterations {
+            budget.spend_work(began, planner.work);
+            began = planner.work;
+            if !budget.has_iteration(rival.horizon) {
+                break;
+            }
+            planner.improve(world, rival);
+        }
+        budget.spend_work(began, planner.work);
+    }
+
+    /// The last command, in its unit.
+    pub fn command(&self) -> impl Iterator<Item = f64> {
+        self.command[..self.places.commands].iter().zip(&self.limits).map(|(command, limit)| command * limit)
     }
 
     /// The last command without exploration noise, in its unit; 0 before the first plan.
@@ -309,8 +373,8 @@ impl ModelPredictive {
     }
 
     /// Numbers for a record: the plan's predicted sum of rewards (in standard deviations of the reward), the noise of
-    /// the models of dynamics and reward as parts of their prior's scale, and counts of outliers, alarms, rivals,
-    /// clipped commands and refits.
+    /// the models of dynamics and reward as parts of their prior's scale, counts of outliers, alarms, adopted rivals and
+    /// clipped commands, and the operations of the tick, in millions.
     pub fn columns(&self) -> [f64; 8] {
         let (counts, reward) = (&self.counts, &self.rewards[self.better()]);
         [
@@ -321,8 +385,13 @@ impl ModelPredictive {
             counts.alarms as f64,
             counts.rivals as f64,
             counts.clipped as f64,
-            self.refits as f64,
+            self.budget.spent as f64 / 1e6,
         ]
+    }
+
+    /// Number of refits that were begun.
+    pub fn refits(&self) -> u64 {
+        self.refits
     }
 }
 

@@ -1,6 +1,10 @@
 //! Exponential, sine and cosine of many numbers: polynomials without branches, so that the compiler makes vectors of
 //! them, with the same bits on every machine. Errors are below 1e-11, which is less than a model knows.
 
+use tectum_encoder::simd::{F32x8, Kernel, SimdPath};
+
+use super::linalg::wide;
+
 /// `1.5 * 2^52`: adding and subtracting it rounds a number to the nearest integer.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 /// `2 pi` in two parts, the first of which has zeros at its end.
@@ -8,7 +12,7 @@ const TAU_HIGH: f64 = f64::from_bits(0x4019_21fb_5444_0000);
 const TAU_LOW: f64 = std::f64::consts::TAU - TAU_HIGH;
 
 /// Sine and cosine of `x`, for magnitudes up to 1e5.
-#[inline]
+#[inline(always)]
 pub fn sin_cos(x: f64) -> (f64, f64) {
     let turns = (x * std::f64::consts::FRAC_1_PI * 0.5 + ROUND) - ROUND;
     // Half of the angle, in [-pi / 2, pi / 2].
@@ -33,9 +37,14 @@ pub fn sin_cos(x: f64) -> (f64, f64) {
     (2.0 * s * c, c * c - s * s)
 }
 
-/// Sines and cosines of `x`.
-#[inline]
-pub fn sines_and_cosines(x: &[f64], sines: &mut [f64], cosines: &mut [f64]) {
+wide! {
+    /// Sines and cosines of `x`.
+    sines_and_cosines, sines_and_cosines_on, SinesAndCosines,
+    plain_sines_and_cosines(x: &'a [f64], sines: &'a mut [f64], cosines: &'a mut [f64]) -> ()
+}
+
+#[inline(always)]
+fn plain_sines_and_cosines(x: &[f64], sines: &mut [f64], cosines: &mut [f64]) {
     for ((x, s), c) in x.iter().zip(sines).zip(cosines) {
         (*s, *c) = sin_cos(*x);
     }

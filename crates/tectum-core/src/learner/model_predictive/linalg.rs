@@ -3,9 +3,51 @@
 //! Symmetric and lower triangular matrices of order `n` are packed by rows: row `r` has the `r + 1` numbers up to
 //! the diagonal and begins at `r (r + 1) / 2`. Sums of products keep eight partial sums, whatever the width of the
 //! machine's registers, and no multiplication is fused with an addition. So the bits are the same on every machine.
+//!
+//! The loops are plain ones, compiled twice: for the instruction set of the build, and for AVX2, which the `wide!`
+//! functions use where the machine has it ([`SimdPath`]).
+
+use tectum_encoder::simd::{F32x8, Kernel, SimdPath};
 
 /// The number of partial sums.
 const LANES: usize = 8;
+
+/// Rows shorter than this are not worth a choice between two loops.
+const SHORT: usize = 24;
+
+/// A function that runs a loop on the machine's best path, and its kernel. The loop has to be `#[inline(always)]`, like
+/// all that it calls.
+macro_rules! wide {
+    (
+        $(#[$doc:meta])*
+        $name:ident, $on_path:ident, $kernel:ident, $plain:ident($($arg:ident: $ty:ty),+) -> $out:ty
+    ) => {
+        struct $kernel<'a>($($ty),+, std::marker::PhantomData<&'a ()>);
+
+        impl Kernel for $kernel<'_> {
+            type Output = $out;
+
+            #[inline(always)]
+            fn run<L: F32x8>(self) -> $out {
+                let Self($($arg),+, _) = self;
+                $plain($($arg),+)
+            }
+        }
+
+        $(#[$doc])*
+        #[inline]
+        pub fn $name<'a>($($arg: $ty),+) -> $out {
+            $on_path(SimdPath::best(), $($arg),+)
+        }
+
+        /// The same on a path of the machine.
+        #[inline]
+        pub fn $on_path<'a>(path: SimdPath, $($arg: $ty),+) -> $out {
+            path.run($kernel::<'a>($($arg),+, std::marker::PhantomData))
+        }
+    };
+}
+pub(super) use wide;
 
 /// The first number of row `row` in a packed triangle; also the length of a packed triangle of order `row`.
 #[inline]
@@ -16,6 +58,20 @@ pub fn packed(row: usize) -> usize {
 /// The sum of the products of two rows of equal length.
 #[inline]
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+    if a.len() < SHORT { plain_dot(a, b) } else { wide_dot(a, b) }
+}
+
+/// Adds `factor` times `x` to `y`.
+#[inline]
+pub fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
+    if x.len() < SHORT { plain_add_scaled(y, factor, x) } else { wide_add_scaled(y, factor, x) }
+}
+
+wide! { wide_dot, dot_on, Dot, plain_dot(a: &'a [f64], b: &'a [f64]) -> f64 }
+wide! { wide_add_scaled, add_scaled_on, AddScaled, plain_add_scaled(y: &'a mut [f64], factor: f64, x: &'a [f64]) -> () }
+
+#[inline(always)]
+fn plain_dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0; LANES];
     let (a, a_rest) = a.as_chunks::<LANES>();
     let (b, b_rest) = b.as_chunks::<LANES>();
@@ -31,40 +87,54 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     ((a + b) + (c + d)) + ((e + f) + (g + h))
 }
 
-/// Adds `factor` times `x` to `y`.
-#[inline]
-pub fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
+#[inline(always)]
+fn plain_add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
     for (y, x) in y.iter_mut().zip(x) {
         *y += factor * x;
     }
 }
 
-/// Writes the product of a packed symmetric matrix and `x` to `out`.
-pub fn multiply_symmetric(matrix: &[f64], x: &[f64], out: &mut [f64]) {
+wide! {
+    /// Writes the product of a packed symmetric matrix and `x` to `out`.
+    multiply_symmetric, multiply_symmetric_on, MultiplySymmetric, plain_multiply_symmetric(matrix: &'a [f64], x: &'a [f64], out: &'a mut [f64]) -> ()
+}
+
+#[inline(always)]
+fn plain_multiply_symmetric(matrix: &[f64], x: &[f64], out: &mut [f64]) {
     for r in 0..x.len() {
         let row = &matrix[packed(r)..packed(r + 1)];
-        add_scaled(&mut out[..r], x[r], &row[..r]);
-        out[r] = dot(&row[..r], &x[..r]) + row[r] * x[r];
+        plain_add_scaled(&mut out[..r], x[r], &row[..r]);
+        out[r] = plain_dot(&row[..r], &x[..r]) + row[r] * x[r];
     }
 }
 
-/// Adds `factor` times `x xᵀ` to a packed symmetric matrix.
-pub fn add_outer(matrix: &mut [f64], factor: f64, x: &[f64]) {
+wide! {
+    /// Adds `factor` times `x xᵀ` to a packed symmetric matrix.
+    add_outer, add_outer_on, AddOuter, plain_add_outer(matrix: &'a mut [f64], factor: f64, x: &'a [f64]) -> ()
+}
+
+#[inline(always)]
+fn plain_add_outer(matrix: &mut [f64], factor: f64, x: &[f64]) {
     for r in 0..x.len() {
-        add_scaled(&mut matrix[packed(r)..packed(r + 1)], factor * x[r], &x[..=r]);
+        plain_add_scaled(&mut matrix[packed(r)..packed(r + 1)], factor * x[r], &x[..=r]);
     }
 }
 
-/// Turns row `r` of a packed symmetric matrix into row `r` of its Cholesky factor `L`; the rows above are `L`'s
-/// already. Returns false if the matrix is not positive definite.
-#[must_use]
-pub fn cholesky_row(matrix: &mut [f64], r: usize) -> bool {
+wide! {
+    /// Turns row `r` of a packed symmetric matrix into row `r` of its Cholesky factor `L`; the rows above are `L`'s
+    /// already. Returns false if the matrix is not positive definite.
+    #[must_use]
+    cholesky_row, cholesky_row_on, CholeskyRow, plain_cholesky_row(matrix: &'a mut [f64], r: usize) -> bool
+}
+
+#[inline(always)]
+fn plain_cholesky_row(matrix: &mut [f64], r: usize) -> bool {
     let (above, row) = matrix.split_at_mut(packed(r));
     for c in 0..r {
         let other = &above[packed(c)..packed(c + 1)];
-        row[c] = (row[c] - dot(&row[..c], &other[..c])) / other[c];
+        row[c] = (row[c] - plain_dot(&row[..c], &other[..c])) / other[c];
     }
-    let pivot = row[r] - dot(&row[..r], &row[..r]);
+    let pivot = row[r] - plain_dot(&row[..r], &row[..r]);
     row[r] = pivot.max(0.0).sqrt();
     pivot > 0.0
 }
@@ -93,15 +163,20 @@ pub fn solve_lower_transposed(lower: &[f64], x: &mut [f64]) {
     }
 }
 
-/// Turns row `r` of `L` into row `r` of its inverse; the rows above are the inverse's already. `scratch` has room
-/// for a row.
-pub fn invert_lower_row(lower: &mut [f64], r: usize, scratch: &mut [f64]) {
+wide! {
+    /// Turns row `r` of `L` into row `r` of its inverse; the rows above are the inverse's already. `scratch` has room
+    /// for a row.
+    invert_lower_row, invert_lower_row_on, InvertLowerRow, plain_invert_lower_row(lower: &'a mut [f64], r: usize, scratch: &'a mut [f64]) -> ()
+}
+
+#[inline(always)]
+fn plain_invert_lower_row(lower: &mut [f64], r: usize, scratch: &mut [f64]) {
     let (above, row) = lower.split_at_mut(packed(r));
     let row = &mut row[..=r];
     let inverse = 1.0 / row[r];
     scratch[..r].fill(0.0);
     for k in 0..r {
-        add_scaled(&mut scratch[..=k], row[k], &above[packed(k)..packed(k + 1)]);
+        plain_add_scaled(&mut scratch[..=k], row[k], &above[packed(k)..packed(k + 1)]);
     }
     for (to, sum) in row.iter_mut().zip(&scratch[..r]) {
         *to = -inverse * sum;
@@ -109,13 +184,18 @@ pub fn invert_lower_row(lower: &mut [f64], r: usize, scratch: &mut [f64]) {
     row[r] = inverse;
 }
 
-/// Turns row `r` of `L⁻¹` into row `r` of `factor L⁻ᵀ L⁻¹`, the inverse of the matrix times `factor`. Rows are done
-/// in rising order; those below are `L⁻¹`'s still. `n` is the order of the matrix.
-pub fn invert_row(lower: &mut [f64], n: usize, r: usize, factor: f64, scratch: &mut [f64]) {
+wide! {
+    /// Turns row `r` of `L⁻¹` into row `r` of `factor L⁻ᵀ L⁻¹`, the inverse of the matrix times `factor`. Rows are done
+    /// in rising order; those below are `L⁻¹`'s still. `n` is the order of the matrix.
+    invert_row, invert_row_on, InvertRow, plain_invert_row(lower: &'a mut [f64], n: usize, r: usize, factor: f64, scratch: &'a mut [f64]) -> ()
+}
+
+#[inline(always)]
+fn plain_invert_row(lower: &mut [f64], n: usize, r: usize, factor: f64, scratch: &mut [f64]) {
     scratch[..=r].fill(0.0);
     for k in r..n {
         let row = &lower[packed(k)..packed(k + 1)];
-        add_scaled(&mut scratch[..=r], factor * row[r], &row[..=r]);
+        plain_add_scaled(&mut scratch[..=r], factor * row[r], &row[..=r]);
     }
     lower[packed(r)..packed(r + 1)].copy_from_slice(&scratch[..=r]);
 }
@@ -202,6 +282,55 @@ fn rotate(matrix: &mut [f64], vectors: &mut [f64], n: usize, p: usize, q: usize)
         let (row_q, row_p) = (&mut low[q * n..(q + 1) * n], &mut high[..n]);
         for (a, b) in row_p.iter_mut().zip(row_q) {
             (*a, *b) = (c * *a - s * *b, s * *a + c * *b);
+        }
+    }
+}
+
+#[cfg(test)]
+mod path_tests {
+    use super::super::functions::sines_and_cosines_on;
+    use super::super::model::normal;
+    use super::*;
+    use crate::seed::stream;
+
+    /// The results of all loops on a path, as bits.
+    fn results(path: SimdPath, n: usize, numbers: &[f64]) -> Vec<u64> {
+        let (x, y) = (&numbers[..n], &numbers[n..2 * n]);
+        let mut all = vec![dot_on(path, x, y)];
+        let mut row = y.to_vec();
+        add_scaled_on(path, &mut row, 0.3, x);
+        all.extend(&row);
+        // A positive definite matrix from some outer products.
+        let mut matrix = vec![0.0; packed(n)];
+        for r in 0..n {
+            matrix[packed(r) + r] = 1.0;
+        }
+        for of in numbers.chunks_exact(n).take(5) {
+            add_outer_on(path, &mut matrix, 0.7, of);
+        }
+        all.extend(&matrix);
+        multiply_symmetric_on(path, &matrix, x, &mut row);
+        all.extend(&row);
+        assert!((0..n).all(|r| cholesky_row_on(path, &mut matrix, r)));
+        all.extend(&matrix);
+        (0..n).for_each(|r| invert_lower_row_on(path, &mut matrix, r, &mut row));
+        (0..n).for_each(|r| invert_row_on(path, &mut matrix, n, r, 1.5, &mut row));
+        all.extend(&matrix);
+        let (mut sines, mut cosines) = (vec![0.0; n], vec![0.0; n]);
+        sines_and_cosines_on(path, x, &mut sines, &mut cosines);
+        all.extend(sines.iter().chain(&cosines));
+        all.iter().map(|x| x.to_bits()).collect()
+    }
+
+    #[test]
+    fn all_paths_give_the_same_bits() {
+        let mut rng = stream(3, "paths");
+        for n in (1..70).chain([160, 331]) {
+            let numbers: Vec<f64> = (0..5 * n.max(2)).map(|_| 3.0 * normal(&mut rng)).collect();
+            let expected = results(SimdPath::BASELINE, n, &numbers);
+            for path in SimdPath::all() {
+                assert!(results(path, n, &numbers) == expected, "{path}, order {n}");
+            }
         }
     }
 }

@@ -18,6 +18,7 @@
 //! | `planner.rs`, `box_qp.rs` | control-limited iLQR | Tassa, Mansard & Todorov 2014 |
 //! | `rivals.rs` | where other plans begin | |
 //! | `belief.rs`, `exploration.rs` | outliers and alarms; noise | |
+//! | `operations.rs` | what a tick's work takes | |
 //! | `agent.rs` | what happens in a tick | |
 //! | `linalg.rs`, `functions.rs` | sums in a fixed order; exponential, sine, cosine | Golub & Van Loan |
 //!
@@ -65,6 +66,7 @@ mod layouts;
 mod linalg;
 mod memory;
 mod model;
+mod operations;
 mod planner;
 mod refit;
 mod regression;
@@ -81,3 +83,4 @@ mod tests;
 
 pub use agent::{GuardCounts, ModelPredictive, Observed, TickFlags};
 pub use config::{InputRange, ModelPredictiveConfig, ModelPredictiveSpec};
+pub use operations::OPERATIONS_PER_MS;

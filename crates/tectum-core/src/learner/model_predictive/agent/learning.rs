@@ -22,6 +22,11 @@ impl ModelPredictive {
             self.judge_input(i, changes[i], &mut lesson);
             alarm |= self.beliefs[i].alarmed(12.0);
         }
+        if self.frozen {
+            return;
+        }
+        self.budget.spent += self.dynamics.fit.regression.cost();
+        self.budget.spent += self.rewards.iter().map(|model| model.fit.regression.cost()).sum::<u64>();
         self.dynamics.learn(&changes[..n], lesson, &mut self.rng);
         if alarm {
             self.dynamics.fit.regression.doubt(10.0, 3.0);
@@ -59,6 +64,7 @@ impl ModelPredictive {
         } else {
             match self.beliefs[i].judge(surprise, error, change, 0.2) {
                 BeliefVerdict::Believed => false,
+                BeliefVerdict::Both if self.frozen => false,
                 BeliefVerdict::Both => {
                     *self.memory.missing(self.memory.stored - 1) &= !bit;
                     false
@@ -150,13 +156,15 @@ impl ModelPredictive {
             self.refits += 1;
             self.next_refit = self.tick + (0.35 * self.tick as f64).min(1000.0) as u64 + 5;
         }
-        let mut left = (self.config.refit_operations * 1e6) as u64;
+        let mut left = self.budget.for_refits((self.config.refit_operations * 1e6) as u64);
         let better = self.better();
         let (used, _) = self.dynamics.work(&ChangeData(&self.memory), left, &mut self.rng);
+        self.budget.spent += used;
         left = left.saturating_sub(used);
         for k in [better, 1 - better] {
             let data = RewardData { memory: &self.memory, after: k == 1 };
             let (used, _) = self.rewards[k].work(&data, left, &mut self.rng);
+            self.budget.spent += used;
             left = left.saturating_sub(used);
         }
     }

@@ -33,9 +33,10 @@ impl Persist for ModelPredictive {
         visitor.number("refits", &mut self.refits);
         visitor.number("changed_at", &mut self.changed_at);
         visitor.number("rival_kind", &mut self.rival_kind);
-        let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable } =
+        visitor.number("operations", &mut self.budget.spent);
+        let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, plans } =
             &mut self.counts;
-        for count in [input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable] {
+        for count in [input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, plans] {
             visitor.number("counts", count);
         }
     }
