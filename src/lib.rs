@@ -93,6 +93,9 @@ pub use tectum_scenario as scenario;
 // may change at any time.
 #[doc(hidden)]
 pub use tectum_encoder::simd;
+use tectum_report::text;
+#[doc(hidden)]
+pub use tectum_report::{self as report, stats};
 
 #[doc(hidden)]
 pub mod bench;
@@ -109,17 +112,12 @@ pub mod new_project;
 #[doc(hidden)]
 pub mod reference;
 #[doc(hidden)]
-pub mod report;
-#[doc(hidden)]
 pub mod servo;
-#[doc(hidden)]
-pub mod stats;
 #[doc(hidden)]
 pub mod supervise;
 
 mod programs;
 mod run_folder;
-mod text;
 
 /// The build's identity: package version and git commit. The handshake compares it, and every log has it.
 pub const BUILD: &str = env!("TECTUM_BUILD");

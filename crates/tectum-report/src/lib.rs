@@ -3,11 +3,23 @@
 //! A [`RunHistory`] is plain numbers, and travels as JSON between processes. [`figure::draw`] makes one SVG
 //! of it, [`table`] a few lines of text. Both depend on these numbers alone: equal numbers give equal bytes
 //! on every machine. [`progress_table`] and [`sentence`] are for runs whose policies were tested without
-//! exploration noise.
+//! exploration noise. [`film`] shows the movements of a log, [`stats`] has the statistics behind all of it.
+//!
+//! ```
+//! use tectum_report::stats::Spread;
+//! use tectum_report::text::thousands;
+//!
+//! let ticks = Spread::of([300.0, 340.0, 1200.0]).unwrap();
+//! assert_eq!((ticks.median, thousands(ticks.max as u64).as_str()), (340.0, "1,200"));
+//! ```
+
+#![warn(missing_docs)]
 
 pub mod figure;
 pub mod film;
 mod progress;
+pub mod stats;
+pub mod text;
 
 pub use progress::{ProgressRow, REACHES_M, Reached, progress_table, sentence};
 

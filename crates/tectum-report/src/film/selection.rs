@@ -4,7 +4,7 @@
 
 use std::collections::VecDeque;
 
-use crate::report::Reach;
+use crate::Reach;
 
 /// The second reach is the typical one of so many from ten seconds on.
 pub const EARLY_REACHES: usize = 3;

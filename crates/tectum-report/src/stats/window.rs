@@ -25,7 +25,7 @@ pub struct Window {
 
 /// Reads a number for which JSON, which has no "not a number", may hold null. A run that diverged must still get its
 /// report.
-pub(crate) fn number_or_nan<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+pub fn number_or_nan<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
     Ok(Option::<f64>::deserialize(from)?.unwrap_or(f64::NAN))
 }
 

@@ -41,4 +41,4 @@ pub fn histogram() -> Histogram<u64> {
 }
 
 /// Longest duration that the histograms resolve, ns; longer ones count as this.
-pub(crate) const LONGEST: u64 = 60_000_000_000;
+pub const LONGEST: u64 = 60_000_000_000;

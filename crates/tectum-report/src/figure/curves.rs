@@ -195,7 +195,7 @@ impl TimeAxis {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::tests::arm_history;
+    use crate::tests::arm_history;
 
     #[test]
     fn time_is_shown_in_what_people_count_in() {

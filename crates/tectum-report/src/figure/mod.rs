@@ -180,8 +180,8 @@ fn with_unit(name: &str, unit: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::TestPoint;
-    use crate::report::tests::arm_history;
+    use crate::TestPoint;
+    use crate::tests::arm_history;
 
     #[test]
     fn equal_histories_give_equal_bytes_and_different_ones_do_not() {

@@ -3,7 +3,7 @@
 use super::bands::{Axes, Band};
 use super::curves::TimeAxis;
 use super::*;
-use crate::report::Reach;
+use crate::Reach;
 use crate::stats::Window;
 
 /// Size, pixels.
@@ -88,7 +88,7 @@ fn curves(figure: &LossFigure, area: &Area) -> Result<(), ReportError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::tests::arm_history;
+    use crate::tests::arm_history;
 
     #[test]
     fn the_figure_shows_loss_mark_and_postures() {

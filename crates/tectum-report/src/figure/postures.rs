@@ -1,7 +1,7 @@
 //! The right part: the arm on its way to a target, light at first and dark at the end.
 
 use super::*;
-use crate::report::Reach;
+use crate::Reach;
 use crate::text::thousands;
 
 const LEGEND_HEIGHT: u32 = 26;

@@ -8,9 +8,9 @@ mod quartiles;
 mod spread;
 mod window;
 
-pub(crate) use percentiles::LONGEST;
+pub use percentiles::LONGEST;
 pub use percentiles::{Percentiles, histogram};
 pub use quartiles::{Fit, Quartiles};
 pub use spread::Spread;
 pub use window::Window;
-pub(crate) use window::number_or_nan;
+pub use window::number_or_nan;

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 /// Rows of cells as text: the first column to the left, the others to the right, each as wide as its widest cell.
-pub(crate) fn columns<R: AsRef<[String]>>(rows: &[R]) -> String {
+pub fn columns<R: AsRef<[String]>>(rows: &[R]) -> String {
     let count = rows.iter().map(|row| row.as_ref().len()).max().unwrap_or(0);
     let width = |column: usize| rows.iter().filter_map(|row| row.as_ref().get(column)).map(|c| c.chars().count()).max();
     let widths: Vec<usize> = (0..count).map(|column| width(column).unwrap_or(0)).collect();
@@ -20,7 +20,7 @@ pub(crate) fn columns<R: AsRef<[String]>>(rows: &[R]) -> String {
 }
 
 /// A whole number with its thousands set apart: 11,999,920 instead of 11999920.
-pub(crate) fn thousands(n: u64) -> String {
+pub fn thousands(n: u64) -> String {
     let digits = n.to_string();
     let mut text = String::new();
     for (i, digit) in digits.chars().enumerate() {
@@ -33,7 +33,7 @@ pub(crate) fn thousands(n: u64) -> String {
 }
 
 /// Three significant figures, which is what a mean over a window is good for; `-` for none.
-pub(crate) fn figures(value: Option<f64>) -> String {
+pub fn figures(value: Option<f64>) -> String {
     let Some(x) = value.filter(|x| x.is_finite()) else { return "-".into() };
     if x == 0.0 {
         return "0".into();
@@ -46,12 +46,12 @@ pub(crate) fn figures(value: Option<f64>) -> String {
 }
 
 /// An instant, s since 1970, as date and time: `2026-12-31 23:59:59 UTC`.
-pub(crate) fn utc(seconds: u64) -> String {
+pub fn utc(seconds: u64) -> String {
     format!("{}:{:02} UTC", date_and_minute(seconds), seconds % 60)
 }
 
 /// An instant, s since 1970, as date and minute: `2026-12-31 23:59 UTC`.
-pub(crate) fn utc_minute(seconds: u64) -> String {
+pub fn utc_minute(seconds: u64) -> String {
     format!("{} UTC", date_and_minute(seconds))
 }
 

@@ -86,7 +86,7 @@ pub fn seconds(s: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::Reach;
+    use crate::Reach;
 
     /// A reach of two segments that turns by 1.5 rad in `ticks` ticks.
     pub fn reach(from: u64, ticks: u64, end_error_m: f64) -> RecordedReach {
