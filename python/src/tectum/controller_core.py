@@ -45,6 +45,8 @@ class ControllerCore:
         counts = ("ticks", "unseen", "unheard", "stale", "learned", "cuts", "invalid", "checkpoints")
         self.report: dict[str, Any] = dict.fromkeys(counts, 0)
         self.windows, self.counts = Windows(run.ticks, run.error), Counts(run)
+        # The author's state before the test that goes on.
+        self.kept = b""
         self.failure: str | None = None
         """Why not all checkpoints were written."""
 

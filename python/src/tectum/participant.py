@@ -201,8 +201,8 @@ class TickLoop(ABC):
         try:
             self.loop()
         except Mistake:
-            # In lockstep, and in the first tick since the start, the next start would meet the same mistake: the process
-            # has finished its part of the run, and so is not started again.
+            # In lockstep, and in the first tick since the start, the next start would meet the same mistake: the
+            # process has finished its part of the run, and so is not started again.
             if not self.run.real or self.done == 0:
                 self.finish()
             raise

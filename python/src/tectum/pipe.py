@@ -71,7 +71,10 @@ def answer_all(pipe: Pipe, make: Callable[[RunFacts], Any], arguments: Any) -> N
         kind, data = frame
         if kind == (TESTED if testing else TEST):
             testing = not testing
-            core.begin_test() if testing else core.end_test()
+            if testing:
+                core.begin_test()
+            else:
+                core.end_test()
             continue
         if kind != OBSERVATION or len(data) != ctypes.sizeof(Observation):
             raise Refused(f"frame {kind} of {len(data)} bytes came where an observation was due")
