@@ -10,7 +10,7 @@ use crate::policy::LinearPolicy;
 use crate::scenario::{Plan, limits::RANGE};
 use crate::simd::SimdPath;
 use crate::state::{Persist, StateVisitor};
-use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, flag};
+use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, OutputValues, flag};
 
 /// An agent in its run: the controller's half of every tick, without clock and transport.
 ///
@@ -50,17 +50,17 @@ pub struct Controller<A = ShippedAgent> {
 }
 
 /// Whether all values are finite. There is no branch per value, because they nearly always are.
-fn finite(values: &[f32]) -> bool {
+fn finite(values: &OutputValues) -> bool {
     values.iter().fold(true, |all, x| all & x.is_finite())
 }
 
 /// Takes the command for its mean, where an agent has left the mean as it was: nothing of it is exploration. False if
 /// the agent has not, or if the command is not finite.
 #[cold]
-fn take_for_mean(mean: &mut [f32], command: &[f32]) -> bool {
-    let untouched = finite(command) && mean.iter().all(|x| x.is_nan());
+fn take_for_mean(command: &mut Command, outputs: usize) -> bool {
+    let untouched = finite(&command.drawn) && command.mean[..outputs].iter().all(|x| x.is_nan());
     if untouched {
-        mean.copy_from_slice(command);
+        command.mean = command.drawn;
     }
     untouched
 }
@@ -168,9 +168,8 @@ impl<A: Agent> Controller<A> {
         let percept = Percept { tick, inputs, age: self.age, flags: observation.header.flags };
         mean.fill(f32::NAN);
         self.agent.act(&percept, &mut Answer { command: drawn, mean });
-        if !(finite(mean) && finite(drawn)) && !take_for_mean(mean, drawn) {
-            mean.fill(0.0);
-            drawn.fill(0.0);
+        if !(finite(&command.mean) && finite(&command.drawn)) && !take_for_mean(command, self.outputs) {
+            (command.mean, command.drawn) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
             (self.answered, self.acted) = (None, false);
             self.flags |= flag::DIVERGED;
             command.header.flags = flag::DIVERGED;
@@ -184,16 +183,16 @@ impl<A: Agent> Controller<A> {
     pub(super) fn answer_test(&mut self, observation: &Observation, command: &mut Command) {
         let (header, inputs) = (&observation.header, &observation.inputs[..self.inputs]);
         (command.header.tick, command.header.flags) = (header.tick, 0);
+        (command.mean, command.drawn) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
         let (mean, drawn) = (&mut command.mean[..self.outputs], &mut command.drawn[..self.outputs]);
-        drawn.fill(0.0);
         mean.fill(f32::NAN);
         let percept = Percept { tick: header.tick, inputs, age: 0, flags: header.flags };
         self.agent.act(&percept, &mut Answer { command: drawn, mean });
-        if !finite(mean) && !take_for_mean(mean, drawn) {
-            mean.fill(0.0);
+        if !finite(&command.mean) && !take_for_mean(command, self.outputs) {
+            command.mean = [0.0; MAX_OUTPUTS];
             command.header.flags = flag::DIVERGED;
         }
-        drawn.copy_from_slice(mean);
+        command.drawn = command.mean;
     }
 
     /// Whether a gate could have made `applied` from the agent's command. The limits of size, ramp and

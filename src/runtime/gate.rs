@@ -155,13 +155,15 @@ impl Gate {
             if starts { 1 } else { self.ramp_commands.saturating_add(1).min(self.ramp.saturating_add(1)) };
         self.missing = 0;
         let share = self.ramp_commands as f32 / self.ramp.saturating_add(1) as f32;
-        let (mut wanted, mut changed) = (*command, false);
+        let (mut wanted, mut changed) = (*command, 0);
         for (u, limit) in wanted.iter_mut().zip(self.limit) {
             let before = *u;
-            *u = u.clamp(-limit, limit);
-            changed |= *u != before;
+            // Not `clamp`: it checks its arguments for each number, and the loop would have a branch for each.
+            *u = if before > limit { limit } else { before };
+            *u = if *u < -limit { -limit } else { *u };
+            changed |= u32::from(*u != before);
         }
-        let mut flags = if changed { flag::CLAMPED } else { 0 };
+        let mut flags = if changed > 0 { flag::CLAMPED } else { 0 };
         if share < 1.0 {
             let ranges = self.limit.map(|limit| [-limit * share, limit * share]);
             flags |= self.limit(&mut wanted, &ranges, flag::RAMPED);
