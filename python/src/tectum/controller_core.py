@@ -75,7 +75,6 @@ class ControllerCore:
         header, tick = observation.header, observation.header.tick
         inputs = np.array(observation.inputs[: len(self.run.inputs)], dtype=np.float32)
         valid = bool(np.isfinite(inputs).all())
-        self.report["unseen"] += header.sequence - (self.answered.header.sequence + 1 if self.answered else 0)
         self.age = self.age + 1 if header.flags & BLIND else 0
         withheld = self.withheld(observation, valid)
         flags = self.learn(observation, inputs, withheld) if self.acted and self.answered is not None else 0

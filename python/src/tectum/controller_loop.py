@@ -169,6 +169,15 @@ class ControllerLoop(ControllerCore, TickLoop):
         copy.header.published_ns = copy.header.incarnation = 0
         return bytes(copy)
 
+    def respond(self, observation: Observation) -> None:
+        """Counts the observations that were lost on their way, too: over a pipe none can be."""
+        self.report["unseen"] += observation.header.sequence - self.expected()
+        super().respond(observation)
+
+    def expected(self) -> int:
+        """The sequence number of the next observation, if none is lost."""
+        return int(self.answered.header.sequence) + 1 if self.answered is not None else 0
+
     # --- the loop ----------------------------------------------------------------------------------------------
 
     def loop(self) -> None:
@@ -184,8 +193,7 @@ class ControllerLoop(ControllerCore, TickLoop):
         while (observation := ports.await_observation()) is not None:
             if ports.signal:
                 ports.heartbeat()
-            expected = self.answered.header.sequence + 1 if self.answered is not None else 0
-            if observation.header.sequence < expected:
+            if observation.header.sequence < self.expected():
                 # A plant that came back sends its last observation again, and may not have received the command.
                 self.send()
                 continue
