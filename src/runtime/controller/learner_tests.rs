@@ -11,8 +11,15 @@ const RULES: [Rule; 6] = Rule::ALL;
 fn plan(rule: Rule, seed: u64, ticks: u64) -> Plan {
     let mut scenario = Scenario::find("paper").unwrap();
     (scenario.seed, scenario.ticks) = (seed, ticks);
-    scenario.learner = LearnerConfig::preset(rule);
+    scenario.learner = if rule == Rule::ModelPredictive { small_planner() } else { LearnerConfig::preset(rule) };
     scenario.plan().unwrap()
+}
+
+/// A planner with small models and short plans, so that debug builds are quick.
+pub(super) fn small_planner() -> LearnerConfig {
+    let table = "rule = \"model-predictive\"\n[plan]\nhorizon = 6\nmemory = 200\npoints = 30\nreward_features = 100\n\
+        dynamics_features = 100\nrival_iterations = 1\nrefit_operations = 2.0";
+    toml::from_str(table).unwrap()
 }
 
 fn run(plan: &Plan) -> InProcess {

@@ -65,6 +65,9 @@ fn what_is_restored_goes_on_as_if_it_had_never_stopped() {
     ] {
         let mut plan = Scenario::find(scenario).unwrap();
         plan.learner = toml::from_str(&format!("rule = \"{rule}\"")).unwrap();
+        if rule == "model-predictive" {
+            plan.learner = super::learner_tests::small_planner();
+        }
         let plan = plan.plan().unwrap();
         let mut whole = PlantAndController::of(&plan);
         // Across a challenger's birth, a new target, and a saving in the middle of a movement.
