@@ -267,6 +267,8 @@ class PlantLoop:
                 if participant.returned(participant.controller, Role.CONTROLLER):
                     participant.out.send(self.observation)
                 participant.heartbeat()
+                if participant.is_gone(Role.CONTROLLER):
+                    return False
         return True
 
     def credit(self, tick: int) -> bool:
