@@ -145,15 +145,19 @@ typedef struct tectum_control {
     uint32_t checkpoints;
     /* Start of tick 0 on the run's clock, ns; valid from `Run` on. */
     uint64_t t0_ns;
-    /* Start number of each process within the run, by `Role`; the last entry is unused. */
-    uint32_t incarnations[4];
+    /* Start number of each process within the run, by `Role`. */
+    uint32_t incarnations[3];
+    /* The processes that have ended without finishing and will not return: bit 0 the plant, 1 the controller, 2 the
+     * logger. Nobody waits for them. */
+    uint32_t gone;
 } tectum_control;
-#define TECTUM_TYPE_CONTROL "tectum.Control.v2"
+#define TECTUM_TYPE_CONTROL "tectum.Control.v3"
 TECTUM_ASSERT(sizeof(tectum_control) == 32);
 TECTUM_ASSERT(offsetof(tectum_control, phase) == 0);
 TECTUM_ASSERT(offsetof(tectum_control, checkpoints) == 4);
 TECTUM_ASSERT(offsetof(tectum_control, t0_ns) == 8);
 TECTUM_ASSERT(offsetof(tectum_control, incarnations) == 16);
+TECTUM_ASSERT(offsetof(tectum_control, gone) == 28);
 
 /* A process's board: its state and its counts. */
 typedef struct tectum_status {
@@ -301,6 +305,7 @@ enum tectum_state {
     TECTUM_STATE_RUNNING = 3,
     TECTUM_STATE_FINISHED = 4,
     TECTUM_STATE_FAILED = 5,
+    TECTUM_STATE_CLOSING = 6,
 };
 
 /* Places in `incarnations`. */

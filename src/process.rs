@@ -21,7 +21,7 @@ use clap::{CommandFactory as _, FromArgMatches as _, Parser};
 use serde::Serialize;
 
 use crate::agent::{Agent, ShippedAgent};
-use crate::runtime::{Participant, RuntimeError, run_controller, serve_controller};
+use crate::runtime::{Participant, RuntimeError, exit, run_controller, serve_controller};
 use crate::scenario::{Plan, ScenarioError};
 use crate::wire::Role;
 
@@ -73,17 +73,34 @@ fn finish<R: Serialize>(
 ) -> ExitCode {
     let result = Participant::take(&arguments.run, role, arguments.scenario.as_deref()).and_then(work);
     match result {
-        Ok(report) => {
-            if arguments.json {
-                let text = serde_json::to_string(&report).unwrap_or_default();
-                let _ = writeln!(std::io::stdout(), "{text}");
+        Ok(report) if arguments.json => {
+            let text = serde_json::to_string(&report).unwrap_or_default() + "\n";
+            match print_result(&text) {
+                Ok(()) => ExitCode::SUCCESS,
+                Err(error) => {
+                    print_error_line(&format!("{}: standard output cannot be written: {error}", program()));
+                    ExitCode::from(exit::INPUT)
+                }
             }
-            ExitCode::SUCCESS
         }
+        Ok(_) => ExitCode::SUCCESS,
         Err(error) => {
             print_error_line(&format!("{}: {error}", program()));
             ExitCode::from(error.exit_code())
         }
+    }
+}
+
+/// Prints a program's result to standard output. A closed pipe is no error: its reader wanted no more. Anything else
+/// is one, because a result that did not arrive is none.
+///
+/// # Errors
+/// When standard output cannot be written, as on a full disk.
+pub fn print_result(text: &str) -> std::io::Result<()> {
+    let mut out = std::io::stdout();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error),
+        _ => Ok(()),
     }
 }
 

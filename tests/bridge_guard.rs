@@ -217,3 +217,19 @@ fn an_overload_is_told() {
     let info = test_folder.tectum("log", &["info", "run"]).expect(0);
     assert!(info.stdout.contains("TRIPPED"), "{info:#?}");
 }
+
+/// The launcher kills a process with its whole group. The guard is not in it, and what it says later is heard.
+#[test]
+fn the_guard_outlives_the_bridges_process_group() {
+    let test_folder = TestFolder::new();
+    let mut arm = Arm::start(&test_folder, "feetech");
+    let (run, _, pid) = start_run(&test_folder, "feetech", false);
+    arm.wait_for_torque(true);
+    arm.wait_for_motion();
+    let killed = std::process::Command::new("kill").args(["-KILL", "--", &format!("-{pid}")]).status().unwrap();
+    assert!(killed.success());
+    arm.wait_for_torque(false);
+    let outcome = run.wait().expect(4);
+    let said = "guard: the process ended without turning torque off; torque is off";
+    assert!(outcome.stderr.contains(said), "{outcome:#?}");
+}

@@ -76,9 +76,9 @@ fn a_domain_is_removed_with_its_services() {
     assert!(files() > 0);
     drop(services);
     assert_eq!(files(), 0);
-    let Err(ChannelError::SetUp { hint, .. }) = PlantPorts::open(&name, &identity(), &channels) else {
+    let Err(ChannelError::Removed { root }) = PlantPorts::open(&name, &identity(), &channels) else {
         panic!("there is no run any more");
     };
-    assert_eq!(hint, "; the run is over or was never started");
+    assert_eq!(root, name.root());
     tectum::channel::remove_domain(&name);
 }

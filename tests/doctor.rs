@@ -51,6 +51,7 @@ fn the_report_has_every_check_with_verdict_and_remedy() {
         "swap",
         "shared memory",
         "disk",
+        "memory at logout",
         "debris of runs",
         "wake-up lateness",
     ];
@@ -75,7 +76,7 @@ fn the_report_has_every_check_with_verdict_and_remedy() {
 
     // The text output has the same checks. With 0 seconds nothing is measured.
     let text = test_folder.start(TECTUM, &["doctor", "--seconds", "0"]).wait().stdout;
-    assert!(expected[..13].iter().all(|name| text.contains(name)) && !text.contains("wake-up lateness"), "{text}");
+    assert!(expected[..14].iter().all(|name| text.contains(name)) && !text.contains("wake-up lateness"), "{text}");
     test_folder.start(TECTUM, &["doctor", "--seconds", "3601"]).wait().expect(2);
 }
 

@@ -4,8 +4,8 @@
 mod support;
 
 use support::{
-    Process, ProcessOutcome, TestFolder, append, assert_no_debris, children, has_ended, read_json, shared_memory,
-    signal_process,
+    Process, ProcessOutcome, TECTUM, TestFolder, append, assert_no_debris, children, has_ended, read_json,
+    shared_memory, signal_process,
 };
 use tectum::log::LogReader;
 
@@ -57,7 +57,7 @@ fn check(test_folder: &TestFolder, outcome: &ProcessOutcome) {
 fn a_signal_ends_a_run_cleanly() {
     for mode in ["lockstep", "realtime"] {
         for progress in PROGRESSES {
-            for (signal, code) in [("INT", 130), ("TERM", 143)] {
+            for (signal, code) in [("INT", 130), ("TERM", 143), ("HUP", 129), ("QUIT", 131)] {
                 let test_folder = TestFolder::new();
                 let run = start(&test_folder, mode, progress);
                 let launcher = run.id();
@@ -77,6 +77,36 @@ fn a_signal_ends_a_run_cleanly() {
             }
         }
     }
+}
+
+/// The reader of standard output and standard error is gone, as after a lost connection: summary and figure are in the
+/// run's folder all the same.
+#[test]
+fn a_closed_terminal_ends_a_run_with_everything_in_its_folder() {
+    let test_folder = TestFolder::new();
+    let mut run = start(&test_folder, "realtime", Progress::MidRun);
+    run.close_output();
+    run.signal("HUP");
+    let outcome = run.wait().expect(129);
+    check(&test_folder, &outcome);
+    let folder = test_folder.run_folder();
+    assert_eq!(read_json(folder.join("summary.json"))["ended"], serde_json::json!({ "signal": 1 }));
+    assert!(folder.join("figure.svg").exists() && folder.join("checkpoints").exists());
+    let parts =
+        std::fs::read_dir(&folder).unwrap().flatten().filter(|e| e.path().extension().is_some_and(|x| x == "part"));
+    assert_eq!(parts.count(), 0, "unfinished files are left");
+}
+
+/// A run under `nohup` outlives its terminal.
+#[test]
+fn a_run_under_nohup_goes_on() {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.endless_scenario("realtime");
+    let arguments = [TECTUM, "run", "--out", "run", &scenario, "--mode", "realtime", "--ticks", "200"];
+    let mut run = test_folder.start("/usr/bin/nohup", &arguments);
+    run.wait_until_ticking();
+    run.signal("HUP");
+    run.wait().expect(0);
 }
 
 #[test]

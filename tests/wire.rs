@@ -80,7 +80,7 @@ fn phases() -> [(&'static str, u32); 5] {
     })
 }
 
-fn states() -> [(&'static str, u32); 6] {
+fn states() -> [(&'static str, u32); 7] {
     [
         ProcessState::Absent,
         ProcessState::Ready,
@@ -88,6 +88,7 @@ fn states() -> [(&'static str, u32); 6] {
         ProcessState::Running,
         ProcessState::Finished,
         ProcessState::Failed,
+        ProcessState::Closing,
     ]
     .map(|state| {
         let name = match state {
@@ -97,6 +98,7 @@ fn states() -> [(&'static str, u32); 6] {
             ProcessState::Running => "RUNNING",
             ProcessState::Finished => "FINISHED",
             ProcessState::Failed => "FAILED",
+            ProcessState::Closing => "CLOSING",
         };
         (name, state as u32)
     })

@@ -37,8 +37,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     match study(arguments) {
         Ok((analysis, files)) => {
             let text = if arguments.json { analysis.to_json() + "\n" } else { analysis.to_text() + "\n" + &files };
-            print(&text);
-            ExitCode::from(exit::OK)
+            print(&text)
         }
         Err(error) => {
             print_error_line(&format!("tectum: {error}"));

@@ -168,10 +168,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Command::Peer(arguments) => bench::serve(arguments.over, arguments.domain).map(|()| String::new()),
     };
     match result {
-        Ok(text) => {
-            print(&text);
-            ExitCode::SUCCESS
-        }
+        Ok(text) => print(&text),
         Err(error) => {
             print_error_line(&format!("tectum: {error}"));
             ExitCode::from(error.exit_code())

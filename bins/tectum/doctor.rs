@@ -39,6 +39,6 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     let runs = Path::new("runs");
     let folder = if runs.is_dir() { runs } else { Path::new(".") };
     let found = examine(arguments.clean, arguments.seconds, folder);
-    print(&if arguments.json { found.to_json() + "\n" } else { found.to_text() });
-    ExitCode::from(if found.verdict == Verdict::Problem { exit::ERROR } else { exit::OK })
+    let printed = print(&if arguments.json { found.to_json() + "\n" } else { found.to_text() });
+    if found.verdict == Verdict::Problem { ExitCode::from(exit::ERROR) } else { printed }
 }

@@ -37,10 +37,7 @@ pub struct Arguments {
 
 pub fn main(arguments: &Arguments) -> ExitCode {
     match make(arguments) {
-        Ok(written) => {
-            print(&if arguments.json { written.to_json() + "\n" } else { written.to_text() });
-            ExitCode::from(exit::OK)
-        }
+        Ok(written) => print(&if arguments.json { written.to_json() + "\n" } else { written.to_text() }),
         Err(error) => {
             print_error_line(&format!("tectum: {error}"));
             ExitCode::from(exit::INPUT)

@@ -97,10 +97,12 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Work::Repair { common, out } => find(&common.log)
             .and_then(|log| repair_segments(&log, out.as_deref()))
             .map(|repairs| print(&if common.json { json(&repairs) + "\n" } else { text(&repairs) })),
-        Work::Csv { log, channel, out } => find(log).and_then(|log| export(&log, channel.channel(), out.as_deref())),
+        Work::Csv { log, channel, out } => {
+            find(log).and_then(|log| export(&log, channel.channel(), out.as_deref()).map(|()| ExitCode::SUCCESS))
+        }
     };
     match result {
-        Ok(()) => ExitCode::from(exit::OK),
+        Ok(printed) => printed,
         Err(error) => {
             print_error_line(&format!("tectum: {error}"));
             ExitCode::from(exit::INPUT)

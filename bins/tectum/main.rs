@@ -14,11 +14,11 @@ mod scenario;
 mod tasks;
 mod tick_count;
 
-use std::io::Write as _;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use tectum::process::print_error_line;
+use tectum::process::{print_error_line, print_result};
+use tectum::runtime::exit;
 use tectum::study::StudyError;
 
 /// A shared-memory control runtime in which the controller learns on line
@@ -35,7 +35,9 @@ Exit codes:
   2    bad input: arguments, scenario, folder, or a disk without room
   3    a process does not fit the run it was to join
   4    a process of the run failed or died
+  129  ended by SIGHUP: the terminal was closed, or the connection was lost
   130  ended by Ctrl-C (SIGINT)
+  131  ended by Ctrl-\\ (SIGQUIT)
   143  ended by SIGTERM")]
 struct Arguments {
     #[command(subcommand)]
@@ -87,18 +89,21 @@ fn main() -> ExitCode {
     }
 }
 
-/// Prints to standard output. A closed pipe is no error: what is printed is in the command's folder too.
-fn print(text: &str) {
-    let _ = std::io::stdout().write_all(text.as_bytes());
+/// Prints to standard output. What cannot be printed is no success.
+fn print(text: &str) -> ExitCode {
+    match print_result(text) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            print_error_line(&format!("tectum: standard output cannot be written: {error}"));
+            ExitCode::from(exit::INPUT)
+        }
+    }
 }
 
 /// Prints a study's result, or its error.
 fn study_ended(result: Result<String, StudyError>) -> ExitCode {
     match result {
-        Ok(text) => {
-            print(&text);
-            ExitCode::SUCCESS
-        }
+        Ok(text) => print(&text),
         Err(error) => {
             print_error_line(&format!("tectum: {error}"));
             ExitCode::from(error.exit_code())

@@ -64,13 +64,13 @@ impl RuleArgument {
 pub fn main(arguments: &Arguments) -> ExitCode {
     match study(arguments) {
         Ok(result) => {
-            print(&if arguments.json { result.to_json() + "\n" } else { result.to_text() });
+            let printed = print(&if arguments.json { result.to_json() + "\n" } else { result.to_text() });
             match result.failure() {
                 Some(failure) => {
                     print_error_line(&format!("tectum: {failure}"));
                     ExitCode::from(exit::ERROR)
                 }
-                None => ExitCode::from(exit::OK),
+                None => printed,
             }
         }
         Err(error) => {

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 use tectum::process::print_error_line;
-use tectum::runtime::Mode;
+use tectum::runtime::{Mode, exit};
 use tectum::scenario::Scenario;
 use tectum::supervise::{Launch, LaunchError, RunSummary, resume, run, run_in_process};
 use tectum::wire::Role;
@@ -84,8 +84,8 @@ fn run_name(text: &str) -> Result<String, String> {
 pub fn main(arguments: &Arguments) -> ExitCode {
     match launch(arguments) {
         Ok(summary) => {
-            show(&summary, arguments.json);
-            ExitCode::from(summary.exit_code())
+            let printed = show(&summary, arguments.json);
+            if summary.exit_code() == exit::OK { printed } else { ExitCode::from(summary.exit_code()) }
         }
         Err(error) => {
             print_error_line(&format!("tectum: {error}"));
@@ -150,9 +150,9 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
     })
 }
 
-fn show(summary: &RunSummary, json: bool) {
+fn show(summary: &RunSummary, json: bool) -> ExitCode {
     if let Some(failure) = &summary.failure {
         print_error_line(&format!("tectum: {failure}"));
     }
-    print(&if json { summary.to_json() + "\n" } else { summary.to_text() });
+    print(&if json { summary.to_json() + "\n" } else { summary.to_text() })
 }

@@ -45,16 +45,15 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Work::List { json } => print(&if *json { list_json() } else { list_text() }),
         Work::Show { name, json } => match Preset::named(name) {
             Ok(preset) if *json => {
-                print(&object(&json!({ "name": preset.name, "about": preset.about, "toml": preset.text })));
+                print(&object(&json!({ "name": preset.name, "about": preset.about, "toml": preset.text })))
             }
             Ok(preset) => print(preset.text),
             Err(error) => {
                 print_error_line(&format!("tectum: {error}"));
-                return ExitCode::from(exit::INPUT);
+                ExitCode::from(exit::INPUT)
             }
         },
     }
-    ExitCode::SUCCESS
 }
 
 fn list_text() -> String {

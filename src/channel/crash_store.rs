@@ -15,6 +15,7 @@ use memmap2::MmapMut;
 use rustix::fs::{FallocateFlags, fallocate};
 use xxhash_rust::xxh3::xxh3_64_with_seed;
 
+use super::own_files::open_own;
 use super::{ChannelError, DomainName};
 use crate::wire::Role;
 
@@ -64,7 +65,8 @@ impl CrashStore {
         let failed =
             |cause: rustix::io::Errno| ChannelError::set_up(format!("the {}'s crash store", role.name()), cause);
         let io = |e: std::io::Error| failed(rustix::io::Errno::from_io_error(&e).unwrap_or(rustix::io::Errno::IO));
-        let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).map_err(io)?;
+        let mut options = OpenOptions::new();
+        let file = open_own(&path, options.read(true).write(true).create(true).truncate(false)).map_err(io)?;
         if file.metadata().map_err(io)?.len() != size as u64 {
             file.set_len(0).map_err(io)?;
             // Allocates all pages now: without room, a later write through the map would kill the process.

@@ -7,6 +7,8 @@ use std::time::Duration;
 use iceoryx2::prelude::*;
 
 use super::ChannelError;
+use super::own_files::{close_to_others, is_own, is_own_folder};
+use crate::clock::maps_file;
 
 /// The folder of shared memory.
 pub(super) const SHM: &str = "/dev/shm";
@@ -15,9 +17,28 @@ pub(super) const LOCK_FILE: &str = "launcher.lock";
 /// How often [`reclaim_dead`] tries.
 const RECLAIM_ATTEMPTS: u32 = 10;
 
-/// Name of a domain: eight hexadecimal digits. Prefix and root follow from it.
+/// Name of a domain: eight hexadecimal digits. Prefix and root follow from it. A name that is read from a file is
+/// checked, because paths are made of it.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
+#[serde(try_from = "String")]
 pub struct DomainName(String);
+
+/// A text that is not the name of a domain.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("\"{0}\" is not the name of a domain, which has eight hexadecimal digits")]
+pub struct NotADomain(String);
+
+impl TryFrom<String> for DomainName {
+    type Error = NotADomain;
+
+    fn try_from(name: String) -> Result<Self, NotADomain> {
+        if is_name(&name) { Ok(Self(name)) } else { Err(NotADomain(name)) }
+    }
+}
+
+fn is_name(text: &str) -> bool {
+    text.len() == 8 && text.bytes().all(|b| b.is_ascii_digit() || (b'a'..=b'f').contains(&b))
+}
 
 impl DomainName {
     /// The domain of the run with this id.
@@ -29,8 +50,7 @@ impl DomainName {
     pub(super) fn of_file(name: &str) -> Option<Self> {
         let digits = name.strip_prefix("tectum_")?;
         let (digits, rest) = digits.split_at_checked(8)?;
-        let hexadecimal = digits.bytes().all(|b| b.is_ascii_digit() || (b'a'..=b'f').contains(&b));
-        (hexadecimal && (rest.is_empty() || rest.starts_with('_'))).then(|| Self(digits.to_owned()))
+        (is_name(digits) && (rest.is_empty() || rest.starts_with('_'))).then(|| Self(digits.to_owned()))
     }
 
     /// The beginning of the names of the root and of all files.
@@ -78,6 +98,16 @@ impl Domain {
     }
 }
 
+/// Closes the domain's files to other users. For the launcher, when the first node exists.
+pub(super) fn close_domain_to_others(name: &DomainName) {
+    close_to_others(Path::new(SHM), &name.prefix());
+}
+
+/// Whether process `pid` has memory of the domain mapped, as every process of its run has.
+pub(crate) fn is_member(name: &DomainName, pid: u32) -> bool {
+    maps_file(pid, &name.root())
+}
+
 fn configuration(name: &DomainName) -> Config {
     let mut config = Config::default();
     config.global.prefix = FileName::new(name.prefix().as_bytes()).expect("hexadecimal digits are a file name");
@@ -100,7 +130,7 @@ pub(crate) fn reclaim_dead(name: &DomainName, limit: Duration) -> Option<bool> {
     let config = configuration(name);
     let (done, wait) = mpsc::channel();
     // Not joined: if it hangs, it ends with the launcher.
-    std::thread::spawn(move || {
+    let thread = std::thread::Builder::new().name("reclaim".to_owned()).spawn(move || {
         // A failed attempt may succeed the next time: the node may have died while it was being created or listed.
         let clean = (0..RECLAIM_ATTEMPTS).any(|attempt| {
             if attempt > 0 {
@@ -117,7 +147,8 @@ pub(crate) fn reclaim_dead(name: &DomainName, limit: Duration) -> Option<bool> {
         });
         let _ = done.send(clean);
     });
-    wait.recv_timeout(limit).ok()
+    // Without a thread nothing is freed now. The start that follows fails then, and is tried again.
+    thread.map_or(Some(false), |_| wait.recv_timeout(limit).ok())
 }
 
 /// Removes segments of size 0. Their creator died between creating and sizing them; opening one would hang.
@@ -125,7 +156,7 @@ fn remove_empty_segments(name: &DomainName) {
     let prefix = name.prefix();
     for entry in std::fs::read_dir(SHM).into_iter().flatten().flatten() {
         let in_domain = entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes());
-        if in_domain && entry.metadata().is_ok_and(|m| m.is_file() && m.len() == 0) {
+        if in_domain && entry.metadata().is_ok_and(|m| m.is_file() && m.len() == 0 && is_own(&m)) {
             let _ = std::fs::remove_file(entry.path());
         }
     }
@@ -136,24 +167,31 @@ pub fn remove_domain(name: &DomainName) {
     remove_domain_in(Path::new(SHM), name);
 }
 
-/// Removes every file of the domain below `shm`. The launcher's lock is removed last, so that the domain never
-/// has files without a lock.
+/// Removes every file of the domain below `shm`.
 pub(super) fn remove_domain_in(shm: &Path, name: &DomainName) {
     let prefix = name.prefix();
-    if let Ok(entries) = std::fs::read_dir(shm) {
-        for entry in entries.flatten() {
-            if entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes()) {
-                let _ = std::fs::remove_file(entry.path());
-            }
+    let entries = std::fs::read_dir(shm).into_iter().flatten().flatten();
+    let files = entries.filter(|entry| entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes()));
+    remove_files(files.map(|entry| entry.path()), &name.root_in(shm));
+}
+
+/// Removes `files` and the domain's `root`, as far as they are this user's. The launcher's lock is removed last, so
+/// that the domain never has files without a lock. No link is followed.
+pub(super) fn remove_files(files: impl Iterator<Item = PathBuf>, root: &Path) {
+    for file in files {
+        if file.symlink_metadata().is_ok_and(|metadata| is_own(&metadata)) {
+            let _ = std::fs::remove_file(file);
         }
     }
-    let root = name.root_in(shm);
-    for entry in std::fs::read_dir(&root).into_iter().flatten().flatten().filter(|e| e.file_name() != LOCK_FILE) {
+    if !is_own_folder(root) {
+        return;
+    }
+    for entry in std::fs::read_dir(root).into_iter().flatten().flatten().filter(|e| e.file_name() != LOCK_FILE) {
         let folder = entry.file_type().is_ok_and(|t| t.is_dir());
         let _ = if folder { std::fs::remove_dir_all(entry.path()) } else { std::fs::remove_file(entry.path()) };
     }
     let _ = std::fs::remove_file(root.join(LOCK_FILE));
-    let _ = std::fs::remove_dir(&root);
+    let _ = std::fs::remove_dir(root);
 }
 
 #[cfg(test)]
@@ -177,5 +215,14 @@ mod tests {
         let left: Vec<_> = std::fs::read_dir(shm.path()).unwrap().flatten().collect();
         assert_eq!(left.len(), 1);
         assert!(left[0].file_name().to_str().unwrap().starts_with(&other.prefix()));
+    }
+
+    #[test]
+    fn a_name_that_is_read_is_checked() {
+        let read = |text: &str| serde_json::from_str::<DomainName>(&format!("\"{text}\""));
+        assert_eq!(read("0123abcd").unwrap().stem(), "tectum_0123abcd");
+        for text in ["", "0123abc", "0123abcde", "0123ABCD", "../../ho", "0123/bcd"] {
+            assert!(read(text).unwrap_err().to_string().contains("eight hexadecimal digits"), "{text}");
+        }
     }
 }

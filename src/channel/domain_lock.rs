@@ -12,6 +12,7 @@ use std::path::Path;
 
 use super::ChannelError;
 use super::domain::{DomainName, LOCK_FILE, SHM, remove_domain};
+use super::own_files::{is_own_folder, open_own};
 use crate::clock::pause;
 
 /// How often [`DomainLock::take_in`] tries.
@@ -33,11 +34,15 @@ impl DomainLock {
         let path = root.join(LOCK_FILE);
         // Only a process that cleans up this very domain right now can be in the way, and it is done in no time.
         for _ in 0..ATTEMPTS {
-            match DirBuilder::new().mode(0o750).create(&root) {
+            match DirBuilder::new().mode(0o700).create(&root) {
                 Err(error) if error.kind() != ErrorKind::AlreadyExists => return Err(error),
+                // Another process may remove it right now.
+                Err(_) if root.symlink_metadata().is_ok() && !is_own_folder(&root) => {
+                    return Err(std::io::Error::new(ErrorKind::PermissionDenied, "it belongs to another user"));
+                }
                 _ => {}
             }
-            let mut lock = match File::options().create(true).truncate(false).write(true).open(&path) {
+            let mut lock = match open_own(&path, File::options().create(true).truncate(false).write(true)) {
                 Ok(lock) => lock,
                 Err(error) if error.kind() == ErrorKind::NotFound => continue,
                 Err(error) => return Err(error),
@@ -84,6 +89,11 @@ impl DomainGuard {
     pub(super) fn take(name: &DomainName) -> Result<Self, ChannelError> {
         let lock = DomainLock::take_in(Path::new(SHM), name).map_err(|e| ChannelError::set_up("the root", e.kind()))?;
         Ok(Self { name: name.clone(), _lock: lock })
+    }
+
+    /// The domain.
+    pub(super) fn name(&self) -> &DomainName {
+        &self.name
     }
 }
 

@@ -15,7 +15,6 @@
 
 use std::fs::{File, OpenOptions};
 use std::marker::PhantomData;
-use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering, fence};
 
@@ -23,6 +22,7 @@ use bytemuck::Zeroable;
 use memmap2::{MmapMut, MmapOptions};
 use rustix::fs::{FallocateFlags, fallocate};
 
+use super::own_files::open_own;
 use super::{ChannelError, DomainName, LOG_BUFFER};
 use crate::wire::Sample;
 
@@ -71,7 +71,7 @@ impl<T: Sample> Ring<T> {
     fn create(domain: &DomainName, channel: &str) -> Result<(), ChannelError> {
         let failed = |cause| Self::failed(channel, cause);
         let mut options = OpenOptions::new();
-        let file = options.read(true).write(true).create_new(true).mode(0o600).open(ring_file(domain, channel));
+        let file = open_own(&ring_file(domain, channel), options.read(true).write(true).create_new(true));
         let file = file.map_err(failed)?;
         // Allocates all pages now: without room, a later write through the map would kill the process.
         fallocate(&file, FallocateFlags::empty(), 0, 8 * Self::WORDS as u64).map_err(|e| failed(e.into()))?;
@@ -84,7 +84,8 @@ impl<T: Sample> Ring<T> {
 
     fn open(domain: &DomainName, channel: &str) -> Result<Self, ChannelError> {
         let failed = |cause| Self::failed(channel, cause);
-        let file = OpenOptions::new().read(true).write(true).open(ring_file(domain, channel)).map_err(failed)?;
+        let mut options = OpenOptions::new();
+        let file = open_own(&ring_file(domain, channel), options.read(true).write(true)).map_err(failed)?;
         let other = || failed(std::io::Error::other("it has another layout"));
         if file.metadata().map_err(failed)?.len() != 8 * Self::WORDS as u64 {
             return Err(other());

@@ -15,11 +15,14 @@ mod boards;
 mod crash_store;
 mod domain;
 mod domain_lock;
+mod error;
 mod identity;
 mod log_ring;
+mod own_files;
 mod participant_ports;
 mod ports;
 mod services;
+mod shared_memory;
 mod shared_page;
 mod stale_domains;
 mod vision_ports;
@@ -28,14 +31,16 @@ mod wake;
 pub(crate) use bare_exchange::BareExchange;
 pub use boards::{BoardReader, BoardWriter, StatusBoard};
 pub(crate) use crash_store::CrashStore;
-pub(crate) use domain::reclaim_dead;
 pub use domain::{DomainName, remove_domain};
+pub(crate) use domain::{is_member, reclaim_dead};
+pub use error::{ChannelError, Mismatch, SetUpCause};
 pub use identity::Identity;
 pub(crate) use log_ring::ring_file;
 pub use log_ring::{LogAppender, LogTail};
 pub use participant_ports::{ControllerPorts, LoggerPorts, PlantPorts};
 pub use ports::{Payload, Receiver, Sender};
 pub use services::RunServices;
+pub(crate) use shared_memory::{check_shared_memory, fill_domain};
 pub(crate) use shared_page::SharedPage;
 pub use stale_domains::{DomainOwner, StaleDomain};
 pub(crate) use stale_domains::{list_domains, remove_stale_domains};
@@ -71,68 +76,4 @@ pub(crate) fn board_name(name: &str) -> String {
 
 fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
     name.try_into().map_err(|e| ChannelError::set_up(format!("the name {name}"), e))
-}
-
-/// Why a channel cannot be set up or used.
-#[derive(Debug, thiserror::Error)]
-pub enum ChannelError {
-    /// iceoryx2 refused to create or open something.
-    #[error("{what} of the run's domain could not be set up: {cause}{hint}")]
-    SetUp {
-        /// The resource.
-        what: String,
-        /// iceoryx2's reason.
-        cause: String,
-        /// What the user can do about it; empty where nothing is known.
-        hint: &'static str,
-    },
-    /// A sample could not be sent or received.
-    #[error("channel {channel} failed while the run was going: {cause}")]
-    Transfer {
-        /// The channel's name.
-        channel: String,
-        /// iceoryx2's reason.
-        cause: String,
-    },
-    /// The process does not fit the run.
-    #[error("{0}")]
-    Mismatch(Mismatch),
-}
-
-/// Why a process is refused: one of the handshake's values differs.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "the {role} does not fit the run: its {what} is {ours}, the run's is {theirs}; start it from the same build and \
-     with the same scenario as the run"
-)]
-pub struct Mismatch {
-    /// The refused process.
-    pub role: &'static str,
-    /// The value that differs: `schema`, `scenario` or `build`.
-    pub what: &'static str,
-    /// The process's own value.
-    pub ours: String,
-    /// The run's value.
-    pub theirs: String,
-}
-
-impl ChannelError {
-    fn set_up(what: impl Into<String>, cause: impl std::fmt::Debug) -> Self {
-        let cause = format!("{cause:?}");
-        let hint = if cause.contains("DoesNotExist") {
-            "; the run is over or was never started"
-        } else if cause.contains("Permission") {
-            "; start all processes of a run as the same user"
-        } else if ["UnableToGenerateUniqueNodeId", "OutOfMemory", "NotFound", "StorageFull"]
-            .iter()
-            .any(|what| cause.contains(what))
-        {
-            "; is /dev/shm mounted and large enough?"
-        } else if cause.contains("Exceeds") {
-            "; another process already has this role in the run"
-        } else {
-            ""
-        };
-        Self::SetUp { what: what.into(), cause, hint }
-    }
 }

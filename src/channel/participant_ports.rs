@@ -1,6 +1,8 @@
 //! The ends of channels and boards that plant, controller and logger hold. They open what the launcher has
 //! created.
 
+use std::os::unix::fs::MetadataExt as _;
+
 use iceoryx2::service::port_factory::PortFactory as _;
 
 use super::boards::{BoardReader, StatusBoard, open_status_board, read_peer};
@@ -144,6 +146,7 @@ impl LoggerPorts {
 
 /// Joins the domain and checks the handshake.
 pub(super) fn open_domain(name: &DomainName, identity: &Identity, role: &'static str) -> Result<Domain, ChannelError> {
+    check_owner(name)?;
     let domain = Domain::join(name)?;
     let service = domain
         .node
@@ -153,6 +156,18 @@ pub(super) fn open_domain(name: &DomainName, identity: &Identity, role: &'static
         .map_err(|e| ChannelError::set_up("the run's identity", e))?;
     identity.check(role, service.attributes())?;
     Ok(domain)
+}
+
+/// Requires that the run's domain is there and belongs to this user. The transport would only say that something
+/// failed, or would set up a part of the domain anew.
+fn check_owner(name: &DomainName) -> Result<(), ChannelError> {
+    let root = name.root();
+    let own = rustix::process::geteuid().as_raw();
+    match root.symlink_metadata() {
+        Ok(metadata) if metadata.uid() != own => Err(ChannelError::OtherUser { owner: metadata.uid(), own }),
+        Ok(_) => Ok(()),
+        Err(_) => Err(ChannelError::Removed { root }),
+    }
 }
 
 pub(super) fn open_channel<T: Payload>(domain: &Domain, name: &str) -> Result<Factory<T>, ChannelError> {

@@ -4,7 +4,7 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::event;
 
 use super::boards::{Board, BoardReader, BoardWriter, CONTROL_PAGE, create_board, read_board, write_board};
-use super::domain::{Domain, DomainName};
+use super::domain::{Domain, DomainName, close_domain_to_others};
 use super::domain_lock::DomainGuard;
 use super::log_ring::create_rings;
 use super::ports::{Factory, Payload};
@@ -36,7 +36,7 @@ pub struct RunServices {
     _identity: event::PortFactory<ipc::Service>,
     _wake: WakeWord,
     _domain: Domain,
-    _guard: DomainGuard,
+    guard: DomainGuard,
 }
 
 impl RunServices {
@@ -55,6 +55,7 @@ impl RunServices {
         let nodes = MAX_NODES + extra;
         let guard = DomainGuard::take(name)?;
         let domain = Domain::join(name)?;
+        close_domain_to_others(name);
         let service = domain
             .node
             .service_builder(&service_name(IDENTITY)?)
@@ -87,8 +88,13 @@ impl RunServices {
             _identity: service,
             _wake: wake,
             _domain: domain,
-            _guard: guard,
+            guard,
         })
+    }
+
+    /// The run's domain.
+    pub(crate) fn domain(&self) -> &DomainName {
+        self.guard.name()
     }
 
     /// The status that the process in `role` published last.

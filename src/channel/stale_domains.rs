@@ -7,20 +7,28 @@
 //! *No races.* A launcher that finds its lock file removed or replaced after locking it starts over. So a run
 //! that begins while another process cleans up loses nothing. Two processes that clean up at once exclude each
 //! other by the same lock.
+//!
+//! *Other users.* Entries that belong to another user are counted, and otherwise left alone: their names may be made
+//! up, and what they link to is not ours.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
 use std::io::{ErrorKind, Read as _};
 use std::os::unix::fs::MetadataExt as _;
-use std::path::Path;
-use std::time::Duration;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
 
 use serde::Serialize;
 
-use super::domain::{DomainName, LOCK_FILE, SHM, remove_domain_in};
+use super::domain::{DomainName, LOCK_FILE, SHM, remove_files};
 use super::domain_lock::is_file_at;
+use super::own_files::{is_own, open_own};
 use crate::clock::processes_mapping;
 
+/// Domains that are examined, and whose locks are held, at the same time.
+const BATCH: usize = 256;
+/// Bytes of a lock file that are read: a process id and a line end.
+const LOCK_FILE_BYTES: u64 = 32;
 /// Minimum age of a domain without a lock before it counts as stale: its run may be about to create the lock.
 const MIN_STALE_AGE: Duration = Duration::from_secs(60);
 
@@ -71,10 +79,9 @@ pub(crate) fn list_domains() -> Vec<StaleDomain> {
 }
 
 fn list_in(shm: &Path) -> Vec<StaleDomain> {
-    domains(shm)
-        .into_iter()
-        .map(|(name, size)| size.stale_domain(&name, examine(shm, &name, File::try_lock_shared).owner))
-        .collect()
+    let listed: Vec<_> = domains(shm).into_iter().collect();
+    let examined = listed.chunks(BATCH).flat_map(|batch| examine(shm, batch, File::try_lock_shared));
+    listed.iter().zip(examined).map(|((name, domain), found)| domain.stale_domain(name, found.owner)).collect()
 }
 
 /// Removes every domain without an owner, and returns those that it removed. Cheap when there is none. Domains
@@ -84,43 +91,68 @@ pub(crate) fn remove_stale_domains(thorough: bool) -> Vec<StaleDomain> {
 }
 
 fn remove_stale_in(shm: &Path, thorough: bool) -> Vec<StaleDomain> {
+    let listed: Vec<_> = domains(shm).into_iter().filter(|(_, domain)| !domain.is_foreign()).collect();
     let mut removed = Vec::new();
-    for (name, size) in domains(shm) {
-        // The lock, if the domain has one, is held until all files are removed.
-        let ExaminedDomain { owner, lock } = examine(shm, &name, File::try_lock);
-        if owner == DomainOwner::Nobody && (lock.is_some() || thorough) {
-            remove_domain_in(shm, &name);
-            if !domains(shm).contains_key(&name) {
-                removed.push(size.stale_domain(&name, owner));
+    for batch in listed.chunks(BATCH) {
+        // The lock, if a domain has one, is held until all its files are removed.
+        for ((name, domain), ExaminedDomain { owner, lock }) in batch.iter().zip(examine(shm, batch, File::try_lock)) {
+            if owner == DomainOwner::Nobody && (lock.is_some() || thorough) {
+                let root = name.root_in(shm);
+                remove_files(domain.files.iter().cloned(), &root);
+                if domain.files.iter().chain([&root]).all(|path| path.symlink_metadata().is_err()) {
+                    removed.push(domain.stale_domain(name, owner));
+                }
             }
         }
     }
     removed
 }
 
-/// Files and bytes of a domain.
+/// What a listing of shared memory shows of a domain.
 #[derive(Debug, Default)]
-struct DomainSize {
-    files: u64,
+struct ListedDomain {
+    /// This user's entries, without the root.
+    files: Vec<PathBuf>,
+    /// Size of the regular files among them, bytes.
     bytes: u64,
+    /// Whether its root is a folder of this user.
+    root: bool,
+    /// When the youngest of this user's entries was changed.
+    youngest: Option<SystemTime>,
 }
 
-impl DomainSize {
+impl ListedDomain {
+    /// Whether nothing of it belongs to this user.
+    fn is_foreign(&self) -> bool {
+        self.files.is_empty() && !self.root
+    }
+
     fn stale_domain(&self, name: &DomainName, owner: DomainOwner) -> StaleDomain {
-        StaleDomain { domain: name.stem(), owner, files: self.files, bytes: self.bytes }
+        StaleDomain { domain: name.stem(), owner, files: self.files.len() as u64, bytes: self.bytes }
+    }
+
+    /// A domain whose age is unknown counts as young.
+    fn is_young(&self) -> bool {
+        let age = self.youngest.and_then(|changed| changed.elapsed().ok());
+        age.is_none_or(|age| age < MIN_STALE_AGE)
     }
 }
 
-fn domains(shm: &Path) -> BTreeMap<DomainName, DomainSize> {
-    let mut domains: BTreeMap<DomainName, DomainSize> = BTreeMap::new();
+/// The domains in shared memory, from one listing.
+fn domains(shm: &Path) -> BTreeMap<DomainName, ListedDomain> {
+    let mut domains: BTreeMap<DomainName, ListedDomain> = BTreeMap::new();
     for entry in fs::read_dir(shm).into_iter().flatten().flatten() {
         let Some(name) = entry.file_name().to_str().and_then(DomainName::of_file) else { continue };
-        let size = domains.entry(name).or_default();
-        if let Ok(metadata) = entry.metadata().as_ref().map(|m| (m.is_file(), m.blocks() * 512))
-            && metadata.0
-        {
-            size.files += 1;
-            size.bytes += metadata.1;
+        let is_root = entry.file_name() == name.stem().as_str();
+        let domain = domains.entry(name).or_default();
+        // Of a link, this is the link's own.
+        let Some(metadata) = entry.metadata().ok().filter(is_own) else { continue };
+        domain.youngest = domain.youngest.max(metadata.modified().ok());
+        if is_root && metadata.is_dir() {
+            domain.root = true;
+        } else {
+            domain.files.push(entry.path());
+            domain.bytes += if metadata.is_file() { metadata.blocks() * 512 } else { 0 };
         }
     }
     domains
@@ -133,44 +165,61 @@ struct ExaminedDomain {
     lock: Option<File>,
 }
 
-/// Finds the owner of a domain. `lock` is a shared lock when the domain is only listed, so that two listing
-/// processes do not take each other for a launcher.
-fn examine(shm: &Path, name: &DomainName, lock: fn(&File) -> Result<(), TryLockError>) -> ExaminedDomain {
-    let unlocked = |owner| ExaminedDomain { owner, lock: None };
-    let path = name.root_in(shm).join(LOCK_FILE);
-    let lock = match File::open(&path) {
-        Ok(mut file) => match lock(&file) {
-            Ok(()) if is_file_at(&path, &file) => Some(file),
-            // The process that held the lock has removed the file just now.
-            Ok(()) => return unlocked(DomainOwner::Young),
-            Err(_) => {
-                let mut text = String::new();
-                let _ = file.read_to_string(&mut text);
-                return unlocked(DomainOwner::Launcher { pid: text.trim().parse().ok() });
-            }
-        },
-        Err(error) if error.kind() == ErrorKind::NotFound => None,
-        Err(_) => return unlocked(DomainOwner::OtherUser),
-    };
-    // A free lock may also be one that its launcher is about to take; that launcher starts over if the file is
-    // removed. Without a lock, the age decides.
-    if lock.is_none() && min_age(shm, name).is_none_or(|age| age < MIN_STALE_AGE) {
-        return unlocked(DomainOwner::Young);
+/// Finds the owners of some domains. `lock` is a shared lock when the domains are only listed, so that two listing
+/// processes do not take each other for a launcher. The processes are searched for users of the domains after all
+/// locks have been tried: a domain whose launcher is gone gets no new users.
+fn examine(
+    shm: &Path,
+    batch: &[(DomainName, ListedDomain)],
+    lock: fn(&File) -> Result<(), TryLockError>,
+) -> Vec<ExaminedDomain> {
+    let mut examined: Vec<_> = batch.iter().map(|(name, domain)| try_lock(shm, name, domain, lock)).collect();
+    if examined.iter().all(|domain| domain.owner != DomainOwner::Nobody) {
+        return examined;
     }
-    let pids = processes_mapping(&name.root_in(shm));
-    let owner = match (pids.is_empty(), &lock) {
-        (true, _) => DomainOwner::Nobody,
-        (false, Some(_)) => DomainOwner::Processes { pids },
-        (false, None) => DomainOwner::OtherVersion { pids },
-    };
-    ExaminedDomain { owner, lock }
+    let users =
+        processes_mapping(|path| DomainName::of_file(Path::new(path).strip_prefix(shm).ok()?.iter().next()?.to_str()?));
+    for ((name, _), ExaminedDomain { owner, lock }) in batch.iter().zip(&mut examined) {
+        if let (DomainOwner::Nobody, Some(pids)) = (&owner, users.get(name)) {
+            let pids = pids.clone();
+            *owner = if lock.take().is_some() {
+                DomainOwner::Processes { pids }
+            } else {
+                DomainOwner::OtherVersion { pids }
+            };
+        }
+    }
+    examined
 }
 
-/// The age of the domain's youngest entry.
-fn min_age(shm: &Path, name: &DomainName) -> Option<Duration> {
-    let entries = fs::read_dir(shm).ok()?.flatten();
-    let of_domain = entries.filter(|e| e.file_name().to_str().and_then(DomainName::of_file).as_ref() == Some(name));
-    of_domain.filter_map(|e| e.metadata().ok()?.modified().ok()?.elapsed().ok()).min()
+/// The owner of a domain as far as its lock tells: `Nobody` if its launcher is gone.
+fn try_lock(
+    shm: &Path,
+    name: &DomainName,
+    domain: &ListedDomain,
+    lock: fn(&File) -> Result<(), TryLockError>,
+) -> ExaminedDomain {
+    let unlocked = |owner| ExaminedDomain { owner, lock: None };
+    let path = name.root_in(shm).join(LOCK_FILE);
+    match if domain.root { open_own(&path, File::options().read(true)) } else { Err(ErrorKind::NotFound.into()) } {
+        _ if domain.is_foreign() => unlocked(DomainOwner::OtherUser),
+        Ok(file) => match lock(&file) {
+            // A free lock may also be one that its launcher is about to take; that launcher starts over if the file
+            // is removed.
+            Ok(()) if is_file_at(&path, &file) => ExaminedDomain { owner: DomainOwner::Nobody, lock: Some(file) },
+            // The process that held the lock has removed the file just now.
+            Ok(()) => unlocked(DomainOwner::Young),
+            Err(_) => {
+                let mut text = String::new();
+                let _ = file.take(LOCK_FILE_BYTES).read_to_string(&mut text);
+                unlocked(DomainOwner::Launcher { pid: text.trim().parse().ok() })
+            }
+        },
+        // Without a lock, the age decides.
+        Err(error) if error.kind() == ErrorKind::NotFound && !domain.is_young() => unlocked(DomainOwner::Nobody),
+        Err(error) if error.kind() == ErrorKind::NotFound => unlocked(DomainOwner::Young),
+        Err(_) => unlocked(DomainOwner::OtherUser),
+    }
 }
 
 #[cfg(test)]
@@ -255,5 +304,61 @@ mod tests {
             }
             done.store(true, Ordering::Relaxed);
         });
+    }
+
+    /// What a user can place in shared memory to make another user's clean-up do harm.
+    #[test]
+    fn links_pipes_and_huge_locks_do_no_harm() {
+        let (shm, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let old = SystemTime::now() - 2 * MIN_STALE_AGE;
+        fs::write(elsewhere.path().join("precious"), "x").unwrap();
+        let (link, pipe, huge) = (DomainName::of(1), DomainName::of(2), DomainName::of(3));
+        std::os::unix::fs::symlink(elsewhere.path(), link.root_in(shm.path())).unwrap();
+        std::os::unix::fs::symlink(elsewhere.path(), shm.path().join(format!("{}x", link.prefix()))).unwrap();
+        for name in [&pipe, &huge] {
+            fs::create_dir(name.root_in(shm.path())).unwrap();
+        }
+        let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+        let fifo = pipe.root_in(shm.path()).join(LOCK_FILE);
+        rustix::fs::mknodat(rustix::fs::CWD, &fifo, rustix::fs::FileType::Fifo, mode, 0).unwrap();
+        let lock = File::create(huge.root_in(shm.path()).join(LOCK_FILE)).unwrap();
+        lock.set_len(1 << 40).unwrap();
+        lock.lock().unwrap();
+        for name in [&pipe, &huge] {
+            File::open(name.root_in(shm.path())).unwrap().set_modified(old).unwrap();
+        }
+        let held = DomainOwner::Launcher { pid: None };
+        assert_eq!(owners(shm.path()), [DomainOwner::Young, DomainOwner::OtherUser, held]);
+        remove_stale_in(shm.path(), true);
+        // A launcher that meets the link where its root should be does not use it.
+        assert!(DomainLock::take_in(shm.path(), &link).is_err());
+        drop(lock);
+        remove_stale_in(shm.path(), true);
+        assert_eq!(fs::read(elsewhere.path().join("precious")).unwrap(), b"x");
+        assert_eq!(fs::read_dir(elsewhere.path()).unwrap().count(), 1);
+    }
+
+    /// Only root can give files to another user, so the test needs root.
+    #[test]
+    fn entries_of_another_user_are_left_alone() {
+        if !rustix::process::geteuid().is_root() {
+            return;
+        }
+        let shm = tempfile::tempdir().unwrap();
+        let (other, mixed) = (DomainName::of(1), DomainName::of(2));
+        for name in [&other, &mixed] {
+            drop(DomainLock::take_in(shm.path(), name).unwrap());
+            create_domain(shm.path(), name);
+        }
+        let foreign = shm.path().join(format!("{}y.data", mixed.prefix()));
+        fs::write(&foreign, "x").unwrap();
+        for path in [other.root_in(shm.path()), shm.path().join(format!("{}x.data", other.prefix())), foreign.clone()] {
+            std::os::unix::fs::chown(path, Some(65534), Some(65534)).unwrap();
+        }
+        assert_eq!(owners(shm.path()), [DomainOwner::OtherUser, DomainOwner::Nobody]);
+        let removed: Vec<_> = remove_stale_in(shm.path(), true).into_iter().map(|removed| removed.domain).collect();
+        assert_eq!(removed, [mixed.stem()]);
+        assert!(foreign.exists() && other.root_in(shm.path()).exists());
+        assert_eq!(owners(shm.path()), [DomainOwner::OtherUser, DomainOwner::OtherUser]);
     }
 }

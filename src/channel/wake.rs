@@ -9,7 +9,6 @@
 //! observation. A dead process leaves nothing behind, because the kernel forgets its sleep with it.
 
 use std::fs::{File, OpenOptions};
-use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
@@ -18,6 +17,7 @@ use memmap2::{MmapMut, MmapOptions};
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::thread::futex::{self, Flags, Timespec};
 
+use super::own_files::open_own;
 use super::{ChannelError, DomainName};
 
 /// Bytes of the file; the counter is its first word.
@@ -40,8 +40,7 @@ impl WakeWord {
     pub(super) fn create(domain: &DomainName) -> Result<Self, ChannelError> {
         let failed = |cause: std::io::Error| ChannelError::set_up("the wake-up word", cause);
         let mut options = OpenOptions::new();
-        let file =
-            options.read(true).write(true).create_new(true).mode(0o600).open(wake_file(domain)).map_err(failed)?;
+        let file = open_own(&wake_file(domain), options.read(true).write(true).create_new(true)).map_err(failed)?;
         // Allocates the page now: without room, a later write through the map would kill the process.
         fallocate(&file, FallocateFlags::empty(), 0, SIZE as u64).map_err(|e| failed(e.into()))?;
         Self::map(&file).map_err(failed)
@@ -53,7 +52,7 @@ impl WakeWord {
     /// [`ChannelError::SetUp`] when there is no such run.
     pub(super) fn open(domain: &DomainName) -> Result<Self, ChannelError> {
         let failed = |cause: std::io::Error| ChannelError::set_up("the wake-up word", cause);
-        let file = OpenOptions::new().read(true).write(true).open(wake_file(domain)).map_err(failed)?;
+        let file = open_own(&wake_file(domain), OpenOptions::new().read(true).write(true)).map_err(failed)?;
         if file.metadata().map_err(failed)?.len() != SIZE as u64 {
             return Err(failed(std::io::Error::other("its size is wrong")));
         }

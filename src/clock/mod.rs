@@ -13,7 +13,7 @@ mod realtime;
 mod signals;
 mod source;
 
-pub(crate) use holders::processes_mapping;
+pub(crate) use holders::{maps_file, processes_mapping};
 pub(crate) use limits::{lock_limit, lock_remedy, priority_limit, priority_remedy};
 pub(crate) use machine::machine_facts;
 pub use process_handle::ProcessHandle;

@@ -1,12 +1,12 @@
-//! Signals as flags that the loops check: SIGINT and SIGTERM end a process in good order, and SIGUSR1 requests
-//! a checkpoint.
+//! Signals as flags that the loops check: SIGINT, SIGTERM, SIGHUP and SIGQUIT end a process in good order, and
+//! SIGUSR1 requests a checkpoint.
 
 use std::sync::{
     Arc,
     atomic::{AtomicBool, AtomicUsize, Ordering},
 };
 
-use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGXFSZ};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGUSR1, SIGXFSZ};
 
 /// The last termination signal received, if any, and whether a checkpoint was requested.
 #[derive(Debug, Clone, Default)]
@@ -16,14 +16,16 @@ pub struct TerminationSignals {
 }
 
 impl TerminationSignals {
-    /// Handles SIGINT, SIGTERM and SIGUSR1 for this process. SIGXFSZ is handled too, so that a file-size limit
-    /// shows as a write error instead of killing the logger.
+    /// Handles SIGINT, SIGTERM, SIGHUP (a closed terminal, a lost connection), SIGQUIT and SIGUSR1 for this
+    /// process. A SIGHUP that the process was started to ignore, as by `nohup`, stays ignored. SIGXFSZ is handled
+    /// too, so that a file-size limit shows as a write error instead of killing the logger.
     ///
     /// # Errors
     /// When the operating system refuses the registration.
     pub fn install() -> std::io::Result<Self> {
         let signals = Self::default();
-        for signal in [SIGINT, SIGTERM] {
+        let hangup = if ignored(SIGHUP) { None } else { Some(SIGHUP) };
+        for signal in [SIGINT, SIGTERM, SIGQUIT].into_iter().chain(hangup) {
             signal_hook::flag::register_usize(signal, Arc::clone(&signals.number), signal as usize)?;
         }
         signal_hook::flag::register(SIGUSR1, Arc::clone(&signals.checkpoint_requested))?;
@@ -40,4 +42,12 @@ impl TerminationSignals {
     pub(crate) fn checkpoint_asked(&self) -> bool {
         self.checkpoint_requested.swap(false, Ordering::Relaxed)
     }
+}
+
+/// Whether this process ignores `signal`. It inherits that from the program that started it.
+fn ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask >> (signal - 1) & 1 == 1
 }

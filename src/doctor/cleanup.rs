@@ -2,16 +2,14 @@
 
 use std::path::Path;
 
-use rustix::fs::{Access, access, statvfs};
+use rustix::fs::statvfs;
 
 use super::{Check, bytes};
-use crate::channel::{DomainOwner, StaleDomain};
+use crate::channel::{ChannelError, DomainOwner, StaleDomain, check_shared_memory};
 use crate::log::bytes_per_tick;
 
 /// The folder of iceoryx2's shared memory.
 const SHM: &str = "/dev/shm";
-/// A run takes about 2.5 MiB there; with less free space than this it may end in a bus error.
-const SHM_NEEDED: u64 = 4 << 20;
 /// Below this, only few runs fit at the same time.
 const SHM_PLENTY: u64 = 16 << 20;
 /// The space that `tectum run` leaves free, and a short log.
@@ -24,26 +22,59 @@ const TICKS_PER_HOUR: f64 = 72_000.0;
 /// Checks shared memory, and the disk of `folder`.
 pub(super) fn free_space(folder: &Path) -> [Check; 2] {
     let space = |path: &Path| statvfs(path).ok().map(|fs| (fs.f_blocks * fs.f_frsize, fs.f_bavail * fs.f_frsize));
-    let writable = access(SHM, Access::WRITE_OK | Access::READ_OK | Access::EXEC_OK).is_ok();
-    [shared_memory(space(Path::new(SHM)), writable), disk(space(folder))]
+    [shared_memory(check_shared_memory(), space(Path::new(SHM)).unwrap_or_default()), disk(space(folder))]
 }
 
-/// `space` is size and free, bytes.
-fn shared_memory(space: Option<(u64, u64)>, writable: bool) -> Check {
+/// `usable` is what a run would meet; `size` and `free` are bytes.
+fn shared_memory(usable: Result<(), ChannelError>, (size, free): (u64, u64)) -> Check {
     let name = "shared memory";
-    let Some((size, free)) = space else {
-        return Check::problem(name, "there is no /dev/shm", "`sudo mount -t tmpfs tmpfs /dev/shm`");
-    };
-    if !writable {
-        return Check::problem(name, "/dev/shm is closed to this user", "`sudo chmod 1777 /dev/shm`");
+    match usable {
+        Err(ChannelError::SharedMemory { found, remedy }) => Check::problem(name, found, remedy),
+        _ if free < SHM_PLENTY => Check::better(
+            name,
+            format!("/dev/shm has {} of {} free", bytes(free), bytes(size)),
+            "`sudo mount -o remount,size=256M /dev/shm`, in Docker `--shm-size=256m`; `tectum doctor --clean` \
+             frees what runs have left",
+        ),
+        _ => Check::fine(name, format!("/dev/shm has {} of {} free", bytes(free), bytes(size))),
     }
-    let found = format!("/dev/shm has {} of {} free", bytes(free), bytes(size));
-    let remedy = "`sudo mount -o remount,size=256M /dev/shm`, in Docker `--shm-size=256m`; `tectum doctor --clean` \
-                  frees what runs have left";
-    match free {
-        free if free < SHM_NEEDED => Check::problem(name, found, remedy),
-        free if free < SHM_PLENTY => Check::better(name, found, remedy),
-        _ => Check::fine(name, found),
+}
+
+/// Checks whether systemd-logind removes this user's shared memory when the user logs out, which takes away that of
+/// a run that goes on.
+pub(super) fn removal_at_logout() -> Check {
+    let own = rustix::process::getuid().as_raw();
+    let user = std::fs::read_to_string("/etc/passwd").unwrap_or_default();
+    let user = user.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let name = fields.next()?;
+        (fields.nth(1)?.parse() == Ok(own)).then(|| name.to_owned())
+    });
+    let lingers = user.is_some_and(|user| Path::new("/var/lib/systemd/linger").join(user).exists());
+    let running = Path::new("/run/systemd/seats").exists();
+    let mut settings = std::fs::read_to_string("/etc/systemd/logind.conf").unwrap_or_default();
+    let mut more: Vec<_> = ["/usr/lib/systemd/logind.conf.d", "/etc/systemd/logind.conf.d"]
+        .iter()
+        .flat_map(std::fs::read_dir)
+        .flat_map(|entries| entries.flatten().map(|entry| entry.path()))
+        .collect();
+    more.sort_by_key(|path| path.file_name().map(ToOwned::to_owned));
+    more.iter().for_each(|path| settings += &("\n".to_owned() + &std::fs::read_to_string(path).unwrap_or_default()));
+    logout(running, own, lingers, &settings)
+}
+
+/// The verdict, from whether logind runs, the user's id, whether the user lingers, and logind's settings.
+fn logout(running: bool, user: u32, lingers: bool, settings: &str) -> Check {
+    let name = "memory at logout";
+    let set = settings.lines().filter_map(|line| line.trim().strip_prefix("RemoveIPC=")).next_back();
+    let removes = !set.is_some_and(|value| ["no", "false", "off", "0"].contains(&value.trim().to_lowercase().as_str()));
+    // Of system users, logind removes nothing.
+    if running && removes && user >= 1000 && !lingers {
+        let remedy = "`loginctl enable-linger`, or RemoveIPC=no in /etc/systemd/logind.conf: otherwise a run that goes \
+                      on without a terminal loses its memory";
+        Check::better(name, "systemd-logind removes this user's shared memory at the last logout (RemoveIPC)", remedy)
+    } else {
+        Check::fine(name, "kept")
     }
 }
 
@@ -112,18 +143,28 @@ mod tests {
 
     #[test]
     fn too_little_space_is_reported() {
-        for (space, writable, verdict) in [
-            (None, true, Problem),
-            (Some((1 << 30, 1 << 30)), false, Problem),
-            (Some((64 << 20, 3 << 20)), true, Problem),
-            (Some((64 << 20, 8 << 20)), true, CouldBeBetter),
-            (Some((64 << 20, 60 << 20)), true, Fine),
+        let refused = || ChannelError::SharedMemory { found: "it is read-only".into(), remedy: "mount it" };
+        for (usable, space, verdict) in [
+            (Err(refused()), (1 << 30, 1 << 30), Problem),
+            (Ok(()), (64 << 20, 8 << 20), CouldBeBetter),
+            (Ok(()), (64 << 20, 60 << 20), Fine),
         ] {
-            assert_eq!(shared_memory(space, writable).verdict, verdict, "{space:?}");
+            assert_eq!(shared_memory(usable, space).verdict, verdict, "{space:?}");
         }
         assert_eq!(disk(Some((1 << 40, 1 << 20))).verdict, Problem);
         assert_eq!(disk(Some((1 << 40, 100 << 20))).verdict, CouldBeBetter);
         assert_eq!(disk(Some((1 << 40, 2 << 30))).verdict, Fine);
+    }
+
+    #[test]
+    fn memory_that_logind_removes_is_reported() {
+        let verdict = |running, user, lingers, settings| logout(running, user, lingers, settings).verdict;
+        assert_eq!(verdict(true, 1000, false, "#RemoveIPC=no"), CouldBeBetter);
+        assert_eq!(verdict(true, 1000, false, "[Login]\nRemoveIPC=no"), Fine);
+        assert_eq!(verdict(true, 1000, false, "RemoveIPC=no\nRemoveIPC=yes"), CouldBeBetter);
+        for (running, user, lingers) in [(false, 1000, false), (true, 0, false), (true, 1000, true)] {
+            assert_eq!(verdict(running, user, lingers, ""), Fine);
+        }
     }
 
     #[test]

@@ -91,6 +91,7 @@ pub fn examine(clean: bool, seconds: u32, folder: &Path) -> Examination {
     let domains = list_domains();
     let mut checks = machine::checks();
     checks.extend(cleanup::free_space(folder));
+    checks.push(cleanup::removal_at_logout());
     checks.push(cleanup::debris(&domains, &removed));
     let lateness = (seconds > 0).then(|| measure(seconds));
     checks.extend(lateness.as_ref().map(Lateness::check));

@@ -7,6 +7,8 @@
 
 use std::fs::File;
 use std::io::{self, ErrorKind};
+use std::os::unix::fs::MetadataExt as _;
+use std::path::Path;
 
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::process::{Resource, getrlimit};
@@ -67,6 +69,15 @@ impl DiskReserve {
     /// Size of the file, bytes.
     pub fn length(&self) -> io::Result<u64> {
         Ok(self.file.metadata()?.len())
+    }
+
+    /// Whether `path` leads to this file.
+    pub fn is_file_at(&self, path: &Path) -> bool {
+        match (std::fs::metadata(path), self.file.metadata()) {
+            (Ok(at_path), Ok(ours)) => (at_path.dev(), at_path.ino()) == (ours.dev(), ours.ino()),
+            (Err(error), _) => error.kind() != ErrorKind::NotFound,
+            _ => true,
+        }
     }
 
     /// Frees the space reserved beyond the end of the file, at byte `end`.

@@ -14,6 +14,14 @@ pub enum LogError {
         /// The error of the operating system.
         error: io::Error,
     },
+    /// The log is no longer what was written: somebody removed, replaced or truncated it.
+    #[error("the log {} {what} while it was being written", path.display())]
+    Gone {
+        /// The log's file.
+        path: PathBuf,
+        /// What happened to it.
+        what: &'static str,
+    },
     /// A file made from the log cannot be written.
     #[error("{} cannot be written: {}; choose another --out", path.display(), cause(error))]
     Export {
@@ -86,6 +94,17 @@ pub enum LogError {
         expected: &'static str,
         /// The build that wrote the log, as the log names it.
         build: String,
+    },
+    /// Bytes stand behind the end of a whole log, as a copy program or a file system may leave them.
+    #[error(
+        "the log {} is whole up to byte {end}, and other bytes stand behind its end; `tectum log repair` cuts them off",
+        path.display()
+    )]
+    BehindEnd {
+        /// The log's file.
+        path: PathBuf,
+        /// Where the log ends, bytes from the start of the file.
+        end: u64,
     },
     /// A record in the middle is invalid, or a checksum is wrong: the file was changed after it was written.
     #[error("the log {} is damaged at byte {at}: {why}; records before that point were read", path.display())]

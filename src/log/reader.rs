@@ -229,6 +229,10 @@ impl LogReader {
                 Some(Err(McapError::BadMagic)) if self.position == mcap::MAGIC.len() as u64 => {
                     return Err(LogError::not_a_log(&self.contents.path, "it does not start like an MCAP file"));
                 }
+                Some(Err(McapError::BytesAfterEndMagic)) => {
+                    let end = self.position + mcap::MAGIC.len() as u64;
+                    return Err(LogError::BehindEnd { path: self.contents.path.clone(), end });
+                }
                 Some(Err(e)) => return Err(damaged(&self.contents.path, self.position, &e.to_string())),
                 Some(Ok(event)) => event,
             };

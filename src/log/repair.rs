@@ -48,6 +48,16 @@ pub struct TornContents {
     pub messages: [u64; 4],
     /// Its last tick.
     pub last_tick: Option<u64>,
+    /// Whether the log was whole, and only other bytes stood behind its end.
+    pub whole: bool,
+}
+
+impl TornContents {
+    fn of(counts: &MessageCounts, torn_at: u64, left_out: u64) -> Self {
+        let [observation, command, learning] = counts.channels.each_ref().map(|channel| channel.messages);
+        let last_tick = counts.channels.iter().filter_map(|channel| channel.ticks).map(|(_, last)| last).max();
+        Self { torn_at, left_out, messages: [observation, command, learning, counts.gaps], last_tick, whole: false }
+    }
 }
 
 impl Repair {
@@ -61,10 +71,12 @@ impl Repair {
         let Some(mended) = &self.mended else {
             return format!("{} is whole; it was left alone\n", self.log.display());
         };
-        let TornContents { torn_at, left_out, messages: [observations, commands, learnings, gaps], last_tick } = mended;
+        let TornContents { torn_at, left_out, messages: [observations, commands, learnings, gaps], last_tick, whole } =
+            mended;
+        let was = if *whole { "had other bytes behind its end," } else { "was torn" };
         let last = last_tick.map_or(String::new(), |tick| format!(", up to tick {tick}"));
         let mut text = format!(
-            "{} was torn at byte {torn_at}; {} is whole\n{observations} observations, {commands} commands, {learnings} \
+            "{} {was} at byte {torn_at}; {} is whole\n{observations} observations, {commands} commands, {learnings} \
              learning records, {gaps} gaps{last}; {left_out} bytes behind them were left out\n",
             self.log.display(),
             self.whole.display(),
@@ -152,20 +164,20 @@ pub fn mend<W: Write + Seek>(
     let mut log = LogReader::over(path, open()?)?;
     let mut counts = log.message_counts();
     for record in log.by_ref() {
-        counts.take(&record?);
+        match record {
+            Ok(record) => {
+                counts.take(&record);
+            }
+            Err(LogError::BehindEnd { end, .. }) => return cut_off(path, open()?, sink, end, &counts).map(Some),
+            Err(error) => return Err(error),
+        }
     }
     if log.finished() {
         return Ok(None);
     }
     let mut copier = RecordCopier::begin(path, BufReader::new(open()?), sink, log.position())?;
     while copier.copy_record()? {}
-    let [observation, command, learning] = counts.channels.each_ref().map(|channel| channel.messages);
-    let mended = TornContents {
-        torn_at: log.position(),
-        left_out: copier.incomplete_bytes()?,
-        messages: [observation, command, learning, counts.gaps],
-        last_tick: counts.channels.iter().filter_map(|channel| channel.ticks).map(|(_, last)| last).max(),
-    };
+    let mended = TornContents::of(&counts, log.position(), copier.incomplete_bytes()?);
     // A log can be torn after the logger's own totals, which are kept.
     let without_totals = log.totals().is_none();
     if without_totals {
@@ -182,6 +194,20 @@ pub fn mend<W: Write + Seek>(
     )?;
     copier.finish()?;
     Ok(Some(mended))
+}
+
+/// Copies a whole log up to its end, at byte `end`, and leaves out what stands behind it.
+fn cut_off(
+    path: &Path,
+    mut source: Box<dyn Read + Send>,
+    mut sink: impl Write,
+    end: u64,
+    counts: &MessageCounts,
+) -> Result<TornContents, LogError> {
+    let mut log = source.by_ref().take(end);
+    std::io::copy(&mut log, &mut sink).map_err(|e| LogError::write(path, e))?;
+    let behind = std::io::copy(&mut source, &mut std::io::sink()).map_err(|e| LogError::read(path, e))?;
+    Ok(TornContents { whole: true, ..TornContents::of(counts, end, behind) })
 }
 
 /// Totals counted from the messages, and those of the earlier segments. Whether the run reached its end is not

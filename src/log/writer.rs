@@ -225,6 +225,25 @@ impl LogWriter {
         self.file.run(|mcap| mcap.write_metadata(&record))
     }
 
+    /// Compares what was written with what is there. For use after [`flush`](Self::flush).
+    ///
+    /// # Errors
+    ///
+    /// [`LogError::Gone`] if the file is no longer at its path, or is shorter than what was written.
+    pub fn check_in_place(&self) -> Result<(), LogError> {
+        let gone = |what| Err(LogError::Gone { path: self.file.path.clone(), what });
+        match (self.file.reserve.length(), self.is_in_place()) {
+            (_, false) => gone("was removed or replaced"),
+            (Ok(length), true) if length < self.file.position => gone("was cut off"),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether the file at the log's path is the one that is written. A device, as in tests, has no place.
+    pub fn is_in_place(&self) -> bool {
+        self.file.reserve.is_file_at(&self.file.path)
+    }
+
     /// Whether writing has failed: the file is then torn, and accepts nothing more.
     pub fn broken(&self) -> bool {
         self.file.failed
@@ -245,13 +264,18 @@ impl LogWriter {
     ///
     /// # Errors
     ///
-    /// As [`observation`](Self::observation); the file is then torn, but readable.
+    /// As [`observation`](Self::observation); the file is then torn, but readable. [`LogError::Gone`] if the file
+    /// is no longer at its path.
     pub fn finish(mut self, totals: &LogTotals) -> Result<LogSummary, LogError> {
         let written = std::array::from_fn(|i| self.before.written[i] + self.written[i]);
         self.metadata(TOTALS_METADATA, totals.to_map(written))?;
         self.file.run(mcap::Writer::finish)?;
         let path = self.file.path.clone();
+        let in_place = self.is_in_place();
         let bytes = self.file.sync().map_err(|e| LogError::write(&path, e))?;
+        if !in_place {
+            return Err(LogError::Gone { path, what: "was removed or replaced" });
+        }
         Ok(LogSummary { path, bytes, written: self.written, totals: *totals })
     }
 
@@ -316,7 +340,6 @@ impl Drop for Output {
     }
 }
 
-/// Writes everything before the first message; returns the ids of the four channels.
 /// Where a log is begun.
 fn draft_of(path: &Path) -> PathBuf {
     let mut draft = path.as_os_str().to_owned();
@@ -329,7 +352,8 @@ fn open_draft(path: &Path, draft: &Path) -> io::Result<File> {
     if path.try_exists()? {
         return Err(io::ErrorKind::AlreadyExists.into());
     }
-    let file = File::options().write(true).create(true).truncate(false).open(draft)?;
+    // Appending: if somebody cuts the file off meanwhile, it stays too short, and that is seen.
+    let file = File::options().append(true).create(true).open(draft)?;
     // The lock tells `repair` that the log is not torn but being written, and another writer that the draft is in
     // use. A file system without locks cannot tell.
     if let Err(TryLockError::WouldBlock) = file.try_lock() {
@@ -349,6 +373,7 @@ fn rename_to_new(from: &Path, to: &Path) -> io::Result<()> {
     }
 }
 
+/// Writes everything before the first message; returns the ids of the four channels.
 fn write_description(mcap: &mut Mcap, header: &LogHeader, run: BTreeMap<String, String>) -> mcap::McapResult<[u16; 4]> {
     mcap.attach(&mcap::Attachment {
         log_time: header.wall_at_t0_ns,

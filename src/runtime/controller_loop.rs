@@ -270,13 +270,15 @@ impl<A: Agent> ControllerLoop<A> {
         Ok(())
     }
 
-    /// Waits for the next observation; in real time for the newest. `None` when the plant has finished.
+    /// Waits for the next observation; in real time for the newest. `None` when the plant has finished, or will not
+    /// return.
     fn await_observation(&mut self) -> Result<Option<Observation>, RuntimeError> {
         let mut backoff = Backoff::default();
         loop {
             // Read before the channel is, so that samples sent before the plant finished are still received. A
             // plant that failed may be restarted; the launcher decides that.
-            let finished = self.ports.plant.get().state() == ProcessState::Finished;
+            let finished =
+                self.ports.plant.get().state() == ProcessState::Finished || self.session.is_gone(Role::Plant);
             if let Some(mut newest) = self.ports.observation.receive()? {
                 // After a stall only the newest observation counts. The sequence numbers show the skipped ones.
                 while let Some(newer) = if self.real { self.ports.observation.receive()? } else { None } {
@@ -367,6 +369,7 @@ impl<A: Agent> ControllerLoop<A> {
 
     /// Ends the loop: writes the last checkpoint and the report.
     fn finish(mut self) -> Result<ControllerReport, RuntimeError> {
+        self.session.enter(ProcessState::Closing);
         let end = self.state.ticks_done();
         if let (Some(snapshots), Some(policy)) = (&mut self.snapshots, self.state.controller.agent().policy()) {
             snapshots.finish(end, policy);

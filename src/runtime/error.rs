@@ -20,6 +20,10 @@ pub mod exit {
     pub const PROCESS: u8 = 4;
     /// Ended by SIGINT (Ctrl-C).
     pub const INTERRUPTED: u8 = 130;
+    /// Ended by SIGHUP: the terminal was closed, or the connection was lost.
+    pub const HUNG_UP: u8 = 129;
+    /// Ended by SIGQUIT (Ctrl-\).
+    pub const QUIT: u8 = 131;
     /// Ended by SIGTERM.
     pub const TERMINATED: u8 = 143;
 
@@ -54,6 +58,12 @@ pub enum RuntimeError {
         path: String,
         /// The reason.
         cause: String,
+    },
+    /// The run's folder is closed to this user.
+    #[error("the run at {path} cannot be read: permission denied; start all processes of a run as the same user")]
+    OtherUser {
+        /// The folder in which it was expected.
+        path: String,
     },
     /// The pipe to the program that started this controller failed.
     #[error("the pipe to the program that started this controller failed: {0}")]
@@ -119,7 +129,7 @@ pub enum RuntimeError {
         /// Number of lost samples.
         lost: u64,
     },
-    /// SIGINT or SIGTERM.
+    /// SIGINT, SIGTERM, SIGHUP or SIGQUIT.
     #[error("ended by signal {0}")]
     Signal(u32),
 }
@@ -128,7 +138,8 @@ impl RuntimeError {
     /// The exit code for this error.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Channel(ChannelError::Mismatch(_)) => exit::MISMATCH,
+            Self::Channel(error) => channel_exit_code(error),
+            Self::OtherUser { .. } => exit::MISMATCH,
             Self::Checkpoint(_)
             | Self::Scenario(_)
             | Self::NoRun { .. }
@@ -140,7 +151,16 @@ impl RuntimeError {
                 exit::PROCESS
             }
             Self::Signal(number) => exit::by_signal(*number),
-            Self::Channel(_) | Self::Signals(_) | Self::Thread(_) | Self::Lost { .. } | Self::Memory(_) => exit::ERROR,
+            Self::Signals(_) | Self::Thread(_) | Self::Lost { .. } | Self::Memory(_) => exit::ERROR,
         }
+    }
+}
+
+/// The exit code for an error of the channels, which is the same for a process and for the launcher.
+pub(crate) fn channel_exit_code(error: &ChannelError) -> u8 {
+    match error {
+        error if error.is_mismatch() => exit::MISMATCH,
+        error if error.is_input() => exit::INPUT,
+        _ => exit::ERROR,
     }
 }

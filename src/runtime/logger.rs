@@ -41,9 +41,13 @@ impl SenderProgress {
         Ok(())
     }
 
-    /// Whether both senders have finished.
-    fn finished(&self) -> bool {
-        self.boards.iter().all(|board| board.state() == ProcessState::Finished)
+    /// Whether both senders have finished, or will not return.
+    fn finished(&self, session: &Session) -> bool {
+        let senders = [Role::Plant, Role::Controller];
+        senders
+            .iter()
+            .zip(&self.boards)
+            .all(|(&role, board)| board.state() == ProcessState::Finished || session.is_gone(role))
     }
 }
 
@@ -68,8 +72,9 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
     let mut senders = SenderProgress { boards: Default::default(), sent: [0; 3] };
 
     let ended = follow(&mut merger, &mut ports, &mut senders, &mut session, &time);
+    session.enter(ProcessState::Closing);
     let complete = senders.boards[Role::Plant as usize].ticks >= session.participant.plan.scenario.ticks;
-    let MergeOutcome { totals, written, failure, timings } =
+    let MergeOutcome { totals, written, failure, timings, bytes } =
         merger.close(senders.sent, complete, warnings(&session, &senders));
     ended?;
     let [wake_up_lateness, observation_to_command, command_to_applied] =
@@ -81,7 +86,10 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
         duplicates: totals.duplicates,
         missing_from: totals.missing_from,
         failure,
-        bytes: recovered.bytes + std::fs::metadata(segment_path(&folder, incarnation)).map_or(0, |file| file.len()),
+        // Of a segment that could not be closed, what is there.
+        bytes: recovered.bytes
+            + bytes
+                .unwrap_or_else(|| std::fs::metadata(segment_path(&folder, incarnation)).map_or(0, |file| file.len())),
         wake_up_lateness,
         observation_to_command,
         command_to_applied,
@@ -96,7 +104,8 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
 fn warnings(session: &Session, senders: &SenderProgress) -> BTreeMap<String, String> {
     let participant = &session.participant;
     let plant: Option<PlantReport> = read_report(&participant.folder, Role::Plant);
-    let Some(plant) = plant.filter(|_| senders.finished()) else { return BTreeMap::new() };
+    let finished = senders.boards.iter().all(|board| board.state() == ProcessState::Finished);
+    let Some(plant) = plant.filter(|_| finished) else { return BTreeMap::new() };
     let controller: Option<ControllerReport> = read_report(&participant.folder, Role::Controller);
     let warnings = judge(&participant.plan, &plant, controller.as_ref());
     warnings.into_iter().map(|warning| (warning.key(), warning.text)).collect()
@@ -166,7 +175,7 @@ fn follow(
     loop {
         senders.update(ports, session)?;
         let ended = session.check();
-        let last = senders.finished() || ended.is_err();
+        let last = senders.finished(session) || ended.is_err();
         let force = last || (real && idle_polls >= max_idle_polls);
         // In lockstep a sample's sequence number is its tick.
         let known = if real { [0; 3] } else { senders.sent };

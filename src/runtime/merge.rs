@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::log::{LatencyHistograms, LogError, LogRecord, LogRecovery, LogTotals, LogWriter};
+use crate::log::{LatencyHistograms, LogError, LogRecord, LogRecovery, LogSegment, LogTotals, LogWriter};
 use crate::wire::{Gap, Header};
 
 /// One channel's input to the log.
@@ -133,7 +133,16 @@ pub(super) struct LogMerger {
     missing_from: Option<u64>,
     /// Why it could not.
     failure: Option<String>,
+    /// What the earlier segments hold, for a log of which nothing is left.
+    before: LogSegment,
+    /// The first tick of this segment.
+    first_tick: u64,
+    /// Flushes since the log was last compared with what was written.
+    unchecked: u32,
 }
+
+/// Flushes between two comparisons of the log's file with what was written to it.
+const CHECK_EVERY: u32 = 16;
 
 /// The result of a log.
 #[derive(Debug, Clone)]
@@ -146,6 +155,8 @@ pub(super) struct MergeOutcome {
     pub failure: Option<String>,
     /// In real time: histograms of the ticks' durations.
     pub timings: Option<LatencyHistograms>,
+    /// Size of the segment, if it was closed, bytes.
+    pub bytes: Option<u64>,
 }
 
 impl LogMerger {
@@ -158,6 +169,9 @@ impl LogMerger {
             timings: real.then(|| recovered.timings.clone()),
             missing_from: recovered.missing_from,
             failure: None,
+            before: recovered.segment,
+            first_tick: recovered.last_ticks.into_iter().min().flatten().map_or(0, |tick| tick + 1),
+            unchecked: 0,
         };
         match log {
             Ok(log) => merger.log = Some(log),
@@ -212,7 +226,11 @@ impl LogMerger {
 
     /// Passes everything written to the operating system, so that a kill cannot lose it.
     pub fn flush(&mut self) {
-        if let Some(Err(error)) = self.log.as_mut().map(LogWriter::flush) {
+        self.unchecked += 1;
+        let check = self.unchecked >= CHECK_EVERY;
+        self.unchecked *= u32::from(!check);
+        let Some(log) = &mut self.log else { return };
+        if let Err(error) = log.flush().and_then(|()| if check { log.check_in_place() } else { Ok(()) }) {
             self.give_up(self.consumed(), &error);
         }
     }
@@ -223,23 +241,28 @@ impl LogMerger {
         self.inputs.iter_mut().filter(|input| input.missing_since.is_none()).for_each(MergeInput::stop_writing);
         let from = *self.missing_from.get_or_insert(tick);
         let Some(log) = &mut self.log else { return };
-        if log.broken() || log.missing_from(from, error).is_err() {
+        let gone = matches!(error, LogError::Gone { .. });
+        if gone || log.broken() || log.missing_from(from, error).is_err() {
             self.abandon();
         }
     }
 
     /// Drops a log that cannot even be closed. Part of the appended samples may be missing from the file, so
-    /// the counts are read from the file.
+    /// the counts are read from the file. Nothing is left of a log that somebody removed.
     fn abandon(&mut self) {
         let Some(log) = self.log.take() else { return };
-        let path = log.path().to_owned();
+        let (path, in_place) = (log.path().to_owned(), log.is_in_place());
         drop(log);
-        let Ok(held) = LogRecovery::of_torn(&path) else { return };
+        let held = if in_place { LogRecovery::of_torn(&path).ok() } else { None };
+        let complete_until = match &held {
+            Some(held) => held.last_ticks.into_iter().flatten().map(|tick| tick + 1).min(),
+            None => Some(self.first_tick),
+        };
+        let held = held.map_or(self.before, |held| held.segment);
         for (i, input) in self.inputs.iter_mut().enumerate() {
-            (input.missing_since, input.lost) = (Some(held.segment.begins[i]), held.segment.lost[i]);
-            input.thinned = held.segment.thinned[i];
+            (input.missing_since, input.lost) = (Some(held.begins[i]), held.lost[i]);
+            input.thinned = held.thinned[i];
         }
-        let complete_until = held.last_ticks.into_iter().flatten().map(|tick| tick + 1).min();
         self.missing_from = self.missing_from.min(complete_until.or(self.missing_from));
     }
 
@@ -251,6 +274,8 @@ impl LogMerger {
     /// States the samples that were sent, by the senders' own counts, and never arrived, and the run's `warnings` by
     /// name. Then closes the log.
     pub fn close(mut self, sent: [u64; 3], complete: bool, warnings: BTreeMap<String, String>) -> MergeOutcome {
+        self.unchecked = CHECK_EVERY;
+        self.flush();
         let gaps: Vec<Gap> = self.inputs.iter_mut().zip(sent).filter_map(|(input, sent)| input.end(sent)).collect();
         let inputs = &self.inputs;
         let totals = LogTotals {
@@ -263,7 +288,7 @@ impl LogMerger {
         };
         let written =
             inputs.each_ref().map(|input| input.expected.saturating_sub(input.first + input.lost + input.thinned));
-        let mut outcome = MergeOutcome { totals, written, failure: self.failure, timings: self.timings };
+        let mut outcome = MergeOutcome { totals, written, failure: self.failure, timings: self.timings, bytes: None };
         let Some(mut log) = self.log else { return outcome };
         let ended = gaps
             .iter()
@@ -271,8 +296,11 @@ impl LogMerger {
             .and_then(|()| outcome.timings.as_ref().map_or(Ok(()), |timings| log.timings(timings)))
             .and_then(|()| log.warnings(warnings))
             .and_then(|()| log.finish(&totals));
-        if let Err(error) = ended {
-            outcome.failure.get_or_insert_with(|| error.to_string());
+        match ended {
+            Ok(closed) => outcome.bytes = Some(closed.bytes),
+            Err(error) => {
+                outcome.failure.get_or_insert_with(|| error.to_string());
+            }
         }
         outcome
     }

@@ -40,6 +40,7 @@ pub use crate::stats::Window;
 pub use budget::{SlackPercentiles, TickBudget};
 pub use controller::Controller;
 pub use controller_loop::run_controller;
+pub(crate) use error::channel_exit_code;
 pub use error::{RuntimeError, exit};
 pub(crate) use faults::FaultyChannel;
 pub use gate::{Applied, CommandRange, CommandRanges, Gate};

@@ -46,7 +46,8 @@ impl Mode {
 /// The run's manifest: the file in the run's folder by which processes join.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RunManifest {
-    /// The run's id, hexadecimal.
+    /// The run's id: 16 hexadecimal digits.
+    #[serde(deserialize_with = "run_id_text")]
     pub run: String,
     /// The run's mode.
     pub mode: Mode,
@@ -69,6 +70,16 @@ pub struct RunManifest {
     /// The facts that programs in other languages need.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wire: Option<WireManifest>,
+}
+
+/// A run's id from a manifest.
+fn run_id_text<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    if text.len() == 16 && text.bytes().all(|b| b.is_ascii_hexdigit()) {
+        Ok(text)
+    } else {
+        Err(serde::de::Error::custom(format!("\"{text}\" is not the id of a run, which has 16 hexadecimal digits")))
+    }
 }
 
 /// The point at which a run resumes another one.
@@ -103,7 +114,10 @@ impl RunManifest {
     pub(super) fn find(run: &Path) -> Result<(PathBuf, Self, ProcessHandle), RuntimeError> {
         let folder = run_folder::find(run, |folder| Self::path(folder).exists());
         let none = |cause: String| RuntimeError::NoRun { path: folder.display().to_string(), cause };
-        let text = std::fs::read_to_string(Self::path(&folder)).map_err(|e| none(e.to_string()))?;
+        let text = std::fs::read_to_string(Self::path(&folder)).map_err(|e| match e.kind() {
+            std::io::ErrorKind::PermissionDenied => RuntimeError::OtherUser { path: folder.display().to_string() },
+            _ => none(e.to_string()),
+        })?;
         let manifest: Self = serde_json::from_str(&text).map_err(|e| none(e.to_string()))?;
         let launcher = ProcessHandle::of(manifest.launcher).ok_or_else(|| none("the run is over".to_owned()))?;
         Ok((folder, manifest, launcher))
@@ -304,6 +318,12 @@ impl Session {
     #[inline]
     pub(crate) fn incarnation_of(&self, role: Role) -> u32 {
         self.status_board.control.get().incarnations[role as usize]
+    }
+
+    /// Whether the process in `role` has ended without finishing and will not return: nobody waits for it.
+    #[inline]
+    pub fn is_gone(&self, role: Role) -> bool {
+        self.status_board.control.get().is_gone(role)
     }
 
     /// Publishes a heartbeat, and returns whether, and why, the loop should end.

@@ -17,7 +17,7 @@ use crate::clock::{Backoff, TimeSource, WakeReason, pause, precise_timers};
 use crate::plant::Plant;
 use crate::state::{self, Persist, StateVisitor};
 use crate::stats::{Percentiles, histogram};
-use crate::wire::{Observation, Role, Status, flag};
+use crate::wire::{Observation, ProcessState, Role, Status, flag};
 
 /// Ticks between two checks of the logger's progress. In lockstep the plant never runs ahead of the logger by
 /// more than the logger's buffer, so that no sample overflows. This flow control costs one check per so many
@@ -232,7 +232,7 @@ impl<P: Plant> PlantLoop<P> {
                     }
                     checked => checked.err(),
                 };
-                failure.is_some() || self.session.must_end()
+                failure.is_some() || self.session.must_end() || self.session.is_gone(Role::Controller)
             },
         );
         failure.map_or(Ok(wake), Err)
@@ -387,11 +387,15 @@ impl<P: Plant> PlantLoop<P> {
     /// Ends the loop: writes the last checkpoint and the report.
     fn finish(mut self) -> Result<PlantReport, RuntimeError> {
         self.state.side.stop();
-        self.session.publish_status();
+        self.session.enter(ProcessState::Closing);
         self.session.check()?;
         self.state.expected = self.inbox.expected;
-        let checkpoint = self.state.checkpoint(self.tick, &self.session.participant);
-        self.writer.write_last(self.tick, checkpoint, self.session.stopping());
+        // Without the controller, the command of the tick before is missing: there is no state at the start of this
+        // tick. A checkpoint of the plant alone would be of no use either.
+        if !self.session.is_gone(Role::Controller) {
+            let checkpoint = self.state.checkpoint(self.tick, &self.session.participant);
+            self.writer.write_last(self.tick, checkpoint, self.session.stopping());
+        }
         let mut report = self.state.side.report;
         match self.writer.finish() {
             Ok(written) => report.checkpoints = written,

@@ -99,16 +99,22 @@ fn missed(plan: &Plan, plant: &PlantReport, controller: Option<&ControllerReport
     // The first observation has no tick before it.
     let always =
         counts.is_some_and(|counts| counts.not_learned[NotLearned::Skipped as usize] + 1 >= counts.observations);
+    // The first tick has no command before it, and the last tick's may not have been due.
+    let none = skipped > 0 && total >= LEAST_MISSED && plant.missed + 1 >= total;
     if always || 2 * skipped >= total.max(LEAST_MISSED) {
         let text = format!(
             "the plant passed over {} of {} ticks{}, because a tick of its own takes longer than the period of {} ms; \
              give it less to do, or a longer period_ms",
             thousands(skipped),
             thousands(total),
-            if always { ", some before every tick that it began," } else { "" },
+            match (none, always) {
+                (true, _) => ", and no command was applied",
+                (false, true) => ", some before every tick that it began,",
+                (false, false) => "",
+            },
             plan.scenario.period_ms
         );
-        warnings.push(RunWarning::new("ticks-passed-over", [skipped, total], text).fails_if(always));
+        warnings.push(RunWarning::new("ticks-passed-over", [skipped, total], text).fails_if(always || none));
     }
     let begun = plant.ticks;
     if begun >= LEAST_MISSED && 2 * missed >= begun {

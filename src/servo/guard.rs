@@ -111,6 +111,8 @@ enum Alarm {
 /// The guard's whole life, with heartbeats on standard input: watches process `parent`, and turns torque off when
 /// it has died or fallen silent.
 pub fn watch(parent: u32, settings: &GuardSettings) -> ExitCode {
+    // A session, and so a process group, of its own: the launcher kills a bridge with its whole group, and a terminal
+    // that closes ends the programs of its session. The driving process waits until this is done.
     let _ = setsid();
     let ignored = Arc::new(AtomicBool::new(false));
     for signal in [SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGTSTP, SIGTTIN, SIGTTOU, SIGUSR1, SIGUSR2, SIGPIPE] {
@@ -130,7 +132,7 @@ pub fn watch(parent: u32, settings: &GuardSettings) -> ExitCode {
     }
     let first = Opened::once(&port, settings);
     tell(&alarm, &first);
-    // The launcher waits for the end of everything that the driving process wrote, and so for this descriptor.
+    // The launcher reads on until nobody has this descriptor.
     if let Ok(null) = std::fs::File::options().write(true).open("/dev/null") {
         let _ = rustix::stdio::dup2_stderr(&null);
     }

@@ -1,26 +1,30 @@
 //! The processes of a run: starts them, detects how each ended, and kills those that do not end by themselves.
 
-use std::io::{BufRead as _, BufReader, IsTerminal as _, Write as _};
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStderr, Command, ExitStatus, Stdio};
-use std::sync::mpsc::RecvTimeoutError;
-use std::thread::JoinHandle;
-use std::time::Duration;
+use std::process::{Child, Command, ExitStatus, Stdio};
 
 use super::LaunchError;
-use crate::channel::RunServices;
-use crate::clock::ProcessHandle;
+use super::error_output::{CollectedOutput, ErrorOutput, show};
+use crate::channel::{DomainName, RunServices, is_member};
+use crate::clock::{ProcessHandle, monotonic_ns};
 use crate::programs;
 use crate::runtime::exit;
 use crate::scenario::Plan;
 use crate::wire::{ProcessState, Role, Status};
 
+/// How long the end of a killed child may take, ns.
+const KILL_LIMIT_NS: u64 = 1_000_000_000;
+/// At the end of a run: how long what processes have left running may take to say its last words, ns.
+const LAST_WORDS_NS: u64 = 300_000_000;
+/// Number of standard errors of ended processes that are still read.
+const MAX_LEFT: usize = 8;
+
 /// The process that currently fills a role.
 #[derive(Debug)]
 enum ChildSlot {
-    /// A child of the launcher. A thread collects its standard error.
-    Child { child: Child, process: Option<ProcessHandle>, stderr: Option<JoinHandle<CollectedOutput>> },
+    /// A child of the launcher, with what it writes to its standard error.
+    Child { child: Child, process: Option<ProcessHandle>, stderr: ErrorOutput },
     /// Started by the user (`--by-hand`). Its process id is known once it has written its status board.
     ByHand { process: Option<ProcessHandle> },
     /// No process: it has ended, and was not started again or not yet.
@@ -82,6 +86,9 @@ pub(super) struct ChildProcesses {
     /// How to start each process; `None` for one that the user starts.
     commands: Vec<Option<SpawnCommand>>,
     slots: Vec<ChildSlot>,
+    /// The standard errors of processes that have ended, as long as a program that they started has them open: the
+    /// guard of a killed bridge says what it did.
+    left: Vec<ErrorOutput>,
 }
 
 impl ChildProcesses {
@@ -92,7 +99,7 @@ impl ChildProcesses {
         for role in Role::ALL {
             commands.push(if by_hand.contains(&role) { None } else { Some(SpawnCommand::locate(plan, role)?) });
         }
-        let mut children = Self { folder: folder.to_owned(), commands, slots: Vec::new() };
+        let mut children = Self { folder: folder.to_owned(), commands, slots: Vec::new(), left: Vec::new() };
         for role in Role::ALL {
             let slot = match children.commands[role as usize] {
                 Some(_) => children.spawn(role)?,
@@ -118,8 +125,7 @@ impl ChildProcesses {
         command.args(arguments).arg("--run").arg(&self.folder).process_group(0);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child = command.spawn().map_err(|cause| failed(program, &cause.to_string()))?;
-        let shown = role == Role::Plant;
-        let stderr = child.stderr.take().map(|pipe| std::thread::spawn(move || collect(pipe, shown)));
+        let stderr = ErrorOutput::of(child.stderr.take(), role == Role::Plant);
         let process = ProcessHandle::of(child.id());
         Ok(ChildSlot::Child { child, process, stderr })
     }
@@ -130,21 +136,51 @@ impl ChildProcesses {
         Ok(())
     }
 
-    /// Empties the slots of processes that have ended. Returns those that ended before they had finished.
+    /// Empties the slots of processes that have ended. Returns those that ended before they had finished. Reads what
+    /// the others have written to their standard error.
     pub fn reap(&mut self, services: &RunServices) -> Vec<ProcessDeath> {
         let mut deaths = Vec::new();
         for (role, slot) in Role::ALL.into_iter().zip(&mut self.slots) {
-            if let Some(ended) = slot.poll_end(role, &services.status(role)) {
-                *slot = ChildSlot::Empty;
+            if let Some(ended) = slot.poll_end(role, &services.status(role), services.domain()) {
+                if let ChildSlot::Child { stderr, .. } = std::mem::replace(slot, ChildSlot::Empty) {
+                    self.left.push(stderr);
+                }
                 deaths.extend(ended);
             }
         }
+        self.read_left();
         deaths
     }
 
-    /// Waits until a process has ended, or for `ns` nanoseconds.
+    fn read_left(&mut self) {
+        self.left.iter_mut().for_each(ErrorOutput::read);
+        self.left.retain(|stderr| stderr.pipe().is_some());
+        self.left.drain(..self.left.len().saturating_sub(MAX_LEFT));
+    }
+
+    /// Waits for what the processes, which have ended, have left running, until it has closed their standard errors;
+    /// not for long.
+    pub fn await_last_words(&mut self) {
+        let began = monotonic_ns();
+        while !self.left.is_empty() && monotonic_ns() - began < LAST_WORDS_NS {
+            self.await_end(LAST_WORDS_NS / 10);
+            self.read_left();
+        }
+    }
+
+    /// Waits until a process has ended or written to its standard error, or for `ns` nanoseconds.
     pub fn await_end(&self, ns: u64) {
-        ProcessHandle::await_any(self.slots.iter().filter_map(ChildSlot::process), ns);
+        let pipes = self.slots.iter().filter_map(|slot| match slot {
+            ChildSlot::Child { stderr, .. } => stderr.pipe(),
+            _ => None,
+        });
+        let pipes = pipes.chain(self.left.iter().filter_map(ErrorOutput::pipe));
+        ProcessHandle::await_any_or(self.slots.iter().filter_map(ChildSlot::process), pipes, ns);
+    }
+
+    /// Whether there is no process in this role: it has ended, and has not been started again.
+    pub fn is_empty(&self, role: Role) -> bool {
+        matches!(self.slots[role as usize], ChildSlot::Empty)
     }
 
     /// A handle on the launcher's child in this role, if it has not ended.
@@ -160,13 +196,18 @@ impl ChildProcesses {
         self.slots.iter().all(|slot| matches!(slot, ChildSlot::Empty | ChildSlot::ByHand { process: None }))
     }
 
-    /// Kills all remaining processes, and waits for the launcher's children among them.
+    /// Kills all remaining processes and what they have started, and waits for the launcher's children among them.
+    /// A child that the kernel cannot end right now, because it waits for a disk, is left behind.
     pub fn kill(&mut self) {
         for slot in &mut self.slots {
             match slot {
-                ChildSlot::Child { child, .. } => {
+                ChildSlot::Child { child, process, .. } => {
                     let _ = child.kill();
-                    let _ = child.wait();
+                    if let Some(process) = process {
+                        process.kill_group();
+                        ProcessHandle::await_any(std::iter::once(&*process), KILL_LIMIT_NS);
+                    }
+                    let _ = child.try_wait();
                 }
                 ChildSlot::ByHand { process: Some(process) } => process.kill(),
                 _ => {}
@@ -192,19 +233,28 @@ impl ChildSlot {
 
     /// `None` while the process runs or the slot is empty; once it has ended, `Some` with its death, if it had not
     /// finished its part of the run.
-    fn poll_end(&mut self, role: Role, board: &Status) -> Option<Option<ProcessDeath>> {
+    fn poll_end(&mut self, role: Role, board: &Status, domain: &DomainName) -> Option<Option<ProcessDeath>> {
         let finished = board.state() == ProcessState::Finished;
         match self {
             Self::Empty => None,
-            Self::Child { child, stderr, .. } => match child.try_wait() {
-                Ok(None) => None,
-                Ok(Some(status)) => Some(death_of(role, status, stderr.take(), board.ticks, finished)),
-                Err(_) => Some(Some(ended_early(role, board.ticks, DeathKind::Failure))),
-            },
+            Self::Child { child, process, stderr } => {
+                stderr.read();
+                if let Some(process) = process.as_ref().filter(|process| !finished && process.ended()) {
+                    // What it has started ends with it, before it is collected: a successor needs the same devices.
+                    process.kill_group();
+                }
+                match child.try_wait() {
+                    Ok(None) => None,
+                    Ok(Some(status)) => Some(death_of(role, status, stderr.take(), board.ticks, finished)),
+                    Err(_) => Some(Some(ended_early(role, board.ticks, DeathKind::Failure))),
+                }
+            }
             Self::ByHand { process } => {
                 let mut ended = process.as_ref().is_some_and(ProcessHandle::ended);
                 if process.is_none() && board.pid != 0 {
-                    *process = ProcessHandle::of(board.pid);
+                    // The id comes from shared memory. Whatever process has it now, it may be killed only if it is
+                    // a process of this run.
+                    *process = ProcessHandle::of(board.pid).filter(|_| is_member(domain, board.pid));
                     ended = process.is_none();
                 }
                 ended.then(|| (!finished).then(|| ended_early(role, board.ticks, DeathKind::Final)))
@@ -231,57 +281,6 @@ impl SpawnCommand {
     }
 }
 
-/// What a process has written to its standard error.
-#[derive(Debug, Default)]
-struct CollectedOutput {
-    /// The beginning of it.
-    text: String,
-    /// The last line, if it came too shortly before the end to be shown.
-    held: Option<String>,
-}
-
-/// Reads all that a process writes to its standard error, so that it never blocks on a full pipe. Keeps the
-/// beginning. If it is `shown`, its lines appear on the launcher's own standard error while the process lives. The
-/// line that is followed by the end is held back: it is the reason for the end, which the launcher states itself.
-fn collect(pipe: ChildStderr, shown: bool) -> CollectedOutput {
-    const KEPT: usize = 64 << 10;
-    const HELD_NS: u64 = 200_000_000;
-    let mut output = CollectedOutput::default();
-    let (sender, lines) = std::sync::mpsc::channel();
-    let reader = std::thread::spawn(move || {
-        for line in BufReader::new(pipe).split(b'\n').map_while(Result::ok) {
-            let _ = sender.send(String::from_utf8_lossy(&line).into_owned());
-        }
-    });
-    loop {
-        let received = match output.held {
-            Some(_) => lines.recv_timeout(Duration::from_nanos(HELD_NS)),
-            None => lines.recv().map_err(|_| RecvTimeoutError::Disconnected),
-        };
-        if received == Err(RecvTimeoutError::Disconnected) {
-            break;
-        }
-        show(output.held.take(), shown);
-        if let Ok(line) = received {
-            if output.text.len() + line.len() < KEPT {
-                output.text += &line;
-                output.text.push('\n');
-            }
-            output.held = Some(line);
-        }
-    }
-    let _ = reader.join();
-    output
-}
-
-/// Shows a line of a process on standard error, above a progress line that may be there.
-fn show(line: Option<String>, shown: bool) {
-    let Some(line) = line.filter(|_| shown) else { return };
-    let mut to = std::io::stderr();
-    let above = if to.is_terminal() { "\r\x1b[K" } else { "" };
-    let _ = to.write_all(format!("{above}{line}\n").as_bytes());
-}
-
 /// The last line of what a process wrote to its standard error, without the program's name, which the launcher's
 /// message states already. To an exception that Python itself printed (a module that is missing, an error of syntax),
 /// adds where it was raised.
@@ -306,11 +305,10 @@ fn ended_early(role: Role, tick: u64, kind: DeathKind) -> ProcessDeath {
 fn death_of(
     role: Role,
     status: ExitStatus,
-    stderr: Option<JoinHandle<CollectedOutput>>,
+    output: CollectedOutput,
     tick: u64,
     finished: bool,
 ) -> Option<ProcessDeath> {
-    let output = stderr.and_then(|collector| collector.join().ok()).unwrap_or_default();
     if status.success() || status.signal().is_some() {
         show(output.held, role == Role::Plant);
     }
@@ -334,7 +332,9 @@ fn death_of(
         // It has finished its part of the run, and reports what went wrong in it.
         _ if finished => DeathKind::Final,
         // It ended as a signal asked it to.
-        _ if is(exit::TERMINATED) || is(exit::INTERRUPTED) => DeathKind::EarlyExit,
+        _ if [exit::TERMINATED, exit::INTERRUPTED, exit::HUNG_UP, exit::QUIT].into_iter().any(is) => {
+            DeathKind::EarlyExit
+        }
         _ => DeathKind::Failure,
     };
     Some(ProcessDeath { failure: ProcessFailure { role, code, message, stderr }, kind })

@@ -2,7 +2,7 @@
 
 use crate::channel::ChannelError;
 use crate::checkpoint::CheckpointError;
-use crate::runtime::{PipeError, exit};
+use crate::runtime::{PipeError, channel_exit_code, exit};
 use crate::scenario::ScenarioError;
 
 /// Why a run could not start. It leaves nothing behind.
@@ -94,7 +94,8 @@ impl LaunchError {
             Self::Refused { code, .. } => *code,
             Self::Pipe(error) => error.exit_code(),
             Self::NotReady { .. } => exit::PROCESS,
-            Self::Channel(_) | Self::Signals(_) => exit::ERROR,
+            Self::Channel(error) => channel_exit_code(error),
+            Self::Signals(_) => exit::ERROR,
         }
     }
 }

@@ -25,6 +25,8 @@ pub(crate) struct RunFolder {
     created: bool,
     /// Whether it stays when this is dropped.
     kept: Cell<bool>,
+    /// The folder itself, locked: no other run that is being started takes it.
+    _lock: Option<fs::File>,
 }
 
 impl RunFolder {
@@ -37,7 +39,8 @@ impl RunFolder {
         };
         let created = !path.exists();
         fs::create_dir_all(&path).map_err(|e| unusable(&path, &e.to_string()))?;
-        let folder = Self { path, created, kept: Cell::new(false) };
+        let _lock = lock(&path)?;
+        let folder = Self { path, created, kept: Cell::new(false), _lock };
         if RunManifest::path(&folder.path).exists() || RunManifest::log_path(&folder.path).exists() {
             folder.kept.set(true);
             return Err(unusable(&folder.path, "it holds a run already"));
@@ -57,7 +60,10 @@ impl RunFolder {
         loop {
             let path = runs.join(format!("{scenario}-{number}"));
             match fs::create_dir(&path) {
-                Ok(()) => return Ok(Self { path, created: true, kept: Cell::new(false) }),
+                Ok(()) => {
+                    let _lock = lock(&path)?;
+                    return Ok(Self { path, created: true, kept: Cell::new(false), _lock });
+                }
                 Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => number += 1,
                 Err(e) => return Err(unusable(&path, &e.to_string())),
             }
@@ -132,6 +138,17 @@ impl Drop for RunFolder {
             let _ = fs::remove_dir(&self.path);
             let _ = self.path.parent().filter(|p| *p == Path::new(RUNS)).map(fs::remove_dir);
         }
+    }
+}
+
+/// Locks the folder at `path` against other runs. The lock ends with this process. Without it, two runs that begin
+/// at the same time would both find an empty folder. A file system without locks has none.
+fn lock(path: &Path) -> Result<Option<fs::File>, LaunchError> {
+    let Ok(folder) = fs::File::open(path) else { return Ok(None) };
+    match folder.try_lock() {
+        Ok(()) => Ok(Some(folder)),
+        Err(fs::TryLockError::WouldBlock) => Err(unusable(path, "another run has just begun in it")),
+        Err(fs::TryLockError::Error(_)) => Ok(None),
     }
 }
 

@@ -8,9 +8,11 @@
 
 mod children;
 mod error;
+mod error_output;
 mod evaluation;
 mod fault_injector;
 mod folder;
+mod folder_watch;
 mod history;
 mod in_process;
 mod learning_progress;
@@ -36,9 +38,10 @@ pub use summary::{ProcessRealtime, RunOutcome, RunSummary, WindowSummary};
 use std::path::{Path, PathBuf};
 
 use children::{ChildProcesses, ProcessFailure};
+use folder_watch::FolderWatch;
 use supervisor::Supervisor;
 
-use crate::channel::{DomainName, RunServices, remove_stale_domains};
+use crate::channel::{DomainName, RunServices, check_shared_memory, remove_stale_domains};
 use crate::clock::{RealtimeRefusal, TerminationSignals, monotonic_ns, wall_ns};
 use crate::process::print_error_line;
 use crate::runtime::{Mode, ResumePoint, RunManifest, WireManifest, identity, read_realtime, snapshot_path};
@@ -88,6 +91,7 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
             left.domain
         ));
     }
+    check_shared_memory()?;
     let run_id = run_id(plan);
     let domain = DomainName::of(run_id);
     let services = RunServices::create(&domain, &identity(plan), &plan.scenario.channels, plan.scenario.vision())?;
@@ -96,7 +100,7 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
     services.control.put(Control::default());
     let children = ChildProcesses::start(plan, folder.path(), &launch.by_hand)?;
     let progress = RunProgress::new(launch, &folder);
-    let mut supervisor = Supervisor::new(launch, services, children, signals, progress, domain);
+    let mut supervisor = Supervisor::new(launch, services, children, signals, progress, FolderWatch::new(&folder));
     if let Err(error) = supervisor.set_up(launch) {
         // A traceback is more than the sentence that the error repeats.
         let long = |death: &&ProcessFailure| death.stderr.trim().lines().count() > 1;

@@ -4,6 +4,8 @@
 //! machine's time. After a process has run for a while without failing, its delay is short again. This is pure
 //! bookkeeping: the launcher passes the time in.
 
+use std::time::Duration;
+
 use serde::Serialize;
 
 use super::children::{DeathKind, ProcessDeath};
@@ -83,7 +85,9 @@ impl RestartTracker {
             DeathKind::Failure => policy != RestartPolicy::Never,
             DeathKind::EarlyExit => policy == RestartPolicy::Always,
         };
-        if now.saturating_sub(record.started_ns) as f64 > self.config.healthy_s * 1e9 {
+        // The time in which it did not show any sign of life was no healthy time.
+        let healthy_ns = now.saturating_sub(record.started_ns).saturating_sub(record.silent_ns);
+        if healthy_ns as f64 > self.config.healthy_s * 1e9 {
             record.restarts_in_a_row = 0;
         }
         let incarnations_left = record.incarnation + 1 < INCARNATIONS;
@@ -124,12 +128,24 @@ impl RestartTracker {
 
     /// Records the heartbeat of a process. True if it has not changed for longer than the limit: the process hangs.
     pub fn hangs(&mut self, role: Role, heartbeat: u64, now: u64) -> bool {
+        let silent_ns = self.silence(role, heartbeat, now);
+        self.config.hang_s > 0.0 && silent_ns as f64 > self.config.hang_s * 1e9
+    }
+
+    /// The same for a process that closes its files: true if it has not changed its heartbeat for longer than
+    /// `limit`.
+    pub fn closes_too_long(&mut self, role: Role, heartbeat: u64, now: u64, limit: Duration) -> bool {
+        self.silence(role, heartbeat, now) as u128 > limit.as_nanos()
+    }
+
+    /// For how long the heartbeat has not changed, ns.
+    fn silence(&mut self, role: Role, heartbeat: u64, now: u64) -> u64 {
         let record = &mut self.records[role as usize];
         let since_check = now.saturating_sub(record.checked_ns).min(LONGEST_CHECK_NS);
         record.checked_ns = now;
         record.silent_ns = if heartbeat == record.heartbeat { record.silent_ns + since_check } else { 0 };
         record.heartbeat = heartbeat;
-        self.config.hang_s > 0.0 && record.silent_ns as f64 > self.config.hang_s * 1e9
+        record.silent_ns
     }
 
     /// The time since the process was started, ns.
@@ -211,5 +227,22 @@ mod tests {
         }
         assert!(restarts.hangs(Role::Plant, 1, 60_901 * MS));
         assert!(!restarts.hangs(Role::Plant, 2, 60_950 * MS));
+    }
+
+    /// A process that hangs at every start is given up. Its silence is longer than `healthy_s`, and still not healthy.
+    #[test]
+    fn hangs_count_as_failures() {
+        let config = RestartConfig { give_up_after: 3, hang_s: 20.0, healthy_s: 10.0, ..RestartConfig::default() };
+        let mut restarts = RestartTracker::new(&config, 0);
+        let (died, mut now) = (death(Role::Logger, DeathKind::Failure), 0);
+        for start in 0..4 {
+            while !restarts.hangs(Role::Logger, 1, now) {
+                now += 100 * MS;
+            }
+            assert_eq!(restarts.schedule(&died, now, false), start < 3, "{start}");
+            if start < 3 {
+                restarts.record_restart(Role::Logger, now);
+            }
+        }
     }
 }

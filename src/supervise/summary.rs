@@ -91,26 +91,27 @@ pub struct RunSummary {
     pub late: u64,
     /// Ticks that the plant passed over, being late itself.
     pub skipped: u64,
-    /// Ticks in which the gate limited what was wanted, for whatever reason.
-    pub clamped: u64,
+    /// Ticks in which the gate limited what was wanted, for whatever reason. This count and those that follow are
+    /// null where the process that counts left no report, because it was lost for good.
+    pub clamped: Option<u64>,
     /// Among them, those in which it limited the change from tick to tick,
-    pub step_limited: u64,
+    pub step_limited: Option<u64>,
     /// kept a joint from going over its limits,
-    pub position_limited: u64,
+    pub position_limited: Option<u64>,
     /// or let commands grow that had just begun to come.
-    pub ramped: u64,
+    pub ramped: Option<u64>,
     /// Commands that held a value that is not a number.
-    pub non_finite: u64,
+    pub non_finite: Option<u64>,
     /// Ticks in which a fault of the channel let the controller hear nothing.
-    pub unheard: u64,
+    pub unheard: Option<u64>,
     /// Observations that a fault of the channel let come to it after their tick.
-    pub stale: u64,
+    pub stale: Option<u64>,
     /// A plant on hardware: ticks without torque, by the reason. Empty where there were none.
     pub without_torque: BTreeMap<String, u64>,
     /// Samples that did not reach the log, all channels together.
-    pub lost: u64,
+    pub lost: Option<u64>,
     /// The same by channel: observation, command, learning.
-    pub lost_by_channel: [u64; 3],
+    pub lost_by_channel: Option<[u64; 3]>,
     /// What the learner counted, by name; empty where it counts nothing.
     pub learner: BTreeMap<String, u64>,
     /// XXH3-64 of the final weights, or of the learner's whole state if it has none, hexadecimal.
@@ -198,9 +199,11 @@ impl RunSummary {
     /// The summary of a run of processes, from what they left in its folder; for one that left nothing, from
     /// what its status board showed last.
     pub(super) fn of_run(launch: &Launch, folder: &Path, end: RunEnd, seconds: f64) -> Self {
-        let RunEnd { ended, failure, incidents, boards, .. } = end;
+        let RunEnd { ended, failure, incidents, boards, folder_removed_at, .. } = end;
         let board = &boards[Role::Plant as usize];
-        let plant = read_report(folder, Role::Plant).unwrap_or_else(|| PlantReport {
+        let report: Option<PlantReport> = read_report(folder, Role::Plant);
+        let whole = report.is_some();
+        let plant = report.unwrap_or_else(|| PlantReport {
             ticks: board.sent,
             missed: board.missed,
             late: board.late,
@@ -208,27 +211,42 @@ impl RunSummary {
             ..PlantReport::default()
         });
         let controller: Option<ControllerReport> = read_report(folder, Role::Controller);
-        let logger: LoggerReport = read_report(folder, Role::Logger).unwrap_or_default();
+        let logger: Option<LoggerReport> = read_report(folder, Role::Logger);
         remove_unwritten_reports(folder);
         let mut summary = Self::new(launch, folder, ended, seconds);
         summary.add_plant(&plant);
+        if !whole {
+            summary.forget_gate();
+        }
         summary.warnings.extend(judge(&launch.plan, &plant, controller.as_ref()));
         summary.add_bridge(folder);
         summary.add_controller(launch, controller, &read_snapshots(folder, &launch.plan));
         summary.restarts = incidents;
         let report = |role: Role| Some(ProcessRealtime { process: role.name(), report: read_realtime(folder, role)? });
         summary.realtime = Role::ALL.into_iter().filter_map(report).collect();
-        summary.add_log(folder, &logger);
+        let logger = summary.add_log(folder, logger);
         if let Some(ProcessFailure { code, message, .. }) = failure {
             summary.failure = Some(message);
             if ended == RunOutcome::Failed {
                 summary.code = code;
             }
         }
+        if let Some(tick) = folder_removed_at {
+            let (tick, folder) = (thousands(tick), folder.display());
+            let message = format!(
+                "the run's folder {folder} was removed at about tick {tick}, while the run was going; the log and \
+                 whatever else it held until then is lost"
+            );
+            summary.complain(exit::INPUT, message);
+        }
         if let Some(why) = logger.failure {
             let from =
                 logger.missing_from.map(|tick| format!("the log lacks everything from tick {} on: ", thousands(tick)));
             summary.complain(exit::INPUT, from.unwrap_or_default() + &why);
+        } else if summary.log_bytes < logger.bytes {
+            let (is, was) = (thousands(summary.log_bytes), thousands(logger.bytes));
+            let message = format!("{is} of the {was} bytes of the log are left: somebody removed or changed it");
+            summary.complain(exit::INPUT, message);
         }
         summary.conclude();
         summary
@@ -244,6 +262,7 @@ impl RunSummary {
     ) -> Self {
         let mut summary = Self::new(launch, folder, ended, seconds);
         summary.add_plant(&result.plant);
+        (summary.lost, summary.lost_by_channel) = (Some(0), Some([0; 3]));
         summary.warnings.extend(judge(&launch.plan, &result.plant, Some(&result.controller)));
         summary.add_controller(launch, Some(result.controller), &result.snapshots);
         summary.conclude();
@@ -279,15 +298,21 @@ impl RunSummary {
         self.missed = plant.missed;
         self.late = plant.late;
         self.skipped = plant.skipped;
-        self.clamped = plant.clamped;
-        self.step_limited = plant.step_limited;
-        self.position_limited = plant.position_limited;
-        self.ramped = plant.ramped;
-        self.non_finite = plant.non_finite;
+        self.clamped = Some(plant.clamped);
+        self.step_limited = Some(plant.step_limited);
+        self.position_limited = Some(plant.position_limited);
+        self.ramped = Some(plant.ramped);
+        self.non_finite = Some(plant.non_finite);
         self.wake_up_lateness_us = plant.wake_up;
         self.observation_to_command_us = plant.observation_to_command;
         self.plant_work_us = plant.work;
         self.checkpoint_failure = plant.checkpoint_failure.clone();
+    }
+
+    /// The plant left no report: its board tells nothing of what the gate did.
+    fn forget_gate(&mut self) {
+        (self.clamped, self.step_limited, self.position_limited) = (None, None, None);
+        (self.ramped, self.non_finite) = (None, None);
     }
 
     /// What the bridge on servos reported, if the plant was one.
@@ -307,8 +332,8 @@ impl RunSummary {
     fn add_controller(&mut self, launch: &Launch, report: Option<ControllerReport>, snapshots: &[PolicySnapshot]) {
         if let Some(controller) = report {
             self.ticks = controller.ticks + controller.unseen;
-            self.unheard = controller.unheard;
-            self.stale = controller.stale;
+            self.unheard = Some(controller.unheard);
+            self.stale = Some(controller.stale);
             self.learner = controller.learner.clone();
             self.weights_hash = Some(controller.weights_hash.clone());
             self.diverged_at = controller.diverged_at;
@@ -334,11 +359,14 @@ impl RunSummary {
         self.ticks_per_second = begun as f64 / self.seconds.max(1e-9);
     }
 
-    fn add_log(&mut self, folder: &Path, logger: &LoggerReport) {
+    /// What the log is, and the logger's report of it, if there is one. Returns the report, or an empty one.
+    fn add_log(&mut self, folder: &Path, report: Option<LoggerReport>) -> LoggerReport {
         let mut segments = log::segments(folder);
         self.log_bytes = segments.iter().filter_map(|log| Some(std::fs::metadata(log).ok()?.len())).sum();
         self.log_segments = segments.len();
         self.log = if segments.len() > 1 { Some(folder.to_owned()) } else { segments.pop() };
+        let known = report.is_some();
+        let logger = report.unwrap_or_default();
         self.log_missing_from = logger.missing_from;
         // The logger's report outlives plants and controllers.
         for (shown, counted) in [
@@ -348,8 +376,9 @@ impl RunSummary {
         ] {
             *shown = counted.or(*shown);
         }
-        self.lost_by_channel = logger.lost;
-        self.lost = logger.lost.iter().sum();
+        self.lost_by_channel = known.then_some(logger.lost);
+        self.lost = known.then(|| logger.lost.iter().sum());
+        logger
     }
 
     /// Adds what is wrong with a run that came to its end, draws the figure and leaves the summary in the

@@ -59,11 +59,12 @@ impl RunSummary {
     /// What was missed, lost and limited, and the faults that were asked for. Counts of 0 that are usually 0
     /// are left out.
     fn write_counts(&self, text: &mut String) {
-        let _ =
-            writeln!(text, "missed {}  late {}  lost {}  limited {}", self.missed, self.late, self.lost, self.clamped);
-        let mut row = |label: &str, counts: &[(&str, u64)]| {
-            let happened: Vec<_> =
-                counts.iter().filter(|(_, n)| *n > 0).map(|(what, n)| format!("{what} {n}")).collect();
+        let known = |count: Option<u64>| count.map_or_else(|| "unknown".to_owned(), |n| n.to_string());
+        let (lost, limited) = (known(self.lost), known(self.clamped));
+        let _ = writeln!(text, "missed {}  late {}  lost {lost}  limited {limited}", self.missed, self.late);
+        let mut row = |label: &str, counts: &[(&str, Option<u64>)]| {
+            let happened = counts.iter().filter_map(|(what, n)| Some((what, n.filter(|n| *n > 0)?)));
+            let happened: Vec<_> = happened.map(|(what, n)| format!("{what} {n}")).collect();
             if !happened.is_empty() {
                 let _ = writeln!(text, "{label:<23} {}", happened.join("  "));
             }
@@ -78,7 +79,7 @@ impl RunSummary {
             ],
         );
         row("heard", &[("nothing", self.unheard), ("too late", self.stale)]);
-        let reasons: Vec<_> = self.without_torque.iter().map(|(why, &n)| (why.as_str(), n)).collect();
+        let reasons: Vec<_> = self.without_torque.iter().map(|(why, &n)| (why.as_str(), Some(n))).collect();
         row("ticks without torque", &reasons);
         let learner: Vec<_> = self.learner.iter().map(|(what, &n)| (what.as_str(), n)).collect();
         row("learner", &learner);

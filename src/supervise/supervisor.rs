@@ -2,11 +2,12 @@
 
 use std::time::Duration;
 
-use super::children::{ChildProcesses, ProcessFailure};
+use super::children::{ChildProcesses, DeathKind, ProcessDeath, ProcessFailure};
 use super::fault_injector::ProcessFaultInjector;
+use super::folder_watch::FolderWatch;
 use super::restarts::{RestartIncident, RestartTracker};
 use super::{Launch, LaunchError, RunOutcome, RunProgress};
-use crate::channel::{DomainName, RunServices, reclaim_dead};
+use crate::channel::{DomainName, RunServices, fill_domain, reclaim_dead};
 use crate::clock::{TerminationSignals, monotonic_ns, pause};
 use crate::process::print_error_line;
 use crate::runtime::Mode;
@@ -14,10 +15,12 @@ use crate::wire::{Control, Phase, ProcessState, Role, Status};
 
 /// How long processes that the launcher starts may take to get ready or to connect.
 const SET_UP_LIMIT: Duration = Duration::from_secs(20);
-/// After a signal or a failure: how long the processes have to end in good order, and then to end at once. The
+/// After a signal: how long the processes have to end in good order, and then to end at once. The
 /// sum is below the second that a user waits after Ctrl-C.
 const STOP_LIMIT: Duration = Duration::from_millis(600);
 const ABORT_LIMIT: Duration = Duration::from_millis(200);
+/// After a failure nobody waits at a terminal, and the others' results count.
+const FAILURE_STOP_LIMIT: Duration = Duration::from_secs(5);
 /// After the planned end: how long the last samples may take to reach the disk.
 const CLOSE_LIMIT: Duration = Duration::from_secs(60);
 /// How long it may take to reclaim the shared memory of a dead process.
@@ -40,6 +43,7 @@ pub(super) struct Supervisor {
     progress: RunProgress,
     restarts: RestartTracker,
     fault_injector: ProcessFaultInjector,
+    folder: FolderWatch,
     poll_ns: u64,
     /// Why the run ends before its last tick, if it does.
     ended: Option<RunOutcome>,
@@ -57,6 +61,8 @@ pub(super) struct RunEnd {
     pub incidents: Vec<RestartIncident>,
     /// The last status of each process.
     pub boards: [Status; 3],
+    /// The tick at which the run's folder was found to be removed, if it was.
+    pub folder_removed_at: Option<u64>,
 }
 
 impl Supervisor {
@@ -66,11 +72,12 @@ impl Supervisor {
         children: ChildProcesses,
         signals: TerminationSignals,
         progress: RunProgress,
-        domain: DomainName,
+        folder: FolderWatch,
     ) -> Self {
         Self {
+            domain: services.domain().clone(),
             services,
-            domain,
+            folder,
             children,
             control: Control::default(),
             signals,
@@ -98,7 +105,9 @@ impl Supervisor {
         let limit = launch.by_hand.is_empty().then_some(SET_UP_LIMIT);
         if self.await_state(ProcessState::Ready, limit)? {
             self.enter(Phase::Connect);
-            self.await_state(ProcessState::Connected, limit)?;
+            if self.await_state(ProcessState::Connected, limit)? {
+                fill_domain(self.services.domain())?;
+            }
         }
         Ok(())
     }
@@ -140,6 +149,7 @@ impl Supervisor {
             }
             self.fault_injector.inject(self.services.status(Role::Plant).ticks, monotonic_ns(), &self.children);
             self.kill_hung();
+            self.check_folder(false);
             self.restart_due();
             self.progress.show(&self.services);
             self.children.await_end(self.fault_injector.poll_interval(self.poll_ns));
@@ -165,11 +175,42 @@ impl Supervisor {
                 self.ended = Some(RunOutcome::Failed);
             }
         }
+        self.announce_losses();
         self.ended.is_some()
+    }
+
+    /// Once the run ends, tells the processes which of them will not return, so that nobody waits for those and
+    /// each closes its files in good order.
+    fn announce_losses(&mut self) {
+        if self.ended.is_none() {
+            return;
+        }
+        let before = self.control.gone;
+        for role in Role::ALL {
+            if self.children.is_empty(role) && self.state(role) != ProcessState::Finished {
+                self.control.set_gone(role);
+            }
+        }
+        if self.control.gone != before {
+            // In one step, or a plant in lockstep would go on without its controller for a moment.
+            if self.control.phase() == Phase::Run {
+                self.control.phase = Phase::Stop as u32;
+            }
+            self.services.control.put(self.control);
+        }
     }
 
     fn fail(&mut self, failure: ProcessFailure) {
         self.failure.get_or_insert(failure);
+    }
+
+    /// Says so when the run's folder has been removed.
+    fn check_folder(&mut self, now: bool) {
+        let tick = self.services.status(Role::Plant).ticks;
+        if if now { self.folder.check_now(tick) } else { self.folder.check(monotonic_ns(), tick) } {
+            let message = "tectum: the run's folder has been removed, and the log with it; the run goes on without one";
+            print_error_line(message);
+        }
     }
 
     /// Kills processes whose heartbeat has stopped, and restarted ones that do not get ready in time.
@@ -181,12 +222,14 @@ impl Supervisor {
             let hangs = match board.state() {
                 _ if self.fault_injector.is_stopped(role) => false,
                 ProcessState::Running => self.restarts.hangs(role, board.beat, now),
+                // It waits for the disk. The end of the run has a limit of its own.
+                ProcessState::Closing => self.restarts.closes_too_long(role, board.beat, now, CLOSE_LIMIT),
                 ProcessState::Finished | ProcessState::Failed => false,
                 _ => self.restarts.since_start(role, now) > SET_UP_LIMIT.as_nanos() as u64,
             };
             if hangs {
                 print_error_line(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));
-                process.kill();
+                process.kill_group();
             }
         }
     }
@@ -213,7 +256,12 @@ impl Supervisor {
         self.control.incarnations[role as usize] = incarnation;
         self.services.control.put(self.control);
         if let Err(error) = self.children.start_again(role) {
-            self.fail(ProcessFailure::new(role, error.to_string()));
+            // There may be room for another process (RLIMIT_NPROC, memory) the next time.
+            let death =
+                ProcessDeath { failure: ProcessFailure::new(role, error.to_string()), kind: DeathKind::Failure };
+            if !self.restarts.schedule(&death, monotonic_ns(), false) {
+                self.fail(death.failure);
+            }
         }
     }
 
@@ -221,8 +269,10 @@ impl Supervisor {
     pub fn close(&mut self, began: u64) -> f64 {
         if self.ended.is_some() {
             self.enter(if self.control.phase() >= Phase::Run { Phase::Stop } else { Phase::Abort });
-            self.await_end(STOP_LIMIT);
+            let failed = self.ended == Some(RunOutcome::Failed);
+            self.await_end(if failed { FAILURE_STOP_LIMIT } else { STOP_LIMIT });
         }
+        self.check_folder(true);
         let seconds = (monotonic_ns() - began) as f64 / 1e9;
         if self.ended.is_none() && !self.await_end(CLOSE_LIMIT) {
             self.ended = Some(RunOutcome::Failed);
@@ -232,6 +282,7 @@ impl Supervisor {
             self.children.kill();
         }
         self.poll();
+        self.children.await_last_words();
         self.progress.clear();
         seconds
     }
@@ -264,6 +315,7 @@ impl Supervisor {
             deaths: self.deaths,
             incidents: self.restarts.incidents,
             boards: Role::ALL.map(|role| self.services.status(role)),
+            folder_removed_at: self.folder.removed_at,
         }
     }
 }

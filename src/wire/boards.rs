@@ -5,15 +5,18 @@ use super::schema::sample;
 
 sample! {
     /// The launcher's board: which phase the run is in.
-    Control, "2" {
+    Control, "3" {
         /// A [`Phase`] as a number.
         phase: u32,
         /// Checkpoints that were requested by a signal so far.
         checkpoints: u32,
         /// Start of tick 0 on the run's clock, ns; valid from [`Phase::Run`] on.
         t0_ns: u64,
-        /// Start number of each process within the run, by [`Role`](super::Role); the last entry is unused.
-        incarnations: [u32; 4],
+        /// Start number of each process within the run, by [`Role`](super::Role).
+        incarnations: [u32; 3],
+        /// The processes that have ended without finishing and will not return: bit 0 the plant, 1 the controller,
+        /// 2 the logger. Nobody waits for them.
+        gone: u32,
     }
 }
 
@@ -74,6 +77,16 @@ pub enum Phase {
 }
 
 impl Control {
+    /// Whether the process in `role` has ended without finishing and will not return.
+    pub fn is_gone(&self, role: Role) -> bool {
+        self.gone >> role as u32 & 1 == 1
+    }
+
+    /// Marks the process in `role` as one that will not return.
+    pub fn set_gone(&mut self, role: Role) {
+        self.gone |= 1 << role as u32;
+    }
+
     /// The phase on the board; a number without a phase reads as [`Phase::Abort`].
     pub fn phase(&self) -> Phase {
         match self.phase {
@@ -102,6 +115,9 @@ pub enum ProcessState {
     Finished = 4,
     /// The process ended before the run was over.
     Failed = 5,
+    /// The loop is over; files are being closed and synced to the disk, which may take long. No heartbeat comes
+    /// meanwhile.
+    Closing = 6,
 }
 
 impl Status {
@@ -113,6 +129,7 @@ impl Status {
             2 => ProcessState::Connected,
             3 => ProcessState::Running,
             4 => ProcessState::Finished,
+            6 => ProcessState::Closing,
             _ => ProcessState::Failed,
         }
     }

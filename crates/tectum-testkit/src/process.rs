@@ -73,6 +73,11 @@ impl Process {
         signal_process(self.id(), signal);
     }
 
+    /// Closes the reading ends of standard output and standard error, as a terminal does that goes away.
+    pub fn close_output(&mut self) {
+        (self.child.stdout, self.child.stderr) = (None, None);
+    }
+
     /// Waits until `ready` returns true.
     ///
     /// # Panics

@@ -54,11 +54,12 @@ class ControllerPorts(Participant):
         return plants >= 1 and self.command.connected_readers() >= 1
 
     def await_observation(self) -> Observation | None:
-        """Waits for the next observation; in real time for the newest. None when the plant has finished."""
+        """Waits for the next observation; in real time for the newest. None when the plant has finished, or will not
+        return."""
         backoff = Backoff()
         while True:
             # Read before the channel is, so that samples sent before the plant finished are still received.
-            finished = self.plant.get().state == State.FINISHED
+            finished = self.plant.get().state == State.FINISHED or self.is_gone(Role.PLANT)
             if (newest := self.observations.receive()) is not None:
                 while self.run.real and (newer := self.observations.receive()) is not None:
                     newest = newer

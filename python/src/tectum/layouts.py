@@ -13,7 +13,7 @@ LOG_BUFFER, CREDIT = 1024, 256
 # The version of iceoryx2 that all processes of a run must have.
 ICEORYX2 = "0.10.0"
 # The hash over all samples and boards: `wire.schema` in the manifest of a run that these layouts fit.
-SCHEMA = "078fa9e990822b44"
+SCHEMA = "28748a7967c692e6"
 
 
 class Flag(IntFlag):
@@ -54,7 +54,7 @@ class Phase(IntEnum):
 class State(IntEnum):
     """States of a process, on its own board."""
 
-    ABSENT, READY, CONNECTED, RUNNING, FINISHED, FAILED = range(6)
+    ABSENT, READY, CONNECTED, RUNNING, FINISHED, FAILED, CLOSING = range(7)
 
 
 class Role(IntEnum):
@@ -145,7 +145,8 @@ class Control(Structure):
         ("phase", c_uint32),
         ("checkpoints", c_uint32),
         ("t0_ns", c_uint64),
-        ("incarnations", c_uint32 * 4),
+        ("incarnations", c_uint32 * 3),
+        ("gone", c_uint32),
     ]
 
     @staticmethod

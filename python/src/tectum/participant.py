@@ -68,8 +68,10 @@ class Participant:
             self.before = run.board(wire["services"]["boards"][role], Status, self.incarnation - 1).get()
         self.signal = 0
         if handle_signals:
-            for number in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(number, self.interrupt)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+                # A SIGHUP that this process was started to ignore, as by nohup, stays ignored.
+                if signal.getsignal(number) != signal.SIG_IGN or number != signal.SIGHUP:
+                    signal.signal(number, self.interrupt)
 
     def interrupt(self, number: int, _frame: Any) -> None:
         self.signal = number
@@ -99,6 +101,10 @@ class Participant:
     def stopping(self) -> bool:
         """Whether the run is ending; cheap enough for every tick."""
         return bool(self.signal or self.run.control.get().phase >= Phase.STOP)
+
+    def is_gone(self, role: Role) -> bool:
+        """Whether the process in `role` has ended without finishing and will not return."""
+        return bool(self.run.control.get().gone >> role & 1)
 
     def begin(self, connected: Callable[[], bool]) -> int:
         """Ready, Connect, Connected, Run. Gives the start of tick 0, ns."""

@@ -301,6 +301,8 @@ class PlantLoop(TickLoop):
                 if participant.returned(participant.controller, Role.CONTROLLER):
                     participant.out.send(self.observation)
                 participant.heartbeat()
+                if participant.is_gone(Role.CONTROLLER):
+                    return False
         return True
 
     def credit(self, tick: int) -> bool:

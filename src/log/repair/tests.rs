@@ -139,3 +139,18 @@ proptest! {
         }
     }
 }
+
+/// The end magic twice, zeros up to a block's end, half another log: all is cut off, and nothing else is changed.
+#[test]
+fn what_stands_behind_the_end_is_cut_off() {
+    for behind in [mcap::MAGIC, &[0; 3000], &WHOLE[..WHOLE.len() / 2], &[1]] {
+        let bytes = [&WHOLE[..], behind].concat();
+        let mut log = LogReader::over(Path::new("log.mcap"), open(&bytes)).unwrap();
+        let error = log.find_map(Result::err).unwrap();
+        assert!(matches!(error, LogError::BehindEnd { end, .. } if end == WHOLE.len() as u64), "{error}");
+        assert!(error.to_string().contains("`tectum log repair` cuts them off"), "{error}");
+        let (done, whole) = mended(&bytes).unwrap().unwrap();
+        assert_eq!((done.torn_at, done.left_out, done.whole), (WHOLE.len() as u64, behind.len() as u64, true));
+        assert!(whole == *WHOLE);
+    }
+}

@@ -17,7 +17,7 @@ from ..controller import NEW_TARGET, TERMINATED, TRUNCATED, Controller, Percept
 from ..controller_loop import ControllerLoop
 from ..errors import Ended, Refused
 from ..launch import Failed, RunHandle, Summary, start
-from ..layouts import Flag, Observation, Phase, State
+from ..layouts import Flag, Observation, Phase, Role, State
 from ..transport import JoinedRun
 
 
@@ -230,7 +230,10 @@ class TectumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
                 # In lockstep the plant waits for this before it ends.
                 self._answer(loop, [0.0] * len(self.run.outputs))
             self._report(loop)
-            while loop.ports.plant.get().state < State.FINISHED and self.run.control.get().phase < Phase.ABORT:
+            done = (State.FINISHED, State.FAILED)
+            while loop.ports.plant.get().state not in done and self.run.control.get().phase < Phase.ABORT:
+                if loop.ports.is_gone(Role.PLANT):
+                    break
                 loop.ports.heartbeat()
                 loop.ports.observations.receive()
                 time.sleep(0.0005)
