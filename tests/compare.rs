@@ -163,7 +163,8 @@ fn a_controllers_program_is_measured_as_the_rule_that_it_runs() {
 #[test]
 fn a_test_changes_nothing_in_a_controllers_run() {
     let test_folder = TestFolder::new();
-    let learner = "rule = \"pd\"\nposition = \"theta_1\"\ntarget = \"target_x\"\ngain = 0.01\ntrial = 20";
+    let learner =
+        "rule = \"pd\"\nposition = \"theta_1\"\ntarget = \"target_x\"\ngain = 0.002\ndamping = 0.005\ntrial = 20";
     let own = own_scenario(&test_folder, "pd", learner);
     let run = ["run", &own, "--mode", "in-process", "--ticks", "200", "--seed", "1001", "--json", "--out", "alone"];
     let alone = test_folder.start(TECTUM, &run).wait().expect(0).json();
