@@ -163,14 +163,21 @@ fn a_controllers_program_is_measured_as_the_rule_that_it_runs() {
 #[test]
 fn a_test_changes_nothing_in_a_controllers_run() {
     let test_folder = TestFolder::new();
-    let learner = "rule = \"pd\"\nposition = \"theta_1\"\ntarget = \"target_x\"\ngain = 0.01\ntrial = 20";
+    let learner =
+        "rule = \"pd\"\nposition = \"theta_1\"\ntarget = \"target_x\"\ngain = 0.002\ndamping = 0.005\ntrial = 20";
     let own = own_scenario(&test_folder, "pd", learner);
     let run = ["run", &own, "--mode", "in-process", "--ticks", "200", "--seed", "1001", "--json", "--out", "alone"];
     let alone = test_folder.start(TECTUM, &run).wait().expect(0).json();
-    let arguments = ["compare", "--json", "--out", "run", "--starts", "1", "--ticks", "200", "--seeds", "2"];
-    let compared = test_folder.start(TECTUM, &[&arguments[..], &["--learners", &own]].concat()).wait().expect(0).json();
-    assert_eq!(compared["learners"][0]["weights_hash"][1], alone["weights_hash"], "{compared}");
-    assert_eq!(compared["learners"][0]["changes"][0]["tick"], 100, "the usual block comes in the middle");
+    let arguments = ["compare", "--json", "--starts", "1", "--ticks", "200", "--seeds", "2"];
+    let compare = |more: &[&str]| {
+        let all = [&arguments[..], &["--learners", &own], more].concat();
+        test_folder.start(TECTUM, &all).wait().expect(0).json()["learners"][0].clone()
+    };
+    let never = compare(&["--block", "never"]);
+    assert_eq!(never["weights_hash"][1], alone["weights_hash"], "{never}");
+    let usual = compare(&[]);
+    assert_eq!(usual["changes"][0]["tick"], 100, "the usual block comes in the middle");
+    assert_ne!(usual["weights_hash"][1], alone["weights_hash"]);
 }
 
 #[test]

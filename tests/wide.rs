@@ -1,5 +1,5 @@
-//! A plant with as many inputs and outputs as a sample has room for, and a controller of its own for it: run, killed, log,
-//! CSV and replay. One more of either is refused by name, and so is a learner that takes fewer.
+//! A plant with as many inputs and outputs as a sample has room for, and a controller of its own for it: run, killed,
+//! log, CSV and replay. One more of either is refused by name, and so is a learner that takes fewer.
 
 mod support;
 
@@ -27,7 +27,7 @@ fn own_controller() -> String {
 }
 
 /// Ticks of a run in which there is time for a kill.
-const TICKS: &str = "20000";
+const TICKS: &str = "4000";
 
 #[test]
 fn as_many_signals_as_a_sample_holds_are_run_logged_and_replayed() {
@@ -68,7 +68,7 @@ fn as_many_signals_as_a_sample_holds_are_run_logged_and_replayed() {
     let learning = csv(&test_folder, "learning");
     let updates = learning.lines().next().unwrap().split(',').position(|name| name == "updates").unwrap();
     let of_row = |row: usize| learning.lines().nth(row + 1).unwrap().split(',').nth(updates).unwrap().to_owned();
-    assert_eq!((of_row(0), of_row(99)), ("3".to_owned(), "300".to_owned()));
+    assert_eq!((of_row(0), of_row(99)), ("3.0".to_owned(), "300.0".to_owned()));
 
     for folder in [&test_folder, &killed_folder] {
         let replay = folder.tectum("replay", &["run", "--json"]).expect(0).json();
@@ -79,7 +79,7 @@ fn as_many_signals_as_a_sample_holds_are_run_logged_and_replayed() {
 
 #[test]
 fn one_more_is_refused_by_name_and_so_is_a_learner_that_takes_fewer() {
-    let paper = "[[encoder.maps]]\ninputs = [\"input_0\"]\n[learner]\nrule = \"paper\"\n";
+    let paper = "[[encoder.maps]]\ninputs = [\"input_0\"]\nradius = 0.5\n[learner]\nrule = \"paper\"\n";
     for (inputs, outputs, more, expected) in [
         (
             33,

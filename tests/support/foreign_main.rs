@@ -1,5 +1,5 @@
-//! The controllers of `tests/compare.rs` and `tests/wide.rs`: the paper's rule in a program of its own, agents that fail,
-//! and one for as many inputs and outputs as a plant may have.
+//! The controllers of `tests/compare.rs` and `tests/wide.rs`: the paper's rule in a program of its own, agents that
+//! fail, and one for as many inputs and outputs as a plant may have.
 
 use std::process::ExitCode;
 

@@ -3,9 +3,10 @@
 //!
 //! Every learner runs with every seed, in one process without transport, on the built-in arm. At intervals
 //! the policy is tested without exploration noise on the [test set](crate::reference), which is the same for
-//! all learners; the loss in this test is the only measure of learning. A controller's program of one's own is a
-//! child, and is tested over the same pipe (`subject.rs`). The tick at which the level is reached, or a change is recovered from, is known to the interval between tests,
-//! `test_interval` in `run.rs`. Everything except times is a function of learners and seeds.
+//! all learners; the loss in this test is the only measure of learning. A controller's program of one's own is
+//! a child, and is tested over the same pipe (`subject.rs`). The tick at which the level is reached, or a
+//! change is recovered from, is known to the interval between tests, `test_interval` in `run.rs`. Everything
+//! except times is a function of learners and seeds.
 
 mod change;
 mod files;

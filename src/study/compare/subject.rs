@@ -68,8 +68,8 @@ impl Subject {
         Ok(clock.zip(began).zip(answered).map(|((clock, began), answered)| cost(clock, began, answered)))
     }
 
-    /// Tests what was learned in the first `done` ticks, without exploration noise; the run goes on as if there had been
-    /// no test. `None` if the study has to stop.
+    /// Tests what was learned in the first `done` ticks, without exploration noise; the run goes on as if there had
+    /// been no test. `None` if the study has to stop.
     ///
     /// # Errors
     /// When the controller's program fails.
