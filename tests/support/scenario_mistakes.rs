@@ -181,7 +181,7 @@ pub const CASES: &[Case] = &[
     (ARM, "rule = \"paper\"", "rule = \"model-predictive\"\nplan.horizon = 1",
         "x.toml:45: learner.plan.horizon is 1; give 2 to 200"),
     (ARM, "rule = \"paper\"", "rule = \"model-predictive\"\nplan.horizont = 9",
-        "x.toml:45: unknown key \"learner.plan.horizont\"; did you mean \"horizon\"?"),
+        "x.toml:45: unknown key \"learner.plan.horizont\"; did you mean \"learner.plan.horizon\"?"),
     (ARM, "rule = \"paper\"", "rule = 3",
         "x.toml:44: learner.rule is not a text; give one of its words in quotes"),
     (EYE, "retina = \"log-polar\"", "retina = \"polar\"",
