@@ -157,11 +157,11 @@ impl ControlLoop {
     }
 }
 
-/// The controller of the arm with every rule that has a policy, and with the paper's rule on every path. The keys are (rule and
-/// part of the tick, path).
+/// The controller of the arm with every rule that has a policy, and with the paper's rule on every path. The keys are
+/// (rule and part of the tick, path).
 pub(super) fn tick_cases() -> Result<Vec<CallCase<'static, (String, String)>>, BenchError> {
     let mut cases = Vec::new();
-    // A planner's tick takes milliseconds, so that filling the ring alone would take minutes; `tectum tasks` measures it.
+    // A planner's tick takes so long that filling the ring alone would take minutes; `tectum tasks` measures it.
     for rule in LEARNERS.into_iter().filter(|rule| rule.is_linear()) {
         let plan = plan(rule)?;
         let paths: Vec<SimdPath> = if rule == Rule::Paper { SimdPath::all().collect() } else { vec![SimdPath::best()] };

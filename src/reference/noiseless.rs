@@ -1,8 +1,9 @@
 //! The noiseless test: a plant that is driven without exploration noise, through the scenario's gate.
 //!
 //! The test set and all studies that test what was learned use these parts. [`MeanPolicy`] turns inputs into a
-//! policy's mean command. [`FrozenAgent`] answers as an agent would, which need not have a policy. [`Rollout`] applies commands to a plant through a fresh gate, as the plant's
-//! process does in a run. Faults of the channels do not act here: a test measures what was learned.
+//! policy's mean command. [`FrozenAgent`] answers as an agent would, which need not have a policy. [`Rollout`] applies
+//! commands to a plant through a fresh gate, as the plant's process does in a run. Faults of the channels do not act
+//! here: a test measures what was learned.
 
 use crate::agent::{Agent as _, Answer, Boundary, Experience, ModelPredictiveAgent, Percept, ShippedAgent};
 use crate::encoder::{Encoder, Features};

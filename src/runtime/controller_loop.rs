@@ -2,10 +2,11 @@
 //! the crash store.
 //!
 //! Every observation is appended to the crash store's journal before it is answered, and the whole state is
-//! stored every 64 observations, or as often as the agent wants ([`Agent::save_every`]). A controller that is restarted after a SIGKILL restores the newest
-//! complete state and replays the observations of the journal since then. As its state is a function of its
-//! observations alone, that is exactly the state in which it died. It then sends its last command and learning
-//! record again, under the same sequence numbers. Receivers that have received them drop them.
+//! stored every 64 observations, or as often as the agent wants ([`Agent::save_every`]). A controller that is
+//! restarted after a SIGKILL restores the newest complete state and replays the observations of the journal since
+//! then. As its state is a function of its observations alone, that is exactly the state in which it died. It then
+//! sends its last command and learning record again, under the same sequence numbers. Receivers that have received
+//! them drop them.
 
 use std::time::Duration;
 

@@ -47,7 +47,8 @@ pub struct SnapshotSchedule {
 
 impl SnapshotSchedule {
     /// The schedule of `plan`. `None` where no policy is copied: the controller is another program, its learner has no
-    /// linear policy, the plant is not the simulator's arm, the arm has an open loop, or even the fewest copies would be too many.
+    /// linear policy, the plant is not the simulator's arm, the arm has an open loop, or even the fewest copies would
+    /// be too many.
     pub fn of(plan: &Plan) -> Option<Self> {
         if !plan.scenario.controller.is_shipped() || !plan.scenario.learner.rule.is_linear() {
             return None;

@@ -51,8 +51,8 @@ enum TestJob<'a> {
 }
 
 /// Tests the policies of a run of `done` ticks, phase by phase. `None` where the controller is another
-/// program, where its learner has no policy, where the plant is not the simulator's arm, or where the test would take too long. `snapshots` are in the
-/// order of ticks.
+/// program, where its learner has no policy, where the plant is not the simulator's arm, or where the test would take
+/// too long. `snapshots` are in the order of ticks.
 pub(super) fn evaluate(plan: &Plan, done: u64, snapshots: &[PolicySnapshot]) -> Option<Vec<PhaseTests>> {
     // The test set has no delays, so that it does not test what a late plant was learned with.
     let linear = plan.scenario.controller.is_shipped() && plan.scenario.learner.rule.is_linear();

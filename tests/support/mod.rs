@@ -27,8 +27,8 @@ pub const TECTUM: &str = env!("CARGO_BIN_EXE_tectum");
 pub const SMALL_PLANNER: &str = "[learner]\nrule = \"model-predictive\"\n[learner.plan]\nhorizon = 8\nmemory = 400\n\
     points = 40\nreward_features = 150\ndynamics_features = 150\nrival_iterations = 2\nrefit_operations = 2.0\n";
 
-/// Writes a copy of a shipped scenario with [`SMALL_PLANNER`] in place of its learner, every tick in its log, and `more`
-/// appended. Returns its path.
+/// Writes a copy of a shipped scenario with [`SMALL_PLANNER`] in place of its learner, every tick in its log, and
+/// `more` appended. Returns its path.
 pub fn planner_scenario(test_folder: &TestFolder, name: &str, more: &str) -> String {
     let text = fs::read_to_string(format!("scenarios/{name}.toml")).unwrap();
     let (head, rest) = text.split_once("\n[learner]").unwrap();

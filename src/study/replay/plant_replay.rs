@@ -12,7 +12,7 @@
 
 use super::sample_diff::{Difference, compare};
 use super::stamps::StampChecker;
-use crate::plant::{JointState, Outcome, Plant, SimulatedPlant};
+use crate::plant::{EpisodeEnd, JointState, Outcome, Plant, SimulatedPlant};
 use crate::runtime::PlantSide;
 use crate::scenario::Plan;
 use crate::scenario::programs::is_simulator;
@@ -98,6 +98,14 @@ impl Plant for ReplayedPlant {
         match self {
             Self::Logged { own, ended, .. } => *ended | own.map_or(0, |own| own.flags & flag::BLIND),
             _ => 0,
+        }
+    }
+
+    fn episode_end(&self) -> Option<EpisodeEnd> {
+        match self {
+            Self::Simulated(body) => body.episode_end(),
+            // In the flags of sensing, as the log has them.
+            Self::Logged { .. } => None,
         }
     }
 

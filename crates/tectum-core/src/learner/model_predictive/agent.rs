@@ -373,8 +373,8 @@ impl ModelPredictive {
     }
 
     /// Numbers for a record: the plan's predicted sum of rewards (in standard deviations of the reward), the noise of
-    /// the models of dynamics and reward as parts of their prior's scale, counts of outliers, alarms, adopted rivals and
-    /// clipped commands, and the operations of the tick, in millions.
+    /// the models of dynamics and reward as parts of their prior's scale, counts of outliers, alarms, adopted rivals
+    /// and clipped commands, and the operations of the tick, in millions.
     pub fn columns(&self) -> [f64; 8] {
         let (counts, reward) = (&self.counts, &self.rewards[self.better()]);
         [

@@ -34,8 +34,8 @@ pub struct ModelPredictiveConfig {
     pub first_noise: f64,
     /// Millions of operations that refits may take in a tick.
     pub refit_operations: f64,
-    /// Millions of operations that a tick may take in all; 0 for no limit. Learning from the tick and improving the plan
-    /// are always done; refits and rivals share what is left.
+    /// Millions of operations that a tick may take in all; 0 for no limit. Learning from the tick and improving the
+    /// plan are always done; refits and rivals share what is left.
     pub operations: f64,
     /// Least noise of a model, as a part of its prior's scale.
     pub noise_floor: f64,

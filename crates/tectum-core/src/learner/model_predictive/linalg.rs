@@ -96,7 +96,8 @@ fn plain_add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
 
 wide! {
     /// Writes the product of a packed symmetric matrix and `x` to `out`.
-    multiply_symmetric, multiply_symmetric_on, MultiplySymmetric, plain_multiply_symmetric(matrix: &'a [f64], x: &'a [f64], out: &'a mut [f64]) -> ()
+    multiply_symmetric, multiply_symmetric_on, MultiplySymmetric,
+    plain_multiply_symmetric(matrix: &'a [f64], x: &'a [f64], out: &'a mut [f64]) -> ()
 }
 
 #[inline(always)]
@@ -166,7 +167,8 @@ pub fn solve_lower_transposed(lower: &[f64], x: &mut [f64]) {
 wide! {
     /// Turns row `r` of `L` into row `r` of its inverse; the rows above are the inverse's already. `scratch` has room
     /// for a row.
-    invert_lower_row, invert_lower_row_on, InvertLowerRow, plain_invert_lower_row(lower: &'a mut [f64], r: usize, scratch: &'a mut [f64]) -> ()
+    invert_lower_row, invert_lower_row_on, InvertLowerRow,
+    plain_invert_lower_row(lower: &'a mut [f64], r: usize, scratch: &'a mut [f64]) -> ()
 }
 
 #[inline(always)]
@@ -185,9 +187,10 @@ fn plain_invert_lower_row(lower: &mut [f64], r: usize, scratch: &mut [f64]) {
 }
 
 wide! {
-    /// Turns row `r` of `L⁻¹` into row `r` of `factor L⁻ᵀ L⁻¹`, the inverse of the matrix times `factor`. Rows are done
-    /// in rising order; those below are `L⁻¹`'s still. `n` is the order of the matrix.
-    invert_row, invert_row_on, InvertRow, plain_invert_row(lower: &'a mut [f64], n: usize, r: usize, factor: f64, scratch: &'a mut [f64]) -> ()
+    /// Turns row `r` of `L⁻¹` into row `r` of `factor L⁻ᵀ L⁻¹`, the inverse of the matrix times `factor`. Rows are
+    /// done in rising order; those below are `L⁻¹`'s still. `n` is the order of the matrix.
+    invert_row, invert_row_on, InvertRow,
+    plain_invert_row(lower: &'a mut [f64], n: usize, r: usize, factor: f64, scratch: &'a mut [f64]) -> ()
 }
 
 #[inline(always)]
