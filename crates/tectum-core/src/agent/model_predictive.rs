@@ -53,6 +53,11 @@ impl ModelPredictiveAgent {
         Self { learner, reward: 0.0, applied: [0.0; MAX_OUTPUTS], flags, improved: false }
     }
 
+    /// From now on it answers without exploration noise and learns nothing: for a test, with a clone.
+    pub fn rest(&mut self) {
+        self.learner.rest();
+    }
+
     /// The learner.
     pub fn learner(&self) -> &ModelPredictive {
         &self.learner

@@ -3,11 +3,13 @@
 mod learning;
 mod persist;
 
+use super::alignment::Alignment;
 use super::belief::Belief;
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
+use super::dynamics::Dynamics;
 use super::exploration::NoiseSource;
 use super::layout::Places;
-use super::layouts::{dynamics_layout, reward_layout};
+use super::layouts::reward_layout;
 use super::linalg::dot;
 use super::memory::Memory;
 use super::model::{Model, ModelSize};
@@ -75,7 +77,7 @@ pub struct ModelPredictive {
     limits: Vec<f64>,
     sigma: Vec<f64>,
     ranges: Ranges,
-    dynamics: Model,
+    dynamics: Dynamics,
     rewards: [Model; 2],
     scores: [f64; 2],
     memory: Memory,
@@ -98,6 +100,18 @@ pub struct ModelPredictive {
     boundary: bool,
     reward: f64,
     last_reward: f64,
+    /// The tick in which the run or the episode began.
+    began: u64,
+    /// So many rewards of the memory, ever, were judged, and so many learned.
+    judged: u64,
+    learned_rewards: u64,
+    /// The part of the ticks that begin with a new target, of late.
+    boundary_rate: f64,
+    /// Strange rewards in a row that were left out.
+    strange: u32,
+    /// Rewards come so many ticks late.
+    shift: u64,
+    alignment: Alignment,
     best: f64,
     worst: f64,
     command: [f64; MAX_OUTPUTS],
@@ -107,6 +121,8 @@ pub struct ModelPredictive {
     refits: u64,
     changed_at: u64,
     planned: bool,
+    /// Whether it only answers, as well as it can, and learns nothing.
+    resting: bool,
     /// Counts of guards.
     pub counts: GuardCounts,
     after: Vec<f64>,
@@ -125,7 +141,7 @@ impl ModelPredictive {
         assert!(places.commands <= MAX_OUTPUTS && places.inputs <= MAX_INPUTS);
         let n = places.inputs;
         let mut rng = stream(spec.seed, "models");
-        let [dynamics, before, after] = models(spec, places, &mut rng);
+        let (dynamics, [before, after]) = models(spec, places, &mut rng);
         let horizon = if config.horizon > 0 { config.horizon } else { (480 / places.len()).clamp(20, 40) };
         let ends = |sign: f64| spec.inputs.iter().map(|_| sign).collect::<Vec<_>>();
         Self {
@@ -149,6 +165,13 @@ impl ModelPredictive {
             boundary: false,
             reward: 0.0,
             last_reward: 0.0,
+            began: 0,
+            judged: 0,
+            learned_rewards: 0,
+            boundary_rate: 0.0,
+            strange: 0,
+            shift: 0,
+            alignment: Alignment::new(&before.layout),
             best: f64::NEG_INFINITY,
             worst: f64::INFINITY,
             command: [0.0; MAX_OUTPUTS],
@@ -157,6 +180,7 @@ impl ModelPredictive {
             refits: 0,
             changed_at: 0,
             planned: false,
+            resting: false,
             counts: GuardCounts::default(),
             after: vec![0.0; places.len()],
             start: vec![0.0; places.state()],
@@ -185,7 +209,11 @@ impl ModelPredictive {
                 *u = (self.plan.commands[j] + back).clamp(-1.0, 1.0);
                 self.mean[j] = *u * self.limits[j];
             }
-            self.noise.add(&self.sigma, u);
+            if !self.resting {
+                self.noise.add(&self.sigma, u);
+            }
+        } else if self.resting {
+            u.fill(0.0);
         } else {
             self.noise.wander(&self.sigma, self.config.first_noise, 6, u);
         }
@@ -229,45 +257,54 @@ impl ModelPredictive {
         }
         self.teaches = usable && !fresh && !flags.missed;
         self.boundary = flags.new_target;
-        if self.reward.is_finite() {
-            self.last_reward = self.reward;
+        if fresh {
+            self.began = self.tick;
         }
         self.reward = observed.reward;
     }
 
     /// Learns from the last tick and plans the next command: a fixed amount of work, after the command has gone out.
     pub fn improve(&mut self) {
-        if self.teaches {
-            self.learn();
+        if self.resting {
+            self.watch();
+        } else {
+            if self.teaches {
+                self.learn();
+            }
+            self.refit();
         }
-        self.refit();
-        if self.dynamics.refit.completed > 0 && self.rewards.iter().all(|r| r.refit.completed > 0) {
+        if (self.planned || self.dynamics.fitted()) && self.rewards.iter().all(|r| r.refit.completed > 0) {
             self.make_plan();
         }
+    }
+
+    /// From now on it plans with what it knows best, without noise, and learns nothing: for a test.
+    pub fn rest(&mut self) {
+        self.resting = true;
     }
 
     fn make_plan(&mut self) {
         let (n, nx, m) = (self.places.inputs, self.places.state(), self.places.commands);
         let better = self.better();
-        self.dynamics.take(self.config.sampled);
+        let sampled = if self.resting { 0.0 } else { self.config.sampled };
+        self.dynamics.take(sampled);
         let reward = &mut self.rewards[better];
-        reward.take(self.config.sampled);
+        reward.take(sampled);
         self.scratch.active.clear();
-        let mut moving = 0;
-        for i in (0..n).filter(|&i| self.beliefs[i].usual > 1e-9) {
-            moving |= 1 << i;
+        let moving = self.dynamics.moving;
+        for i in (0..n).filter(|i| moving & (1 << i) != 0) {
             self.scratch.active.extend([i, n + i]);
         }
         self.scratch.active.sort_unstable();
         self.scratch.active.extend((0..m).map(|j| self.places.command(j, 0)));
-        let cap = (2.0 * self.best - self.worst - reward.fit.center) / reward.fit.scale;
+        let best = (self.best - reward.fit.center) / reward.fit.scale;
         let aim = (self.best - reward.fit.center) / reward.fit.scale * self.plan.horizon as f64;
         let mut world = LearnedWorld {
             places: self.places,
             dynamics: &mut self.dynamics,
             reward,
             after: better == 1,
-            cap,
+            best,
             ranges: &self.ranges,
             scratch: &mut self.scratch,
         };
@@ -308,6 +345,12 @@ impl ModelPredictive {
         &self.mean[..self.places.commands]
     }
 
+    /// Largest noise of the models of movement, as a part of their prior's scale.
+    fn dynamics_noise(&self) -> f64 {
+        let noise = |i: usize| if self.dynamics.moves(i) { self.dynamics.models[i].fit.regression.lambda } else { 0.0 };
+        (0..self.places.inputs).map(noise).fold(0.0, f64::max)
+    }
+
     /// Numbers for a record: the plan's predicted sum of rewards (in standard deviations of the reward), the noise of
     /// the models of dynamics and reward as parts of their prior's scale, and counts of outliers, alarms, rivals,
     /// clipped commands and refits.
@@ -315,7 +358,7 @@ impl ModelPredictive {
         let (counts, reward) = (&self.counts, &self.rewards[self.better()]);
         [
             self.plan.value,
-            self.dynamics.fit.regression.lambda,
+            self.dynamics_noise(),
             reward.fit.regression.lambda,
             (counts.input_outliers + counts.reward_outliers) as f64,
             counts.alarms as f64,
@@ -340,23 +383,25 @@ impl Differences<'_> {
     }
 }
 
-/// The models of a learner that knows nothing: dynamics, reward before the tick, reward after it.
-fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> [Model; 3] {
+/// The models of a learner that knows nothing: movement, reward before the tick, reward after it.
+fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamics, [Model; 2]) {
     let config = &spec.config;
     let settings = RefitSettings {
-        points: config.points,
+        points: config.points / 2,
         steps: config.steps,
+        extra_steps: 50_000_000,
         step: 0.25,
         width: 2.5,
         noise_floor: config.noise_floor,
         standardise: false,
+        robust: true,
     };
-    let layout = dynamics_layout(places, &spec.inputs);
-    let size = ModelSize::within(&layout, places.inputs, config.dynamics_products, config.dynamics_features);
-    let dynamics = Model::new(layout, size, settings, rng);
+    let dynamics = Dynamics::new(spec, places, settings, rng);
     let layout = reward_layout(places, &spec.inputs);
     let size = ModelSize::within(&layout, 1, config.reward_products, config.reward_features);
-    let settings = RefitSettings { standardise: true, ..settings };
-    let [before, after] = [0, 1].map(|_| Model::new(layout.clone(), size, settings, rng));
-    [dynamics, before, after]
+    let size = ModelSize { samples: 6, ..size };
+    let settings =
+        RefitSettings { points: config.points, extra_steps: 150_000_000, standardise: true, robust: false, ..settings };
+    let rewards = [0, 1].map(|_| Model::new(layout.clone(), size, settings, rng));
+    (dynamics, rewards)
 }

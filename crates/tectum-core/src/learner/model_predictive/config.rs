@@ -22,11 +22,11 @@ pub struct ModelPredictiveConfig {
     pub steps: u64,
     /// Features of the reward model, about.
     pub reward_features: usize,
-    /// Features of the dynamics model, about.
+    /// Features of an input's model of movement, about.
     pub dynamics_features: usize,
     /// Most products of the reward model.
     pub reward_products: usize,
-    /// Most products of the dynamics model.
+    /// Most products of an input's model of movement.
     pub dynamics_products: usize,
     /// How far planning follows a sample of the posterior in place of its mean.
     pub sampled: f64,
@@ -49,9 +49,9 @@ impl Default for ModelPredictiveConfig {
             points: 160,
             steps: 15,
             reward_features: 660,
-            dynamics_features: 400,
+            dynamics_features: 200,
             reward_products: 400,
-            dynamics_products: 100,
+            dynamics_products: 60,
             sampled: 0.5,
             first_noise: 3.0,
             refit_operations: 20.0,

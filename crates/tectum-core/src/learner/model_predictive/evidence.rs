@@ -27,6 +27,8 @@ pub struct Evidence {
     values: Vec<f64>,
     /// Outputs, by output, then point.
     targets: Vec<f64>,
+    /// By which factor the noise of each point is larger.
+    noisier: Vec<f64>,
     /// Logarithms of the scales.
     pub scales: Vec<f64>,
     first: Vec<f64>,
@@ -85,6 +87,7 @@ impl Evidence {
             outputs,
             values: vec![0.0; layout.width * capacity],
             targets: vec![0.0; outputs * capacity],
+            noisier: vec![1.0; capacity],
             scales: layout.prior.clone(),
             first: vec![0.0; scales],
             second: vec![0.0; scales],
@@ -113,8 +116,9 @@ impl Evidence {
         self.good.copy_from_slice(scales);
     }
 
-    /// Adds a point: `q`, and its outputs.
-    pub fn push(&mut self, q: &[f64], targets: &[f64]) {
+    /// Adds a point: `q`, its outputs, and by which factor its noise is larger than that of others.
+    pub fn push(&mut self, q: &[f64], targets: &[f64], noisier: f64) {
+        self.noisier[self.len] = noisier;
         for (place, value) in q.iter().enumerate() {
             self.values[place * self.capacity + self.len] = *value;
         }
@@ -122,6 +126,16 @@ impl Evidence {
             self.targets[output * self.capacity + self.len] = *value;
         }
         self.len += 1;
+    }
+
+    /// By which factor the noise of a point is larger.
+    pub fn noisier(&self, point: usize) -> f64 {
+        self.noisier[point]
+    }
+
+    /// Sets that factor.
+    pub fn set_noisier(&mut self, point: usize, noisier: f64) {
+        self.noisier[point] = noisier;
     }
 
     /// Writes the `q` of a point.
@@ -163,7 +177,7 @@ impl Evidence {
         }
         self.amplitude = total / n as f64;
         for i in 0..n {
-            self.matrix[packed(i) + i] += self.noise();
+            self.matrix[packed(i) + i] += self.noise() * self.noisier[i];
         }
         if !cholesky(&mut self.matrix, n) {
             return None;
@@ -174,9 +188,9 @@ impl Evidence {
         // The trace of dL/dK: the noise depends on the diagonal.
         let mut trace = 0.0;
         for i in 0..n {
-            trace -= 0.5 * f64::from(counted) * self.matrix[packed(i) + i];
+            trace -= 0.5 * self.noisier[i] * f64::from(counted) * self.matrix[packed(i) + i];
             for j in 0..self.outputs {
-                trace += 0.5 * self.alpha[j * capacity + i] * self.alpha[j * capacity + i];
+                trace += 0.5 * self.noisier[i] * self.alpha[j * capacity + i] * self.alpha[j * capacity + i];
             }
         }
         self.gradient[NOISE] = exp(self.scales[NOISE]) * self.amplitude * trace;
@@ -412,6 +426,7 @@ impl Persist for Evidence {
         self.len = (len as usize).min(self.capacity);
         visitor.numbers("values", &mut self.values);
         visitor.numbers("targets", &mut self.targets);
+        visitor.numbers("noisier", &mut self.noisier);
         visitor.numbers("scales", &mut self.scales);
         visitor.numbers("first", &mut self.first);
         visitor.numbers("second", &mut self.second);

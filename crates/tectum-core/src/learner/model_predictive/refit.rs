@@ -20,7 +20,7 @@ use super::evidence::Evidence;
 use super::features::BasisValues;
 use super::layout::{Layout, NOISE};
 use super::linalg::{add_outer, add_scaled, packed};
-use super::memory::Data;
+use super::memory::{Data, Lesson};
 use super::model::{MAX_MODEL_OUTPUTS, ModelFit, normal};
 use crate::seed::Rng;
 use crate::state::StateVisitor;
@@ -32,6 +32,8 @@ pub struct RefitSettings {
     pub points: usize,
     /// Adam steps.
     pub steps: u64,
+    /// Operations up to which there are more steps.
+    pub extra_steps: u64,
     /// Size of a step.
     pub step: f64,
     /// Width of the prior of the scales' logarithms.
@@ -40,6 +42,8 @@ pub struct RefitSettings {
     pub noise_floor: f64,
     /// Whether outputs are centred and scaled.
     pub standardise: bool,
+    /// Whether points that the model in use finds strange count less.
+    pub robust: bool,
 }
 
 /// What is done next.
@@ -92,6 +96,12 @@ pub struct Refit {
     row: Vec<f64>,
     q: Vec<f64>,
     y: [f64; MAX_MODEL_OUTPUTS],
+    /// The squared error of the tick that was read, in predictive variances, and whether there was contact.
+    surprise: f64,
+    contact: bool,
+    /// Squared errors of the points in predictive variances, and their median.
+    strange: Vec<f64>,
+    usual: f64,
     phi: Vec<f64>,
     /// Number of refits that were completed.
     pub completed: u64,
@@ -120,10 +130,19 @@ impl Refit {
             row: vec![0.0; len],
             q: vec![0.0; layout.width],
             y: [0.0; MAX_MODEL_OUTPUTS],
+            surprise: 1.0,
+            contact: false,
+            strange: Vec::with_capacity(settings.points),
+            usual: 1.0,
             phi: vec![0.0; len],
             completed: 0,
             log_evidence: 0.0,
         }
+    }
+
+    /// Whether strange points count less.
+    pub fn is_robust(&self) -> bool {
+        self.settings.robust && self.completed > 0
     }
 
     /// Whether a refit is under way.
@@ -140,7 +159,8 @@ impl Refit {
 
     /// Adam steps: more where points are few.
     fn steps(&self, layout: &Layout) -> u64 {
-        (150_000_000 / self.evidence.cost(layout).max(1)).clamp(self.settings.steps, 4 * self.settings.steps)
+        (self.settings.extra_steps / self.evidence.cost(layout).max(1))
+            .clamp(self.settings.steps, 4 * self.settings.steps)
     }
 
     /// The least noise.
@@ -182,7 +202,7 @@ impl Refit {
     fn read(
         &mut self,
         layout: &Layout,
-        fit: &ModelFit,
+        fit: &mut ModelFit,
         data: &dyn Data,
         tick: u64,
         basis: &mut BasisValues,
@@ -190,6 +210,14 @@ impl Refit {
     ) -> bool {
         let outputs = fit.regression.outputs;
         let Some(lesson) = data.get(tick, &mut self.q, &mut self.y[..outputs]) else { return false };
+        self.contact = lesson.contact;
+        if self.is_robust() {
+            fit.features.evaluate(layout, &self.q, basis, phi);
+            let mut predicted = [0.0];
+            fit.regression.predict(phi, &mut predicted);
+            let error = (self.y[0] - fit.center) / fit.scale - predicted[0];
+            self.surprise = error * error / (fit.regression.prepare(phi) * fit.regression.scale(0));
+        }
         if lesson.missing | lesson.upper_end | lesson.lower_end != 0 {
             fit.features.evaluate(layout, &self.q, basis, phi);
             let mut predicted = [0.0; MAX_MODEL_OUTPUTS];
@@ -205,7 +233,7 @@ impl Refit {
     fn choose_points(
         &mut self,
         layout: &Layout,
-        fit: &ModelFit,
+        fit: &mut ModelFit,
         data: &dyn Data,
         basis: &mut BasisValues,
         phi: &mut [f64],
@@ -219,6 +247,7 @@ impl Refit {
         let wanted = self.settings.points.min((end - first) as usize);
         let newest = (wanted / 3) as u64;
         let outputs = fit.regression.outputs;
+        self.strange.clear();
         // The newest third; of the others as many as are needed, each with equal chance.
         let (mut left, mut needed) = (end - first - newest, wanted as u64 - newest);
         for tick in first..end {
@@ -234,11 +263,39 @@ impl Refit {
                 for y in &mut self.y[..outputs] {
                     *y = (*y - self.next.center) / self.next.scale;
                 }
-                self.evidence.push(&self.q, &self.y[..outputs]);
+                self.evidence.push(&self.q, &self.y[..outputs], 1.0);
+                let sign = if self.contact { -1.0 } else { 1.0 };
+                self.evidence.set_noisier(self.evidence.len - 1, sign * self.surprise);
+                if !self.contact {
+                    self.strange.push(self.surprise);
+                }
             }
         }
+        self.weigh_points();
         self.enter(if self.evidence.len < 8 { Phase::Idle } else { Phase::Ascend });
         (wanted * fit.regression.len) as u64
+    }
+
+    /// How strange the points are, compared with half of them.
+    fn weigh_points(&mut self) {
+        self.strange.sort_unstable_by(f64::total_cmp);
+        // Half of the squares of normal numbers are below 0.45.
+        self.usual = self.strange.get(self.strange.len() / 2).map_or(1.0, |median| (median / 0.45).max(1e-3));
+        for point in 0..self.evidence.len {
+            let surprise = self.evidence.noisier(point);
+            (self.contact, self.surprise) = (surprise.is_sign_negative(), surprise.abs());
+            self.evidence.set_noisier(point, self.noisier());
+        }
+    }
+
+    /// By which factor the noise of the tick that was read is larger.
+    fn noisier(&self) -> f64 {
+        let lesson = Lesson { contact: self.contact, ..Lesson::default() };
+        match self.settings.robust {
+            false => 1.0,
+            true if self.is_robust() => lesson.noisier(self.surprise / self.usual),
+            true => lesson.noisier(1.0),
+        }
     }
 
     /// Centre and scale of the outputs from now on.
@@ -313,7 +370,7 @@ impl Refit {
     fn gather(
         &mut self,
         layout: &Layout,
-        fit: &ModelFit,
+        fit: &mut ModelFit,
         data: &dyn Data,
         basis: &mut BasisValues,
         phi: &mut [f64],
@@ -331,11 +388,12 @@ impl Refit {
         }
         let outputs = fit.regression.outputs;
         self.next.features.evaluate(layout, &self.q, basis, &mut self.phi);
-        add_outer(&mut self.matrix, 1.0, &self.phi);
+        let weight = 1.0 / self.noisier();
+        add_outer(&mut self.matrix, weight, &self.phi);
         for j in 0..outputs {
             let y = (self.y[j] - self.next.center) / self.next.scale;
-            add_scaled(&mut self.right[j * self.phi.len()..][..self.phi.len()], y, &self.phi);
-            self.squares[j] += y * y;
+            add_scaled(&mut self.right[j * self.phi.len()..][..self.phi.len()], weight * y, &self.phi);
+            self.squares[j] += weight * y * y;
         }
         self.gathered += 1.0;
         (self.phi.len() * (self.phi.len() + 2 * outputs)) as u64
@@ -376,6 +434,7 @@ impl Refit {
             return (1, false);
         }
         let outputs = fit.regression.outputs;
+        let noisier = self.noisier();
         let mut errors = [0.0; MAX_MODEL_OUTPUTS];
         self.next.features.evaluate(layout, &self.q, basis, &mut self.phi);
         let regression = &mut self.next.regression;
@@ -384,6 +443,7 @@ impl Refit {
             *error = (y - self.next.center) / self.next.scale - *error;
         }
         regression.prepare(&self.phi);
+        regression.discount(noisier);
         regression.update(&self.phi, &errors[..outputs], || normal(rng));
         (regression.cost(), false)
     }
@@ -402,6 +462,7 @@ impl Refit {
         visitor.numbers("matrix", &mut self.matrix);
         visitor.numbers("right", &mut self.right);
         visitor.numbers("squares", &mut self.squares);
+        visitor.number("usual", &mut self.usual);
         visitor.number("gathered", &mut self.gathered);
         visitor.number("rounds", &mut self.rounds);
         visitor.number("completed", &mut self.completed);
