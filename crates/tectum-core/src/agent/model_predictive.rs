@@ -138,13 +138,13 @@ mod tests {
     use crate::plant::{Plant as _, task::Task};
 
     /// Mean reward of the ticks from `first` on, of `ticks`, on a task.
-    fn run(name: &str, ticks: u64, first: u64, config: &ModelPredictiveConfig) -> f64 {
+    fn run(name: &str, seed: u64, ticks: u64, first: u64, config: &ModelPredictiveConfig) -> f64 {
         let task = Task::named(name).unwrap();
         let signals = task.body.signals();
         let (n, m) = (signals.inputs.len(), signals.outputs.len());
         let (limits, sigma) = (vec![task.max_command; m], vec![task.sigma; m]);
-        let mut agent = ModelPredictiveAgent::new(&signals.inputs, &limits, &sigma, 1, config);
-        let mut plant = task.plant(1);
+        let mut agent = ModelPredictiveAgent::new(&signals.inputs, &limits, &sigma, seed, config);
+        let mut plant = task.plant(seed);
         let (mut inputs, mut before) = ([0.0; MAX_INPUTS], [0.0; MAX_INPUTS]);
         let (mut command, mut mean) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
         let (mut reward, mut sum) = (0.0, 0.0);
@@ -159,7 +159,11 @@ mod tests {
                     limited: false,
                     reward,
                     next_inputs: &inputs[..n],
-                    boundary: if new_target { Boundary::NewTarget } else { Boundary::None },
+                    boundary: match (plant.truncated(), new_target) {
+                        (true, _) => Boundary::Truncated,
+                        (false, true) => Boundary::NewTarget,
+                        (false, false) => Boundary::None,
+                    },
                     withheld: None,
                 });
             }
@@ -173,11 +177,40 @@ mod tests {
         sum / (ticks - first) as f64
     }
 
+    fn few_operations() -> ModelPredictiveConfig {
+        ModelPredictiveConfig {
+            horizon: 12,
+            rival_iterations: 3,
+            reward_products: 200,
+            reward_features: 400,
+            ..ModelPredictiveConfig::default()
+        }
+    }
+
+    // Standing still gives about -0.25 on the arms' targets.
+
     #[test]
     fn the_arm_is_learned_within_seconds() {
-        let config = ModelPredictiveConfig { horizon: 12, rival_iterations: 3, ..ModelPredictiveConfig::default() };
-        // Standing still gives about -0.25 on these targets.
-        let mean = run("arm", 240, 120, &config);
+        let mean = run("arm", 1, 240, 120, &few_operations());
         assert!(mean > -0.08, "{mean}");
+    }
+
+    #[test]
+    fn an_arm_with_stops_is_learned_through_its_lag() {
+        let mean = run("arm-relative-stops-lag-200", 1, 240, 160, &few_operations());
+        assert!(mean > -0.1, "{mean}");
+    }
+
+    #[test]
+    fn an_arm_with_stops_is_learned_from_late_rewards() {
+        let mean = run("arm-relative-stops-reward-delay-1", 1, 240, 160, &few_operations());
+        assert!(mean > -0.1, "{mean}");
+    }
+
+    /// Hanging gives -9.9.
+    #[test]
+    fn the_pendulum_swings_up_in_its_first_episodes() {
+        let mean = run("pendulum", 2, 400, 200, &ModelPredictiveConfig::default());
+        assert!(mean > -3.0, "{mean}");
     }
 }

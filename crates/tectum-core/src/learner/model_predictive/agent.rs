@@ -2,6 +2,7 @@
 
 mod learning;
 mod persist;
+mod planning;
 
 use super::alignment::Alignment;
 use super::belief::Belief;
@@ -15,8 +16,7 @@ use super::memory::Memory;
 use super::model::{Model, ModelSize};
 use super::planner::{CommandPlan, Planner};
 use super::refit::RefitSettings;
-use super::rivals;
-use super::world::{CHANGE, LearnedWorld, Ranges, World, WorldScratch, wrap};
+use super::world::{CHANGE, Ranges, WorldScratch, wrap};
 use crate::seed::{Rng, stream};
 use crate::{MAX_INPUTS, MAX_OUTPUTS};
 
@@ -283,61 +283,9 @@ impl ModelPredictive {
         self.resting = true;
     }
 
-    fn make_plan(&mut self) {
-        let (n, nx, m) = (self.places.inputs, self.places.state(), self.places.commands);
-        let better = self.better();
-        let sampled = if self.resting { 0.0 } else { self.config.sampled };
-        self.dynamics.take(sampled);
-        let reward = &mut self.rewards[better];
-        reward.take(sampled);
-        self.scratch.active.clear();
-        let moving = self.dynamics.moving;
-        for i in (0..n).filter(|i| moving & (1 << i) != 0) {
-            self.scratch.active.extend([i, n + i]);
-        }
-        self.scratch.active.sort_unstable();
-        self.scratch.active.extend((0..m).map(|j| self.places.command(j, 0)));
-        let best = (self.best - reward.fit.center) / reward.fit.scale;
-        let aim = (self.best - reward.fit.center) / reward.fit.scale * self.plan.horizon as f64;
-        let mut world = LearnedWorld {
-            places: self.places,
-            dynamics: &mut self.dynamics,
-            reward,
-            after: better == 1,
-            best,
-            ranges: &self.ranges,
-            scratch: &mut self.scratch,
-        };
-        // The state after the command that has just gone out.
-        self.after[..nx].copy_from_slice(&self.state);
-        self.after[nx..].copy_from_slice(&self.command[..m]);
-        world.step(&self.after, &mut self.start);
-        self.plan.shift();
-        self.planner.roll_out(&mut world, &mut self.plan, &self.start);
-        for _ in 0..self.config.iterations {
-            self.planner.improve(&mut world, &mut self.plan);
-        }
-        for _ in 0..self.rivals {
-            self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
-            rivals::draw(
-                self.rival_kind,
-                &mut self.rng,
-                &mut world,
-                (&self.memory, moving),
-                &self.plan,
-                &mut self.rival,
-            );
-            self.planner.roll_out(&mut world, &mut self.rival, &self.start);
-            for _ in 0..self.config.rival_iterations {
-                self.planner.improve(&mut world, &mut self.rival);
-            }
-            let gap = (aim - self.plan.value).max(0.0);
-            if self.rival.value > self.plan.value + self.config.rival_gain * gap + 1e-9 {
-                self.counts.rivals += 1;
-                self.plan.copy_from(&self.rival);
-            }
-        }
-        self.planned = true;
+    /// How many ticks late rewards come, as far as they show.
+    pub fn reward_lateness(&self) -> u64 {
+        self.shift
     }
 
     /// The last command without exploration noise, in its unit; 0 before the first plan.
@@ -398,7 +346,10 @@ fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamic
     };
     let dynamics = Dynamics::new(spec, places, settings, rng);
     let layout = reward_layout(places, &spec.inputs);
-    let size = ModelSize::within(&layout, 1, config.reward_products, config.reward_features);
+    // Rewards of many joints need products of many inputs: their number grows with the square of that of the inputs.
+    let or = |value: usize, usual: usize| if value > 0 { value } else { usual };
+    let products = or(config.reward_products, 14 * places.inputs * places.inputs);
+    let size = ModelSize::within(&layout, 1, products, or(config.reward_features, products + 260));
     let size = ModelSize { samples: 6, ..size };
     let settings =
         RefitSettings { points: config.points, extra_steps: 150_000_000, standardise: true, robust: false, ..settings };

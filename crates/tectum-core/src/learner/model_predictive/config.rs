@@ -20,11 +20,11 @@ pub struct ModelPredictiveConfig {
     pub points: usize,
     /// Adam steps of a refit.
     pub steps: u64,
-    /// Features of the reward model, about.
+    /// Features of the reward model, about; 0 for 260 more than its products.
     pub reward_features: usize,
     /// Features of an input's model of movement, about.
     pub dynamics_features: usize,
-    /// Most products of the reward model.
+    /// Most products of the reward model; 0 for 14 times the square of the number of inputs.
     pub reward_products: usize,
     /// Most products of an input's model of movement.
     pub dynamics_products: usize,
@@ -48,13 +48,13 @@ impl Default for ModelPredictiveConfig {
             memory: 2000,
             points: 160,
             steps: 15,
-            reward_features: 660,
+            reward_features: 0,
             dynamics_features: 200,
-            reward_products: 400,
+            reward_products: 0,
             dynamics_products: 60,
             sampled: 0.5,
             first_noise: 3.0,
-            refit_operations: 20.0,
+            refit_operations: 40.0,
             noise_floor: 1e-7,
         }
     }
