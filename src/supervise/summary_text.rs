@@ -81,7 +81,7 @@ impl RunSummary {
         row("heard", &[("nothing", self.unheard), ("too late", self.stale)]);
         let reasons: Vec<_> = self.without_torque.iter().map(|(why, &n)| (why.as_str(), Some(n))).collect();
         row("ticks without torque", &reasons);
-        let learner: Vec<_> = self.learner.iter().map(|(what, &n)| (what.as_str(), n)).collect();
+        let learner: Vec<_> = self.learner.iter().map(|(what, &n)| (what.as_str(), Some(n))).collect();
         row("learner", &learner);
         for fault in &self.faults {
             let _ = writeln!(text, "{:<23} {fault}", "fault, on purpose");

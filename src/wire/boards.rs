@@ -1,6 +1,7 @@
 //! The boards on which the launcher and the processes publish their state. Readers see the latest value only,
 //! and a writer never waits for a reader.
 
+use super::Role;
 use super::schema::sample;
 
 sample! {
@@ -12,7 +13,7 @@ sample! {
         checkpoints: u32,
         /// Start of tick 0 on the run's clock, ns; valid from [`Phase::Run`] on.
         t0_ns: u64,
-        /// Start number of each process within the run, by [`Role`](super::Role).
+        /// Start number of each process within the run, by [`Role`].
         incarnations: [u32; 3],
         /// The processes that have ended without finishing and will not return: bit 0 the plant, 1 the controller,
         /// 2 the logger. Nobody waits for them.

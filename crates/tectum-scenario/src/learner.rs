@@ -159,7 +159,9 @@ fn check_plan(learner: &LearnerConfig) -> Result<(), Violation> {
     whole_number(&key("memory"), memory, limits::PLAN_MEMORY)?;
     whole_number(&key("points"), points, limits::PLAN_POINTS)?;
     whole_number(&key("steps"), usize::try_from(steps).unwrap_or(usize::MAX), limits::PLAN_ITERATIONS)?;
-    whole_number(&key("reward_features"), reward_features, limits::PLAN_FEATURES)?;
+    if reward_features != 0 {
+        whole_number(&key("reward_features"), reward_features, limits::PLAN_FEATURES)?;
+    }
     whole_number(&key("dynamics_features"), dynamics_features, limits::PLAN_FEATURES)?;
     whole_number(&key("reward_products"), reward_products, limits::PLAN_PRODUCTS)?;
     whole_number(&key("dynamics_products"), dynamics_products, limits::PLAN_PRODUCTS)?;

@@ -175,17 +175,22 @@ mod tests {
     use super::*;
     use crate::plant::{Plant as _, task::Task};
 
-    fn agent(name: &str, config: &ModelPredictiveConfig) -> ModelPredictiveAgent {
+    fn agent(name: &str, seed: u64, config: &ModelPredictiveConfig) -> ModelPredictiveAgent {
         let task = Task::named(name).unwrap();
         let signals = task.body.signals();
         let m = signals.outputs.len();
         let (limits, sigma) = (vec![task.max_command; m], vec![task.sigma; m]);
-        ModelPredictiveAgent::new(&signals.inputs, &limits, &sigma, 1, config)
+        ModelPredictiveAgent::new(&signals.inputs, &limits, &sigma, seed, config)
+    }
+
+    /// Mean reward of the ticks from `first` on, of `ticks`, of a new agent on a task.
+    fn learn(name: &str, seed: u64, [ticks, first]: [u64; 2], config: &ModelPredictiveConfig) -> f64 {
+        run((name, seed), ticks, first, &mut agent(name, seed, config), |_| ())
     }
 
     /// Mean reward of the ticks from `first` on, of `ticks`, on a task. Calls `each` after every tick.
     fn run(
-        name: &str,
+        (name, seed): (&str, u64),
         ticks: u64,
         first: u64,
         agent: &mut ModelPredictiveAgent,
@@ -194,7 +199,7 @@ mod tests {
         let task = Task::named(name).unwrap();
         let signals = task.body.signals();
         let (n, m) = (signals.inputs.len(), signals.outputs.len());
-        let mut plant = task.plant(1);
+        let mut plant = task.plant(seed);
         let (mut inputs, mut before) = ([0.0; MAX_INPUTS], [0.0; MAX_INPUTS]);
         let (mut command, mut mean) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
         let (mut reward, mut sum) = (0.0, 0.0);
@@ -209,7 +214,11 @@ mod tests {
                     limited: false,
                     reward,
                     next_inputs: &inputs[..n],
-                    boundary: if new_target { Boundary::NewTarget } else { Boundary::None },
+                    boundary: match (plant.truncated(), new_target) {
+                        (true, _) => Boundary::Truncated,
+                        (false, true) => Boundary::NewTarget,
+                        (false, false) => Boundary::None,
+                    },
                     withheld: None,
                 });
             }
@@ -224,17 +233,27 @@ mod tests {
         sum / (ticks - first) as f64
     }
 
+    fn few_operations() -> ModelPredictiveConfig {
+        ModelPredictiveConfig {
+            horizon: 12,
+            rival_iterations: 3,
+            reward_products: 200,
+            reward_features: 400,
+            ..ModelPredictiveConfig::default()
+        }
+    }
+
+    // Standing still gives about -0.25 on the arms' targets.
+
     #[test]
     fn the_arm_is_learned_within_seconds() {
-        let config = ModelPredictiveConfig { horizon: 12, rival_iterations: 3, ..ModelPredictiveConfig::default() };
-        // Standing still gives about -0.25 on these targets.
-        let mut agent = agent("arm", &config);
-        let mean = run("arm", 240, 120, &mut agent, |_| ());
+        let mut agent = agent("arm", 1, &few_operations());
+        let mean = run(("arm", 1), 240, 120, &mut agent, |_| ());
         assert!(mean > -0.08, "{mean}");
 
         // A frozen copy plans on without noise, reaches, and learns nothing.
         let (mut frozen, stored) = (agent.frozen(), agent.learner().refits());
-        let mean = run("arm", 120, 20, &mut frozen, |agent| {
+        let mean = run(("arm", 1), 120, 20, &mut frozen, |agent| {
             let mut record = AgentRecord {
                 noise: &mut [0.0; 4],
                 step: 0.0,
@@ -282,11 +301,30 @@ mod tests {
         let mut most = [0.0_f64; 2];
         for (most, operations) in most.iter_mut().zip([0.0, 6.0]) {
             let config = ModelPredictiveConfig { operations, ..small.clone() };
-            run("pendulum", 120, 0, &mut agent("pendulum", &config), |agent| {
+            run(("pendulum", 1), 120, 0, &mut agent("pendulum", 1, &config), |agent| {
                 *most = most.max(agent.learner().columns()[7]);
             });
         }
         // A slice of a refit is not divided, and the plan itself is always improved.
         assert!(most[1] < 9.0 && most[0] > 15.0, "{most:?}");
+    }
+
+    #[test]
+    fn an_arm_with_stops_is_learned_through_its_lag() {
+        let mean = learn("arm-relative-stops-lag-200", 1, [240, 160], &few_operations());
+        assert!(mean > -0.1, "{mean}");
+    }
+
+    #[test]
+    fn an_arm_with_stops_is_learned_from_late_rewards() {
+        let mean = learn("arm-relative-stops-reward-delay-1", 1, [240, 160], &few_operations());
+        assert!(mean > -0.1, "{mean}");
+    }
+
+    /// Hanging gives -9.9.
+    #[test]
+    fn the_pendulum_swings_up_in_its_first_episodes() {
+        let mean = learn("pendulum", 2, [400, 200], &ModelPredictiveConfig::default());
+        assert!(mean > -3.0, "{mean}");
     }
 }

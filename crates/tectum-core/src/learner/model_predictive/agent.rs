@@ -2,20 +2,22 @@
 
 mod learning;
 mod persist;
+mod planning;
 
+use super::alignment::Alignment;
 use super::belief::Belief;
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
+use super::dynamics::Dynamics;
 use super::exploration::NoiseSource;
 use super::layout::Places;
-use super::layouts::{dynamics_layout, reward_layout};
+use super::layouts::reward_layout;
 use super::linalg::dot;
 use super::memory::Memory;
 use super::model::{Model, ModelSize};
-use super::operations::{OperationBudget, StepCost};
+use super::operations::OperationBudget;
 use super::planner::{CommandPlan, Planner};
 use super::refit::RefitSettings;
-use super::rivals;
-use super::world::{CHANGE, LearnedWorld, Ranges, World, WorldScratch, wrap};
+use super::world::{CHANGE, Ranges, WorldScratch, wrap};
 use crate::seed::{Rng, stream};
 use crate::{MAX_INPUTS, MAX_OUTPUTS};
 
@@ -78,7 +80,7 @@ pub struct ModelPredictive {
     limits: Vec<f64>,
     sigma: Vec<f64>,
     ranges: Ranges,
-    dynamics: Model,
+    dynamics: Dynamics,
     rewards: [Model; 2],
     scores: [f64; 2],
     memory: Memory,
@@ -101,6 +103,18 @@ pub struct ModelPredictive {
     boundary: bool,
     reward: f64,
     last_reward: f64,
+    /// The tick in which the run or the episode began.
+    began: u64,
+    /// So many rewards of the memory, ever, were judged, and so many learned.
+    judged: u64,
+    learned_rewards: u64,
+    /// The part of the ticks that begin with a new target, of late.
+    boundary_rate: f64,
+    /// Strange rewards in a row that were left out.
+    strange: u32,
+    /// Rewards come so many ticks late.
+    shift: u64,
+    alignment: Alignment,
     best: f64,
     worst: f64,
     command: [f64; MAX_OUTPUTS],
@@ -120,7 +134,7 @@ pub struct ModelPredictive {
     rivals: usize,
     /// The operations of a tick.
     budget: OperationBudget,
-    /// Whether it only answers and plans.
+    /// Whether it only answers and plans, as well as it can, and learns nothing.
     frozen: bool,
 }
 
@@ -132,7 +146,7 @@ impl ModelPredictive {
         assert!(places.commands <= MAX_OUTPUTS && places.inputs <= MAX_INPUTS);
         let n = places.inputs;
         let mut rng = stream(spec.seed, "models");
-        let [dynamics, before, after] = models(spec, places, &mut rng);
+        let (dynamics, [before, after]) = models(spec, places, &mut rng);
         let horizon = if config.horizon > 0 { config.horizon } else { (480 / places.len()).clamp(20, 40) };
         let ends = |sign: f64| spec.inputs.iter().map(|_| sign).collect::<Vec<_>>();
         Self {
@@ -156,6 +170,13 @@ impl ModelPredictive {
             boundary: false,
             reward: 0.0,
             last_reward: 0.0,
+            began: 0,
+            judged: 0,
+            learned_rewards: 0,
+            boundary_rate: 0.0,
+            strange: 0,
+            shift: 0,
+            alignment: Alignment::new(&before.layout),
             best: f64::NEG_INFINITY,
             worst: f64::INFINITY,
             command: [0.0; MAX_OUTPUTS],
@@ -184,11 +205,7 @@ impl ModelPredictive {
     /// A copy that answers and plans as the learner would now, without exploration noise and by the mean of what it
     /// knows, and learns nothing any more.
     pub fn frozen(&self) -> Self {
-        let mut frozen = self.clone();
-        frozen.frozen = true;
-        frozen.sigma.fill(0.0);
-        frozen.config.sampled = 0.0;
-        frozen
+        Self { frozen: true, ..self.clone() }
     }
 
     /// Answers an observation with a command, in its unit: `u* + K (x - x*)` and noise, within the limits.
@@ -204,7 +221,11 @@ impl ModelPredictive {
                 *u = (self.plan.commands[j] + back).clamp(-1.0, 1.0);
                 self.mean[j] = *u * self.limits[j];
             }
-            self.noise.add(&self.sigma, u);
+            if !self.frozen {
+                self.noise.add(&self.sigma, u);
+            }
+        } else if self.frozen {
+            u.fill(0.0);
         } else {
             self.noise.wander(&self.sigma, self.config.first_noise, 6, u);
         }
@@ -248,8 +269,8 @@ impl ModelPredictive {
         }
         self.teaches = usable && !fresh && !flags.missed;
         self.boundary = flags.new_target;
-        if self.reward.is_finite() {
-            self.last_reward = self.reward;
+        if fresh {
+            self.began = self.tick;
         }
         self.reward = observed.reward;
     }
@@ -257,109 +278,17 @@ impl ModelPredictive {
     /// Learns from the last tick and plans the next command: a fixed amount of work, after the command has gone out.
     pub fn improve(&mut self) {
         self.budget.spent = 0;
-        if self.teaches {
-            self.learn();
-        }
-        if !self.frozen {
+        if self.frozen {
+            self.watch();
+        } else {
+            if self.teaches {
+                self.learn();
+            }
             self.refit();
         }
-        if self.dynamics.refit.completed > 0 && self.rewards.iter().all(|r| r.refit.completed > 0) {
+        if (self.planned || self.dynamics.fitted()) && self.rewards.iter().all(|r| r.refit.completed > 0) {
             self.make_plan();
         }
-    }
-
-    fn make_plan(&mut self) {
-        let (nx, m) = (self.places.state(), self.places.commands);
-        let (better, moving) = (self.better(), self.find_moving());
-        self.dynamics.take(self.config.sampled);
-        let reward = &mut self.rewards[better];
-        reward.take(self.config.sampled);
-        let cap = (2.0 * self.best - self.worst - reward.fit.center) / reward.fit.scale;
-        let aim = (self.best - reward.fit.center) / reward.fit.scale * self.plan.horizon as f64;
-        self.budget.cost = StepCost::of(self.places, &self.dynamics, reward, self.scratch.active.len());
-        let mut world = LearnedWorld {
-            places: self.places,
-            dynamics: &mut self.dynamics,
-            reward,
-            after: better == 1,
-            cap,
-            ranges: &self.ranges,
-            scratch: &mut self.scratch,
-        };
-        // The state after the command that has just gone out.
-        self.after[..nx].copy_from_slice(&self.state);
-        self.after[nx..].copy_from_slice(&self.command[..m]);
-        world.step(&self.after, &mut self.start);
-        self.plan.shift();
-        let began = self.planner.work;
-        self.planner.roll_out(&mut world, &mut self.plan, &self.start);
-        for _ in 0..self.config.iterations {
-            self.planner.improve(&mut world, &mut self.plan);
-        }
-        self.budget.spend_work(began, self.planner.work);
-        for _ in 0..self.rivals {
-            if !self.budget.has_iteration(self.plan.horizon) {
-                break;
-            }
-            self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
-            rivals::draw(
-                self.rival_kind,
-                &mut self.rng,
-                &mut world,
-                (&self.memory, moving),
-                &self.plan,
-                &mut self.rival,
-            );
-            Self::work_on_rival(
-                (&mut self.planner, &mut self.budget),
-                &mut world,
-                &mut self.rival,
-                &self.start,
-                self.config.rival_iterations,
-            );
-            let gap = (aim - self.plan.value).max(0.0);
-            if self.rival.value > self.plan.value + self.config.rival_gain * gap + 1e-9 {
-                self.counts.rivals += 1;
-                self.plan.copy_from(&self.rival);
-            }
-        }
-        self.planned = true;
-        self.counts.plans += 1;
-    }
-
-    /// The inputs that move, as bits. The reward's Hessian is taken over them, their changes and the commands.
-    fn find_moving(&mut self) -> u32 {
-        let (n, m) = (self.places.inputs, self.places.commands);
-        self.scratch.active.clear();
-        let mut moving = 0;
-        for i in (0..n).filter(|&i| self.beliefs[i].usual > 1e-9) {
-            moving |= 1 << i;
-            self.scratch.active.extend([i, n + i]);
-        }
-        self.scratch.active.sort_unstable();
-        self.scratch.active.extend((0..m).map(|j| self.places.command(j, 0)));
-        moving
-    }
-
-    /// Improves a rival, as far as the budget goes.
-    fn work_on_rival(
-        (planner, budget): (&mut Planner, &mut OperationBudget),
-        world: &mut LearnedWorld,
-        rival: &mut CommandPlan,
-        start: &[f64],
-        iterations: usize,
-    ) {
-        let mut began = planner.work;
-        planner.roll_out(world, rival, start);
-        for _ in 0..iterations {
-            budget.spend_work(began, planner.work);
-            began = planner.work;
-            if !budget.has_iteration(rival.horizon) {
-                break;
-            }
-            planner.improve(world, rival);
-        }
-        budget.spend_work(began, planner.work);
     }
 
     /// The last command, in its unit.
@@ -367,9 +296,20 @@ impl ModelPredictive {
         self.command[..self.places.commands].iter().zip(&self.limits).map(|(command, limit)| command * limit)
     }
 
+    /// How many ticks late rewards come, as far as they show.
+    pub fn reward_lateness(&self) -> u64 {
+        self.shift
+    }
+
     /// The last command without exploration noise, in its unit; 0 before the first plan.
     pub fn mean(&self) -> &[f64] {
         &self.mean[..self.places.commands]
+    }
+
+    /// Largest noise of the models of movement, as a part of their prior's scale.
+    fn dynamics_noise(&self) -> f64 {
+        let noise = |i: usize| if self.dynamics.moves(i) { self.dynamics.models[i].fit.regression.lambda } else { 0.0 };
+        (0..self.places.inputs).map(noise).fold(0.0, f64::max)
     }
 
     /// Numbers for a record: the plan's predicted sum of rewards (in standard deviations of the reward), the noise of
@@ -379,7 +319,7 @@ impl ModelPredictive {
         let (counts, reward) = (&self.counts, &self.rewards[self.better()]);
         [
             self.plan.value,
-            self.dynamics.fit.regression.lambda,
+            self.dynamics_noise(),
             reward.fit.regression.lambda,
             (counts.input_outliers + counts.reward_outliers) as f64,
             counts.alarms as f64,
@@ -409,23 +349,28 @@ impl Differences<'_> {
     }
 }
 
-/// The models of a learner that knows nothing: dynamics, reward before the tick, reward after it.
-fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> [Model; 3] {
+/// The models of a learner that knows nothing: movement, reward before the tick, reward after it.
+fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamics, [Model; 2]) {
     let config = &spec.config;
     let settings = RefitSettings {
-        points: config.points,
+        points: config.points / 2,
         steps: config.steps,
+        extra_steps: 50_000_000,
         step: 0.25,
         width: 2.5,
         noise_floor: config.noise_floor,
         standardise: false,
+        robust: true,
     };
-    let layout = dynamics_layout(places, &spec.inputs);
-    let size = ModelSize::within(&layout, places.inputs, config.dynamics_products, config.dynamics_features);
-    let dynamics = Model::new(layout, size, settings, rng);
+    let dynamics = Dynamics::new(spec, places, settings, rng);
     let layout = reward_layout(places, &spec.inputs);
-    let size = ModelSize::within(&layout, 1, config.reward_products, config.reward_features);
-    let settings = RefitSettings { standardise: true, ..settings };
-    let [before, after] = [0, 1].map(|_| Model::new(layout.clone(), size, settings, rng));
-    [dynamics, before, after]
+    // Rewards of many joints need products of many inputs: their number grows with the square of that of the inputs.
+    let or = |value: usize, usual: usize| if value > 0 { value } else { usual };
+    let products = or(config.reward_products, 14 * places.inputs * places.inputs);
+    let size = ModelSize::within(&layout, 1, products, or(config.reward_features, products + 260));
+    let size = ModelSize { samples: 6, ..size };
+    let settings =
+        RefitSettings { points: config.points, extra_steps: 150_000_000, standardise: true, robust: false, ..settings };
+    let rewards = [0, 1].map(|_| Model::new(layout.clone(), size, settings, rng));
+    (dynamics, rewards)
 }

@@ -87,6 +87,21 @@ fn it_learns_to_reach() {
 }
 
 #[test]
+fn it_finds_out_how_late_rewards_come() {
+    let mut late = [0.0; 2];
+    let (rewards, agent) = run([1.0; 3], 200, |_, r| {
+        let [second, first] = late;
+        late = [r, second];
+        first
+    });
+    assert_eq!(agent.reward_lateness(), 2);
+    let settled = mean(&rewards, 110, 120) + mean(&rewards, 190, 200);
+    assert!(settled > -0.008, "{settled}");
+    let (_, agent) = run([1.0; 3], 120, |_, r| r);
+    assert_eq!(agent.reward_lateness(), 0);
+}
+
+#[test]
 fn units_are_without_effect() {
     // A power of two scales without rounding, so that every bit is the same.
     let units = [1024.0, 4096.0, 0.125];

@@ -9,6 +9,9 @@ use crate::state::StateVisitor;
 /// Squared errors from here on, in predictive variances, are outliers.
 const OUTLIER: f64 = 25.0;
 
+/// Part of the usual change's square below which a squared error is small.
+const SMALL: f64 = 0.02;
+
 /// Belief in one value.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Belief {
@@ -45,7 +48,9 @@ impl Belief {
             self.doubted = true;
             return BeliefVerdict::Outlier;
         }
-        self.surprise += rate * (surprise.min(OUTLIER) - self.surprise);
+        // An error that is small beside the usual change is no alarm, however precise the model was.
+        let matters = (error * error / (SMALL * self.usual + f64::MIN_POSITIVE)).min(1.0);
+        self.surprise += rate * (matters * surprise.min(OUTLIER) - self.surprise);
         self.seen += 1.0;
         self.usual += (change * change - self.usual) / self.seen.min(200.0);
         let both = wild && self.doubted;

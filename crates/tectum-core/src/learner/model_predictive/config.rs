@@ -20,13 +20,13 @@ pub struct ModelPredictiveConfig {
     pub points: usize,
     /// Adam steps of a refit.
     pub steps: u64,
-    /// Features of the reward model, about.
+    /// Features of the reward model, about; 0 for 260 more than its products.
     pub reward_features: usize,
-    /// Features of the dynamics model, about.
+    /// Features of an input's model of movement, about.
     pub dynamics_features: usize,
-    /// Most products of the reward model.
+    /// Most products of the reward model; 0 for 14 times the square of the number of inputs.
     pub reward_products: usize,
-    /// Most products of the dynamics model.
+    /// Most products of an input's model of movement.
     pub dynamics_products: usize,
     /// How far planning follows a sample of the posterior in place of its mean.
     pub sampled: f64,
@@ -51,13 +51,13 @@ impl Default for ModelPredictiveConfig {
             memory: 2000,
             points: 160,
             steps: 15,
-            reward_features: 660,
-            dynamics_features: 400,
-            reward_products: 400,
-            dynamics_products: 100,
+            reward_features: 0,
+            dynamics_features: 200,
+            reward_products: 0,
+            dynamics_products: 60,
             sampled: 0.5,
             first_noise: 3.0,
-            refit_operations: 20.0,
+            refit_operations: 40.0,
             operations: 0.0,
             noise_floor: 1e-7,
         }

@@ -11,10 +11,15 @@
 //!
 //! The logarithms of the scales have the prior `N(log p_0, width^2)`. Steps are Adam's (Kingma & Ba 2015).
 
+#[cfg(test)]
+mod check;
+mod row;
+
 use super::functions::{exp, sines_and_cosines};
 use super::layout::{BIAS, Layout, NOISE, PRODUCTS, SMOOTH, ScaleKind};
 use super::linalg::{add_scaled, cholesky, dot, invert, packed, solve_lower, solve_lower_transposed};
 use crate::state::{Persist, StateVisitor};
+use row::Row;
 
 /// Evidence of a layout's scales on at most `capacity` points.
 #[derive(Debug, Clone)]
@@ -27,6 +32,8 @@ pub struct Evidence {
     values: Vec<f64>,
     /// Outputs, by output, then point.
     targets: Vec<f64>,
+    /// By which factor the noise of each point is larger.
+    noisier: Vec<f64>,
     /// Logarithms of the scales.
     pub scales: Vec<f64>,
     first: Vec<f64>,
@@ -48,24 +55,6 @@ pub struct Evidence {
     outer: Vec<f64>,
 }
 
-/// Scratch memory of the kernel of one point with those before it.
-#[derive(Debug, Clone, Default)]
-struct Row {
-    /// Inner product of each unit, by unit, then point.
-    inner: Vec<f64>,
-    /// `sin(w (x - x'))` of each angle.
-    turned: Vec<f64>,
-    /// Factor of each group.
-    factors: Vec<f64>,
-    /// The product of all factors.
-    product: Vec<f64>,
-    /// The smooth part.
-    smooth: Vec<f64>,
-    /// The whole kernel.
-    kernel: Vec<f64>,
-    scratch: Vec<f64>,
-}
-
 impl Evidence {
     /// For at most `capacity` points and `outputs` outputs, with the layout's first scales.
     pub fn new(layout: &Layout, capacity: usize, outputs: usize) -> Self {
@@ -85,6 +74,7 @@ impl Evidence {
             outputs,
             values: vec![0.0; layout.width * capacity],
             targets: vec![0.0; outputs * capacity],
+            noisier: vec![1.0; capacity],
             scales: layout.prior.clone(),
             first: vec![0.0; scales],
             second: vec![0.0; scales],
@@ -113,8 +103,9 @@ impl Evidence {
         self.good.copy_from_slice(scales);
     }
 
-    /// Adds a point: `q`, and its outputs.
-    pub fn push(&mut self, q: &[f64], targets: &[f64]) {
+    /// Adds a point: `q`, its outputs, and by which factor its noise is larger than that of others.
+    pub fn push(&mut self, q: &[f64], targets: &[f64], noisier: f64) {
+        self.noisier[self.len] = noisier;
         for (place, value) in q.iter().enumerate() {
             self.values[place * self.capacity + self.len] = *value;
         }
@@ -122,6 +113,16 @@ impl Evidence {
             self.targets[output * self.capacity + self.len] = *value;
         }
         self.len += 1;
+    }
+
+    /// By which factor the noise of a point is larger.
+    pub fn noisier(&self, point: usize) -> f64 {
+        self.noisier[point]
+    }
+
+    /// Sets that factor.
+    pub fn set_noisier(&mut self, point: usize, noisier: f64) {
+        self.noisier[point] = noisier;
     }
 
     /// Writes the `q` of a point.
@@ -163,7 +164,7 @@ impl Evidence {
         }
         self.amplitude = total / n as f64;
         for i in 0..n {
-            self.matrix[packed(i) + i] += self.noise();
+            self.matrix[packed(i) + i] += self.noise() * self.noisier[i];
         }
         if !cholesky(&mut self.matrix, n) {
             return None;
@@ -174,9 +175,9 @@ impl Evidence {
         // The trace of dL/dK: the noise depends on the diagonal.
         let mut trace = 0.0;
         for i in 0..n {
-            trace -= 0.5 * f64::from(counted) * self.matrix[packed(i) + i];
+            trace -= 0.5 * self.noisier[i] * f64::from(counted) * self.matrix[packed(i) + i];
             for j in 0..self.outputs {
-                trace += 0.5 * self.alpha[j * capacity + i] * self.alpha[j * capacity + i];
+                trace += 0.5 * self.noisier[i] * self.alpha[j * capacity + i] * self.alpha[j * capacity + i];
             }
         }
         self.gradient[NOISE] = exp(self.scales[NOISE]) * self.amplitude * trace;
@@ -367,44 +368,6 @@ impl Evidence {
     }
 }
 
-impl Row {
-    /// Gradient by the frequency and the inverse squared length of angle `u`; see `gradient_row` for the arguments.
-    fn circle_gradient(
-        &self,
-        u: usize,
-        [outer, plain, x]: [&[f64]; 3],
-        [linear, _, v, rho]: [f64; 4],
-        scales: &[f64],
-        gradient: &mut [f64],
-    ) {
-        let (n, from) = (x.len(), u * self.product.len());
-        let (inner, turned) = (&self.inner[from..][..n], &self.turned[from..][..n]);
-        let at = Layout::scale(u, ScaleKind::Frequency);
-        let (mut smooth, mut frequency) = (0.0, 0.0);
-        for j in 0..n {
-            smooth += self.smooth[j] * (1.0 - inner[j]);
-            let slope = linear * outer[j] + v * plain[j] + rho * self.smooth[j];
-            frequency -= slope * turned[j] * (x[n - 1] - x[j]);
-        }
-        gradient[Layout::scale(u, ScaleKind::Smooth)] -= rho * smooth;
-        gradient[at] += exp(scales[at]) * frequency;
-    }
-
-    /// Gradient by the square's variance and the inverse squared length of the number `u`.
-    fn number_gradient(&self, u: usize, [outer, x]: [&[f64]; 2], [_, square, _, rho]: [f64; 4], gradient: &mut [f64]) {
-        let (n, from) = (x.len(), u * self.product.len());
-        let inner = &self.inner[from..][..n];
-        let (mut smooth, mut squares) = (0.0, 0.0);
-        for j in 0..n {
-            let apart = x[n - 1] - x[j];
-            smooth += self.smooth[j] * apart * apart;
-            squares += outer[j] * inner[j] * inner[j];
-        }
-        gradient[Layout::scale(u, ScaleKind::Smooth)] -= 0.5 * rho * smooth;
-        gradient[Layout::scale(u, ScaleKind::Square)] += square * squares;
-    }
-}
-
 impl Persist for Evidence {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         let mut len = self.len as u64;
@@ -412,6 +375,7 @@ impl Persist for Evidence {
         self.len = (len as usize).min(self.capacity);
         visitor.numbers("values", &mut self.values);
         visitor.numbers("targets", &mut self.targets);
+        visitor.numbers("noisier", &mut self.noisier);
         visitor.numbers("scales", &mut self.scales);
         visitor.numbers("first", &mut self.first);
         visitor.numbers("second", &mut self.second);
@@ -419,24 +383,5 @@ impl Persist for Evidence {
         visitor.numbers("good", &mut self.good);
         visitor.number("amplitude", &mut self.amplitude);
         visitor.number("floor", &mut self.floor);
-    }
-}
-
-#[cfg(test)]
-impl Evidence {
-    /// Compares the gradient with differences.
-    pub fn check_gradient(&mut self, layout: &Layout) {
-        self.evaluate(layout, 2.5, 1e-7).unwrap();
-        let gradient = self.gradient.clone();
-        for (k, g) in gradient.iter().enumerate().filter(|(k, _)| layout.learned[*k]) {
-            let before = self.scales[k];
-            let mut at = |x| {
-                self.scales[k] = x;
-                self.evaluate(layout, 2.5, 1e-7).unwrap()
-            };
-            let slope = (at(before + 1e-5) - at(before - 1e-5)) / 2e-5;
-            self.scales[k] = before;
-            assert!((slope - g).abs() < 1e-4 * (1.0 + g.abs()), "scale {k}: {slope} {g}");
-        }
     }
 }

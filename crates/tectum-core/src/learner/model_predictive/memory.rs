@@ -12,6 +12,9 @@ pub struct Lesson {
     pub upper_end: u32,
     /// The same for an upper limit and the lower end.
     pub lower_end: u32,
+    /// Whether an input was at an end of its range before or after the tick: what a stop does to the others is hard to
+    /// predict, and counts less.
+    pub contact: bool,
 }
 
 /// A model's view of the memory: points with outputs.
@@ -37,6 +40,8 @@ pub struct Memory {
     rewards: Vec<f64>,
     /// `missing`, `upper_end`, `lower_end`, and whether the reward teaches.
     masks: Vec<[u32; 4]>,
+    /// The tick of each entry, times 2, and 1 more if a target or an episode began with it or after it.
+    stamps: Vec<u64>,
 }
 
 /// One tick to store.
@@ -52,8 +57,10 @@ pub struct Entry<'a> {
     pub reward: f64,
     /// What the changes teach.
     pub lesson: Lesson,
-    /// Whether the reward teaches.
-    pub rewarded: bool,
+    /// The tick.
+    pub tick: u64,
+    /// Whether a target or an episode begins with this tick or after it.
+    pub boundary: bool,
 }
 
 impl Memory {
@@ -69,10 +76,11 @@ impl Memory {
             changes: vec![0.0; capacity * places.inputs],
             rewards: vec![0.0; capacity],
             masks: vec![[0; 4]; capacity],
+            stamps: vec![0; capacity],
         }
     }
 
-    /// Stores a tick in place of the oldest.
+    /// Stores a tick in place of the oldest. Its reward teaches nothing until [`set_rewarded`](Self::set_rewarded).
     pub fn push(&mut self, entry: &Entry) {
         let at = (self.stored % self.capacity as u64) as usize;
         let (width, n) = (self.places.len(), self.places.inputs);
@@ -80,8 +88,9 @@ impl Memory {
         self.after[at * width..][..width].copy_from_slice(entry.after);
         self.changes[at * n..][..n].copy_from_slice(entry.changes);
         self.rewards[at] = entry.reward;
-        let Lesson { missing, upper_end, lower_end } = entry.lesson;
-        self.masks[at] = [missing, upper_end, lower_end, u32::from(entry.rewarded)];
+        let Lesson { missing, upper_end, lower_end, .. } = entry.lesson;
+        self.masks[at] = [missing, upper_end, lower_end, 0];
+        self.stamps[at] = 2 * entry.tick + u64::from(entry.boundary);
         self.stored += 1;
         self.first = self.first.max(self.stored.saturating_sub(self.capacity as u64));
     }
@@ -96,6 +105,44 @@ impl Memory {
         &mut self.masks[(tick % self.capacity as u64) as usize][0]
     }
 
+    /// Whether an input was at an end of its range after a stored tick or the one before.
+    pub fn contact(&self, tick: u64) -> bool {
+        let ends = |tick: u64| {
+            let [_, upper, lower, _] = self.masks[(tick % self.capacity as u64) as usize];
+            upper | lower != 0
+        };
+        ends(tick) || (tick > self.first && ends(tick - 1))
+    }
+
+    /// The reward that came with a stored tick.
+    pub fn reward(&self, tick: u64) -> f64 {
+        self.rewards[(tick % self.capacity as u64) as usize]
+    }
+
+    /// Whether the reward that came with a stored tick teaches.
+    pub fn is_rewarded(&self, tick: u64) -> bool {
+        self.masks[(tick % self.capacity as u64) as usize][3] != 0
+    }
+
+    /// Whether a target or an episode began within `reach` ticks of a stored one.
+    pub fn near_boundary(&self, tick: u64, reach: u64) -> bool {
+        let stamp = |tick: u64| self.stamps[(tick % self.capacity as u64) as usize];
+        (tick.saturating_sub(reach).max(self.first)..(tick + reach + 1).min(self.stored))
+            .any(|other| stamp(other) % 2 == 1 && (stamp(other) / 2).abs_diff(stamp(tick) / 2) <= reach)
+    }
+
+    /// The point to which the reward that came with `tick` belongs, if rewards come `shift` ticks late: inputs before
+    /// it, or after it, and the command of the tick.
+    pub fn rewarded_point(&self, tick: u64, shift: u64, after: bool) -> Option<&[f64]> {
+        let at = tick.checked_sub(shift).filter(|at| *at >= self.first)?;
+        let stamp = |tick: u64| self.stamps[(tick % self.capacity as u64) as usize] / 2;
+        if stamp(tick) - stamp(at) != shift {
+            return None;
+        }
+        let at = (at % self.capacity as u64) as usize * self.places.len();
+        Some(&(if after { &self.after } else { &self.before })[at..at + self.places.len()])
+    }
+
     /// `q` of a stored tick.
     pub fn q(&self, tick: u64) -> &[f64] {
         let at = (tick % self.capacity as u64) as usize * self.places.len();
@@ -103,23 +150,30 @@ impl Memory {
     }
 }
 
-/// The memory as data of the dynamics model.
+/// The memory as data of an input's model of movement. What was limited by the end of a range teaches nothing.
 #[derive(Debug, Clone, Copy)]
-pub struct ChangeData<'a>(pub &'a Memory);
+pub struct ChangeData<'a> {
+    /// The memory.
+    pub memory: &'a Memory,
+    /// The input.
+    pub input: usize,
+}
 
 impl Data for ChangeData<'_> {
     fn range(&self) -> (u64, u64) {
-        (self.0.first, self.0.stored)
+        (self.memory.first, self.memory.stored)
     }
 
     fn get(&self, tick: u64, q: &mut [f64], y: &mut [f64]) -> Option<Lesson> {
-        let memory = self.0;
+        let Self { memory, input } = *self;
         let at = (tick % memory.capacity as u64) as usize;
-        q.copy_from_slice(memory.q(tick));
-        y.copy_from_slice(&memory.changes[at * memory.places.inputs..][..memory.places.inputs]);
         let [missing, upper_end, lower_end, _] = memory.masks[at];
-        let all = u32::MAX >> (32 - memory.places.inputs);
-        (missing != all).then_some(Lesson { missing, upper_end, lower_end })
+        if (missing | upper_end | lower_end) & (1 << input) != 0 {
+            return None;
+        }
+        q.copy_from_slice(memory.q(tick));
+        y[0] = memory.changes[at * memory.places.inputs + input];
+        Some(Lesson { contact: memory.contact(tick), ..Lesson::default() })
     }
 }
 
@@ -130,6 +184,8 @@ pub struct RewardData<'a> {
     pub memory: &'a Memory,
     /// Whether the reward depends on the inputs after the tick.
     pub after: bool,
+    /// So many ticks late it comes.
+    pub shift: u64,
 }
 
 impl Data for RewardData<'_> {
@@ -140,10 +196,12 @@ impl Data for RewardData<'_> {
     fn get(&self, tick: u64, q: &mut [f64], y: &mut [f64]) -> Option<Lesson> {
         let memory = self.memory;
         let at = (tick % memory.capacity as u64) as usize;
-        let from = if self.after { &memory.after } else { &memory.before };
-        q.copy_from_slice(&from[at * memory.places.len()..][..memory.places.len()]);
+        if memory.masks[at][3] == 0 {
+            return None;
+        }
+        q.copy_from_slice(memory.rewarded_point(tick, self.shift, self.after)?);
         y[0] = memory.rewards[at];
-        (memory.masks[at][3] != 0).then_some(Lesson::default())
+        Some(Lesson::default())
     }
 }
 
@@ -156,5 +214,6 @@ impl Persist for Memory {
         visitor.numbers("changes", &mut self.changes);
         visitor.numbers("rewards", &mut self.rewards);
         visitor.numbers("masks", &mut self.masks);
+        visitor.numbers("stamps", &mut self.stamps);
     }
 }

@@ -13,6 +13,8 @@
 //! | `features.rs` | explicit features of that kernel | Rahimi & Recht 2007; Yu et al. 2016 |
 //! | `regression.rs` | posterior of the weights, by recursion | Bishop 2006; MacKay 1992 |
 //! | `evidence.rs` | marginal likelihood of the scales | Rasmussen & Williams 2006, chapter 5 |
+//! | `alignment.rs` | how late rewards come | |
+//! | `dynamics.rs` | the models of movement | |
 //! | `refit.rs`, `model.rs`, `memory.rs` | fitting anew in slices, the models, the ticks that were seen | |
 //! | `weighted.rs`, `world.rs` | predictions with their derivatives | Griewank & Walther 2008 |
 //! | `planner.rs`, `box_qp.rs` | control-limited iLQR | Tassa, Mansard & Todorov 2014 |
@@ -54,9 +56,11 @@
 #![allow(clippy::needless_range_loop)]
 
 mod agent;
+mod alignment;
 mod belief;
 mod box_qp;
 mod config;
+mod dynamics;
 mod evidence;
 mod exploration;
 mod features;

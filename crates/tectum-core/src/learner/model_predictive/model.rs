@@ -25,6 +25,9 @@ pub struct ModelFit {
     pub scale: f64,
 }
 
+/// Most samples of a posterior.
+const MAX_SAMPLES: usize = 8;
+
 /// A model of some outputs.
 #[derive(Debug, Clone)]
 pub struct Model {
@@ -36,6 +39,8 @@ pub struct Model {
     pub refit: Refit,
     /// The planner's function.
     pub weighted: Weighted,
+    /// How samples of the posterior differ from its mean: as many outputs as there are samples for it.
+    pub spread: Weighted,
     basis: BasisValues,
     phi: Vec<f64>,
     /// Predictions for the last point.
@@ -53,10 +58,12 @@ pub struct ModelSize {
     pub pairs: usize,
     /// Most products.
     pub products: usize,
+    /// Samples of the posterior: one for exploration, the others for the certainty of predictions.
+    pub samples: usize,
 }
 
 impl ModelSize {
-    /// As many products of `layout` as there are, at most `products`, and Fourier pairs, from 60 to 200, so that there
+    /// As many products of `layout` as there are, at most `products`, and Fourier pairs, from 30 to 200, so that there
     /// are about `features` features.
     pub fn within(layout: &Layout, outputs: usize, products: usize, features: usize) -> Self {
         let mut all = 1.0;
@@ -67,7 +74,7 @@ impl ModelSize {
         let single = 1 + layout.components;
         let products = (f64::min(all, 1e6) as usize).saturating_sub(single).min(products);
         let left = features.saturating_sub(products + single + layout.units.len());
-        Self { outputs, pairs: (left / 2).clamp(60, 200), products }
+        Self { outputs, pairs: (left / 2).clamp(30, 200), products, samples: 1 }
     }
 }
 
@@ -76,14 +83,23 @@ impl Model {
     pub fn new(layout: Layout, size: ModelSize, settings: RefitSettings, rng: &mut Rng) -> Self {
         let features = ModelFeatures::new(&layout, size.pairs, size.products, || normal(rng));
         let lambda = super::functions::exp(layout.prior[NOISE]);
-        let regression = Regression::new(features.len, size.outputs, lambda);
+        let regression = Regression::new(features.len, size.outputs, size.samples, lambda);
         let mut fit = ModelFit { features, regression, center: 0.0, scale: 1.0 };
         fit.regression.forget(|| normal(rng));
         let weighted = Weighted::new(&layout, &fit.features, size.outputs);
+        let spread = Weighted::new(&layout, &fit.features, size.samples - 1);
         let basis = BasisValues::new(&layout, &fit.features);
         let phi = vec![0.0; fit.features.len];
         let refit = Refit::new(&layout, &fit, settings);
-        Self { layout, fit, refit, weighted, basis, phi, predicted: [0.0; MAX_MODEL_OUTPUTS], nu: 1.0 }
+        Self { layout, fit, refit, weighted, spread, basis, phi, predicted: [0.0; MAX_MODEL_OUTPUTS], nu: 1.0 }
+    }
+
+    /// Back to the prior.
+    pub fn forget(&mut self, rng: &mut Rng) {
+        let Self { layout, fit, .. } = self;
+        fit.features.scales.copy_from_slice(&layout.prior);
+        fit.features.build(layout);
+        fit.regression.forget(|| normal(rng));
     }
 
     /// Number of outputs.
@@ -117,6 +133,9 @@ impl Model {
             *error = lesson.heed(j, self.error(j, y[j]));
         }
         let outputs = self.outputs();
+        if self.refit.is_robust() && outputs == 1 {
+            self.fit.regression.discount(lesson.noisier(self.surprise(0, y[0])));
+        }
         self.fit.regression.update(&self.phi, &errors[..outputs], || normal(rng));
     }
 
@@ -151,6 +170,17 @@ impl Model {
     pub fn take(&mut self, part: f64) {
         let ModelFit { features, regression, .. } = &self.fit;
         self.weighted.take(&self.layout, features, regression, part);
+        if regression.samples > 1 {
+            self.spread.take_spread(&self.layout, features, regression);
+        }
+    }
+
+    /// Mean square of what the samples differ from the mean, at the last point of the planner's function.
+    pub fn variance(&self) -> f64 {
+        let mut apart = [0.0; MAX_SAMPLES];
+        let apart = &mut apart[..self.fit.regression.samples - 1];
+        self.spread.value_beside(&self.weighted, &self.layout, &self.fit.features, apart);
+        apart.iter().map(|x| x * x).sum::<f64>() / (apart.len() as f64).max(1.0)
     }
 
     /// Works on the refit with about `operations`. Returns how many it took, and whether a new fit is in use.
@@ -169,6 +199,11 @@ impl Model {
 }
 
 impl Lesson {
+    /// By which factor the noise of the tick is larger, given its squared error in predictive variances.
+    pub fn noisier(&self, surprise: f64) -> f64 {
+        if self.contact { CONTACT * noisier(surprise / CONTACT) } else { noisier(surprise) }
+    }
+
     /// The error that counts: 0 where the output teaches nothing, or where a prediction went beyond the end at which
     /// the input stopped.
     pub fn heed(&self, output: usize, error: f64) -> f64 {
@@ -178,6 +213,15 @@ impl Lesson {
             || (self.lower_end & bit != 0 && error > 0.0);
         if ignored { 0.0 } else { error }
     }
+}
+
+/// By which factor the noise is larger where an input is at an end of its range.
+pub const CONTACT: f64 = 100.0;
+
+/// By which factor the noise of a point is larger, given its squared error in predictive variances: noise is taken to
+/// follow Student's t distribution with four degrees of freedom (Lange, Little & Taylor 1989).
+pub fn noisier(surprise: f64) -> f64 {
+    ((4.0 + surprise.min(1e6)) / 5.0).max(1.0)
 }
 
 /// A draw from the normal distribution.

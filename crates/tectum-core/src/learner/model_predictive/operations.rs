@@ -11,6 +11,7 @@
 //! expansion Jacobian of the dynamics, Hessian of the reward and its eigenvalues, and its way back through the plan
 //! ```
 
+use super::dynamics::Dynamics;
 use super::layout::Places;
 use super::model::Model;
 
@@ -36,9 +37,13 @@ fn of_model(model: &Model, width: u64) -> [u64; 2] {
 
 impl StepCost {
     /// That of a world of these models; the reward's Hessian has `active` places.
-    pub fn of(places: Places, dynamics: &Model, reward: &Model, active: usize) -> Self {
+    pub fn of(places: Places, dynamics: &Dynamics, reward: &Model, active: usize) -> Self {
         let (width, states, active) = (places.len() as u64, places.state() as u64, active as u64);
-        let ([move_value, move_slopes], [value, slopes]) = (of_model(dynamics, width), of_model(reward, width));
+        let [value, slopes] = of_model(reward, width);
+        let [move_value, move_slopes] = dynamics
+            .moving_models()
+            .map(|model| of_model(model, width))
+            .fold([0, 0], |sum, cost| [sum[0] + cost[0], sum[1] + cost[1]]);
         let (waves, products) = (reward.fit.features.pairs as u64, reward.fit.features.nodes.len() as u64);
         let curves = active * active * waves / 2 + 4 * active * products;
         // The eigenvalues take some five sweeps of rotations where the reward is not concave, and nothing elsewhere.

@@ -12,9 +12,8 @@
 //! The model in use goes on learning meanwhile. A slice is some rows or ticks; what it takes is counted in
 //! operations, so that the same ticks always end a refit in the same tick.
 
+mod points;
 mod solve;
-
-use rand::RngExt as _;
 
 use super::evidence::Evidence;
 use super::features::BasisValues;
@@ -32,6 +31,8 @@ pub struct RefitSettings {
     pub points: usize,
     /// Adam steps.
     pub steps: u64,
+    /// Operations up to which there are more steps.
+    pub extra_steps: u64,
     /// Size of a step.
     pub step: f64,
     /// Width of the prior of the scales' logarithms.
@@ -40,6 +41,8 @@ pub struct RefitSettings {
     pub noise_floor: f64,
     /// Whether outputs are centred and scaled.
     pub standardise: bool,
+    /// Whether points that the model in use finds strange count less.
+    pub robust: bool,
 }
 
 /// What is done next.
@@ -92,6 +95,12 @@ pub struct Refit {
     row: Vec<f64>,
     q: Vec<f64>,
     y: [f64; MAX_MODEL_OUTPUTS],
+    /// The squared error of the tick that was read, in predictive variances, and whether there was contact.
+    surprise: f64,
+    contact: bool,
+    /// Squared errors of the points in predictive variances, and their median.
+    strange: Vec<f64>,
+    usual: f64,
     phi: Vec<f64>,
     /// Number of refits that were completed.
     pub completed: u64,
@@ -120,10 +129,19 @@ impl Refit {
             row: vec![0.0; len],
             q: vec![0.0; layout.width],
             y: [0.0; MAX_MODEL_OUTPUTS],
+            surprise: 1.0,
+            contact: false,
+            strange: Vec::with_capacity(settings.points),
+            usual: 1.0,
             phi: vec![0.0; len],
             completed: 0,
             log_evidence: 0.0,
         }
+    }
+
+    /// Whether strange points count less.
+    pub fn is_robust(&self) -> bool {
+        self.settings.robust && self.completed > 0
     }
 
     /// Whether a refit is under way.
@@ -140,7 +158,8 @@ impl Refit {
 
     /// Adam steps: more where points are few.
     fn steps(&self, layout: &Layout) -> u64 {
-        (150_000_000 / self.evidence.cost(layout).max(1)).clamp(self.settings.steps, 4 * self.settings.steps)
+        (self.settings.extra_steps / self.evidence.cost(layout).max(1))
+            .clamp(self.settings.steps, 4 * self.settings.steps)
     }
 
     /// The least noise.
@@ -176,91 +195,6 @@ impl Refit {
             Phase::CatchUp => return self.catch_up(layout, fit, data, basis, phi, rng),
         };
         (cost, false)
-    }
-
-    /// Reads a tick into `q` and `y`, with what it does not teach filled in by `fit`. Returns whether it teaches.
-    fn read(
-        &mut self,
-        layout: &Layout,
-        fit: &ModelFit,
-        data: &dyn Data,
-        tick: u64,
-        basis: &mut BasisValues,
-        phi: &mut [f64],
-    ) -> bool {
-        let outputs = fit.regression.outputs;
-        let Some(lesson) = data.get(tick, &mut self.q, &mut self.y[..outputs]) else { return false };
-        if lesson.missing | lesson.upper_end | lesson.lower_end != 0 {
-            fit.features.evaluate(layout, &self.q, basis, phi);
-            let mut predicted = [0.0; MAX_MODEL_OUTPUTS];
-            fit.regression.predict(phi, &mut predicted[..outputs]);
-            for j in 0..outputs {
-                let value = fit.center + fit.scale * predicted[j];
-                self.y[j] = value + lesson.heed(j, self.y[j] - value);
-            }
-        }
-        true
-    }
-
-    fn choose_points(
-        &mut self,
-        layout: &Layout,
-        fit: &ModelFit,
-        data: &dyn Data,
-        basis: &mut BasisValues,
-        phi: &mut [f64],
-        rng: &mut Rng,
-    ) -> u64 {
-        let (first, end) = data.range();
-        self.range = [first, end];
-        self.next.features.scales.copy_from_slice(&fit.features.scales);
-        self.evidence.restart(&fit.features.scales);
-        self.standardise(fit, data);
-        let wanted = self.settings.points.min((end - first) as usize);
-        let newest = (wanted / 3) as u64;
-        let outputs = fit.regression.outputs;
-        // The newest third; of the others as many as are needed, each with equal chance.
-        let (mut left, mut needed) = (end - first - newest, wanted as u64 - newest);
-        for tick in first..end {
-            let take = if tick >= end - newest {
-                true
-            } else {
-                let take = rng.random_range(0..left) < needed;
-                left -= 1;
-                needed -= u64::from(take);
-                take
-            };
-            if take && self.read(layout, fit, data, tick, basis, phi) {
-                for y in &mut self.y[..outputs] {
-                    *y = (*y - self.next.center) / self.next.scale;
-                }
-                self.evidence.push(&self.q, &self.y[..outputs]);
-            }
-        }
-        self.enter(if self.evidence.len < 8 { Phase::Idle } else { Phase::Ascend });
-        (wanted * fit.regression.len) as u64
-    }
-
-    /// Centre and scale of the outputs from now on.
-    fn standardise(&mut self, fit: &ModelFit, data: &dyn Data) {
-        (self.next.center, self.next.scale) = (0.0, 1.0);
-        if !self.settings.standardise {
-            return;
-        }
-        let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
-        let outputs = fit.regression.outputs;
-        for tick in self.range[0]..self.range[1] {
-            if data.get(tick, &mut self.q, &mut self.y[..outputs]).is_some() {
-                count += 1.0;
-                let y = self.y[0] - fit.center;
-                sum += y;
-                squares += y * y;
-            }
-        }
-        let mean = sum / f64::max(count, 1.0);
-        let variance = squares / f64::max(count, 1.0) - mean * mean;
-        self.next.center = fit.center + mean;
-        self.next.scale = if variance > 0.0 { variance.sqrt() } else { fit.scale };
     }
 
     fn ascend(&mut self, layout: &Layout, rng: &mut Rng) -> u64 {
@@ -313,7 +247,7 @@ impl Refit {
     fn gather(
         &mut self,
         layout: &Layout,
-        fit: &ModelFit,
+        fit: &mut ModelFit,
         data: &dyn Data,
         basis: &mut BasisValues,
         phi: &mut [f64],
@@ -331,11 +265,12 @@ impl Refit {
         }
         let outputs = fit.regression.outputs;
         self.next.features.evaluate(layout, &self.q, basis, &mut self.phi);
-        add_outer(&mut self.matrix, 1.0, &self.phi);
+        let weight = 1.0 / self.noisier();
+        add_outer(&mut self.matrix, weight, &self.phi);
         for j in 0..outputs {
             let y = (self.y[j] - self.next.center) / self.next.scale;
-            add_scaled(&mut self.right[j * self.phi.len()..][..self.phi.len()], y, &self.phi);
-            self.squares[j] += y * y;
+            add_scaled(&mut self.right[j * self.phi.len()..][..self.phi.len()], weight * y, &self.phi);
+            self.squares[j] += weight * y * y;
         }
         self.gathered += 1.0;
         (self.phi.len() * (self.phi.len() + 2 * outputs)) as u64
@@ -376,6 +311,7 @@ impl Refit {
             return (1, false);
         }
         let outputs = fit.regression.outputs;
+        let noisier = self.noisier();
         let mut errors = [0.0; MAX_MODEL_OUTPUTS];
         self.next.features.evaluate(layout, &self.q, basis, &mut self.phi);
         let regression = &mut self.next.regression;
@@ -384,6 +320,7 @@ impl Refit {
             *error = (y - self.next.center) / self.next.scale - *error;
         }
         regression.prepare(&self.phi);
+        regression.discount(noisier);
         regression.update(&self.phi, &errors[..outputs], || normal(rng));
         (regression.cost(), false)
     }
@@ -402,6 +339,7 @@ impl Refit {
         visitor.numbers("matrix", &mut self.matrix);
         visitor.numbers("right", &mut self.right);
         visitor.numbers("squares", &mut self.squares);
+        visitor.number("usual", &mut self.usual);
         visitor.number("gathered", &mut self.gathered);
         visitor.number("rounds", &mut self.rounds);
         visitor.number("completed", &mut self.completed);

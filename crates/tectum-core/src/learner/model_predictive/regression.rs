@@ -9,8 +9,8 @@
 //! s_j = (sum of (y_j - w_jᵀ phi)^2 / nu, each before its update) / (number of data)
 //! ```
 //!
-//! Besides the mean, one sample of the posterior is carried along with the same gain, for exploration: it sees the
-//! outputs with noise drawn for it (Matheron's rule). What is kept is its deviation from the mean over `sqrt s_j`,
+//! Besides the mean, samples of the posterior are carried along with the same gain, one for exploration, and others to
+//! tell how certain a prediction is: they see the outputs with noise drawn for them (Matheron's rule). What is kept is its deviation from the mean over `sqrt s_j`,
 //! `delta_j -= g (phiᵀ delta_j + sqrt lambda epsilon)`.
 
 use super::linalg::{add_outer, add_scaled, dot, multiply_symmetric, packed};
@@ -29,7 +29,9 @@ pub struct Regression {
     pub covariance: Vec<f64>,
     /// Mean weights, by output, then feature.
     pub weights: Vec<f64>,
-    /// Deviation of the sample of the weights, over the root of the output's scale.
+    /// Number of samples of each output.
+    pub samples: usize,
+    /// Deviations of the samples of the weights, over the root of the output's scale; by sample, output, feature.
     pub deviation: Vec<f64>,
     /// Sum of the normalised squared errors of each output, and their number.
     pub squares: Vec<f64>,
@@ -38,22 +40,26 @@ pub struct Regression {
     /// `P phi` of the last point.
     gain: Vec<f64>,
     nu: f64,
+    /// Noise of the last point.
+    noise: f64,
 }
 
 impl Regression {
     /// The prior.
-    pub fn new(len: usize, outputs: usize, lambda: f64) -> Self {
+    pub fn new(len: usize, outputs: usize, samples: usize, lambda: f64) -> Self {
         let mut regression = Self {
             len,
             outputs,
             lambda,
             covariance: vec![0.0; packed(len)],
             weights: vec![0.0; len * outputs],
-            deviation: vec![0.0; len * outputs],
+            samples,
+            deviation: vec![0.0; len * outputs * samples],
             squares: vec![0.0; outputs],
             count: 0.0,
             gain: vec![0.0; len],
             nu: 1.0,
+            noise: lambda,
         };
         for r in 0..len {
             regression.covariance[packed(r) + r] = 1.0;
@@ -90,9 +96,16 @@ impl Regression {
         self.scale(output) > 1e-9
     }
 
+    /// What is observed counts less from now on, until the next point: its noise is larger by the factor `noisier`.
+    pub fn discount(&mut self, noisier: f64) {
+        self.nu += (noisier - 1.0) * self.lambda;
+        self.noise = noisier * self.lambda;
+    }
+
     /// Prepares an update with `phi`: the gain, and the returned `nu`, by which `scale` is the predictive variance.
     pub fn prepare(&mut self, phi: &[f64]) -> f64 {
         multiply_symmetric(&self.covariance, phi, &mut self.gain);
+        self.noise = self.lambda;
         self.nu = self.lambda + dot(phi, &self.gain).max(0.0);
         self.nu
     }
@@ -104,10 +117,11 @@ impl Regression {
         for (j, error) in errors.iter().enumerate() {
             let w = &mut self.weights[j * self.len..(j + 1) * self.len];
             add_scaled(w, error / nu, &self.gain);
-            let deviation = &mut self.deviation[j * self.len..(j + 1) * self.len];
-            let apart = dot(deviation, phi) + self.lambda.sqrt() * normal();
-            add_scaled(deviation, -apart / nu, &self.gain);
             self.squares[j] += error * error / nu;
+        }
+        for deviation in self.deviation.chunks_exact_mut(self.len) {
+            let apart = dot(deviation, phi) + self.noise.sqrt() * normal();
+            add_scaled(deviation, -apart / nu, &self.gain);
         }
         self.count += 1.0;
         add_outer(&mut self.covariance, -1.0 / nu, &self.gain);

@@ -31,7 +31,7 @@ fn gradients_of_the_evidence_match_differences() {
     let mut evidence = Evidence::new(&layout, 20, 2);
     for _ in 0..20 {
         let q: Vec<f64> = (0..5).map(|_| 0.6 * normal(&mut rng)).collect();
-        evidence.push(&q, &[q[0] * q[1], q[2] + 0.1 * normal(&mut rng)]);
+        evidence.push(&q, &[q[0] * q[1], q[2] + 0.1 * normal(&mut rng)], 1.0 + q[3] * q[3]);
     }
     evidence.check_gradient(&layout);
 }
@@ -44,7 +44,7 @@ fn derivatives_of_a_model_match_differences() {
     for outputs in [1, 3] {
         let mut model = Weighted::new(&layout, &features, outputs);
         let weights: Vec<f64> = (0..outputs * features.len).map(|_| normal(&mut rng)).collect();
-        let mut posterior = Regression::new(features.len, outputs, 1e-3);
+        let mut posterior = Regression::new(features.len, outputs, 1, 1e-3);
         posterior.weights.copy_from_slice(&weights);
         model.take(&layout, &features, &posterior, 0.5);
         let q = [0.3, -0.7, 0.9, -0.2, 0.5];
@@ -91,7 +91,7 @@ fn recursion_gives_what_the_normal_equations_give() {
     use super::linalg::{add_outer, add_scaled, cholesky, invert, packed, solve_lower, solve_lower_transposed};
     let (len, lambda) = (13, 1e-3);
     let mut rng = stream(3, "test");
-    let mut regression = Regression::new(len, 1, lambda);
+    let mut regression = Regression::new(len, 1, 1, lambda);
     let mut matrix = vec![0.0; packed(len)];
     for r in 0..len {
         matrix[packed(r) + r] = lambda;
@@ -182,7 +182,7 @@ fn the_evidence_is_that_of_a_dense_computation() {
     for _ in 0..n {
         let q: Vec<f64> = (0..5).map(|_| 0.6 * normal(&mut rng)).collect();
         let y = [q[0] * q[1] + 0.2, q[2] + 0.1 * normal(&mut rng)];
-        evidence.push(&q, &y);
+        evidence.push(&q, &y, 1.0);
         targets[0].push(y[0]);
         targets[1].push(y[1]);
         points.push(q);

@@ -61,6 +61,22 @@ impl Weighted {
                 self.weights[at + k] = w * features.amplitudes[k];
             }
         }
+        self.take_nodes(layout, features);
+    }
+
+    /// Takes how the samples but the first differ from the mean, each as an output. The posterior has one output.
+    pub fn take_spread(&mut self, layout: &Layout, features: &ModelFeatures, posterior: &Regression) {
+        let root = posterior.scale(0).sqrt();
+        let samples = posterior.deviation.chunks_exact(self.len).skip(1);
+        for (to, sample) in self.weights.chunks_exact_mut(self.len).zip(samples) {
+            for ((to, w), amplitude) in to.iter_mut().zip(sample).zip(&features.amplitudes) {
+                *to = root * w * amplitude;
+            }
+        }
+        self.take_nodes(layout, features);
+    }
+
+    fn take_nodes(&mut self, layout: &Layout, features: &ModelFeatures) {
         let products = features.parts(layout).products;
         for (k, node) in features.nodes.iter().enumerate() {
             for j in 0..self.outputs {
@@ -73,12 +89,17 @@ impl Weighted {
     /// The values of all outputs at `q`.
     pub fn value(&mut self, layout: &Layout, features: &ModelFeatures, q: &[f64], out: &mut [f64]) {
         self.basis.evaluate(layout, features, q);
-        self.value_of_basis(layout, features, out);
+        self.value_of(&self.basis, layout, features, out);
     }
 
-    fn value_of_basis(&self, layout: &Layout, features: &ModelFeatures, out: &mut [f64]) {
+    /// The values of all outputs, of these weights, at the last point of `other`, which has the same features.
+    pub fn value_beside(&self, other: &Self, layout: &Layout, features: &ModelFeatures, out: &mut [f64]) {
+        self.value_of(&other.basis, layout, features, out);
+    }
+
+    fn value_of(&self, basis: &BasisValues, layout: &Layout, features: &ModelFeatures, out: &mut [f64]) {
         let parts = features.parts(layout);
-        let (basis, pairs) = (&self.basis, features.pairs);
+        let pairs = features.pairs;
         for (j, y) in out.iter_mut().enumerate() {
             let w = &self.weights[j * self.len..(j + 1) * self.len];
             let mut sum = w[0] + dot(&w[1..parts.squares], &basis.e);

@@ -8,6 +8,7 @@
 //!
 //! Where a prediction is clamped, derivatives are those without the clamp, so that a plan can leave a stop.
 
+use super::dynamics::Dynamics;
 use super::layout::Places;
 use super::linalg::{add_scaled, clip_to_concave};
 use super::model::{MAX_MODEL_OUTPUTS, Model};
@@ -15,6 +16,13 @@ use crate::MAX_INPUTS;
 
 /// Changes are in units of this part of half of the range.
 pub const CHANGE: f64 = 0.3;
+
+/// The part of a predicted reward beyond the best one that counts where the model is not certain.
+const PROMISED: f64 = 0.05;
+/// Standard deviations by which what is certain is less than what is predicted.
+const DEVIATIONS: f64 = 3.0;
+/// Rewards beyond the best by so many standard deviations count no more than this.
+const BEYOND: f64 = 5.0;
 
 /// A world with expansions of second order.
 pub trait World {
@@ -90,17 +98,33 @@ pub struct LearnedWorld<'a> {
     /// The parts of `q`.
     pub places: Places,
     /// Changes of inputs.
-    pub dynamics: &'a mut Model,
+    pub dynamics: &'a mut Dynamics,
     /// Rewards.
     pub reward: &'a mut Model,
     /// Whether rewards depend on what comes after the tick.
     pub after: bool,
-    /// Largest reward that is believed, in the model's units.
-    pub cap: f64,
+    /// The largest reward that was seen, in the model's units. What is predicted beyond it counts for a part only, and
+    /// up to an end: it may be a promise of a model that knows nothing there.
+    pub best: f64,
     /// What is known of the inputs.
     pub ranges: &'a Ranges,
     /// Scratch memory.
     pub scratch: &'a mut WorldScratch,
+}
+
+/// A reward as it counts, and its slope, if the model predicts `reward` at the last point of its planner's function.
+/// Beyond the `best` reward that was seen, what is certain counts, less three standard deviations, and else a small part: it
+/// may be the promise of a model that knows nothing there.
+fn believed(model: &Model, reward: f64, best: f64) -> (f64, f64) {
+    if reward <= best {
+        return (reward, 1.0);
+    }
+    let beyond = (reward - best).min(BEYOND);
+    let certain = beyond - DEVIATIONS * model.variance().sqrt();
+    match certain {
+        ..0.0 => (best + PROMISED * beyond, PROMISED),
+        _ => (best + PROMISED * beyond + (1.0 - PROMISED) * certain, 1.0),
+    }
 }
 
 impl LearnedWorld<'_> {
@@ -120,8 +144,7 @@ impl LearnedWorld<'_> {
     /// The Jacobian of the changes at `q`, into the scratch memory.
     pub fn dynamics_jacobian(&mut self, q: &[f64]) {
         let mut d = [0.0; MAX_MODEL_OUTPUTS];
-        let Model { layout, fit, weighted, .. } = &mut *self.dynamics;
-        weighted.jacobian(layout, &fit.features, q, &mut d[..self.places.inputs], &mut self.scratch.dynamics);
+        self.dynamics.jacobian(q, &mut d[..self.places.inputs], &mut self.scratch.dynamics);
     }
 
     /// The reward of a point, as if it were before or after the tick, whichever the model looks at.
@@ -129,7 +152,7 @@ impl LearnedWorld<'_> {
         let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let mut reward = [0.0];
         weighted.value(layout, &fit.features, q, &mut reward);
-        reward[0].min(self.cap)
+        believed(self.reward, reward[0], self.best).0
     }
 
     /// The point at which the reward model looks.
@@ -146,21 +169,19 @@ impl World for LearnedWorld<'_> {
     fn step(&mut self, q: &[f64], next: &mut [f64]) -> f64 {
         let n = self.places.inputs;
         let mut d = [0.0; MAX_MODEL_OUTPUTS];
-        let Model { layout, fit, weighted, .. } = &mut *self.dynamics;
-        weighted.value(layout, &fit.features, q, &mut d[..n]);
+        self.dynamics.value(q, &mut d[..n]);
         self.advance(q, &d[..n], next);
         self.look(q, next);
         let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let mut reward = [0.0];
         weighted.value(layout, &fit.features, &self.scratch.after, &mut reward);
-        reward[0].min(self.cap)
+        believed(self.reward, reward[0], self.best).0
     }
 
     fn expand(&mut self, q: &[f64], jacobian: &mut [f64], gradient: &mut [f64], hessian: &mut [f64]) {
         let (n, m, width) = (self.places.inputs, self.places.commands, self.places.len());
         let mut d = [0.0; MAX_INPUTS];
-        let Model { layout, fit, weighted, .. } = &mut *self.dynamics;
-        weighted.jacobian(layout, &fit.features, q, &mut d[..n], &mut self.scratch.dynamics);
+        self.dynamics.jacobian(q, &mut d[..n], &mut self.scratch.dynamics);
         jacobian.fill(0.0);
         for i in 0..n {
             let row = &self.scratch.dynamics[i * width..(i + 1) * width];
@@ -199,12 +220,17 @@ impl LearnedWorld<'_> {
         let small = &mut small[..order * order];
         let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let value = weighted.hessian(layout, &fit.features, after, active, by_look, small);
+        let slope = believed(self.reward, value, self.best).1;
         gradient.fill(0.0);
         hessian.fill(0.0);
-        if value > self.cap {
+        if slope == 0.0 {
             return;
         }
         clip_to_concave(small, order, copy, vectors);
+        if slope != 1.0 {
+            small.iter_mut().for_each(|x| *x *= slope);
+            by_look.iter_mut().for_each(|x| *x *= slope);
+        }
         if !self.after {
             gradient.copy_from_slice(by_look);
             for (r, &row) in active.iter().enumerate() {

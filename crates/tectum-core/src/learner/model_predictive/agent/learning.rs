@@ -1,11 +1,20 @@
 //! Learning from a tick: which of its values are believed, what they teach the models, and when these are fitted anew.
 
-use super::super::belief::{Belief, BeliefVerdict};
+use super::super::belief::BeliefVerdict;
 use super::super::memory::{ChangeData, Data, Entry, Lesson, RewardData};
-use super::super::model::Model;
-use super::super::world::CHANGE;
+use super::super::model::{CONTACT, Model};
+use super::super::world::{CHANGE, Ranges};
 use super::ModelPredictive;
 use crate::MAX_INPUTS;
+
+/// A reward is judged so many ticks after it came: by then it is known whether a target or an episode began near it.
+const WAIT: u64 = 3;
+/// Squared errors from here on, in predictive variances, are strange near a new target or a new start.
+const STRANGE: f64 = 9.0;
+/// Where fewer of the ticks than this part begin with a new target, all rewards near one are left out.
+const RARE: f64 = 0.1;
+/// So many strange rewards in a row are left out at most.
+const MOST_STRANGE: u32 = 12;
 
 impl ModelPredictive {
     /// Learns from the last tick.
@@ -18,31 +27,69 @@ impl ModelPredictive {
         self.after.copy_from_slice(&self.before);
         self.after[..2 * n].copy_from_slice(&self.state[..2 * n]);
         let mut alarm = false;
+        lesson.contact = self.touches() || (self.memory.stored > 0 && self.memory.contact(self.memory.stored - 1));
         for i in 0..n {
             self.judge_input(i, changes[i], &mut lesson);
-            alarm |= self.beliefs[i].alarmed(12.0);
+            self.dynamics.moving |= if self.beliefs[i].usual > 1e-9 { 1 << i } else { 0 };
         }
-        if self.frozen {
-            return;
-        }
-        self.budget.spent += self.dynamics.fit.regression.cost();
+        self.budget.spent += self.dynamics.cost();
         self.budget.spent += self.rewards.iter().map(|model| model.fit.regression.cost()).sum::<u64>();
         self.dynamics.learn(&changes[..n], lesson, &mut self.rng);
+        for i in 0..n {
+            if self.beliefs[i].alarmed(12.0) {
+                self.dynamics.doubt(i);
+                self.beliefs[i].calm();
+                alarm = true;
+            }
+        }
         if alarm {
-            self.dynamics.fit.regression.doubt(10.0, 3.0);
-            self.beliefs.iter_mut().for_each(Belief::calm);
             self.alarm();
         }
-        let rewarded = self.reward.is_finite() && self.learn_reward();
         let entry = Entry {
             before: &self.before,
             after: &self.after,
             changes: &changes[..n],
-            reward: if self.reward.is_finite() { self.reward } else { 0.0 },
+            reward: self.reward,
             lesson,
-            rewarded,
+            tick: self.tick,
+            boundary: self.boundary || self.tick <= self.began + 2,
         };
         self.memory.push(&entry);
+        self.boundary_rate += 0.02 * (f64::from(u8::from(self.boundary)) - self.boundary_rate);
+        if self.judged + WAIT < self.memory.stored {
+            let tick = self.judged;
+            self.judged += 1;
+            if self.memory.reward(tick).is_finite() && self.learn_reward(tick) {
+                self.memory.set_rewarded(tick, true);
+            }
+        }
+    }
+
+    /// Takes jumps for what they are, as [`learn`](Self::learn) does, without learning.
+    pub(super) fn watch(&mut self) {
+        if !self.teaches {
+            return;
+        }
+        let n = self.places.inputs;
+        self.dynamics.observe(&self.before);
+        for i in 0..n {
+            let change = self.state[n + i];
+            let error = self.dynamics.error(i, change);
+            if self.beliefs[i].is_wild(self.dynamics.surprise(i, change), error) {
+                self.state[n + i] = if self.boundary { 0.0 } else { self.dynamics.predicted(i) };
+            }
+        }
+    }
+
+    /// Whether an input is at an end of its range.
+    fn at_end(&self, i: usize) -> bool {
+        let (z, Ranges { wraps, low, high }) = (self.state[i], &self.ranges);
+        !wraps[i] && (z >= high[i] - 1e-6 || z <= low[i] + 1e-6)
+    }
+
+    /// Whether an input that moves is at an end of its range.
+    fn touches(&self) -> bool {
+        (0..self.places.inputs).any(|i| self.dynamics.moves(i) && self.at_end(i))
     }
 
     /// Judges the change of an input: what it teaches, and what is believed of the next tick and of the state.
@@ -50,21 +97,19 @@ impl ModelPredictive {
         let n = self.places.inputs;
         let bit = 1 << i;
         let z = self.state[i];
-        if !self.ranges.wraps[i] {
-            lesson.upper_end |= if z >= self.ranges.high[i] - 1e-6 { bit } else { 0 };
-            lesson.lower_end |= if z <= self.ranges.low[i] + 1e-6 { bit } else { 0 };
-        }
+        lesson.upper_end |= if self.at_end(i) && z > 0.0 { bit } else { 0 };
+        lesson.lower_end |= if self.at_end(i) && z < 0.0 { bit } else { 0 };
         let error = lesson.heed(i, self.dynamics.error(i, change));
         let surprise = if error == 0.0 { 0.0 } else { self.dynamics.surprise(i, change) };
-        let predicted = self.dynamics.predicted[i];
+        let surprise = if lesson.contact { surprise / CONTACT } else { surprise };
+        let predicted = self.dynamics.predicted(i);
         let outlier = if self.boundary {
             // Neither a jump nor a new start is a movement.
             lesson.missing |= bit;
             self.beliefs[i].is_wild(surprise, error)
         } else {
-            match self.beliefs[i].judge(surprise, error, change, 0.2) {
+            match self.beliefs[i].judge(surprise, error, change, 0.1) {
                 BeliefVerdict::Believed => false,
-                BeliefVerdict::Both if self.frozen => false,
                 BeliefVerdict::Both => {
                     *self.memory.missing(self.memory.stored - 1) &= !bit;
                     false
@@ -92,38 +137,53 @@ impl ModelPredictive {
         self.next_refit = self.next_refit.min(self.tick + 40);
     }
 
-    /// Learns the reward of the last tick. Returns whether it was believed.
-    fn learn_reward(&mut self) -> bool {
-        let reward = self.reward;
-        if self.memory.stored == 0 {
+    /// Learns the reward that came with a tick of the memory. Returns whether it was believed.
+    fn learn_reward(&mut self, tick: u64) -> bool {
+        let reward = self.memory.reward(tick);
+        if self.learned_rewards == 0 {
+            // What comes first may belong to a tick before the run.
+            if tick < WAIT {
+                return false;
+            }
             for model in &mut self.rewards {
                 model.fit.center = reward;
             }
         }
         let mut surprises = [0.0; 2];
         for (k, model) in self.rewards.iter_mut().enumerate() {
-            model.observe(if k == 0 { &self.before } else { &self.after });
+            let Some(point) = self.memory.rewarded_point(tick, self.shift, k == 1) else { return false };
+            model.observe(point);
             surprises[k] = model.surprise(0, reward);
         }
         let better = self.better();
         let model = &self.rewards[better];
         let error = model.error(0, reward) * model.fit.scale;
+        // A reward near a new target or a new start may belong to the one before, or to one that is not seen yet.
+        if self.memory.near_boundary(tick, WAIT) {
+            let strange = surprises[better] >= STRANGE && self.strange < MOST_STRANGE;
+            self.strange = if strange { self.strange + 1 } else { 0 };
+            if strange || self.boundary_rate < RARE {
+                return false;
+            }
+        }
         let change = reward - self.last_reward;
         let verdict = self.reward_belief.judge(surprises[better], error, change, 0.1);
+        self.last_reward = reward;
         if verdict == BeliefVerdict::Outlier {
             self.counts.reward_outliers += 1;
             return false;
         }
         if verdict == BeliefVerdict::Both {
-            self.memory.set_rewarded(self.memory.stored - 1, true);
+            self.memory.set_rewarded(tick - 1, true);
         }
+        self.learned_rewards += 1;
         self.best = self.best.max(reward);
         self.worst = self.worst.min(reward);
         let alarm = self.reward_belief.alarmed(14.0);
         for (k, model) in self.rewards.iter_mut().enumerate() {
             let spread = model.nu * model.fit.regression.scale(0) * model.fit.scale * model.fit.scale;
             let score = -0.5 * (surprises[k].min(100.0) + libm::log(spread));
-            self.scores[k] += 0.01_f64.max(1.0 / (self.tick as f64)) * (score - self.scores[k]);
+            self.scores[k] += 0.01_f64.max(1.0 / self.learned_rewards as f64) * (score - self.scores[k]);
             model.learn(&[reward], Lesson::default(), &mut self.rng);
             if alarm {
                 model.fit.regression.doubt(5.0, 2.0);
@@ -143,9 +203,20 @@ impl ModelPredictive {
 
     /// Works on refits.
     pub(super) fn refit(&mut self) {
-        if self.tick >= self.next_refit && !self.dynamics.refit.busy() && !self.rewards.iter().any(|r| r.refit.busy()) {
+        if self.tick >= self.next_refit && !self.dynamics.busy() && !self.rewards.iter().any(|r| r.refit.busy()) {
+            let layout = &self.rewards[1].layout;
+            let Some(shift) = self.alignment.weigh(layout, &self.memory, self.shift, self.config.noise_floor) else {
+                return;
+            };
+            if shift != self.shift {
+                self.shift = shift;
+                self.reward_belief.calm();
+                self.scores = [0.0; 2];
+                let rng = &mut self.rng;
+                self.rewards.iter_mut().for_each(|model| model.forget(rng));
+            }
             self.forget_another_world();
-            self.dynamics.refit.begin();
+            self.dynamics.begin();
             // The reward model that predicts much worse is fitted anew in every third refit only.
             let clear = (self.scores[1] - self.scores[0]).abs() > 0.5;
             for (k, model) in self.rewards.iter_mut().enumerate() {
@@ -158,11 +229,11 @@ impl ModelPredictive {
         }
         let mut left = self.budget.for_refits((self.config.refit_operations * 1e6) as u64);
         let better = self.better();
-        let (used, _) = self.dynamics.work(&ChangeData(&self.memory), left, &mut self.rng);
+        let used = self.dynamics.work(&self.memory, left, &mut self.rng);
         self.budget.spent += used;
         left = left.saturating_sub(used);
         for k in [better, 1 - better] {
-            let data = RewardData { memory: &self.memory, after: k == 1 };
+            let data = RewardData { memory: &self.memory, after: k == 1, shift: self.shift };
             let (used, _) = self.rewards[k].work(&data, left, &mut self.rng);
             self.budget.spent += used;
             left = left.saturating_sub(used);
@@ -178,14 +249,18 @@ impl ModelPredictive {
         }
         let better = self.better();
         let memory = &self.memory;
-        let rewards = RewardData { memory, after: better == 1 };
+        let rewards = RewardData { memory, after: better == 1, shift: self.shift };
         let q = &mut self.after;
         let mut another = |model: &mut Model, data: &dyn Data| {
             let new = model.unexplained(data, change, end, q).unwrap_or(1.0);
             let old = model.unexplained(data, first, change, q).unwrap_or(0.0);
             new < 0.1 && old > 0.3
         };
-        if another(&mut self.dynamics, &ChangeData(memory)) | another(&mut self.rewards[better], &rewards) {
+        let mut changed = another(&mut self.rewards[better], &rewards);
+        for (input, model) in self.dynamics.models.iter_mut().enumerate() {
+            changed |= self.dynamics.moving & (1 << input) != 0 && another(model, &ChangeData { memory, input });
+        }
+        if changed {
             self.memory.first = change;
             self.counts.worlds += 1;
         }

@@ -26,6 +26,12 @@ impl Persist for ModelPredictive {
         let mut numbers = [self.reward, self.last_reward, self.best, self.worst];
         visitor.numbers("rewards", &mut numbers);
         [self.reward, self.last_reward, self.best, self.worst] = numbers;
+        let mut numbers = [self.began, self.judged, self.learned_rewards, self.shift];
+        visitor.numbers("reward_ticks", &mut numbers);
+        [self.began, self.judged, self.learned_rewards, self.shift] = numbers;
+        visitor.nested("alignment", &mut self.alignment);
+        visitor.number("boundary_rate", &mut self.boundary_rate);
+        visitor.number("strange", &mut self.strange);
         visitor.boolean("teaches", &mut self.teaches);
         visitor.boolean("boundary", &mut self.boundary);
         visitor.boolean("planned", &mut self.planned);

@@ -1,0 +1,101 @@
+//! The plan of the next tick: the old one, some steps better, or a rival.
+
+use super::super::operations::{OperationBudget, StepCost};
+use super::super::planner::{CommandPlan, Planner};
+use super::super::rivals;
+use super::super::world::{LearnedWorld, World as _};
+use super::ModelPredictive;
+
+impl ModelPredictive {
+    /// Makes the plan for the state after the command that has just gone out.
+    pub(super) fn make_plan(&mut self) {
+        let (nx, m) = (self.places.state(), self.places.commands);
+        let (better, moving) = (self.better(), self.dynamics.moving);
+        self.find_active();
+        let sampled = if self.frozen { 0.0 } else { self.config.sampled };
+        self.dynamics.take(sampled);
+        let reward = &mut self.rewards[better];
+        reward.take(sampled);
+        let best = (self.best - reward.fit.center) / reward.fit.scale;
+        let aim = (self.best - reward.fit.center) / reward.fit.scale * self.plan.horizon as f64;
+        self.budget.cost = StepCost::of(self.places, &self.dynamics, reward, self.scratch.active.len());
+        let mut world = LearnedWorld {
+            places: self.places,
+            dynamics: &mut self.dynamics,
+            reward,
+            after: better == 1,
+            best,
+            ranges: &self.ranges,
+            scratch: &mut self.scratch,
+        };
+        // The state after the command that has just gone out.
+        self.after[..nx].copy_from_slice(&self.state);
+        self.after[nx..].copy_from_slice(&self.command[..m]);
+        world.step(&self.after, &mut self.start);
+        self.plan.shift();
+        let began = self.planner.work;
+        self.planner.roll_out(&mut world, &mut self.plan, &self.start);
+        for _ in 0..self.config.iterations {
+            self.planner.improve(&mut world, &mut self.plan);
+        }
+        self.budget.spend_work(began, self.planner.work);
+        for _ in 0..self.rivals {
+            if !self.budget.has_iteration(self.plan.horizon) {
+                break;
+            }
+            self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
+            rivals::draw(
+                self.rival_kind,
+                &mut self.rng,
+                &mut world,
+                (&self.memory, moving),
+                &self.plan,
+                &mut self.rival,
+            );
+            work_on_rival(
+                (&mut self.planner, &mut self.budget),
+                &mut world,
+                (&mut self.rival, &self.start),
+                self.config.rival_iterations,
+            );
+            let gap = (aim - self.plan.value).max(0.0);
+            if self.rival.value > self.plan.value + self.config.rival_gain * gap + 1e-9 {
+                self.counts.rivals += 1;
+                self.plan.copy_from(&self.rival);
+            }
+        }
+        self.planned = true;
+        self.counts.plans += 1;
+    }
+
+    /// The places over which the reward's Hessian is taken: inputs that move, their changes, and the commands.
+    fn find_active(&mut self) {
+        let (n, m) = (self.places.inputs, self.places.commands);
+        self.scratch.active.clear();
+        for i in (0..n).filter(|&i| self.dynamics.moves(i)) {
+            self.scratch.active.extend([i, n + i]);
+        }
+        self.scratch.active.sort_unstable();
+        self.scratch.active.extend((0..m).map(|j| self.places.command(j, 0)));
+    }
+}
+
+/// Improves a rival from `start`, as far as the budget goes.
+fn work_on_rival(
+    (planner, budget): (&mut Planner, &mut OperationBudget),
+    world: &mut LearnedWorld,
+    (rival, start): (&mut CommandPlan, &[f64]),
+    iterations: usize,
+) {
+    let mut began = planner.work;
+    planner.roll_out(world, rival, start);
+    for _ in 0..iterations {
+        budget.spend_work(began, planner.work);
+        began = planner.work;
+        if !budget.has_iteration(rival.horizon) {
+            break;
+        }
+        planner.improve(world, rival);
+    }
+    budget.spend_work(began, planner.work);
+}

@@ -1,0 +1,152 @@
+//! The models of movement: one for each input, with its own scales, noise and covariance, so that an input that is hard
+//! to predict, or stands at a stop, leaves the others as they are.
+//!
+//! An input that has not moved yet, as a target between two jumps, has no work: it is predicted to stay.
+
+use super::config::ModelPredictiveSpec;
+use super::layout::Places;
+use super::layouts::dynamics_layout;
+use super::memory::{ChangeData, Lesson, Memory};
+use super::model::{Model, ModelSize};
+use super::refit::RefitSettings;
+use crate::seed::Rng;
+use crate::state::{Persist, StateVisitor};
+
+/// Changes up to this size of an input that never moved are rounding.
+const STILL: f64 = 1e-6;
+
+/// The models of movement.
+#[derive(Debug, Clone)]
+pub struct Dynamics {
+    /// One for each input.
+    pub models: Vec<Model>,
+    /// The inputs (bits) that have moved.
+    pub moving: u32,
+    width: usize,
+}
+
+impl Dynamics {
+    /// Models that know nothing.
+    pub fn new(spec: &ModelPredictiveSpec, places: Places, settings: RefitSettings, rng: &mut Rng) -> Self {
+        let layout = dynamics_layout(places, &spec.inputs);
+        let config = &spec.config;
+        let size = ModelSize::within(&layout, 1, config.dynamics_products, config.dynamics_features);
+        let models = (0..places.inputs).map(|_| Model::new(layout.clone(), size, settings, rng)).collect();
+        Self { models, moving: 0, width: places.len() }
+    }
+
+    /// Whether input `i` has moved.
+    pub fn moves(&self, i: usize) -> bool {
+        self.moving & (1 << i) != 0
+    }
+
+    /// The models of the inputs that have moved.
+    fn movers(&mut self) -> impl Iterator<Item = (usize, &mut Model)> {
+        let moving = self.moving;
+        self.models.iter_mut().enumerate().filter(move |(i, _)| moving & (1 << i) != 0)
+    }
+
+    /// Predicts at `q` and prepares to learn there.
+    pub fn observe(&mut self, q: &[f64]) {
+        self.movers().for_each(|(_, model)| model.observe(q));
+    }
+
+    /// The predicted change of an input.
+    pub fn predicted(&self, i: usize) -> f64 {
+        if self.moves(i) { self.models[i].predicted[0] } else { 0.0 }
+    }
+
+    /// An observed change less its prediction.
+    pub fn error(&self, i: usize, change: f64) -> f64 {
+        change - self.predicted(i)
+    }
+
+    /// The squared error in predictive variances.
+    pub fn surprise(&self, i: usize, change: f64) -> f64 {
+        match self.moves(i) {
+            true => self.models[i].surprise(0, change),
+            false if change.abs() <= STILL => 0.0,
+            false => 1e6,
+        }
+    }
+
+    /// Learns the changes at the point that was observed.
+    pub fn learn(&mut self, changes: &[f64], lesson: Lesson, rng: &mut Rng) {
+        let teaches = |i: usize| (lesson.missing | lesson.upper_end | lesson.lower_end) & (1 << i) == 0;
+        for (i, model) in self.movers().filter(|(i, _)| teaches(*i)) {
+            model.learn(&changes[i..=i], Lesson { contact: lesson.contact, ..Lesson::default() }, rng);
+        }
+    }
+
+    /// Operations of learning from a tick.
+    pub fn cost(&self) -> u64 {
+        self.moving_models().map(|model| model.fit.regression.cost()).sum()
+    }
+
+    /// The models of the inputs that have moved.
+    pub fn moving_models(&self) -> impl Iterator<Item = &Model> {
+        self.models.iter().enumerate().filter(|(i, _)| self.moves(*i)).map(|(_, model)| model)
+    }
+
+    /// The planner's functions from now on.
+    pub fn take(&mut self, part: f64) {
+        self.movers().for_each(|(_, model)| model.take(part));
+    }
+
+    /// Writes the changes at `q`.
+    pub fn value(&mut self, q: &[f64], d: &mut [f64]) {
+        d.fill(0.0);
+        for (i, Model { layout, fit, weighted, .. }) in self.movers() {
+            weighted.value(layout, &fit.features, q, &mut d[i..=i]);
+        }
+    }
+
+    /// Writes the changes and their Jacobian, in rows of `q`'s length.
+    pub fn jacobian(&mut self, q: &[f64], d: &mut [f64], jacobian: &mut [f64]) {
+        d.fill(0.0);
+        jacobian.fill(0.0);
+        let width = self.width;
+        for (i, Model { layout, fit, weighted, .. }) in self.movers() {
+            let row = &mut jacobian[i * width..(i + 1) * width];
+            weighted.jacobian(layout, &fit.features, q, &mut d[i..=i], row);
+        }
+    }
+
+    /// Whether a refit is under way.
+    pub fn busy(&self) -> bool {
+        self.models.iter().any(|model| model.refit.busy())
+    }
+
+    /// Begins refits.
+    pub fn begin(&mut self) {
+        self.movers().for_each(|(_, model)| model.refit.begin());
+    }
+
+    /// Whether all models have been fitted at least once.
+    pub fn fitted(&mut self) -> bool {
+        self.moving != 0 && self.movers().all(|(_, model)| model.refit.completed > 0)
+    }
+
+    /// Works on refits. Returns the operations that it took.
+    pub fn work(&mut self, memory: &Memory, operations: u64, rng: &mut Rng) -> u64 {
+        let mut done = 0;
+        for (i, model) in self.movers() {
+            done += model.work(&ChangeData { memory, input: i }, operations.saturating_sub(done), rng).0;
+        }
+        done
+    }
+
+    /// Makes an input's model less certain.
+    pub fn doubt(&mut self, i: usize) {
+        self.models[i].fit.regression.doubt(10.0, 3.0);
+    }
+}
+
+impl Persist for Dynamics {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.number("moving", &mut self.moving);
+        for model in &mut self.models {
+            visitor.nested("input", model);
+        }
+    }
+}
