@@ -173,7 +173,8 @@ impl<A: Agent> Controller<A> {
         let percept = Percept { tick, inputs, age: self.age, flags: observation.header.flags };
         mean.fill(f32::NAN);
         self.agent.act(&percept, &mut Answer { command: drawn, mean });
-        if !(finite(mean) && finite(drawn)) && !take_for_mean(mean, drawn) {
+        let sound = finite(mean) && finite(drawn) || take_for_mean(mean, drawn);
+        if !sound {
             mean.fill(0.0);
             drawn.fill(0.0);
             (self.answered, self.acted) = (None, false);
