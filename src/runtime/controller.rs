@@ -168,7 +168,8 @@ impl<A: Agent> Controller<A> {
         let percept = Percept { tick, inputs, age: self.age, flags: observation.header.flags };
         mean.fill(f32::NAN);
         self.agent.act(&percept, &mut Answer { command: drawn, mean });
-        if !(finite(&command.mean) && finite(&command.drawn)) && !take_for_mean(command, self.outputs) {
+        let sound = finite(&command.mean) && finite(&command.drawn) || take_for_mean(command, self.outputs);
+        if !sound {
             (command.mean, command.drawn) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
             (self.answered, self.acted) = (None, false);
             self.flags |= flag::DIVERGED;
