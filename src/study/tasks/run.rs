@@ -69,9 +69,9 @@ fn test(
     let (inputs, outputs) = (plan.inputs.len(), plan.outputs.len());
     let mut agent = FrozenAgent::of(controller.agent(), plan);
     let control = |view: &TestView| {
-        let TestView { observation, fresh, .. } = view;
+        let observation = view.observation;
         let (inputs, applied) = (&observation.inputs[..inputs], &observation.applied[..outputs]);
-        agent.command(&TestPercept { inputs, applied, new_target: *fresh })
+        agent.command(&TestPercept { inputs, applied, flags: observation.header.flags })
     };
     drive(task, changed, false, control, &|| go_on(0))
 }
