@@ -7,7 +7,7 @@
 
 use crate::agent::{Agent as _, Answer, Boundary, Experience, ModelPredictiveAgent, Percept, ShippedAgent};
 use crate::encoder::{Encoder, Features};
-use crate::plant::{Outcome, Plant};
+use crate::plant::{EpisodeEnd, Outcome, Plant};
 use crate::policy::{LinearPolicy, Outputs};
 use crate::runtime::Gate;
 use crate::scenario::Plan;
@@ -43,8 +43,8 @@ pub(crate) struct TestPercept<'a> {
     pub inputs: &'a [f32],
     /// The command that was applied in the tick before.
     pub applied: &'a [f32],
-    /// Whether a target or trial begins.
-    pub new_target: bool,
+    /// Flags of the observation: whether a target or an episode begins.
+    pub flags: u32,
 }
 
 /// What an agent knew at some instant: it answers without exploration noise, and learns nothing from the test.
@@ -80,14 +80,13 @@ impl FrozenAgent {
                 limited: false,
                 reward: 0.0,
                 next_inputs: seen.inputs,
-                boundary: if seen.new_target { Boundary::NewTarget } else { Boundary::None },
+                boundary: Boundary::of(seen.flags),
                 withheld: None,
             });
         }
         let (mut command, mut mean) = (Outputs::default(), Outputs::default());
         let outputs = seen.applied.len();
-        let flags = if seen.new_target { flag::NEW_TARGET } else { 0 };
-        let percept = Percept { tick, inputs: seen.inputs, age: 0, flags };
+        let percept = Percept { tick, inputs: seen.inputs, age: 0, flags: seen.flags };
         agent.act(&percept, &mut Answer { command: &mut command[..outputs], mean: &mut mean[..outputs] });
         agent.improve(1);
         command
@@ -102,8 +101,8 @@ pub(crate) struct Rollout<P> {
     inputs: [f32; MAX_INPUTS],
     /// The command applied last.
     applied: [f32; MAX_OUTPUTS],
-    /// Whether a target or trial begins with the inputs.
-    new_target: bool,
+    /// Flags of the inputs.
+    flags: u32,
     /// Number of inputs and outputs that the scenario uses.
     used: (usize, usize),
 }
@@ -119,7 +118,7 @@ impl<P: Plant> Rollout<P> {
     pub fn sensed(plant: P, plan: &Plan, inputs: [f32; MAX_INPUTS]) -> Self {
         let used = (plan.inputs.len(), plan.outputs.len());
         let gate = Gate::new(&plan.scenario.gate, used.1);
-        Self { plant, gate, inputs, applied: [0.0; MAX_OUTPUTS], new_target: true, used }
+        Self { plant, gate, inputs, applied: [0.0; MAX_OUTPUTS], flags: flag::NEW_TARGET, used }
     }
 
     /// The plant.
@@ -129,20 +128,18 @@ impl<P: Plant> Rollout<P> {
 
     /// Senses the plant at the beginning of `tick`. True if a new target (or trial) begins.
     pub fn sense(&mut self, tick: u64) -> bool {
-        self.new_target = self.plant.sense(tick, &mut self.inputs[..self.used.0]);
-        self.new_target
+        let new_target = self.plant.sense(tick, &mut self.inputs[..self.used.0]);
+        self.flags = if new_target { flag::NEW_TARGET } else { 0 };
+        self.flags |= self.plant.episode_end().map_or(0, EpisodeEnd::flag);
+        new_target
     }
 
     /// Answers the inputs that were sensed last with `control`, and applies its command in `tick`.
     pub fn advance(&mut self, tick: u64, mut control: impl FnMut(&TestPercept) -> Outputs) -> Outcome {
         let (inputs, outputs) = self.used;
         let mut command = [0.0; MAX_OUTPUTS];
-        let seen = TestPercept {
-            tick,
-            inputs: &self.inputs[..inputs],
-            applied: &self.applied[..outputs],
-            new_target: self.new_target,
-        };
+        let (sensed, applied) = (&self.inputs[..inputs], &self.applied[..outputs]);
+        let seen = TestPercept { tick, inputs: sensed, applied, flags: self.flags };
         command[..outputs].copy_from_slice(&control(&seen)[..outputs]);
         let ranges = self.gate.command_ranges(|| self.plant.joints());
         self.applied = self.gate.pass(Some(&command), ranges.as_ref()).command;

@@ -112,14 +112,14 @@ fn test_over_pipe(
 ) -> Result<Option<Score>, PipeError> {
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let (mut failed, mut stopped) = (None, false);
-    let score = condition.test.drive(|&TestPercept { tick, inputs, new_target, .. }| {
+    let score = condition.test.drive(|&TestPercept { tick, inputs, flags, .. }| {
         stopped |= !progress.report(0);
         if stopped || failed.is_some() {
             return Outputs::default();
         }
         // The test is another episode than the run. Its ticks continue those of the run, so that time never goes back.
         let first = if tick == 0 { flag::FIRST | flag::TRUNCATED } else { 0 };
-        observation.header.flags = first | if new_target { flag::NEW_TARGET } else { 0 };
+        observation.header.flags = first | flags & flag::NEW_TARGET;
         (observation.header.tick, observation.header.sequence) = (done + tick, done + tick);
         observation.inputs[..inputs.len()].copy_from_slice(inputs);
         failed = controller.ask(&observation, &mut command).err();

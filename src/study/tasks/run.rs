@@ -70,9 +70,10 @@ fn test(
     let mut agent = FrozenAgent::of(controller.agent(), plan);
     let mut ticks = 0..;
     let control = |view: &TestView| {
-        let TestView { observation, fresh, .. } = view;
+        let observation = view.observation;
         let (inputs, applied) = (&observation.inputs[..inputs], &observation.applied[..outputs]);
-        agent.command(&TestPercept { tick: ticks.next().unwrap_or_default(), inputs, applied, new_target: *fresh })
+        let (tick, flags) = (ticks.next().unwrap_or_default(), observation.header.flags);
+        agent.command(&TestPercept { tick, inputs, applied, flags })
     };
     drive(task, changed, false, control, &|| go_on(0))
 }
