@@ -6,8 +6,9 @@ use super::layout::{Layout, Places, Priors};
 /// First frequency of an input that may be an angle, for a range of [-1, 1].
 const FREQUENCY: f64 = 2.5;
 
-/// Adds the inputs as angles, with twice the angle where `doubled` is above 0, and then as numbers. Each input is a group of the products. What is known to be an angle
-/// is part of products as an angle alone; what may be one, mostly as a number.
+/// Adds the inputs as angles, with twice the angle where `doubled` is above 0 (as the inertia of linked bodies has it),
+/// and then as numbers. Each input is a group of the products. What is known to be an angle is part of products as an
+/// angle alone; what may be one, mostly as a number.
 fn inputs(layout: &mut Layout, ranges: &[InputRange], priors: Priors, wrapped: Priors, doubled: f64) {
     for (i, range) in ranges.iter().enumerate() {
         let known = range.radians.map(|radians| radians * 0.5 * (range.max - range.min));

@@ -10,8 +10,8 @@
 //! ```
 //!
 //! Besides the mean, samples of the posterior are carried along with the same gain, one for exploration, and others to
-//! tell how certain a prediction is: they see the outputs with noise drawn for them (Matheron's rule). What is kept is its deviation from the mean over `sqrt s_j`,
-//! `delta_j -= g (phiᵀ delta_j + sqrt lambda epsilon)`.
+//! tell how certain a prediction is: they see the outputs with noise drawn for them (Matheron's rule). What is kept is
+//! the deviation of each from the mean over `sqrt s_j`, `delta_j -= g (phiᵀ delta_j + sqrt lambda epsilon)`.
 
 use super::linalg::{add_outer, add_scaled, dot, multiply_symmetric, packed};
 use crate::state::{Persist, StateVisitor};

@@ -106,6 +106,8 @@ pub struct LearnedWorld<'a> {
     /// The largest reward that was seen, in the model's units. What is predicted beyond it counts for a part only, and
     /// up to an end: it may be a promise of a model that knows nothing there.
     pub best: f64,
+    /// Standard deviations by which a reward counts less where the model is not certain.
+    pub caution: f64,
     /// What is known of the inputs.
     pub ranges: &'a Ranges,
     /// Scratch memory.
@@ -113,9 +115,16 @@ pub struct LearnedWorld<'a> {
 }
 
 /// A reward as it counts, and its slope, if the model predicts `reward` at the last point of its planner's function.
-/// Beyond the `best` reward that was seen, what is certain counts, less three standard deviations, and else a small part: it
-/// may be the promise of a model that knows nothing there.
-fn believed(model: &Model, reward: f64, best: f64) -> (f64, f64) {
+/// Beyond the `best` reward that was seen, what is certain counts, less three standard deviations, and else a small part:
+/// it may be the promise of a model that knows nothing there.
+fn believed(model: &Model, reward: f64, best: f64, caution: f64) -> (f64, f64) {
+    let doubt = if caution > 0.0 { caution * model.variance().sqrt() } else { 0.0 };
+    let (value, slope) = promised(model, reward, best);
+    (value - doubt, slope)
+}
+
+/// The same without caution.
+fn promised(model: &Model, reward: f64, best: f64) -> (f64, f64) {
     if reward <= best {
         return (reward, 1.0);
     }
@@ -152,7 +161,7 @@ impl LearnedWorld<'_> {
         let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let mut reward = [0.0];
         weighted.value(layout, &fit.features, q, &mut reward);
-        believed(self.reward, reward[0], self.best).0
+        believed(self.reward, reward[0], self.best, self.caution).0
     }
 
     /// The point at which the reward model looks.
@@ -175,7 +184,7 @@ impl World for LearnedWorld<'_> {
         let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let mut reward = [0.0];
         weighted.value(layout, &fit.features, &self.scratch.after, &mut reward);
-        believed(self.reward, reward[0], self.best).0
+        believed(self.reward, reward[0], self.best, self.caution).0
     }
 
     fn expand(&mut self, q: &[f64], jacobian: &mut [f64], gradient: &mut [f64], hessian: &mut [f64]) {
@@ -220,17 +229,14 @@ impl LearnedWorld<'_> {
         let small = &mut small[..order * order];
         let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let value = weighted.hessian(layout, &fit.features, after, active, by_look, small);
-        let slope = believed(self.reward, value, self.best).1;
+        let slope = believed(self.reward, value, self.best, self.caution).1;
         gradient.fill(0.0);
         hessian.fill(0.0);
         if slope == 0.0 {
             return;
         }
         clip_to_concave(small, order, copy, vectors);
-        if slope != 1.0 {
-            small.iter_mut().for_each(|x| *x *= slope);
-            by_look.iter_mut().for_each(|x| *x *= slope);
-        }
+        small.iter_mut().chain(by_look.iter_mut()).for_each(|x| *x *= slope);
         if !self.after {
             gradient.copy_from_slice(by_look);
             for (r, &row) in active.iter().enumerate() {

@@ -6,6 +6,12 @@ use super::super::rivals;
 use super::super::world::{LearnedWorld, World as _};
 use super::ModelPredictive;
 
+/// Standard deviations by which a predicted reward counts less while learning: what a posture promises wrongly is found
+/// out there.
+const CAUTION: f64 = 1.0;
+/// The same without learning, where a wrong promise would hold for good.
+const CAUTION_AT_REST: f64 = 3.0;
+
 impl ModelPredictive {
     /// Makes the plan for the state after the command that has just gone out.
     pub(super) fn make_plan(&mut self) {
@@ -25,6 +31,7 @@ impl ModelPredictive {
             reward,
             after: better == 1,
             best,
+            caution: if self.resting { CAUTION_AT_REST } else { CAUTION },
             ranges: &self.ranges,
             scratch: &mut self.scratch,
         };
