@@ -144,7 +144,6 @@ impl ModelPredictive {
         let config = spec.config.clone();
         let places = Places { inputs: spec.inputs.len(), commands: spec.limits.len() };
         assert!(places.commands <= MAX_OUTPUTS && places.inputs <= MAX_INPUTS);
-        let n = places.inputs;
         let mut rng = stream(spec.seed, "models");
         let (dynamics, [before, after]) = models(spec, places, &mut rng);
         let horizon = if config.horizon > 0 { config.horizon } else { (480 / places.len()).clamp(20, 40) };
@@ -156,7 +155,7 @@ impl ModelPredictive {
             limits: spec.limits.clone(),
             ranges: Ranges { wraps: spec.inputs.iter().map(|r| r.wraps).collect(), low: ends(-1.0), high: ends(1.0) },
             memory: Memory::new(places, config.memory),
-            beliefs: vec![Belief::default(); n],
+            beliefs: vec![Belief::default(); places.inputs],
             reward_belief: Belief::default(),
             plan: CommandPlan::new(places, horizon),
             rival: CommandPlan::new(places, horizon),

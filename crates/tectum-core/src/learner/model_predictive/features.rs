@@ -159,9 +159,11 @@ impl ModelFeatures {
     /// Takes the memory that any build needs; a clone has less.
     pub fn reserve(&mut self, layout: &Layout) {
         let beam = self.products + 1 + layout.components;
+        let components = |group: &Vec<usize>| group.iter().map(|&u| if layout.units[u].circle { 2 } else { 1 }).sum();
+        let choices = 1 + layout.groups.iter().map(components).max().unwrap_or(0_usize);
         self.nodes.reserve(self.most_nodes - self.nodes.len());
-        self.candidates.reserve(4 * beam);
-        self.spare.reserve(4 * beam);
+        self.candidates.reserve(choices * beam);
+        self.spare.reserve(choices * beam);
     }
 
     /// Where the parts begin.
@@ -215,9 +217,6 @@ impl ModelFeatures {
                     let unit = &layout.units[u];
                     let v = exp(self.scales[Layout::scale(u, ScaleKind::Product)]);
                     for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
-                        if self.spare.len() == 4 * beam {
-                            break;
-                        }
                         let mut next = *candidate;
                         next.variance *= v * self.mean_squares[c];
                         next.order += 1;

@@ -115,8 +115,8 @@ pub struct LearnedWorld<'a> {
 }
 
 /// A reward as it counts, and its slope, if the model predicts `reward` at the last point of its planner's function.
-/// Beyond the `best` reward that was seen, what is certain counts, less three standard deviations, and else a small part:
-/// it may be the promise of a model that knows nothing there.
+/// Beyond the `best` reward that was seen, what is certain counts, less three standard deviations, and else a small
+/// part: it may be the promise of a model that knows nothing there.
 fn believed(model: &Model, reward: f64, best: f64, caution: f64) -> (f64, f64) {
     let doubt = if caution > 0.0 { caution * model.variance().sqrt() } else { 0.0 };
     let (value, slope) = promised(model, reward, best);

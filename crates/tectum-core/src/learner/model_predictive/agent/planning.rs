@@ -31,7 +31,7 @@ impl ModelPredictive {
             reward,
             after: better == 1,
             best,
-            caution: if self.resting { CAUTION_AT_REST } else { CAUTION },
+            caution: if self.frozen { CAUTION_AT_REST } else { CAUTION },
             ranges: &self.ranges,
             scratch: &mut self.scratch,
         };
