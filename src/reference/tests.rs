@@ -87,7 +87,8 @@ fn damped_least_squares_reaches_most_targets() {
     let set = test_set(&ArmConfig::default());
     let controller = DampedLeastSquares::new(&set.arm);
     let (mut tick, mut ends) = (0, Vec::new());
-    set.drive(|inputs| {
+    set.drive(|seen| {
+        let inputs = seen.inputs;
         let angles: f64 = inputs[2..].iter().map(|a| f64::from(a * a)).sum();
         assert!(angles.is_finite());
         tick += 1;
@@ -116,7 +117,7 @@ fn halved_or_doubled_constants_are_worse() {
         .collect();
     let loss = |settings: DampingSettings| -> f64 {
         let controller = DampedLeastSquares::with(&whole.arm, settings);
-        sets.iter().map(|set| set.drive(|inputs| controller.command(inputs)).loss).sum()
+        sets.iter().map(|set| set.drive(|seen| controller.command(seen.inputs)).loss).sum()
     };
     let tuned = loss(TUNED);
     for factor in [0.5, 2.0] {
@@ -157,8 +158,8 @@ fn a_mirror_changes_the_inputs_and_not_the_targets() {
     assert_eq!(plain.damped_least_squares(), mirrored.damped_least_squares());
     let shown = |set: &TestSet| {
         let mut first = 0.0;
-        set.drive(|inputs| {
-            first = inputs[0];
+        set.drive(|seen| {
+            first = seen.inputs[0];
             Outputs::default()
         });
         first
