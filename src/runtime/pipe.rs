@@ -9,6 +9,7 @@
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::os::fd::AsFd as _;
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
+use std::path::PathBuf;
 use std::process::{Child, ChildStdin, ChildStdout, Command as Process, Stdio};
 use std::time::{Duration, Instant};
 
@@ -17,7 +18,6 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::{Controller, ControllerReport, RuntimeError, exit, wire_manifest};
 use crate::agent::Agent;
-use crate::programs;
 use crate::scenario::{Plan, Scenario, ScenarioError};
 use crate::wire::{Command, Learning, Observation, schema_hash};
 
@@ -49,6 +49,9 @@ struct Start {
     scenario: String,
     /// Where the scenario comes from, for messages.
     source: String,
+    /// The folder at which the scenario's paths begin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    folder: Option<PathBuf>,
     /// For controllers in other languages: the scenario as JSON, names and ranges ([`wire_manifest::facts`]).
     #[serde(default)]
     run: serde_json::Value,
@@ -160,11 +163,10 @@ impl PipedController {
     pub fn start(plan: &Plan) -> Result<Self, PipeError> {
         let (config, hang_s) = (&plan.scenario.controller, plan.scenario.restart.hang_s);
         let failed = |cause: String| PipeError::Start { program: config.program.clone(), cause };
-        let path = programs::find(&config.program)
-            .ok_or_else(|| failed("no such program beside `tectum` or in PATH; name it by its path".to_owned()))?;
+        let path = plan.scenario.find_program(&config.program).map_err(failed)?;
         let mut process = Process::new(path);
         // With a process group of its own, Ctrl-C at the terminal reaches only the parent, which ends the child.
-        process.args(&config.args).arg(PIPE_OPTION).process_group(0);
+        process.args(plan.scenario.resolve_arguments(&config.args)).arg(PIPE_OPTION).process_group(0);
         process.stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = process.spawn().map_err(|cause| failed(cause.to_string()))?;
         let (to, from) = (child.stdin.take(), child.stdout.take());
@@ -183,6 +185,7 @@ impl PipedController {
             schema: schema_text(),
             scenario: plan.scenario.to_toml(),
             source: plan.scenario.source.name().to_owned(),
+            folder: plan.scenario.source.folder().map(Into::into),
             run: wire_manifest::facts(plan),
         };
         controller.send(kind::START, &json(&start))?;
@@ -398,7 +401,8 @@ fn serve<A: Agent>(
         _ => return Err(RuntimeError::Pipe(std::io::Error::other("the first frame is not the parent's"))),
     };
     let start = start.map_err(|error| RuntimeError::Pipe(error.into()))?;
-    let plan = Scenario::parse(&start.scenario, &start.source)?.plan()?.with_origin(&start.source);
+    let plan = Scenario::parse(&start.scenario, &start.source)?.plan()?;
+    let plan = plan.with_origin(&start.source, start.folder.as_deref());
     let agent = build(&plan)?;
     let columns = agent.columns().iter().map(|&name| name.to_owned()).collect();
     let mut controller = Controller::with_agent(&plan, agent);
