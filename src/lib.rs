@@ -116,7 +116,6 @@ pub mod servo;
 #[doc(hidden)]
 pub mod supervise;
 
-mod programs;
 mod run_folder;
 
 /// The build's identity: package version and git commit. The handshake compares it, and every log has it.

@@ -162,3 +162,24 @@ fn a_step_size_that_may_diverge_causes_a_warning() {
     assert!(warning.starts_with("learner.alpha_over_variance is 0.5"), "{warning}");
     assert_eq!(outcome.stderr.matches(&format!("tectum: warning: {warning}")).count(), 1, "{}", outcome.stderr);
 }
+
+/// A relative path in a scenario begins at the scenario's folder, wherever the run is started.
+#[test]
+fn paths_begin_at_the_scenarios_folder() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let test_folder = TestFolder::new();
+    let project = test_folder.path().join("project");
+    std::fs::create_dir_all(project.join("bin")).unwrap();
+    let text = std::fs::read_to_string("examples/point.toml").unwrap();
+    let text = text.replace("target/release/examples/point", "bin/plant.sh");
+    std::fs::write(project.join("point.toml"), text).unwrap();
+    let message = test_folder.refused("run", &["project/point.toml"]);
+    for folder in [&project, test_folder.path()] {
+        assert!(message.contains(folder.join("bin/plant.sh").to_str().unwrap()), "{message}");
+    }
+    let script = project.join("bin/plant.sh");
+    std::fs::write(&script, "#!/bin/sh\necho 'plant.sh: this is the plant' >&2\nexit 2\n").unwrap();
+    std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o700)).unwrap();
+    let message = test_folder.refused("run", &["project/point.toml"]);
+    assert!(message.contains("this is the plant"), "{message}");
+}

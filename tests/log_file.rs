@@ -27,7 +27,7 @@ fn header() -> LogHeader {
         run: 42,
         name: "synthetic".into(),
         seed: 1,
-        ticks: 1000,
+        ticks: 1_000_000,
         mode: "lockstep".into(),
         period_ns: 50_000_000,
         every: 1,

@@ -274,3 +274,51 @@ fn a_manifest_that_was_changed_is_refused() {
         assert!(message.contains(what), "{message}");
     }
 }
+
+/// Somebody removes the memory of a process, as systemd-logind does at a logout, and then the process dies. In real
+/// time it goes on with the numbers of its board, is heard at once, and the loss is stated.
+#[test]
+fn a_process_without_its_memory_goes_on_in_real_time() {
+    for (role, program) in [("plant", "tectum-simulator"), ("controller", "tectum-controller")] {
+        let test_folder = TestFolder::new();
+        let scenario = test_folder.endless_scenario("realtime");
+        let mut run = test_folder.run(&[&scenario, "--mode", "realtime", "--ticks", "1500", "--json"]);
+        run.wait_until_tick(300);
+        fs::remove_file(memory_of(&test_folder, role)).unwrap();
+        run.kill_child(program);
+        let outcome = run.wait().expect(4);
+        said(&outcome, &format!("the {role} was started again at tick"));
+        let summary = outcome.json();
+        let warnings = summary["warnings"].as_array().unwrap();
+        assert!(warnings.iter().any(|warning| warning["name"] == format!("{role}-forgot")), "{summary}");
+        // Numbers that begin anew would be taken for samples that were sent twice, hundreds of them.
+        let logger = read_json(test_folder.run_folder().join("logger.json"));
+        let twice = logger["duplicates"][usize::from(role == "controller")].as_u64().unwrap();
+        assert!(twice <= 1, "{twice} samples of the {role} were dropped: {logger}");
+        let log = test_folder.log().unwrap();
+        let back = match role {
+            "plant" => log.observations.iter().any(|sample| sample.header.incarnation == 1),
+            _ => log.commands.iter().any(|sample| sample.header.incarnation == 1),
+        };
+        assert!(back, "the {role} came back and was not heard");
+    }
+}
+
+/// In lockstep the result would not be that of the scenario any more.
+#[test]
+fn a_process_without_its_memory_ends_a_lockstep_run() {
+    for (role, program) in [("plant", "tectum-simulator"), ("controller", "tectum-controller")] {
+        let test_folder = TestFolder::new();
+        let mut run = start(&test_folder, "lockstep", "");
+        fs::remove_file(memory_of(&test_folder, role)).unwrap();
+        run.kill_child(program);
+        let outcome = run.wait().expect(2);
+        said(&outcome, "in lockstep it cannot go on without");
+        assert_no_debris(test_folder.run_folder());
+    }
+}
+
+/// The file in which a process keeps its state.
+fn memory_of(test_folder: &TestFolder, role: &str) -> std::path::PathBuf {
+    format!("/dev/shm/{}/{role}.crash-store", domain(test_folder.run_folder())).into()
+}

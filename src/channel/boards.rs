@@ -24,6 +24,8 @@ pub struct StatusBoard {
     pub status: BoardWriter<Status>,
     /// The process's start number within the run.
     pub incarnation: u32,
+    /// What the process's predecessors within the run showed last; all zeros if none got as far as its first sample.
+    pub before: Status,
 }
 
 /// The writing end of a board.
@@ -139,5 +141,20 @@ pub(super) fn read_peer(
 pub(super) fn open_status_board(domain: &Domain, role: Role) -> Result<StatusBoard, ChannelError> {
     let control = read_board::<Control>(&open_board(domain, CONTROL)?, CONTROL_PAGE)?;
     let incarnation = control.get().incarnations[role as usize];
-    Ok(StatusBoard { control, status: write_board(&open_board(domain, role.name())?, incarnation)?, incarnation })
+    let board = open_board(domain, role.name())?;
+    let before = last_of_predecessors(&board, incarnation)?;
+    Ok(StatusBoard { control, status: write_board(&board, incarnation)?, incarnation, before })
+}
+
+/// The last page before `incarnation` that shows a sample.
+fn last_of_predecessors(board: &Board, incarnation: u32) -> Result<Status, ChannelError> {
+    let Some(newest) = incarnation.checked_sub(1) else { return Ok(Status::default()) };
+    let mut pages = read_board::<Status>(board, newest)?;
+    for page in (0..incarnation).rev() {
+        pages.set_incarnation(page)?;
+        if pages.get().sent > 0 {
+            return Ok(pages.get());
+        }
+    }
+    Ok(Status::default())
 }

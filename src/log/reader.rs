@@ -56,6 +56,8 @@ struct LogContents {
     shift_ns: Option<i128>,
     /// Log time of the last message; a gap has the same time.
     last_ns: u64,
+    /// The run's number of ticks; no tick of a sample is greater.
+    ticks: u64,
     /// Gaps read so far; a gap's sequence number.
     gaps: u64,
     /// The data section has ended.
@@ -111,6 +113,7 @@ impl LogReader {
             channels: BTreeMap::new(),
             shift_ns: None,
             last_ns: 0,
+            ticks: u64::MAX,
             gaps: 0,
             data_ended: false,
         };
@@ -327,6 +330,9 @@ impl LogContents {
         let record = kind.decode(message.data).ok_or_else(|| bad("a message has the wrong size"))?;
         let (sequence, ns) = self.envelope(&record);
         let time_differs = ns.is_some_and(|ns| [message.log_time, message.publish_time] != [ns; 2]);
+        if record.header().is_some_and(|header| header.tick >= self.ticks) {
+            return Err(bad("a sample's tick is beyond the last tick of its run"));
+        }
         if message.sequence != sequence as u32 || time_differs {
             return Err(bad("a message's sequence number or time is not that of the sample in it"));
         }
@@ -342,6 +348,7 @@ impl LogContents {
                 self.shift_ns = Some(i128::from(wall) - i128::from(t0));
                 self.last_ns = wall;
             }
+            self.ticks = ns("ticks").unwrap_or(u64::MAX);
         }
         self.metadata.insert(name.to_owned(), map);
     }

@@ -11,6 +11,9 @@ use crate::wire::Command;
 pub(super) struct CommandInbox {
     /// The sequence number of the next command, if none is lost.
     pub expected: u64,
+    /// The number of observations sent. No controller has sent more commands, so a command with a greater number is
+    /// not believed: it would make all later ones look like duplicates.
+    pub observed: u64,
     /// The command of the tick that was polled for last.
     command: Option<Command>,
     /// Commands that arrived after their tick, since the last call of [`take_late`](Self::take_late).
@@ -22,9 +25,10 @@ pub(super) struct CommandInbox {
 }
 
 impl CommandInbox {
-    /// An inbox whose next command has the sequence number `expected`; `real` in real time.
-    pub fn new(expected: u64, real: bool) -> Self {
-        Self { expected, command: None, late: 0, failure: None, response_times: histogram(), real }
+    /// An inbox whose next command has the sequence number `expected`, after `observed` observations; `real` in real
+    /// time.
+    pub fn new(expected: u64, observed: u64, real: bool) -> Self {
+        Self { expected, observed, command: None, late: 0, failure: None, response_times: histogram(), real }
     }
 
     /// Receives from `channel`, and returns whether the command of `tick` has arrived. Commands of other ticks
@@ -37,6 +41,7 @@ impl CommandInbox {
                 Ok(None) => return self.command.is_some(),
                 // A duplicate, sent again by a restarted controller.
                 Ok(Some(command)) if command.header.sequence < self.expected => {}
+                Ok(Some(command)) if command.header.sequence >= self.observed => {}
                 Ok(Some(command)) => {
                     self.expected = command.header.sequence + 1;
                     if self.real {
@@ -78,5 +83,31 @@ impl CommandInbox {
     /// Counts the command that has arrived, if any, as late: the plant has already acted without it.
     pub fn drop_as_late(&mut self) {
         self.late += u64::from(self.command.take().is_some());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::channel::{ControllerPorts, DomainName, Identity, PlantPorts, RunServices};
+    use crate::wire::ChannelNames;
+
+    /// A command with the greatest number of all is not believed, so that those of the real controller still count.
+    #[test]
+    fn a_forged_number_does_not_silence_the_controller() {
+        let name = DomainName::of(u64::from(std::process::id()) << 32 ^ 0x1b0c);
+        let (identity, channels) = (Identity { schema: 1, scenario: 2, build: "b".into() }, ChannelNames::default());
+        let _services = RunServices::create(&name, &identity, &channels, None).unwrap();
+        let (plant, _board) = PlantPorts::open(&name, &identity, &channels).unwrap();
+        let (controller, _board) = ControllerPorts::open(&name, &identity, &channels).unwrap();
+        let mut inbox = CommandInbox::new(0, 0, true);
+        for tick in 0..3 {
+            inbox.observed = tick + 1;
+            let mut command = Command::default();
+            (command.header.tick, command.header.sequence) = (tick, if tick == 1 { u64::MAX } else { tick });
+            controller.command.send(&command).unwrap();
+            assert_eq!(inbox.poll_for(&plant.command, tick), tick != 1, "{tick}");
+            inbox.take();
+        }
     }
 }

@@ -22,7 +22,7 @@ use crate::checkpoint::{self, CheckpointWriter};
 use crate::clock::{Backoff, TimeSource};
 use crate::scenario::{Plan, ScenarioError};
 use crate::state::{self, Persist, StateVisitor};
-use crate::wire::{Command, Header, Learning, Observation, ProcessState, Role};
+use crate::wire::{Command, Header, Learning, Observation, ProcessState, Role, Status};
 
 /// Most observations between two states in the crash store.
 const MOST_UNSAVED: u64 = 64;
@@ -91,17 +91,21 @@ impl<A: Agent> ControllerLoopState<A> {
 
     /// Restores the state from the crash store, or from the checkpoint with which the run resumes, if there is
     /// one. Returns true if it was the crash store: the process has been restarted. `snapshots` then continues
-    /// where the process died.
+    /// where the process died. `before` is what its predecessors showed last.
     fn restore(
         &mut self,
         crash_store: &mut CrashStore,
         participant: &Participant,
+        before: &Status,
         snapshots: &mut Option<SnapshotRecorder>,
     ) -> Result<bool, RuntimeError> {
+        let first = participant.manifest.resumed.as_ref().map_or(0, |resumed| resumed.sequences[1]);
         if let Some((_, bytes)) = crash_store.newest() {
             if !state::load(self, bytes) {
                 return Err(RuntimeError::Memory(Role::Controller.name()));
             }
+        } else if before.sent > first && crash_store.entry(first).is_none() {
+            self.forget(participant, before)?;
         } else {
             participant.resume(self)?;
         }
@@ -120,6 +124,18 @@ impl<A: Agent> ControllerLoopState<A> {
             }
         }
         Ok(stored || self.count > count)
+    }
+
+    /// Goes on without what the predecessor remembered, which is gone, and learns anew. Sequence numbers and counts
+    /// are those that its board showed last.
+    fn forget(&mut self, participant: &Participant, before: &Status) -> Result<(), RuntimeError> {
+        participant.refuse_without_memory()?;
+        self.count = before.sent;
+        self.answered.sequence = (before.sent + before.lost).saturating_sub(1);
+        self.answered.tick = before.ticks.saturating_sub(1);
+        let report = &mut self.controller.report;
+        (report.ticks, report.unseen, report.forgot_at) = (before.sent, before.lost, Some(before.ticks));
+        Ok(())
     }
 
     /// Sets run and incarnation in the headers.
@@ -235,7 +251,7 @@ impl<A: Agent> ControllerLoop<A> {
         let (ports, status_board) = participant.open(ControllerPorts::open)?;
         let mut crash_store = participant.crash_store(state::size(&mut state), [JOURNAL, size_of::<Observation>()])?;
         let mut snapshots = SnapshotRecorder::new(&participant.folder, &participant.plan);
-        let restarted = state.restore(&mut crash_store, &participant, &mut snapshots)?;
+        let restarted = state.restore(&mut crash_store, &participant, &status_board.before, &mut snapshots)?;
         let writer = participant.checkpoint_writer()?;
         // The plant writes the observations and reads the commands.
         let (session, time) = participant
@@ -306,7 +322,12 @@ impl<A: Agent> ControllerLoop<A> {
         if self.session.interrupted() {
             self.session.check()?;
         }
-        if observation.header.sequence < self.state.expected() {
+        let Header { sequence, tick, .. } = observation.header;
+        if tick >= self.session.participant.plan.scenario.ticks || sequence > tick {
+            // No plant sends this. Believing it would make all later observations look like duplicates.
+            return Ok(());
+        }
+        if sequence < self.state.expected() {
             // A restarted plant sends its last observation again, and may not have received the command.
             return self.state.send(&mut self.ports);
         }

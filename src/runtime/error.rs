@@ -121,6 +121,12 @@ pub enum RuntimeError {
          a plant must list as many numbers at every tick"
     )]
     Memory(&'static str),
+    /// The process has come back in lockstep, and what it remembered is gone.
+    #[error(
+        "the {0} died, and somebody has removed its memory in /dev/shm (systemd-logind does so when its user logs out, \
+         unless RemoveIPC=no is set in /etc/systemd/logind.conf); in lockstep it cannot go on without; start a new run"
+    )]
+    Forgotten(&'static str),
     /// Samples were lost in a lockstep run.
     #[error("{lost} samples of channel {channel} were lost in lockstep, which must not happen; the log states where")]
     Lost {
@@ -146,7 +152,8 @@ impl RuntimeError {
             | Self::File { .. }
             | Self::Log(_)
             | Self::NotSimulated(_)
-            | Self::NoJoints(_) => exit::INPUT,
+            | Self::NoJoints(_)
+            | Self::Forgotten(_) => exit::INPUT,
             Self::Orphaned(_) | Self::Aborted | Self::Overrun { .. } | Self::Pipe(_) | Self::StateAfterTest => {
                 exit::PROCESS
             }

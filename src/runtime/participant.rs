@@ -67,6 +67,9 @@ pub struct RunManifest {
     /// The scenario's file, as the user named it, for messages.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub source: String,
+    /// The folder of the scenario's file: its paths begin there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scenario_folder: Option<PathBuf>,
     /// The facts that programs in other languages need.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wire: Option<WireManifest>,
@@ -155,7 +158,8 @@ impl Participant {
         let signals = TerminationSignals::install().map_err(RuntimeError::Signals)?;
         let (folder, manifest, launcher) = RunManifest::find(run)?;
         let own = RunManifest::scenario_path(&folder);
-        let plan = Scenario::load(scenario.unwrap_or(&own))?.plan()?.with_origin(&manifest.source);
+        let plan = Scenario::load(scenario.unwrap_or(&own))?.plan()?;
+        let plan = plan.with_origin(&manifest.source, manifest.scenario_folder.as_deref());
         Ok(Self { folder, manifest, plan, role, signals, launcher })
     }
 
@@ -195,6 +199,14 @@ impl Participant {
         checkpoint.fits(self.role, self.plan.hash)?;
         checkpoint.restore(part)?;
         Ok(true)
+    }
+
+    /// Refuses to go on without what the process's predecessor remembered, in a run whose result would depend on it.
+    ///
+    /// # Errors
+    /// [`RuntimeError::Forgotten`] in lockstep.
+    pub(super) fn refuse_without_memory(&self) -> Result<(), RuntimeError> {
+        if self.manifest.mode == Mode::Realtime { Ok(()) } else { Err(RuntimeError::Forgotten(self.role.name())) }
     }
 
     /// The facts of a checkpoint of this process, whose next sample has the number `sequence`.

@@ -59,9 +59,20 @@ impl<P: Plant> PlantLoopState<P> {
     }
 
     /// Restores the state from the crash store, or from the checkpoint with which the run resumes, if there is
-    /// one. Returns true if it was the crash store: the process has been restarted.
-    fn restore(&mut self, crash_store: &mut CrashStore, participant: &Participant) -> Result<bool, RuntimeError> {
+    /// one. Returns true if it was the crash store: the process has been restarted. `before` is what its predecessors
+    /// showed last.
+    fn restore(
+        &mut self,
+        crash_store: &mut CrashStore,
+        participant: &Participant,
+        before: &Status,
+    ) -> Result<bool, RuntimeError> {
         let restarted = crash_store.newest().is_some();
+        let first = participant.manifest.resumed.as_ref().map_or(0, |resumed| resumed.sequences[0]);
+        if !restarted && before.sent > first {
+            self.forget(participant, before)?;
+            return Ok(false);
+        }
         if let Some((_, bytes)) = crash_store.newest() {
             if !state::load(self, bytes) {
                 return Err(RuntimeError::Memory(Role::Plant.name()));
@@ -71,6 +82,17 @@ impl<P: Plant> PlantLoopState<P> {
         }
         crash_store.reopen();
         Ok(restarted)
+    }
+
+    /// Goes on without what the predecessor remembered, which is gone. Sequence numbers and counts are those that its
+    /// board showed last. It may have sent one more observation.
+    fn forget(&mut self, participant: &Participant, before: &Status) -> Result<(), RuntimeError> {
+        participant.refuse_without_memory()?;
+        self.sent_count = before.sent + 1;
+        let report = &mut self.side.report;
+        (report.ticks, report.missed, report.late) = (before.sent, before.missed, before.late);
+        (report.skipped, report.forgot_at) = (before.lost, Some(before.ticks));
+        Ok(())
     }
 }
 
@@ -132,7 +154,8 @@ impl<P: Plant> PlantLoop<P> {
             expected: 0,
         };
         let mut crash_store = participant.crash_store(state::size(&mut state), [0, 0])?;
-        let restarted = state.restore(&mut crash_store, &participant)?;
+        let before = status_board.before;
+        let restarted = state.restore(&mut crash_store, &participant, &before)?;
         let writer = participant.checkpoint_writer()?;
         // Reader of the observation: the controller, which also writes the command.
         let connected = || Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 1);
@@ -147,7 +170,7 @@ impl<P: Plant> PlantLoop<P> {
             stopwatch: Stopwatch::of(&session.participant),
             controller: PeerMonitor::new(Role::Controller),
             logger: PeerMonitor::new(Role::Logger),
-            inbox: CommandInbox::new(state.expected, real),
+            inbox: CommandInbox::new(state.expected, state.sent_count, real),
             wake_up: histogram(),
             work: histogram(),
             real,
@@ -158,7 +181,7 @@ impl<P: Plant> PlantLoop<P> {
             acted: false,
             checkpoints_requested: session.checkpoints_requested(),
             overruns: 0,
-            first_after_restart: restarted,
+            first_after_restart: restarted || state.side.report.forgot_at.is_some(),
             gave_up: None,
             time,
             session,
@@ -170,6 +193,8 @@ impl<P: Plant> PlantLoop<P> {
         plant_loop.session.status.sent = plant_loop.state.sent_count;
         if restarted {
             plant_loop.send_again()?;
+        } else if plant_loop.state.side.report.forgot_at.is_some() {
+            (plant_loop.tick, plant_loop.advanced) = (before.ticks + 1, false);
         }
         Ok(plant_loop)
     }
@@ -350,6 +375,7 @@ impl<P: Plant> PlantLoop<P> {
     fn send(&mut self, woken: u64) -> Result<(), RuntimeError> {
         let state = &mut self.state;
         state.sent_count += 1;
+        self.inbox.observed = state.sent_count;
         state.expected = self.inbox.expected;
         state.observation.header.published_ns = self.time.now();
         if !self.crash_store.store(state.sent_count, |to| state::save(state, to)) {

@@ -37,6 +37,8 @@ pub struct PlantReport {
     pub ramped: u64,
     /// Commands with a value that is not finite.
     pub non_finite: u64,
+    /// The tick at which the plant came back without what it had remembered; null where it never did.
+    pub forgot_at: Option<u64>,
     /// Checkpoints written by the process that ended the run.
     pub checkpoints: u64,
     /// Why a checkpoint could not be written, one sentence; null where all could.
@@ -65,6 +67,7 @@ impl Persist for PlantReport {
         ] {
             visitor.number(name, count);
         }
+        visitor.optional("forgot_at", &mut self.forgot_at);
     }
 }
 
@@ -89,6 +92,9 @@ pub struct ControllerReport {
     pub invalid: u64,
     /// The first tick at which learning met a number that is not finite.
     pub diverged_at: Option<u64>,
+    /// The tick at which the controller came back without what it had remembered and learned; null where it never
+    /// did.
+    pub forgot_at: Option<u64>,
     /// Counts from which the run is judged.
     pub counts: RunCounts,
     /// What the learner counted, by name.
@@ -126,6 +132,7 @@ impl Persist for ControllerReport {
             visitor.number(name, count);
         }
         visitor.optional("diverged_at", &mut self.diverged_at);
+        visitor.optional("forgot_at", &mut self.forgot_at);
     }
 }
 

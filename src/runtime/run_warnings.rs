@@ -64,6 +64,9 @@ impl RunWarning {
 pub fn judge(plan: &Plan, plant: &PlantReport, controller: Option<&ControllerReport>) -> Vec<RunWarning> {
     let mut warnings = Vec::new();
     warnings.extend(halted(controller));
+    warnings.extend(forgotten("plant", plant.forgot_at, "its body began anew"));
+    let forgot_at = controller.and_then(|report| report.forgot_at);
+    warnings.extend(forgotten("controller", forgot_at, "what it had learned is lost, and it began to learn anew"));
     warnings.extend(missed(plan, plant, controller));
     if let Some(report) = controller {
         let counts = &report.counts;
@@ -75,6 +78,18 @@ pub fn judge(plan: &Plan, plant: &PlantReport, controller: Option<&ControllerRep
         warnings.extend(inputs(plan, counts));
     }
     warnings
+}
+
+/// A process that was started again found nothing of what it had remembered.
+fn forgotten(process: &str, tick: Option<u64>, then: &str) -> Option<RunWarning> {
+    let tick = tick?;
+    let text = format!(
+        "the {process} was started again at tick {} and its memory was gone; {then}; do not remove a run's files in \
+         /dev/shm (`tectum doctor` says whether the system does)",
+        thousands(tick)
+    );
+    let name = format!("{process}-forgot");
+    Some(RunWarning { count: Some(tick), of: None, failure: true, ..RunWarning::new(&name, [0; 2], text) })
 }
 
 /// The learner has stopped.

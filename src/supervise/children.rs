@@ -8,7 +8,6 @@ use super::LaunchError;
 use super::error_output::{CollectedOutput, ErrorOutput, show};
 use crate::channel::{DomainName, RunServices, is_member};
 use crate::clock::{ProcessHandle, monotonic_ns};
-use crate::programs;
 use crate::runtime::exit;
 use crate::scenario::Plan;
 use crate::wire::{ProcessState, Role, Status};
@@ -270,14 +269,10 @@ impl SpawnCommand {
             Role::Controller => (&plan.scenario.controller.program, &plan.scenario.controller.args),
             Role::Logger => (crate::scenario::programs::LOGGER, &[]),
         };
-        let program = programs::find(name).ok_or_else(|| LaunchError::Start {
-            role: role.name(),
-            program: name.to_owned(),
-            cause: "no such program beside `tectum` or in PATH; build all of them with `cargo build --release`, \
-                    or name your own program by its path"
-                .to_owned(),
-        })?;
-        Ok(Self { program, arguments: arguments.to_owned() })
+        let scenario = &plan.scenario;
+        let missing = |cause| LaunchError::Start { role: role.name(), program: name.to_owned(), cause };
+        let program = scenario.find_program(name).map_err(missing)?;
+        Ok(Self { program, arguments: scenario.resolve_arguments(arguments) })
     }
 }
 

@@ -20,6 +20,7 @@ mod progress;
 mod progress_line;
 mod restarts;
 mod resume;
+mod stall;
 mod summary;
 mod summary_text;
 mod supervisor;
@@ -136,6 +137,7 @@ fn manifest(launch: &Launch, run_id: u64, domain: &DomainName) -> RunManifest {
         wire: Some(WireManifest::of(&launch.plan, domain)),
         mode: launch.mode,
         source: launch.plan.scenario.source.name().to_owned(),
+        scenario_folder: launch.plan.scenario.source.folder().map(Into::into),
         domain: domain.clone(),
         launcher: std::process::id(),
         checkpoint_every: launch.checkpoint_every,

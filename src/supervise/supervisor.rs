@@ -6,6 +6,7 @@ use super::children::{ChildProcesses, DeathKind, ProcessDeath, ProcessFailure};
 use super::fault_injector::ProcessFaultInjector;
 use super::folder_watch::FolderWatch;
 use super::restarts::{RestartIncident, RestartTracker};
+use super::stall::StallWatch;
 use super::{Launch, LaunchError, RunOutcome, RunProgress};
 use crate::channel::{DomainName, RunServices, fill_domain, reclaim_dead};
 use crate::clock::{TerminationSignals, monotonic_ns, pause};
@@ -44,6 +45,8 @@ pub(super) struct Supervisor {
     restarts: RestartTracker,
     fault_injector: ProcessFaultInjector,
     folder: FolderWatch,
+    /// In lockstep only.
+    stall: Option<StallWatch>,
     poll_ns: u64,
     /// Why the run ends before its last tick, if it does.
     ended: Option<RunOutcome>,
@@ -84,6 +87,8 @@ impl Supervisor {
             progress,
             fault_injector: ProcessFaultInjector::new(&launch.plan.scenario.faults),
             restarts: RestartTracker::new(&launch.plan.scenario.restart, monotonic_ns()),
+            stall: (launch.mode == Mode::Lockstep)
+                .then(|| StallWatch::new(launch.plan.scenario.restart.hang_s, monotonic_ns())),
             poll_ns: if launch.mode == Mode::Realtime { POLL_REALTIME_NS } else { POLL_NS },
             ended: None,
             failure: None,
@@ -149,6 +154,7 @@ impl Supervisor {
             }
             self.fault_injector.inject(self.services.status(Role::Plant).ticks, monotonic_ns(), &self.children);
             self.kill_hung();
+            self.check_progress();
             self.check_folder(false);
             self.restart_due();
             self.progress.show(&self.services);
@@ -231,6 +237,20 @@ impl Supervisor {
                 print_error_line(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));
                 process.kill_group();
             }
+        }
+    }
+
+    /// Ends a lockstep run whose processes all wait for each other.
+    fn check_progress(&mut self) {
+        let Some(stall) = &mut self.stall else { return };
+        let boards = Role::ALL.map(|role| self.services.status(role));
+        if stall.stalls(boards, monotonic_ns()) {
+            let tick = boards[Role::Plant as usize].ticks;
+            let message = format!(
+                "at tick {tick} no process gets on: all of them live, and each waits for another; a sample was lost \
+                 between them"
+            );
+            self.fail(ProcessFailure::new(Role::Plant, message));
         }
     }
 

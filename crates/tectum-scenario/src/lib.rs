@@ -150,8 +150,9 @@ impl Plan {
     }
 
     /// The same plan, whose messages about `[learner]` name `file`, if that still has the same table: a process of a
-    /// run reads a copy of the scenario, and its user wrote that file.
-    pub fn with_origin(mut self, file: &str) -> Self {
+    /// run reads a copy of the scenario, and its user wrote that file. Its paths begin at `folder`.
+    pub fn with_origin(mut self, file: &str, folder: Option<&Path>) -> Self {
+        self.scenario.source.set_folder(folder);
         // Only a regular file can be read a second time, and only the messages about `[learner]` come so late.
         let path = Path::new(file);
         if self.scenario.own_learner.is_none() || !path.is_file() {
@@ -219,7 +220,11 @@ impl Scenario {
             Err(source) => return Err(ScenarioError::Read { file, source }),
         }
         match str::from_utf8(&bytes) {
-            Ok(text) => Self::parse(text, &file),
+            Ok(text) => {
+                let mut scenario = Self::parse(text, &file)?;
+                scenario.source.set_folder(std::path::absolute(path).ok().as_deref().and_then(Path::parent));
+                Ok(scenario)
+            }
             Err(error) => {
                 let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
                 Err(ScenarioError::NotUtf8 { place: FilePosition { file, line: Some(line) } })

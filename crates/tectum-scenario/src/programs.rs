@@ -1,7 +1,7 @@
 //! Names of the installed programs that the launcher starts. The scenario's checks must recognise simulator and
 //! controller, because some tables belong to them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The simulated plant.
 pub const SIMULATOR: &str = "tectum-simulator";
@@ -22,4 +22,14 @@ pub fn is_shipped_controller(program: &str) -> bool {
 
 fn is_named(program: &str, name: &str) -> bool {
     Path::new(program).file_name().is_some_and(|file| file == name)
+}
+
+/// Locates a program: given by path, beside this program, or in `PATH`.
+pub fn find(name: &str) -> Option<PathBuf> {
+    if name.contains('/') {
+        return Some(PathBuf::from(name)).filter(|p| p.is_file());
+    }
+    let beside = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(name)));
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    beside.into_iter().chain(std::env::split_paths(&path).map(|folder| folder.join(name))).find(|p| p.is_file())
 }

@@ -1,5 +1,6 @@
 //! The origin of a scenario (file name and text), and the line of a key in that text, for error messages.
 
+use std::path::{Path, PathBuf};
 use std::{fmt, ops::Range, sync::Arc};
 
 use toml::de::{DeTable, DeValue};
@@ -12,11 +13,44 @@ use toml::de::{DeTable, DeValue};
 pub struct ScenarioSource {
     name: Arc<str>,
     text: Arc<str>,
+    /// The folder of the file, absolute; `None` for a scenario that was not read from a file.
+    folder: Option<Arc<Path>>,
 }
 
 impl ScenarioSource {
     pub(super) fn new(name: &str, text: &str) -> Self {
-        Self { name: name.into(), text: text.into() }
+        Self { name: name.into(), text: text.into(), folder: None }
+    }
+
+    /// The folder against which the scenario's paths are resolved, absolute.
+    pub fn folder(&self) -> Option<&Path> {
+        self.folder.as_deref()
+    }
+
+    pub(super) fn set_folder(&mut self, folder: Option<&Path>) {
+        self.folder = folder.map(Into::into);
+    }
+
+    /// The file that the scenario calls `path`. A relative path begins at the scenario's folder. If nothing is there,
+    /// it may begin at the working folder, as it does for a scenario that was not read from a file. `~/` is the user's
+    /// home.
+    pub fn resolve(&self, path: &str) -> PathBuf {
+        let home = path.strip_prefix("~/").and_then(|rest| Some(Path::new(&std::env::var_os("HOME")?).join(rest)));
+        let path = home.unwrap_or_else(|| path.into());
+        let beside = self.folder.as_deref().map_or_else(|| path.clone(), |folder| folder.join(&path));
+        let found = if !beside.exists() && path.exists() { path } else { beside };
+        std::path::absolute(&found).unwrap_or(found)
+    }
+
+    /// The places in which [`resolve`](Self::resolve) looks for `path`, for messages.
+    pub fn places(&self, path: &str) -> String {
+        let first = self.resolve(path);
+        match std::path::absolute(path) {
+            Ok(here) if here != first && !path.starts_with("~/") => {
+                format!("{} and {}", first.display(), here.display())
+            }
+            _ => first.display().to_string(),
+        }
     }
 
     /// The file, as the caller named it; `scenario` for a scenario built in memory.
@@ -43,6 +77,41 @@ impl ScenarioSource {
         let document = DeTable::parse(&self.text).ok()?;
         let number = document.get_ref().get(key)?.get_ref().as_integer()?;
         u64::from_str_radix(number.as_str(), number.radix()).ok()
+    }
+}
+
+/// Whether a program is given by its path, and not by a name that is looked for in `PATH`.
+fn is_path(program: &str) -> bool {
+    program.contains('/')
+}
+
+impl super::Scenario {
+    /// Locates a program that the scenario names: by its path, beside this program, or in `PATH`.
+    ///
+    /// # Errors
+    ///
+    /// A sentence that says where it was looked for.
+    pub fn find_program(&self, program: &str) -> Result<PathBuf, String> {
+        let found = if is_path(program) {
+            Some(self.source.resolve(program)).filter(|path| path.is_file())
+        } else {
+            crate::programs::find(program)
+        };
+        found.ok_or_else(|| match is_path(program) {
+            true => format!("no such file; looked for {}", self.source.places(program)),
+            false => "no such program beside `tectum` or in PATH; build all of them with `cargo build --release`, or \
+                      name your own program by its path"
+                .to_owned(),
+        })
+    }
+
+    /// Arguments of a program. Those that are files beside the scenario get their whole path.
+    pub fn resolve_arguments(&self, arguments: &[String]) -> Vec<String> {
+        let resolved = |argument: &String| {
+            let path = self.source.folder()?.join(argument);
+            (!argument.is_empty() && path.is_file()).then(|| path.to_str().map(str::to_owned))?
+        };
+        arguments.iter().map(|argument| resolved(argument).unwrap_or_else(|| argument.clone())).collect()
     }
 }
 

@@ -186,6 +186,25 @@ fn times_are_wall_times_and_lockstep_starts_at_zero() {
     }
 }
 
+/// A tick that no run of this scenario has would let an analysis go through all ticks up to it.
+#[test]
+fn a_tick_beyond_the_run_is_damage() {
+    for tick in [9, 1 << 62, u64::MAX] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.mcap");
+        let mut log = LogWriter::create(&path, &sample_header()).unwrap();
+        for tick in [8, tick] {
+            let header = Header { tick, ..header_of(8) };
+            log.observation(&Observation { header, ..Observation::default() }).unwrap();
+        }
+        log.finish(&LogTotals::default()).unwrap();
+        let (records, finished, error) = read(&std::fs::read(&path).unwrap());
+        let error = error.unwrap().to_string();
+        assert!(error.contains("beyond the last tick of its run"), "{error}");
+        assert_eq!((records.len(), finished), (1, false));
+    }
+}
+
 #[test]
 fn equal_runs_write_equal_bytes() {
     assert_eq!(write(&sample_header(), true).0, *WHOLE);

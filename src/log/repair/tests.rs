@@ -12,7 +12,7 @@ use std::sync::LazyLock;
 static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
-    let mut log = LogWriter::create(&path, &LogHeader { every: 3, ..sample_header() }).unwrap();
+    let mut log = LogWriter::create(&path, &LogHeader { every: 3, ticks: 12, ..sample_header() }).unwrap();
     for tick in (0..12).step_by(3) {
         let (mut o, mut c, mut l) = (Observation::default(), Command::default(), Learning::default());
         for header in [&mut o.header, &mut c.header, &mut l.header] {

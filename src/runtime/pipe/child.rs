@@ -35,7 +35,8 @@ fn serve<A: Agent>(
         _ => return Err(unexpected("the first frame is not the parent's")),
     };
     let start = start.map_err(|error| RuntimeError::Pipe(error.into()))?;
-    let plan = Scenario::parse(&start.scenario, &start.source)?.plan()?.with_origin(&start.source);
+    let plan = Scenario::parse(&start.scenario, &start.source)?.plan()?;
+    let plan = plan.with_origin(&start.source, start.folder.as_deref());
     let agent = build(&plan)?;
     let columns = agent.columns().iter().map(|&name| name.to_owned()).collect();
     let mut controller = Controller::with_agent(&plan, agent);

@@ -19,6 +19,8 @@ pub use child::serve_controller;
 pub use error::PipeError;
 pub use parent::PipedController;
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 use crate::wire::schema_hash;
@@ -51,6 +53,9 @@ struct Start {
     scenario: String,
     /// Where the scenario comes from, for messages.
     source: String,
+    /// The folder at which the scenario's paths begin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    folder: Option<PathBuf>,
     /// For controllers in other languages: the scenario as JSON, names and ranges
     /// ([`wire_manifest::facts`](super::wire_manifest::facts)).
     #[serde(default)]

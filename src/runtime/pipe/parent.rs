@@ -28,14 +28,19 @@ impl PipedController {
     /// # Errors
     /// When it cannot be started, or refuses the scenario.
     pub fn start_until(plan: &Plan, signals: Option<TerminationSignals>) -> Result<Self, PipeError> {
-        let config = &plan.scenario.controller;
-        let mut program = PipedProgram::start(&config.program, &config.args, plan.scenario.restart.hang_s)?;
+        let (scenario, config) = (&plan.scenario, &plan.scenario.controller);
+        let path = scenario
+            .find_program(&config.program)
+            .map_err(|cause| PipeError::Start { program: config.program.clone(), cause })?;
+        let arguments = scenario.resolve_arguments(&config.args);
+        let mut program = PipedProgram::start(&config.program, &path, &arguments, scenario.restart.hang_s)?;
         program.signals = signals;
         let start = Start {
             version: VERSION,
             schema: schema_text(),
             scenario: plan.scenario.to_toml(),
             source: plan.scenario.source.name().to_owned(),
+            folder: plan.scenario.source.folder().map(Into::into),
             run: wire_manifest::facts(plan),
         };
         program.send(kind::START, &json(&start))?;

@@ -3,6 +3,7 @@
 use std::io::{BufWriter, Read};
 use std::os::fd::AsFd as _;
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
+use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command as Process, Stdio};
 use std::time::{Duration, Instant};
 
@@ -12,7 +13,6 @@ use serde::de::DeserializeOwned;
 use super::frame::{MAX_FRAME, head, write_frame};
 use super::{Failed, PIPE_OPTION, PipeError, kind};
 use crate::clock::TerminationSignals;
-use crate::programs;
 use crate::runtime::exit;
 
 /// How often a wait for an answer looks for signals.
@@ -36,11 +36,9 @@ pub(super) struct PipedProgram {
 }
 
 impl PipedProgram {
-    /// Starts `name` with `arguments`. It is killed when it gives no answer for `hang_s` seconds; 0: never.
-    pub fn start(name: &str, arguments: &[String], hang_s: f64) -> Result<Self, PipeError> {
+    /// Starts the program `name` at `path` with `arguments`. It is killed when it gives no answer for `hang_s` seconds; 0: never.
+    pub fn start(name: &str, path: &Path, arguments: &[String], hang_s: f64) -> Result<Self, PipeError> {
         let failed = |cause: String| PipeError::Start { program: name.to_owned(), cause };
-        let path = programs::find(name)
-            .ok_or_else(|| failed("no such program beside `tectum` or in PATH; name it by its path".to_owned()))?;
         let mut process = Process::new(path);
         // With a process group of its own, Ctrl-C at the terminal reaches only the parent, which ends the child.
         process.args(arguments).arg(PIPE_OPTION).process_group(0);

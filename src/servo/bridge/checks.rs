@@ -1,7 +1,5 @@
 //! Checks before torque is turned on: that the servos are those of the scenario, and that torque is safe.
 
-use std::path::Path;
-
 use crate::scenario::{JointConfig, Plan, ServoGoal, check_joints};
 use crate::servo::bus::{Bus, BusError, ServoReply};
 use crate::servo::model::{KeptSetting, Protocol, Register, RegisterBlock, STEP, UnknownModel};
@@ -96,7 +94,18 @@ pub enum BridgeError {
         /// The value without the offending bits.
         remedy: i32,
     },
-    /// The calibration file is missing or invalid.
+    /// The calibration file is not there, or cannot be read.
+    #[error(
+        "the calibration cannot be read ({cause}); looked for {places}; a relative path in plant.servos.calibration \
+         begins at the scenario's folder; `tectum-bridge calibrate` makes one"
+    )]
+    NoCalibration {
+        /// Where it was looked for.
+        places: String,
+        /// What is wrong.
+        cause: String,
+    },
+    /// The calibration file is invalid.
     #[error("calibration {path}: {cause}; make one with `tectum-bridge calibrate`")]
     Calibration {
         /// The file.
@@ -113,7 +122,7 @@ impl BridgeError {
         match self {
             Self::Bus(error) => error.is_configuration(),
             Self::NoServos | Self::Model(_) | Self::Register { .. } | Self::Forbidden { .. } => true,
-            Self::Calibration { .. } => true,
+            Self::Calibration { .. } | Self::NoCalibration { .. } => true,
             Self::NoAnswer(_) | Self::OutOfRange { .. } | Self::HardwareError { .. } | Self::Setting { .. } => false,
         }
     }
@@ -131,10 +140,13 @@ impl BridgeError {
 pub fn joints_of(plan: &Plan) -> Result<Vec<JointConfig>, BridgeError> {
     let plant = &plan.scenario.plant;
     let (Some(servos), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
-    let Some(path) = &servos.calibration else { return Ok(servos.joints.clone()) };
-    let bad = |cause: String| BridgeError::Calibration { path: path.clone(), cause };
-    let text = std::fs::read_to_string(Path::new(path)).map_err(|error| bad(error.to_string()))?;
-    let calibration: Calibration = Calibration::parse(&text, Path::new(path), servos.protocol).map_err(bad)?;
+    let Some(named) = &servos.calibration else { return Ok(servos.joints.clone()) };
+    let source = &plan.scenario.source;
+    let path = source.resolve(named);
+    let text = std::fs::read_to_string(&path)
+        .map_err(|error| BridgeError::NoCalibration { places: source.places(named), cause: error.to_string() })?;
+    let bad = |cause: String| BridgeError::Calibration { path: path.display().to_string(), cause };
+    let calibration: Calibration = Calibration::parse(&text, &path, servos.protocol).map_err(bad)?;
     if calibration.protocol != servos.protocol {
         let (theirs, ours) = (calibration.protocol.name(), servos.protocol.name());
         return Err(bad(format!(

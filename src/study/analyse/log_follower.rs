@@ -58,14 +58,18 @@ impl LogFollower {
             return;
         }
         let tick = observation.header.tick;
+        let consecutive = self.last.map_or(0, |last| last + 1) == tick;
+        if !consecutive {
+            self.lost_at = Some(tick);
+            return;
+        }
         if tick > 0 {
             self.plant.advance(tick - 1, &observation.applied[..self.plan.outputs.len()]);
         }
         let mut inputs = [0.0; MAX_INPUTS];
         let fresh = self.plant.sense(tick, &mut inputs);
         let same = inputs.map(f32::to_bits) == observation.inputs.map(f32::to_bits);
-        let consecutive = self.last.map_or(0, |last| last + 1) == tick;
-        if same && consecutive && fresh == (observation.header.flags & flag::NEW_TARGET != 0) {
+        if same && fresh == (observation.header.flags & flag::NEW_TARGET != 0) {
             self.last = Some(tick);
             self.unanswered = Some(*observation);
         } else {
