@@ -13,10 +13,11 @@ use std::sync::{Arc, Mutex};
 use snapshot::assert_snapshot;
 use tectum::runtime::{Controller, PlantSide};
 use tectum::scenario::{EmulatorConfig, Plan, Scenario};
-use tectum::servo::bridge::{Bridge, BridgeError, SafetyState, joints_of};
+use tectum::servo::bridge::{Bridge, BridgeError, SafetyState, TripCause, joints_of};
 use tectum::servo::bus::{Bus, BusError};
 use tectum::servo::emulator::{EmulatedChain, EmulatedPort, SteppedClock};
 use tectum::servo::model::{Protocol, ServoModel};
+use tectum::servo::tools::calibrate;
 use tectum::wire::{Command, Learning, MAX_OUTPUTS, Observation, Vision, flag};
 
 /// The plan of `scenarios/servo-emulated.toml` with this emulator, this number of ticks, and `change` applied to its
@@ -298,6 +299,8 @@ fn a_mismatch_is_refused_and_torque_stays_off() {
     for (chain, text) in [
         (small, "servo 1 says that it is model 350, which is none of the Dynamixel X"),
         (chain(&[1, 2, 4]), "(`tectum-bridge scan`)"),
+        (chain(&[2, 4]), "servo 1: no answer in time; servo 3: no answer in time; with an answer: servo 2, 4"),
+        (chain(&[9]), "no servo of the arm answers"),
         (chain(&[1, 2, 2, 3, 4]), "2"),
     ] {
         let error = set_up_on(&four_joints, chain).err().unwrap().to_string();
@@ -439,6 +442,10 @@ fn row(name: &str, emulator: &str, protocol: &str, no_commands: bool) -> String 
     for observation in &all {
         assert!(observation.applied.iter().all(|u| u.abs() <= 0.0101), "{name}: {:?}", observation.applied);
     }
+    // Who fell silent is named.
+    for event in bridge.report.events.iter().filter(|event| event.cause == TripCause::BusLost) {
+        assert_eq!(event.servo, Some(2), "{name}");
+    }
     let off = (100..400).find(|&tick| !torque[tick]);
     let back = off.and_then(|off| (off..400).find(|&tick| torque[tick]));
     let mut causes: Vec<String> = bridge.report.events.iter().map(|event| event.cause.to_string()).collect();
@@ -552,6 +559,14 @@ fn registers_that_others_left_are_refused() {
         assert!(error.is_configuration() && error.to_string().contains(name), "{name}: {error}");
         assert!(error.to_string().starts_with("servo 2"), "{error}");
     }
+    // A Dynamixel whose range begins below its offset stands on the other side of its encoder's 0 after a restart.
+    let below = plan("", 10, |text| {
+        text.replace("max_speed = 12.0", "range = [-2.9, 2.9]\nregisters = { homing_offset = 300 }\nmax_speed = 12.0")
+    });
+    let mut setup = set_up(&below);
+    (1..=4).for_each(|id| setup.chain.lock().unwrap().overwrite(id, 20, &[44, 1, 0, 0]));
+    let error = setup.bridge.arm().unwrap_err();
+    assert!(error.is_configuration() && error.to_string().contains("lies across the 0 of its encoder"), "{error}");
     // A register that the calibration states is as it should be; a mode that makes times of speeds never is.
     let recorded = |register: &str| {
         plan("", 10, |text| {
@@ -565,6 +580,83 @@ fn registers_that_others_left_are_refused() {
         (1..=4).for_each(|id| setup.chain.lock().unwrap().overwrite(id, address, bytes));
         assert_eq!(setup.bridge.arm().is_ok(), fits, "{register}");
     }
+}
+
+/// Answers of a user who calibrates servo 1: before each Enter, something happens to the arm.
+struct Hand {
+    chain: Arc<Mutex<EmulatedChain>>,
+    clock: SteppedClock,
+    steps: std::vec::IntoIter<Step>,
+    line: &'static [u8],
+}
+
+/// What happens before an Enter.
+enum Step {
+    /// The shaft is turned to this position.
+    At(f64),
+    /// The servo is no longer there, and comes back.
+    Gone,
+    Back,
+}
+
+impl std::io::Read for Hand {
+    fn read(&mut self, _: &mut [u8]) -> std::io::Result<usize> {
+        unreachable!("it is read by lines")
+    }
+}
+
+impl std::io::BufRead for Hand {
+    fn fill_buf(&mut self) -> std::io::Result<&[u8]> {
+        if self.line.is_empty()
+            && let Some(step) = self.steps.next()
+        {
+            let mut chain = self.chain.lock().unwrap();
+            match step {
+                Step::At(steps) => assert!(chain.move_by_hand(self.clock.now(), 1, steps)),
+                Step::Gone => chain.overwrite(1, Protocol::Feetech.series().id.address, &[9]),
+                Step::Back => chain.overwrite(9, Protocol::Feetech.series().id.address, &[1]),
+            }
+            self.line = b"\n";
+        }
+        Ok(self.line)
+    }
+
+    fn consume(&mut self, n: usize) {
+        self.line = &self.line[n..];
+    }
+}
+
+/// A silence and a wrong step cost one question more, not the calibration.
+#[test]
+fn calibrate_asks_again_what_failed() {
+    let plan = plan("", 10, |text| with_protocol(&text, Protocol::Feetech));
+    let chain = EmulatedChain::new(Protocol::Feetech, &[1], 1_000_000, &EmulatorConfig::default(), 1);
+    let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
+    let mut bus = bus_to(&chain, &clock, &plan);
+    let steps = vec![
+        Step::At(2000.0),
+        // Too little to tell a direction: the joint begins again.
+        Step::At(2010.0),
+        Step::At(2010.0),
+        Step::At(2000.0),
+        Step::At(2200.0),
+        Step::Gone,
+        Step::Back,
+        Step::At(3000.0),
+    ];
+    let mut hand = Hand { chain: Arc::clone(&chain), clock, steps: steps.into_iter(), line: b"" };
+    let mut said = Vec::new();
+    // The least angle is 200 steps above the zero, which is no range with 0 in it; so the joint begins once more.
+    let ended = calibrate(&mut bus, &[1], 6.0, &mut hand, &mut said).unwrap_err().to_string();
+    let said = String::from_utf8(said).unwrap();
+    assert!(ended.contains("the answers end"), "{ended}");
+    assert!(said.contains("too little to tell a direction. This joint again"), "{said}");
+    assert!(said.contains("servo 1: no answer in time; look at its cable; Enter asks it again"), "{said}");
+    assert!(said.contains("no range with the angle 0 in it"), "{said}");
+    let steps = [2000.0, 2200.0, 1000.0, 3000.0].map(Step::At);
+    hand.steps = Vec::from(steps).into_iter();
+    let joint = calibrate(&mut bus, &[1], 6.0, &mut hand, &mut Vec::new()).unwrap().joints.remove(0);
+    assert_eq!((joint.zero, joint.direction, joint.raw_ends()), (2000, 1, Some([1000, 3000])));
 }
 
 /// What happens to a bridge that loses its port, its guard, or time, from tick 100 on.

@@ -5,9 +5,13 @@
 mod emulator;
 mod support;
 
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::os::fd::OwnedFd;
 use std::process::{Command, Stdio};
 
 use emulator::Emulator;
+use rustix::fs::{Mode, OFlags};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::Value;
 use support::{Process, TestFolder, children, signal_process};
 use tectum::servo::model::STEP;
@@ -48,9 +52,10 @@ impl Arm {
         }
     }
 
-    /// Waits until a shaft turns.
-    fn wait_for_motion(&mut self) {
-        while self.servos[1..].iter().all(|servo| servo["speed"] == 0.0) {
+    /// Waits until a shaft turns at its highest speed.
+    fn wait_for_full_speed(&mut self) {
+        let full = 0.98 * MAX_SPEED / STEP;
+        while self.servos[1..].iter().all(|servo| servo["speed"].as_f64().is_none_or(|speed| speed.abs() < full)) {
             self.emulator.send_command("state");
             self.take_report();
             std::thread::park_timeout(std::time::Duration::from_millis(20));
@@ -63,21 +68,25 @@ impl Arm {
     }
 }
 
-/// A scenario in which four servos turn at their highest speed, with speed goals.
-fn scenario(test_folder: &TestFolder, protocol: &str) -> String {
+/// A scenario in which four servos turn at their highest speed.
+fn scenario(test_folder: &TestFolder, protocol: &str, goal: &str) -> String {
     let text = std::fs::read_to_string("scenarios/servo-emulated.toml").unwrap();
     let (head, tail) = text.split_once("\n[plant.emulator]\n").unwrap();
     let (_, tail) = tail.split_once("[encoder]").unwrap();
     let head = head.replace("\"emulator\" ", "\"arm\" ").replace("\"dynamixel\" ", &format!("\"{protocol}\" "));
     let head = head.replace("max_speed = 12.0", "max_speed = 1.0").replace("period_ms = 50", "period_ms = 200");
+    let head = head.replace("goal = \"speed\"", &format!("goal = \"{goal}\""));
+    // Position goals need ends.
+    let range = if goal == "position" { "range = [-2.0, 2.0]\nmax_speed" } else { "max_speed" };
+    let head = head.replace("max_speed", range);
     let tail = tail.replace("\"learned-reward\"", "\"paper\"").replace("sigma = 0.001", "sigma = 0.01");
     let text = format!("{head}\n[encoder]{tail}\n[restart]\nplant = \"never\"\n");
     test_folder.write_file("scenario.toml", text).to_str().unwrap().to_owned()
 }
 
 /// A run, and the bridge in it: the launcher's child, or one that was started by hand.
-fn start_run(test_folder: &TestFolder, protocol: &str, by_hand: bool) -> (Process, Option<Process>, u32) {
-    let scenario = scenario(test_folder, protocol);
+fn start_run(test_folder: &TestFolder, protocol: &str, goal: &str, by_hand: bool) -> (Process, Option<Process>, u32) {
+    let scenario = scenario(test_folder, protocol, goal);
     let mut arguments = vec![scenario.as_str(), "--ticks", "10000"];
     if by_hand {
         arguments.extend(["--by-hand", "plant"]);
@@ -98,9 +107,9 @@ fn every_signal_leaves_the_arm_still(protocol: &str, by_hand: bool) {
     for signal in ["STOP", "KILL", "HUP", "QUIT", "TSTP"] {
         let test_folder = TestFolder::new();
         let mut arm = Arm::start(&test_folder, protocol);
-        let (run, bridge, pid) = start_run(&test_folder, protocol, by_hand);
+        let (run, bridge, pid) = start_run(&test_folder, protocol, "speed", by_hand);
         arm.wait_for_torque(true);
-        arm.wait_for_motion();
+        arm.wait_for_full_speed();
         // What ends the bridge may reach the guard too; it takes none of them.
         if signal != "KILL" && signal != "STOP" {
             children(pid).iter().for_each(|(guard, _)| signal_process(*guard, signal));
@@ -109,6 +118,10 @@ fn every_signal_leaves_the_arm_still(protocol: &str, by_hand: bool) {
         arm.wait_for_torque(false);
         let (turned, most) = (arm.unattended(), 5.0 * PERIOD * MAX_SPEED);
         assert!(turned > 0.0 && turned <= most, "{protocol}, {signal}: {turned} rad; at most {most} rad are allowed");
+        // Feetech servos have no watchdog: at full speed they turn until the guard acts, after four silent periods.
+        if (protocol, signal) == ("feetech", "STOP") {
+            assert!(turned >= 3.5 * PERIOD * MAX_SPEED, "{turned} rad: not at full speed to the end");
+        }
         drop(bridge);
         run.wait().expect(4);
     }
@@ -134,12 +147,29 @@ fn feetech_started_by_hand() {
     every_signal_leaves_the_arm_still("feetech", true);
 }
 
+/// With position goals a servo stops by itself, one tick's travel ahead.
+#[test]
+fn position_goals_leave_the_arm_still() {
+    for (protocol, signal) in [("dynamixel", "STOP"), ("dynamixel", "KILL"), ("feetech", "STOP"), ("feetech", "KILL")] {
+        let test_folder = TestFolder::new();
+        let mut arm = Arm::start(&test_folder, protocol);
+        let (run, _, pid) = start_run(&test_folder, protocol, "position", false);
+        arm.wait_for_torque(true);
+        arm.wait_for_full_speed();
+        signal_process(pid, signal);
+        arm.wait_for_torque(false);
+        let (turned, most) = (arm.unattended(), 2.0 * PERIOD * MAX_SPEED);
+        assert!(turned > 0.0 && turned <= most, "{protocol}, {signal}: {turned} rad; at most {most} rad are allowed");
+        run.wait().expect(4);
+    }
+}
+
 /// A bridge whose guard has died turns torque off itself, and says so.
 #[test]
 fn without_its_guard_a_bridge_has_no_torque() {
     let test_folder = TestFolder::new();
     let mut arm = Arm::start(&test_folder, "feetech");
-    let (run, _, pid) = start_run(&test_folder, "feetech", false);
+    let (run, _, pid) = start_run(&test_folder, "feetech", "speed", false);
     arm.wait_for_torque(true);
     children(pid).iter().for_each(|(guard, _)| signal_process(*guard, "KILL"));
     arm.wait_for_torque(false);
@@ -174,7 +204,7 @@ fn jog_leaves_no_torque_behind() {
 fn a_cable_that_comes_back_is_used_again() {
     let test_folder = TestFolder::new();
     let mut arm = Arm::start(&test_folder, "feetech");
-    let (run, _, _) = start_run(&test_folder, "feetech", false);
+    let (run, _, _) = start_run(&test_folder, "feetech", "speed", false);
     arm.wait_for_torque(true);
     drop(arm);
     let mut arm = Arm::start(&test_folder, "feetech");
@@ -182,10 +212,57 @@ fn a_cable_that_comes_back_is_used_again() {
     run.signal("INT");
     let outcome = run.wait().expect(130);
     arm.wait_for_torque(false);
-    for text in ["its cable is out", "the port is open again"] {
+    for text in ["torque may still be on: the port is gone; its cable is out", "the port is open again"] {
         assert!(outcome.stderr.contains(text), "{text}: {outcome:#?}");
     }
     assert!(outcome.stdout.contains("ticks without torque"), "{outcome:#?}");
+}
+
+/// A terminal for a program, and its other end, at which a test types.
+fn terminal() -> (OwnedFd, std::fs::File) {
+    let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+    grantpt(&ours).unwrap();
+    unlockpt(&ours).unwrap();
+    let path = ptsname(&ours, Vec::new()).unwrap();
+    let theirs = rustix::fs::open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty()).unwrap();
+    (theirs, ours.into())
+}
+
+/// With `rearm = "by-hand"`, torque returns after the cable was out when `a` and Enter are typed at the bridge's
+/// terminal.
+#[test]
+fn by_hand_torque_returns_when_it_is_typed() {
+    let test_folder = TestFolder::new();
+    let mut arm = Arm::start(&test_folder, "feetech");
+    let path = scenario(&test_folder, "feetech", "speed");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let text = text.replace("armed = true ", "rearm = \"by-hand\"\narmed = true ");
+    let path = test_folder.write_file("by-hand.toml", text);
+    let mut run = test_folder.run(&[path.to_str().unwrap(), "--ticks", "10000", "--by-hand", "plant"]);
+    let manifest = test_folder.run_folder().join("run.json");
+    run.wait_until("the run's folder", || manifest.exists());
+    let (theirs, mut keyboard) = terminal();
+    let mut bridge = Command::new(BRIDGE)
+        .args(["--run", "run"])
+        .current_dir(test_folder.path())
+        .stdin(theirs)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut said = BufReader::new(bridge.stderr.take().unwrap()).lines();
+    let mut wait_for = |text: &str| said.by_ref().map(Result::unwrap).find(|line| line.contains(text)).unwrap();
+    arm.wait_for_torque(true);
+    drop(arm);
+    let sentence = wait_for("its cable is out");
+    assert!(sentence.contains("arm it again to go on"), "{sentence}");
+    let mut arm = Arm::start(&test_folder, "feetech");
+    wait_for("the port is open again");
+    keyboard.write_all(b"a\n").unwrap();
+    arm.wait_for_torque(true);
+    run.signal("INT");
+    run.wait().expect(130);
+    arm.wait_for_torque(false);
+    bridge.wait().unwrap();
 }
 
 /// A cable that stays out is a failure of the run, not bad input.
@@ -193,7 +270,7 @@ fn a_cable_that_comes_back_is_used_again() {
 fn a_cable_that_stays_out_ends_the_run() {
     let test_folder = TestFolder::new();
     let mut arm = Arm::start(&test_folder, "feetech");
-    let path = scenario(&test_folder, "feetech");
+    let path = scenario(&test_folder, "feetech", "speed");
     let text = std::fs::read_to_string(&path).unwrap().replace("armed = true ", "reopen_within_s = 0.5\narmed = true ");
     let path = test_folder.write_file("short.toml", text);
     let run = test_folder.run(&[path.to_str().unwrap(), "--ticks", "10000"]);
@@ -223,9 +300,9 @@ fn an_overload_is_told() {
 fn the_guard_outlives_the_bridges_process_group() {
     let test_folder = TestFolder::new();
     let mut arm = Arm::start(&test_folder, "feetech");
-    let (run, _, pid) = start_run(&test_folder, "feetech", false);
+    let (run, _, pid) = start_run(&test_folder, "feetech", "speed", false);
     arm.wait_for_torque(true);
-    arm.wait_for_motion();
+    arm.wait_for_full_speed();
     let killed = std::process::Command::new("kill").args(["-KILL", "--", &format!("-{pid}")]).status().unwrap();
     assert!(killed.success());
     arm.wait_for_torque(false);

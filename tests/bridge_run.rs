@@ -134,4 +134,6 @@ fn a_killed_bridge_restarts() {
     let outcome = run.wait().expect(130);
     assert_eq!(outcome.json()["restarts"][0]["process"], "plant");
     chain.wait_for_torque(false);
+    let report = read_json(test_folder.run_folder().join("bridge.json"));
+    assert!(report["earlier_bridges"] == 1 && report["armed"] == 2, "{report}");
 }

@@ -34,11 +34,17 @@ fn tool(test_folder: &TestFolder, arguments: &[&str]) -> Output {
     Command::new(BRIDGE).args(arguments).current_dir(test_folder.path()).stdin(Stdio::null()).output().unwrap()
 }
 
-/// The error message of a tool, which must be one line, with the exit code of bad input or of a failure.
+/// What the user has asked for or set up is wrong.
+const INPUT: i32 = 2;
+
+/// A cable, a servo or another program is in the way.
+const FAILURE: i32 = 4;
+
+/// The error message of a tool that ended with this exit code, which must be one line.
 #[track_caller]
-fn refused(output: &Output) -> String {
+fn refused(code: i32, output: &Output) -> String {
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(matches!(output.status.code(), Some(2 | 4)), "{text}");
+    assert_eq!(output.status.code(), Some(code), "{text}");
     assert_eq!(text.trim_end().lines().count(), 1, "{text}");
     text
 }
@@ -59,8 +65,32 @@ fn scan_reports_ids_models_and_duplicate_ids() {
     }
     let _emulator = start(&test_folder, &["--protocol", "feetech", "--ids", "1,2,2"]);
     let scan = ["scan", "--port", "arm", "--baud", "1000000", "--max-id", "3", "--protocol"];
-    assert!(refused(&tool(&test_folder, &[&scan[..], &["feetech"]].concat())).contains("two servos"));
-    assert!(refused(&tool(&test_folder, &[&scan[..], &["dynamixel"]].concat())).contains("no servo answers"));
+    assert!(refused(INPUT, &tool(&test_folder, &[&scan[..], &["feetech"]].concat())).contains("two servos"));
+    let output = tool(&test_folder, &[&scan[..], &["dynamixel"]].concat());
+    assert!(refused(FAILURE, &output).contains("no servo answers"));
+}
+
+/// An adapter that holds answers back or sends back what it is sent, and a servo that answers pings alone, are told
+/// apart from an empty bus.
+#[test]
+fn scan_says_what_adapter_and_servo_do() {
+    let text = std::fs::read_to_string("scenarios/servo-emulated.toml").unwrap();
+    let scan = ["scan", "--port", "arm", "--protocol", "dynamixel", "--baud", "1000000", "--max-id", "4"];
+    for (with, set, found, said) in [
+        ("latency_us = 16000.0", "3:9:1:0", "servo 3, XL330-M288", "holds answers back"),
+        ("echo = true", "3:9:1:0", "servo 3, XL330-M288", "sends back what it is sent"),
+        ("latency_us = 250.0", "3:68:1:0", "servo 3, answers pings alone", ""),
+    ] {
+        let test_folder = TestFolder::new();
+        test_folder.write_file("scenario.toml", text.replace("latency_us = 250.0", with));
+        let emulator = ["--protocol", "dynamixel", "--ids", "3", "--scenario", "scenario.toml", "--set", set];
+        let _emulator = start(&test_folder, &emulator);
+        let output = tool(&test_folder, &scan);
+        let [out, err] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+        assert!(output.status.success() && out.contains(found), "{with}: {output:?}");
+        assert_eq!(out.lines().count(), 1, "{out}");
+        assert!(err.contains(said) && err.is_empty() == said.is_empty(), "{with}: {err}");
+    }
 }
 
 #[test]
@@ -113,7 +143,54 @@ fn a_calibration_by_hand_can_be_read_by_a_scenario() {
     }
     // The file is overwritten only with --force.
     let again = [&["calibrate", "--ids", "1,2", "--out", "arm.toml"], &PORT[..]].concat();
-    assert!(refused(&tool(&test_folder, &again)).contains("--force"));
+    assert!(refused(INPUT, &tool(&test_folder, &again)).contains("--force"));
+}
+
+/// A joint whose range lies across the encoder's 0: `calibrate` writes a homing offset into a Feetech, and `jog` moves
+/// the joint with that calibration. A Dynamixel's offset does not move the 0, so it is refused there.
+#[test]
+fn a_range_across_the_encoders_zero_gets_a_homing_offset() {
+    for protocol in ["feetech", "dynamixel"] {
+        let test_folder = TestFolder::new();
+        let mut emulator = start(&test_folder, &["--protocol", protocol, "--ids", "2"]);
+        let bus = ["--port", "arm", "--protocol", protocol];
+        let mut child = Command::new(BRIDGE)
+            .args(["calibrate", "--ids", "2", "--out", "arm.toml"])
+            .args(bus)
+            .current_dir(test_folder.path())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut answers = child.stdin.take().unwrap();
+        let mut output_lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        // From 1200 to 4300 steps, which the encoder calls 204; then the question whether to write the offset.
+        let steps = [3000, 3200, 1200, 204, 204];
+        for at in &steps[..if protocol == "feetech" { 5 } else { 4 }] {
+            output_lines.by_ref().map(Result::unwrap).find(|line| line.contains("(servo 2)")).unwrap();
+            servos_after(&mut emulator, &format!("hand 2 {at}"));
+            writeln!(answers).unwrap();
+        }
+        drop(answers);
+        let output = child.wait_with_output().unwrap();
+        let file = test_folder.path().join("arm.toml");
+        if protocol == "dynamixel" {
+            assert!(refused(INPUT, &output).contains("take its horn off") && !file.exists());
+            continue;
+        }
+        assert!(output.status.success(), "{output:?}");
+        let found = Calibration::load(&file, Protocol::named(protocol)).unwrap();
+        let joint = &found.joints[0];
+        assert_eq!((joint.zero, joint.registers["homing_offset"]), (3000 - 702, 702), "{protocol}");
+        assert_eq!(joint.raw_ends(), Some([1200 - 702, 4300 - 702]), "{protocol}");
+        // Back from its upper end, and not the long way round; the offset is in the servo.
+        let jog = ["jog", "--id", "2", "--by", "-0.3", "--speed", "2", "--calibration", "arm.toml"];
+        let output = tool(&test_folder, &[&jog[..], &bus].concat());
+        assert!(output.status.success(), "{protocol}: {output:?}");
+        let at = servos_after(&mut emulator, "state")[0]["position"].as_f64().unwrap().rem_euclid(4096.0);
+        assert!((at - (4300.0 - 4096.0 - 0.3 / tectum::servo::model::STEP)).abs() < 20.0, "{protocol}: {at}");
+    }
 }
 
 /// A LeRobot file is taken over if the servos have its homing offsets, and written back as it was.
@@ -138,7 +215,7 @@ fn a_lerobot_calibration_is_imported_and_exported() {
     assert_eq!(back.joints[1].raw_ends(), Some([900, 3100]));
     drop(emulator);
     let _emulator = start_with("2:31:2:45");
-    let text = refused(&tool(&test_folder, &[&import[..], &["other.toml"], &PORT[..]].concat()));
+    let text = refused(INPUT, &tool(&test_folder, &[&import[..], &["other.toml"], &PORT[..]].concat()));
     assert!(text.contains("servo 2: homing_offset (address 31) is 45 and should be 44"), "{text}");
 }
 
@@ -181,24 +258,31 @@ fn bad_input_is_refused_in_one_sentence_and_torque_stays_off() {
     {
         test_folder.write_file(name, text);
     }
-    let jog = |rest: &[&str]| refused(&tool(&test_folder, &[&["jog", "--by", "0.3"], &PORT[..], rest].concat()));
-    for (message, text) in [
-        (jog(&["--id", "7"]), "no servo answers at id 7"),
-        (jog(&["--id", "2"]), "two servos"),
-        (jog(&["--id", "1", "--speed", "50"]), "0.01 to 2 rad/s"),
-        (jog(&["--id", "1", "--baud", "12345"]), "12345"),
-        (jog(&["--id", "1", "--calibration", "other.toml"]), "another arm's"),
-        (jog(&["--id", "1", "--calibration", "dxl.toml"]), "another arm's"),
-        (jog(&["--id", "1", "--calibration", "narrow.toml"]), "outside its range"),
-        (jog(&["--id", "1", "--calibration", "bad.toml"]), "bad.toml"),
-        (jog(&["--id", "1", "--calibration", "none.toml"]), "none.toml"),
+    let jog = |rest: &[&str]| tool(&test_folder, &[&["jog", "--by", "0.3"], &PORT[..], rest].concat());
+    for (code, output, text) in [
+        (FAILURE, jog(&["--id", "7"]), "no servo answers at id 7"),
+        (INPUT, jog(&["--id", "2"]), "two servos"),
+        (INPUT, jog(&["--id", "1", "--speed", "50"]), "0.01 to 2 rad/s"),
+        (INPUT, jog(&["--id", "1", "--baud", "12345"]), "12345"),
+        (INPUT, jog(&["--id", "1", "--calibration", "other.toml"]), "another arm's"),
+        (INPUT, jog(&["--id", "1", "--calibration", "dxl.toml"]), "another arm's"),
+        (INPUT, jog(&["--id", "1", "--calibration", "narrow.toml"]), "outside its range"),
+        (INPUT, jog(&["--id", "1", "--calibration", "bad.toml"]), "bad.toml"),
+        (INPUT, jog(&["--id", "1", "--calibration", "none.toml"]), "none.toml"),
         (
-            refused(&tool(&test_folder, &["watch", "--port", "none", "--protocol", "feetech", "--ids", "1"])),
+            FAILURE,
+            tool(&test_folder, &["watch", "--port", "none", "--protocol", "feetech", "--ids", "1"]),
             "no such port",
         ),
-        (refused(&tool(&test_folder, &[&["watch", "--ids", "1,1"], &PORT[..]].concat())), "given twice"),
-        (refused(&tool(&test_folder, &[&["calibrate", "--ids", "1"], &PORT[..]].concat())), "answers end"),
+        (INPUT, tool(&test_folder, &[&["watch", "--ids", "1,1"], &PORT[..]].concat()), "given twice"),
+        (
+            FAILURE,
+            tool(&test_folder, &[&["watch", "--ids", "7,1,9"], &PORT[..]].concat()),
+            "no servo answers at id 7, 9, and one does at 1",
+        ),
+        (INPUT, tool(&test_folder, &[&["calibrate", "--ids", "1"], &PORT[..]].concat()), "answers end"),
     ] {
+        let message = refused(code, &output);
         assert!(message.contains(text), "{text}: {message}");
     }
     // A port that is in use.
@@ -209,7 +293,7 @@ fn bad_input_is_refused_in_one_sentence_and_torque_stays_off() {
         tectum::servo::tools::BUDGET,
         Box::new(tectum::clock::monotonic_ns),
     );
-    assert!(jog(&["--id", "1"]).contains("another program has the port"));
+    assert!(refused(FAILURE, &jog(&["--id", "1"])).contains("another program has the port"));
     drop(bus);
     let state = servos_after(&mut emulator, "state");
     assert_eq!(state.len(), 3, "torque went on in between: {state:?}");
@@ -217,6 +301,37 @@ fn bad_input_is_refused_in_one_sentence_and_torque_stays_off() {
     // The trace does report torque when a tool turns it on.
     assert!(tool(&test_folder, &[&["jog", "--by", "0.1", "--id", "1"], &PORT[..]].concat()).status.success());
     assert_eq!(emulator.next_report()["servos"][0]["torque"], true);
+}
+
+/// `watch` says that a servo is silent, and goes on.
+#[test]
+fn watch_goes_on_after_a_silence() {
+    let test_folder = TestFolder::new();
+    let text = std::fs::read_to_string("scenarios/servo-emulated.toml").unwrap();
+    let fault = "[[plant.emulator.faults]]\nkind = \"no-reply\"\nprobability = 0.3\n\n[encoder]\n";
+    test_folder.write_file("scenario.toml", text.replacen("[encoder]\n", fault, 1));
+    let _emulator = start(&test_folder, &["--protocol", "feetech", "--ids", "1", "--scenario", "scenario.toml"]);
+    let mut later = false;
+    // Its first question may be lost as well; then it is started again.
+    while !later {
+        let mut watch = Command::new(BRIDGE)
+            .args([&["watch", "--ids", "1", "--json"], &PORT[..]].concat())
+            .current_dir(test_folder.path())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut silent = false;
+        for line in BufReader::new(watch.stdout.take().unwrap()).lines() {
+            let line: Value = serde_json::from_str(&line.unwrap()).unwrap();
+            silent |= line["error"].as_str().is_some_and(|error| error.contains("no answer in time"));
+            later = silent && line["position"].is_number();
+            if later {
+                break;
+            }
+        }
+        let _ = watch.kill();
+        watch.wait().unwrap();
+    }
 }
 
 #[test]
@@ -253,5 +368,5 @@ fn a_port_without_permission_is_named() {
         eprintln!("skipped: the test cannot change to another user here: {text}");
         return;
     }
-    assert!(refused(&output).contains("ermission"), "{text}");
+    assert!(refused(INPUT, &output).contains("ermission"), "{text}");
 }

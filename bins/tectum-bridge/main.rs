@@ -15,7 +15,7 @@ use tectum::clock::{monotonic_ns, pause, suspended_ns};
 use tectum::process::print_error_line;
 use tectum::runtime::{Participant, RuntimeError, exit, run_plant};
 use tectum::servo::bridge::{Bridge, BridgeError, TripCause, joints_of};
-use tectum::servo::bus::{Bus, BusBudget, BusError};
+use tectum::servo::bus::{Bus, BusBudget, BusError, latency_advice};
 use tectum::servo::guard::{Guard, GuardSettings};
 use tectum::servo::model::Protocol;
 use tectum::wire::Role;
@@ -106,6 +106,9 @@ fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
     };
     let bus = open_bus(&port, config.protocol, config.baud, Bridge::budget(&participant.plan))
         .map_err(|error| of_bridge("", error.into()))?;
+    if let Some(advice) = latency_advice(&port) {
+        print_error_line(&format!("tectum-bridge: {advice}"));
+    }
     let period_ns = participant.plan.period_ns;
     let guard = GuardSettings { port, protocol: config.protocol, baud: config.baud, ids, period_ns };
     let guard = guard::start(&guard).map_err(failed)?;
@@ -115,7 +118,7 @@ fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
     let ending = bridge.ending();
     bridge.write_report_to(participant.folder.join("bridge.json"));
     if arguments.arm || config.armed {
-        bridge.arm().map_err(|error| of_bridge("not armed: ", error))?;
+        bridge.arm_patiently().map_err(|error| of_bridge("not armed: ", error))?;
     } else {
         print_error_line(
             "tectum-bridge: read-only; --arm, armed = true under [plant.servos], \
@@ -130,6 +133,9 @@ fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
     }
     let ending = ending.lock().ok().and_then(|ending| *ending);
     match ending.filter(|cause| *cause != TripCause::CommandsAway) {
+        Some(cause) if cause.leaves_torque_unknown() => {
+            Err(failed(format!("torque may still have been on when the run ended: {cause}")))
+        }
         Some(cause) => Err(failed(format!("torque was off when the run ended: {cause}"))),
         None => Ok(()),
     }

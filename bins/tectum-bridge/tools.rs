@@ -5,10 +5,11 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use tectum::clock::{TerminationSignals, monotonic_ns, pause};
-use tectum::servo::bus::{Bus, BusBudget};
+use tectum::process::print_error_line;
+use tectum::servo::bus::{Bus, BusBudget, BusError, latency_advice, latency_ms};
 use tectum::servo::guard::GuardSettings;
-use tectum::servo::model::Protocol;
-use tectum::servo::tools::{self, Calibration, Jog, JogContext, ToolError};
+use tectum::servo::model::{Protocol, ServoSeries};
+use tectum::servo::tools::{self, Calibration, FoundServo, Jog, JogContext, ToolError};
 
 use super::guard;
 
@@ -202,42 +203,95 @@ fn jog(arguments: &Move, calibration: Option<&Calibration>, stop: &dyn Fn() -> b
     print_line(&if arguments.json { serde_json::json!(after).to_string() } else { after.line() })
 }
 
+/// Ids that are asked a second time, patiently, when nobody has answered.
+const LIKELY_IDS: u8 = 16;
+
+/// Latency for which that second search waits, ms: the default of FTDI's driver.
+const USUAL_LATENCY_MS: u32 = 16;
+
 fn find(scan: &Scan, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
     let protocols = match &scan.protocol {
         Some(name) => vec![Protocol::named(name)],
         None => vec![Protocol::Dynamixel, Protocol::Feetech],
     };
-    let mut all = Vec::new();
-    let mut duplicate_id = None;
+    if let Some(advice) = latency_advice(&scan.port) {
+        print_error_line(&format!("tectum-bridge: {advice}; until then this search waits longer for each id"));
+    }
+    let latency = latency_ms(&scan.port);
+    let (mut all, mut duplicate_id, mut echoes, mut late) = (Vec::new(), None, false, false);
     for series in protocols.iter().map(|protocol| protocol.series()) {
         for &(baud, _) in series.bauds.iter().filter(|(baud, _)| scan.baud.is_none_or(|only| only == *baud)) {
-            // At low rates the transmission time matters: about thirty bytes in each direction.
-            let wire = 30 * 10 * 1_000_000_000 / u64::from(baud);
-            let budget = BusBudget { read_ns: tools::SEARCH.read_ns + 2 * wire, ..tools::SEARCH };
-            let mut bus = Bus::open(&scan.port, series.protocol, baud, budget, Box::new(monotonic_ns))?;
-            for found in tools::scan(&mut bus, 0..=scan.max_id.min(series.max_id), stop) {
-                let model = match (found.garbled, found.model) {
-                    (true, _) => "cannot be read: two servos with this id?".to_owned(),
-                    (false, Some(name)) => name.to_owned(),
-                    (false, None) => format!("unknown model {}", found.number.unwrap_or(0)),
-                };
+            let last = scan.max_id.min(series.max_id);
+            let mut answers = search(scan, series, baud, last, latency.unwrap_or(0), stop)?;
+            if (answers.found.is_empty() || answers.late) && latency.is_none() {
+                answers = search(scan, series, baud, last.min(LIKELY_IDS), USUAL_LATENCY_MS, stop)?;
+                late |= !answers.found.is_empty();
+            }
+            echoes |= answers.echo;
+            for found in answers.found {
                 if found.garbled {
                     duplicate_id = Some(found.id);
                 }
                 if !scan.json {
-                    print_line(&format!("{} at {baud} baud: servo {}, {model}", series.name, found.id))?;
+                    print_line(&format!("{} at {baud} baud: servo {}, {}", series.name, found.id, describe(&found)))?;
                 }
                 all.push(serde_json::json!({ "protocol": series.protocol, "baud": baud, "servo": found }));
             }
         }
     }
+    if echoes {
+        print_error_line("tectum-bridge: the adapter sends back what it is sent; its own bytes are left out");
+    }
+    if late {
+        print_error_line(&format!(
+            "tectum-bridge: the adapter holds answers back, so only ids up to {LIKELY_IDS} were found; make its \
+             latency timer 1 ms"
+        ));
+    }
     if scan.json {
-        print_line(&serde_json::json!({ "servos": all }).to_string())?;
+        print_line(&serde_json::json!({ "servos": all, "echo": echoes, "late": late }).to_string())?;
     }
     match (duplicate_id, all.is_empty()) {
         (Some(id), _) => Err(ToolError::DuplicateId(id)),
         (None, true) => Err(ToolError::NoServo(format!(" at {}", scan.port))),
         (None, false) => Ok(()),
+    }
+}
+
+/// What a search at one rate finds.
+struct Answers {
+    found: Vec<FoundServo>,
+    /// Whether answers came late.
+    late: bool,
+    /// Whether the adapter sends back what it is sent.
+    echo: bool,
+}
+
+/// Asks the ids up to `last` at one rate, behind an adapter that holds answers for `latency` ms.
+fn search(
+    scan: &Scan,
+    series: &ServoSeries,
+    baud: u32,
+    last: u8,
+    latency: u32,
+    stop: &dyn Fn() -> bool,
+) -> Result<Answers, ToolError> {
+    let usual = tools::search_budget(latency);
+    // At low rates the transmission time matters: about thirty bytes in each direction.
+    let wire = 30 * 10 * 1_000_000_000 / u64::from(baud);
+    let budget = BusBudget { read_ns: usual.read_ns + 2 * wire, ..usual };
+    let mut bus = Bus::open(&scan.port, series.protocol, baud, budget, Box::new(monotonic_ns))?;
+    let (found, late) = tools::scan(&mut bus, 0..=last, stop);
+    Ok(Answers { found, late, echo: bus.echoes() })
+}
+
+/// What a servo is, for the user.
+fn describe(found: &FoundServo) -> String {
+    match (found.garbled, found.mute, found.model) {
+        (true, ..) => "cannot be read: two servos with this id?".to_owned(),
+        (_, true, _) => "answers pings alone: its response level (Dynamixel: address 68) is too low".to_owned(),
+        (.., Some(name)) => name.to_owned(),
+        (.., None) => format!("unknown model {}", found.number.unwrap_or(0)),
     }
 }
 
@@ -275,7 +329,15 @@ fn watch(arguments: &Watch, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
     tools::identify(&mut bus, &arguments.ids)?;
     while !stop() {
         for &id in &arguments.ids {
-            let state = tools::read_state(&mut bus, id)?;
+            let state = match tools::read_state(&mut bus, id) {
+                // It may come back; a single look is a failure.
+                Err(ToolError::Bus(error @ BusError::NoAnswer { .. })) if !arguments.once => {
+                    let json = || serde_json::json!({ "id": id, "error": error.to_string() }).to_string();
+                    print_line(&if arguments.json { json() } else { error.to_string() })?;
+                    continue;
+                }
+                state => state?,
+            };
             print_line(&if arguments.json { serde_json::json!(state).to_string() } else { state.line() })?;
         }
         if arguments.once {

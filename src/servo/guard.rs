@@ -137,7 +137,7 @@ pub fn watch(parent: u32, settings: &GuardSettings) -> ExitCode {
         let _ = rustix::stdio::dup2_stderr(&null);
     }
     match first {
-        Opened::Off => ExitCode::SUCCESS,
+        Opened::Off(_) => ExitCode::SUCCESS,
         Opened::Failed(_) => insist(&port, settings),
     }
 }
@@ -171,17 +171,23 @@ fn await_alarm(limit: u64) -> Option<Alarm> {
 
 /// An attempt to turn torque off.
 enum Opened {
-    Off,
+    /// It was sent; these servos do not confirm that their torque is off.
+    Off(Vec<u8>),
     Failed(BusError),
 }
 
 impl Opened {
     fn once(port: &str, settings: &GuardSettings) -> Self {
-        let budget = BusBudget { read_ns: 20_000_000, write_ns: 20_000_000 };
+        let budget = BusBudget { read_ns: 50_000_000, write_ns: 20_000_000 };
         match Bus::open(port, settings.protocol, settings.baud, budget, Box::new(monotonic_ns)) {
             Ok(mut bus) => {
                 bus.torque_off(&settings.ids);
-                Self::Off
+                let torque = bus.series().torque_enable;
+                let mut unconfirmed = settings.ids.clone();
+                for _ in 0..5 {
+                    unconfirmed.retain(|&id| !matches!(bus.read(id, torque), Ok(0)));
+                }
+                Self::Off(unconfirmed)
             }
             Err(error) => Self::Failed(error),
         }
@@ -193,7 +199,7 @@ fn insist(port: &str, settings: &GuardSettings) -> ExitCode {
     let began = monotonic_ns();
     loop {
         let limit = match Opened::once(port, settings) {
-            Opened::Off => return ExitCode::SUCCESS,
+            Opened::Off(_) => return ExitCode::SUCCESS,
             Opened::Failed(BusError::Busy(_)) => BUSY_WAIT,
             Opened::Failed(_) => CABLE_WAIT,
         };
@@ -211,7 +217,11 @@ fn tell(alarm: &Alarm, result: &Opened) {
         Alarm::Ended => "the process ended without turning torque off".to_owned(),
     };
     let then = match result {
-        Opened::Off => "torque is off".to_owned(),
+        Opened::Off(silent) if silent.is_empty() => "torque is off".to_owned(),
+        Opened::Off(silent) => {
+            let ids: Vec<_> = silent.iter().map(u8::to_string).collect();
+            format!("torque was told to go off; not confirmed by servo {}", ids.join(", "))
+        }
         Opened::Failed(error) => format!("torque may still be on: {error}"),
     };
     let _ = writeln!(io::stderr(), "tectum-bridge: guard: {what}; {then}");

@@ -36,7 +36,8 @@ pub(super) struct PipedProgram {
 }
 
 impl PipedProgram {
-    /// Starts the program `name` at `path` with `arguments`. It is killed when it gives no answer for `hang_s` seconds; 0: never.
+    /// Starts the program `name` at `path` with `arguments`. It is killed when it gives no answer for `hang_s` seconds;
+    /// 0: never.
     pub fn start(name: &str, path: &Path, arguments: &[String], hang_s: f64) -> Result<Self, PipeError> {
         let failed = |cause: String| PipeError::Start { program: name.to_owned(), cause };
         let mut process = Process::new(path);

@@ -2,7 +2,7 @@
 
 use crate::scenario::{JointConfig, Plan, ServoGoal, check_joints};
 use crate::servo::bus::{Bus, BusError, ServoReply};
-use crate::servo::model::{KeptSetting, Protocol, Register, RegisterBlock, STEP, UnknownModel};
+use crate::servo::model::{KeptSetting, Protocol, Register, RegisterBlock, STEP, STEPS_PER_TURN, UnknownModel};
 use crate::servo::tools::Calibration;
 
 /// Reasons why the bridge does not start or cannot be armed.
@@ -94,6 +94,22 @@ pub enum BridgeError {
         /// The value without the offending bits.
         remedy: i32,
     },
+    /// A Dynamixel's range goes across the 0 of its encoder, which a homing offset does not move.
+    #[error(
+        "servo {id}: its range of {low} to {high} steps lies across the 0 of its encoder, which is at {offset} steps: \
+         a Dynamixel's homing offset is added to what the encoder says and does not move it; take its horn off, turn \
+         it by half a turn, and calibrate again"
+    )]
+    Offset {
+        /// The id.
+        id: u8,
+        /// The homing offset, steps.
+        offset: i32,
+        /// Lower end of its range, steps.
+        low: i32,
+        /// Upper end of its range, steps.
+        high: i32,
+    },
     /// The calibration file is not there, or cannot be read.
     #[error(
         "the calibration cannot be read ({cause}); looked for {places}; a relative path in plant.servos.calibration \
@@ -121,7 +137,9 @@ impl BridgeError {
     pub fn is_configuration(&self) -> bool {
         match self {
             Self::Bus(error) => error.is_configuration(),
-            Self::NoServos | Self::Model(_) | Self::Register { .. } | Self::Forbidden { .. } => true,
+            Self::NoServos | Self::Model(_) | Self::Register { .. } | Self::Forbidden { .. } | Self::Offset { .. } => {
+                true
+            }
             Self::Calibration { .. } | Self::NoCalibration { .. } => true,
             Self::NoAnswer(_) | Self::OutOfRange { .. } | Self::HardwareError { .. } | Self::Setting { .. } => false,
         }
@@ -157,16 +175,43 @@ pub fn joints_of(plan: &Plan) -> Result<Vec<JointConfig>, BridgeError> {
     Ok(calibration.joints)
 }
 
+/// Time for which a step before the first tick is done again while servos are silent, ns.
+pub(super) const PATIENCE: u64 = 1_000_000_000;
+
+/// Does a step again while servos are silent, for a second at most: a loaded machine may be late with single answers.
+pub(super) fn patiently<T>(
+    bus: &mut Bus,
+    mut step: impl FnMut(&mut Bus) -> Result<T, BridgeError>,
+) -> Result<T, BridgeError> {
+    let until = bus.now() + PATIENCE;
+    loop {
+        match step(bus) {
+            Err(error) if error.is_silence() && bus.now() < until => {}
+            result => return result,
+        }
+    }
+}
+
 /// Checks that all servos answer and are of known models. Changes nothing.
 pub(super) fn identify(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), BridgeError> {
     let series = bus.series();
+    let (mut answering, mut missing) = (Vec::new(), Vec::new());
     for joint in joints {
-        let (number, known) = bus.model(joint.id).map_err(|error| BridgeError::NoAnswer(error.to_string()))?;
-        if known.is_none() {
-            return Err(UnknownModel { id: joint.id, number, series: series.name }.into());
+        match bus.model(joint.id) {
+            Ok((_, Some(_))) => answering.push(joint.id.to_string()),
+            Ok((number, None)) => return Err(UnknownModel { id: joint.id, number, series: series.name }.into()),
+            Err(error @ BusError::NoAnswer { .. }) => missing.push(error.to_string()),
+            Err(error) => return Err(error.into()),
         }
     }
-    Ok(())
+    match (missing.is_empty(), answering.is_empty()) {
+        (true, _) => Ok(()),
+        (false, true) => Err(BridgeError::NoAnswer(format!("no servo of the arm answers ({})", missing.join("; ")))),
+        (false, false) => {
+            let text = format!("{}; with an answer: servo {}", missing.join("; "), answering.join(", "));
+            Err(BridgeError::NoAnswer(text))
+        }
+    }
 }
 
 /// All checks and settings before torque: checks models, errors and posture; then sets modes and limits with
@@ -186,6 +231,7 @@ pub(super) fn prepare(
             return Err(BridgeError::OutOfRange { id: joint.id, angle, low, high });
         }
         check_registers(bus, joint.id, |kept| joint.registers.get(kept.name).copied())?;
+        check_offset(series.protocol, joint)?;
         let bits = bus.read(joint.id, series.hardware_error)?;
         if bits != 0 {
             return Err(BridgeError::HardwareError { id: joint.id, bits });
@@ -268,6 +314,20 @@ pub(crate) fn read_kept(bus: &mut Bus, id: u8) -> Result<Vec<(KeptSetting, i32)>
     let block = RegisterBlock { address: first, length: end - first };
     let bytes = bus.read_block(id, block)?;
     Ok(kept.iter().map(|kept| (*kept, block.decode(kept.register, &bytes).unwrap_or(0))).collect())
+}
+
+/// Checks that a Dynamixel reads the whole range as numbers that follow each other: those from its homing offset on,
+/// for a turn. (A Feetech takes its offset off within the turn.)
+fn check_offset(protocol: Protocol, joint: &JointConfig) -> Result<(), BridgeError> {
+    let offset = joint.registers.get("homing_offset").copied().unwrap_or(0);
+    match joint.raw_ends() {
+        Some([low, high])
+            if protocol == Protocol::Dynamixel && (low < offset || high >= offset.saturating_add(STEPS_PER_TURN)) =>
+        {
+            Err(BridgeError::Offset { id: joint.id, offset, low, high })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Compares the registers that a calibration keeps. `recorded` returns the value of a calibration, if it has one.

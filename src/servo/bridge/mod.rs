@@ -36,19 +36,18 @@ pub use report::{BridgeReport, TripEvent};
 pub use safety::{DriveCommand, RECOVERY, SafetyMachine, SafetyState, TripCause};
 pub use vision::VisionReport;
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use hdrhistogram::Histogram;
 use tectum_core::angle::wrap_f64;
 
-use super::bus::{Bus, BusBudget};
+use super::bus::{Bus, BusBudget, BusError};
 use crate::plant::{Arm, JointState, Outcome, Plant};
 
 use crate::scenario::{Angles, JointConfig, Plan, ServosConfig};
 use crate::state::{Persist, StateVisitor};
-use crate::stats::{Percentiles, histogram};
+use crate::stats::histogram;
 use crate::wire::{MAX_MEASURES, MAX_OUTPUTS, OutputValues, Vision, flag};
 use vision::VisionInput;
 
@@ -94,6 +93,8 @@ pub struct Bridge {
     raw: [i32; MAX_OUTPUTS],
     /// Whether the last read failed.
     read_failed: bool,
+    /// Why the first read since the last good one failed: which servo, and what came instead of its answer.
+    silence: Option<BusError>,
     /// The trackers' samples, if the scenario uses them.
     vision: Option<VisionInput>,
     vision_source: Option<VisionSource>,
@@ -111,10 +112,14 @@ pub struct Bridge {
     notify: Box<dyn FnMut(&str)>,
     /// Counts so far.
     pub report: BridgeReport,
+    /// Ticks between two writes of the report.
+    report_interval: u64,
     /// Durations of reads and writes, ns.
     times: [Histogram<u64>; 2],
-    /// File for the report at the end.
-    report_path: Option<PathBuf>,
+    /// The counts of the run's earlier bridges.
+    earlier: BridgeReport,
+    /// File for the report.
+    report_file: Option<report::ReportFile>,
 }
 
 impl Bridge {
@@ -134,7 +139,7 @@ impl Bridge {
         // Before any check: an open port keeps the guard of a killed bridge from turning torque off, and the
         // checks may fail.
         bus.torque_off(&joints.iter().map(|joint| joint.id).collect::<Vec<_>>());
-        checks::identify(&mut bus, &joints)?;
+        checks::patiently(&mut bus, |bus| checks::identify(bus, &joints))?;
         let period_s = plan.scenario.period_ms / 1000.0;
         let within_ms = config.command_within_ms.unwrap_or(plan.scenario.period_ms / 2.0);
         let mut bridge = Self {
@@ -156,6 +161,7 @@ impl Bridge {
             theta: [0.0; MAX_OUTPUTS],
             raw: [0; MAX_OUTPUTS],
             read_failed: false,
+            silence: None,
             vision: (!config.sight.is_model()).then(|| VisionInput::new(config, plan.period_ns)),
             vision_source: None,
             last_outcome: Outcome::default(),
@@ -165,15 +171,15 @@ impl Bridge {
             arm_request: Arc::default(),
             notify,
             report: BridgeReport::default(),
+            report_interval: (1_000_000_000 / plan.period_ns.max(1)).max(1),
             times: [histogram(), histogram()],
-            report_path: None,
+            earlier: BridgeReport::default(),
+            report_file: None,
             config: config.clone(),
             joints,
             bus,
         };
-        if bridge.measure().0.is_none() {
-            return Err(BridgeError::NoAnswer("the servos do not answer".to_owned()));
-        }
+        bridge.measured()?;
         bridge.arm.stands(&bridge.theta);
         Ok(bridge)
     }
@@ -194,11 +200,6 @@ impl Bridge {
         Arc::clone(&self.arm_request)
     }
 
-    /// Writes the report to `path` when the bridge is dropped.
-    pub fn write_report_to(&mut self, path: PathBuf) {
-        self.report_path = Some(path);
-    }
-
     /// The state of the safety machine.
     pub fn state(&self) -> SafetyState {
         self.safety.state()
@@ -210,12 +211,32 @@ impl Bridge {
     /// # Errors
     /// When a check fails; the bridge is then not armed.
     pub fn arm(&mut self) -> Result<(), BridgeError> {
-        if self.measure().0.is_none() {
-            return Err(BridgeError::NoAnswer("the servos do not answer".to_owned()));
-        }
+        self.measured()?;
         checks::prepare(&mut self.bus, &self.joints, self.config.goal(), &self.motors)?;
         self.safety.arm();
         Ok(())
+    }
+
+    /// Arms, and tries again for a second while servos are silent. For the time before the first tick.
+    ///
+    /// # Errors
+    /// As for [`Bridge::arm`].
+    pub fn arm_patiently(&mut self) -> Result<(), BridgeError> {
+        let until = self.bus.now() + checks::PATIENCE;
+        loop {
+            match self.arm() {
+                Err(error) if error.is_silence() && self.bus.now() < until => {}
+                armed => return armed,
+            }
+        }
+    }
+
+    /// Measures; a read that fails is an error.
+    fn measured(&mut self) -> Result<(), BridgeError> {
+        match self.measure().0 {
+            Some(_) => Ok(()),
+            None => Err(BridgeError::NoAnswer(self.silence.as_ref().map_or_else(String::new, BusError::to_string))),
+        }
     }
 
     /// Receives samples of trackers at the beginning of `tick`. Their number is limited, so that a tracker that
@@ -254,32 +275,6 @@ impl Bridge {
             self.arm.stands(&self.theta);
         }
         self.last_outcome
-    }
-
-    /// Reports a change of the safety state to the user and in the report.
-    fn report_transition(&mut self, tick: u64, before: SafetyState) {
-        let state = self.safety.state();
-        if state == before {
-            return;
-        }
-        let text = match state {
-            SafetyState::ReadOnly => "read-only".to_owned(),
-            SafetyState::Ready => "armed; torque goes on with the next command".to_owned(),
-            SafetyState::Driving => "torque is on".to_owned(),
-            SafetyState::Tripped(cause) if self.safety.recovers(cause) => {
-                format!("torque is off: {cause}; it goes on by itself when that is over and all checks pass")
-            }
-            SafetyState::Tripped(cause) => format!("torque is off: {cause}; arm it again to go on"),
-        };
-        (self.notify)(&format!("tick {tick}: {text}"));
-        match state {
-            SafetyState::Driving => self.report.armed += 1,
-            // Limited, so that a fault that repeats for hours does not fill the memory.
-            SafetyState::Tripped(cause) if self.report.events.len() < 1000 => {
-                self.report.events.push(TripEvent { tick, cause })
-            }
-            _ => {}
-        }
     }
 
     /// Limits the first commands after torque came on to a growing fraction of the largest command. The gate's
@@ -435,7 +430,9 @@ impl Plant for Bridge {
         let (health, mut took) = self.measure();
         self.read_failed = health.is_none();
         self.safety.read_result(health);
-        if before == SafetyState::Driving && !self.read_failed && tick.is_multiple_of(TORQUE_CHECK_INTERVAL) {
+        // Only while torque should be on: when another cause has turned it off in this tick, that is the cause.
+        let driving = self.safety.state() == SafetyState::Driving;
+        if driving && !self.read_failed && tick.is_multiple_of(TORQUE_CHECK_INTERVAL) {
             let began = self.bus.now();
             if !self.has_torque() {
                 self.safety.read_result(Some(Err(TripCause::TorqueLost)));
@@ -463,6 +460,9 @@ impl Plant for Bridge {
         self.report.blind += u64::from(self.read_failed);
         self.times[0].saturating_record(took);
         self.times[1].saturating_record(self.write_ns);
+        if self.report.ticks.is_multiple_of(self.report_interval) || self.safety.state() != before {
+            self.pass_report();
+        }
         outcome
     }
 
@@ -481,26 +481,6 @@ impl Plant for Bridge {
         }
         self.beat(false);
         self.presence.ended = true;
-    }
-}
-
-impl Bridge {
-    /// Writes the report, if it has a file.
-    fn write_report(&mut self) {
-        if let SafetyState::Tripped(cause) = self.safety.state() {
-            self.report.off_at_end = Some(cause);
-            if let Ok(mut ending) = self.presence.ending.lock() {
-                *ending = Some(cause);
-            }
-        }
-        if let Some(path) = &self.report_path {
-            [self.report.bus_read, self.report.bus_write] =
-                [Percentiles::of(&self.times[0]), Percentiles::of(&self.times[1])];
-            self.report.vision = self.vision.as_ref().map(VisionInput::final_report);
-            let text = serde_json::to_string_pretty(&self.report).unwrap_or_default();
-            // A missing report does not make the run fail.
-            let _ = std::fs::write(path, text);
-        }
     }
 }
 

@@ -13,7 +13,17 @@ impl Bridge {
     pub(super) fn measure(&mut self) -> (Option<Result<(), TripCause>>, u64) {
         let (state, series) = (self.bus.series().state, self.bus.series());
         let (answers, took) = self.bus.sync_read(&self.ids, state);
-        let Ok(answers) = answers else { return (None, took) };
+        let answers = match answers {
+            Ok(answers) => {
+                self.silence = None;
+                answers
+            }
+            Err(error) => {
+                // What failed first is the cause; what follows may be late answers.
+                self.silence.get_or_insert(error);
+                return (None, took);
+            }
+        };
         let mut health = Ok(());
         for (i, answer) in answers.iter().enumerate() {
             let get = |register| state.decode(register, &answer.bytes).unwrap_or(0);
@@ -73,7 +83,11 @@ impl Bridge {
             (0..self.ids.len()).map(|i| goal.encode(libm::rint(value(i)) as i32)[..width].to_vec()).collect();
         let (result, took) = self.bus.sync_write(&self.ids, goal.address, &data);
         self.write_ns += took;
-        result.is_ok()
+        if let Err(error) = result {
+            self.silence.get_or_insert(error);
+            return false;
+        }
+        true
     }
 
     /// Turns torque on at standstill. Goals are written first, because a servo moves to its old goal when

@@ -58,6 +58,11 @@ impl TripCause {
     pub fn is_loss(self) -> bool {
         matches!(self, Self::BusLost | Self::Unplugged | Self::Suspended | Self::Stalled)
     }
+
+    /// Whether the servos may still have torque, because they cannot be told to turn it off, or cannot confirm it.
+    pub fn leaves_torque_unknown(self) -> bool {
+        matches!(self, Self::BusLost | Self::Unplugged)
+    }
 }
 
 impl fmt::Display for TripCause {

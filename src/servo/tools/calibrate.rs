@@ -1,6 +1,7 @@
 //! Calibration by hand, without torque: the user moves each joint to its zero, in its positive direction, and
 //! to its ends.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{BufRead, Write};
 use std::path::Path;
@@ -8,7 +9,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::lerobot::read_lerobot;
-use super::{ToolError, identify, print_line, rad, shorter_way, torque_off};
+use super::{ToolError, again, identify, print_line, rad, shorter_way, torque_off};
 use crate::scenario::JointConfig;
 use crate::servo::bridge::{check_registers, read_kept};
 use crate::servo::bus::{Bus, BusError};
@@ -92,10 +93,15 @@ pub fn import(bus: &mut Bus, path: &Path, ids: &[u8]) -> Result<Calibration, Too
     for joint in &mut calibration.joints {
         joint.check_seam().map_err(|text| bad(format!("servo {}: {text}", joint.id)))?;
         check_registers(bus, joint.id, |kept| joint.registers.get(kept.name).copied())?;
-        joint.registers =
-            read_kept(bus, joint.id)?.into_iter().map(|(kept, value)| (kept.name.to_owned(), value)).collect();
+        joint.registers = registers(bus, joint.id)?;
     }
     Ok(calibration)
+}
+
+/// The values of the registers that a calibration keeps, by name.
+fn registers(bus: &mut Bus, id: u8) -> Result<BTreeMap<String, i32>, ToolError> {
+    let kept = again(|| read_kept(bus, id))?;
+    Ok(kept.into_iter().map(|(kept, value)| (kept.name.to_owned(), value)).collect())
 }
 
 /// Guides the user through the calibration of the servos with these ids, from the base on. Answers are lines on
@@ -104,8 +110,8 @@ pub fn import(bus: &mut Bus, path: &Path, ids: &[u8]) -> Result<Calibration, Too
 /// The ends of a range must be within half a turn of the zero.
 ///
 /// # Errors
-/// When a servo does not answer, is of an unknown model, keeps its torque, or is moved to invalid positions.
-/// Only torque was changed then: it is off.
+/// When a servo does not answer at the beginning, is of an unknown model, or keeps its torque, or the answers end.
+/// A servo that falls silent later is asked again, and a joint that was moved to invalid positions is done again.
 pub fn calibrate(
     bus: &mut Bus,
     ids: &[u8],
@@ -116,19 +122,38 @@ pub fn calibrate(
     identify(bus, ids)?;
     torque_off(bus, ids)?;
     print_line(out, "Torque is off: hold the arm, and move it by hand. Each step ends with Enter.")?;
-    let mut joints = Vec::new();
+    let (mut joints, protocol) = (Vec::new(), bus.series().protocol);
     for (i, &id) in ids.iter().enumerate() {
         let mut ask = |what: &str| -> Result<(i32, String), ToolError> {
             print_line(out, &format!("Joint {} (servo {id}): {what}", i + 1))?;
-            let mut line = String::new();
-            let read = input.read_line(&mut line);
-            match read.map_err(|error| ToolError::Io("standard input".into(), error))? {
-                0 => Err(ToolError::Refused("the answers end before the calibration does; nothing was written".into())),
-                _ => Ok((bus.read(id, bus.series().position)?, line.trim().to_owned())),
+            let mut answer = String::new();
+            loop {
+                let mut line = String::new();
+                let read = input.read_line(&mut line);
+                if read.map_err(|error| ToolError::Io("standard input".into(), error))? == 0 {
+                    let text = "the answers end before the calibration does; nothing was written";
+                    return Err(ToolError::Refused(text.into()));
+                }
+                answer.push_str(line.trim());
+                match bus.read(id, bus.series().position) {
+                    Ok(position) => return Ok((position, answer)),
+                    // The joints that are done are kept.
+                    Err(error @ BusError::NoAnswer { .. }) => {
+                        let text = format!("  {error}; look at its cable; Enter asks it again");
+                        print_line(out, &text)?;
+                    }
+                    Err(error) => return Err(error.into()),
+                }
             }
         };
-        let mut joint = calibrate_joint(id, max_speed, &mut ask)?;
+        let mut joint = loop {
+            match calibrate_joint(id, max_speed, &mut ask)? {
+                Ok(joint) => break joint,
+                Err(why) => ask(&format!("{why}. This joint again, after Enter; those before it are kept."))?,
+            };
+        };
         if let Err(why) = joint.check_seam() {
+            seam_can_move(protocol, id, &why)?;
             let [low, high] = joint.raw_ends().unwrap_or_default();
             let (_, answer) = ask(&format!(
                 "it would go from {low} to {high} steps, across the 0 of its encoder. Enter writes a homing offset \
@@ -139,13 +164,24 @@ pub fn calibrate(
             }
             move_seam(bus, &mut joint)?;
         }
-        joint.registers = read_kept(bus, id)?.into_iter().map(|(kept, value)| (kept.name.to_owned(), value)).collect();
+        joint.registers = registers(bus, id)?;
         let JointConfig { zero, direction, range, .. } = joint;
         joints.push(joint);
         let text = format!("  zero {zero}, direction {direction}, range {:.3} to {:.3} rad", range[0], range[1]);
         print_line(out, &text)?;
     }
-    Ok(Calibration { protocol: bus.series().protocol, joints })
+    Ok(Calibration { protocol, joints })
+}
+
+/// Refuses a range across the 0 of the encoder, for the reason `why`, where a homing offset does not move the 0.
+fn seam_can_move(protocol: Protocol, id: u8, why: &str) -> Result<(), ToolError> {
+    if protocol == Protocol::Feetech {
+        return Ok(());
+    }
+    Err(ToolError::Refused(format!(
+        "servo {id}: {why}; a Dynamixel's homing offset does not move the 0 of its encoder; take its horn off, turn it \
+         by half a turn, and calibrate again"
+    )))
 }
 
 /// Writes a homing offset into the joint's servo that puts the middle of its range at the middle of the turn.
@@ -198,14 +234,14 @@ fn write_for_good(bus: &mut Bus, id: u8, register: Register, value: i32) -> Resu
 type Ask<'a> = dyn FnMut(&str) -> Result<(i32, String), ToolError> + 'a;
 
 /// Calibrates one joint. `ask` shows a request to the user, and returns the position afterwards, steps, and the
-/// answer.
-fn calibrate_joint(id: u8, max_speed: f64, ask: &mut Ask) -> Result<JointConfig, ToolError> {
+/// answer. A string is why the answers do not make a joint.
+fn calibrate_joint(id: u8, max_speed: f64, ask: &mut Ask) -> Result<Result<JointConfig, String>, ToolError> {
     let (zero, _) = ask("put it where its angle is 0.")?;
     let (at, _) = ask("turn it by at least 0.1 rad in the direction in which its angle grows.")?;
     let turned = shorter_way(zero, at);
     if turned.abs() < MIN_TURN {
         let text = format!("servo {id} was turned by {:.3} rad; that is too little to tell a direction", rad(turned));
-        return Err(ToolError::Refused(text));
+        return Ok(Err(text));
     }
     let direction = turned.signum();
     // A Dynamixel without torque counts on over whole turns.
@@ -213,7 +249,7 @@ fn calibrate_joint(id: u8, max_speed: f64, ask: &mut Ask) -> Result<JointConfig,
     let (low, answer) = ask("turn it to its least angle; or say free if it turns without end.")?;
     if answer == "free" {
         let range = [-std::f64::consts::PI, std::f64::consts::PI];
-        return Ok(JointConfig { id, direction, zero, range, max_speed, registers: Default::default() });
+        return Ok(Ok(JointConfig { id, direction, zero, range, max_speed, registers: Default::default() }));
     }
     let (high, _) = ask("turn it to its greatest angle.")?;
     let range = [low, high].map(|end| rad(shorter_way(zero, end) * direction));
@@ -223,7 +259,7 @@ fn calibrate_joint(id: u8, max_speed: f64, ask: &mut Ask) -> Result<JointConfig,
              show the least angle first, then the greatest",
             range[0], range[1]
         );
-        return Err(ToolError::Refused(text));
+        return Ok(Err(text));
     }
-    Ok(JointConfig { id, direction, zero, range, max_speed, registers: Default::default() })
+    Ok(Ok(JointConfig { id, direction, zero, range, max_speed, registers: Default::default() }))
 }

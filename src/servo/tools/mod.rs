@@ -17,14 +17,17 @@ pub use jog::{Jog, JogContext, jog};
 pub use lerobot::write_lerobot;
 
 use super::bridge::BridgeError;
-use super::bus::{Bus, BusBudget, BusError};
+use super::bus::{AnswerFault, Bus, BusBudget, BusError};
 use super::model::{STEP, UnknownModel};
 
 /// Bus budget of the tools, ns: slow adapters delay an answer by 16 ms.
 pub const BUDGET: BusBudget = BusBudget { read_ns: 50_000_000, write_ns: 20_000_000 };
 
-/// Bus budget of [`scan`], where most ids do not answer and each of them takes the whole budget.
-pub const SEARCH: BusBudget = BusBudget { read_ns: 12_000_000, write_ns: 20_000_000 };
+/// Bus budget of [`scan`], where most ids do not answer and each of them takes the whole budget; for an adapter that
+/// holds an answer for `latency_ms`.
+pub fn search_budget(latency_ms: u32) -> BusBudget {
+    BusBudget { read_ns: 12_000_000 + 2_000_000 * u64::from(latency_ms), write_ns: 20_000_000 }
+}
 
 /// Reasons why a tool stops.
 #[derive(Debug, thiserror::Error)]
@@ -83,6 +86,8 @@ pub struct FoundServo {
     pub model: Option<&'static str>,
     /// Whether the answer cannot be decoded, as when two servos have this id.
     pub garbled: bool,
+    /// Whether it answers pings alone: its response level is too low.
+    pub mute: bool,
 }
 
 /// The state of a servo.
@@ -106,9 +111,11 @@ pub struct ServoReading {
     pub errors: i32,
 }
 
-/// Asks each of `ids` for its model, and returns the servos that answered.
-pub fn scan(bus: &mut Bus, ids: impl Iterator<Item = u8>, mut stop: impl FnMut() -> bool) -> Vec<FoundServo> {
-    let mut found = Vec::new();
+/// Asks each of `ids` for its model. Returns the servos that answered, and whether an answer came so late that another
+/// servo was being asked.
+pub fn scan(bus: &mut Bus, ids: impl Iterator<Item = u8>, mut stop: impl FnMut() -> bool) -> (Vec<FoundServo>, bool) {
+    let silent = |id, garbled| FoundServo { id, number: None, model: None, garbled, mute: !garbled };
+    let (mut found, mut late) = (Vec::new(), false);
     for id in ids {
         if stop() {
             break;
@@ -116,13 +123,15 @@ pub fn scan(bus: &mut Bus, ids: impl Iterator<Item = u8>, mut stop: impl FnMut()
         match bus.model(id) {
             Ok((number, known)) => {
                 let name = known.map(|model| model.name);
-                found.push(FoundServo { id, number: Some(number), model: name, garbled: false });
+                found.push(FoundServo { id, number: Some(number), model: name, garbled: false, mute: false });
             }
-            Err(error) if is_garbled(&error) => found.push(FoundServo { id, number: None, model: None, garbled: true }),
+            Err(BusError::Mute { .. }) => found.push(silent(id, false)),
+            Err(BusError::NoAnswer { fault: AnswerFault::WrongId(_), .. }) => late = true,
+            Err(error) if is_garbled(&error) => found.push(silent(id, true)),
             Err(_) => {}
         }
     }
-    found
+    (found, late)
 }
 
 /// Whether an error means that something answered, but not with a valid packet.
@@ -133,9 +142,10 @@ fn is_garbled(error: &BusError) -> bool {
 /// Checks that all `ids` answer, are given once, and are known models of the bus's series.
 ///
 /// # Errors
-/// For the first id, in the given order, that fails the check.
+/// When an id fails a check; all ids without a servo are named.
 pub fn identify(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
     let series = bus.series();
+    let (mut answering, mut missing) = (Vec::new(), Vec::new());
     for (i, &id) in ids.iter().enumerate() {
         if ids[..i].contains(&id) {
             return Err(ToolError::Refused(format!("id {id} is given twice; every servo has an id of its own")));
@@ -143,13 +153,36 @@ pub fn identify(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
         let (number, known) = match bus.model(id) {
             Ok(answer) => answer,
             Err(error) if is_garbled(&error) => return Err(ToolError::DuplicateId(id)),
-            Err(_) => return Err(ToolError::NoServo(format!(" at id {id}"))),
+            Err(BusError::NoAnswer { .. }) => {
+                missing.push(id.to_string());
+                continue;
+            }
+            Err(error) => return Err(error.into()),
         };
+        answering.push(id.to_string());
         if known.is_none() {
             return Err(UnknownModel { id, number, series: series.name }.into());
         }
     }
-    Ok(())
+    match (missing.is_empty(), answering.is_empty()) {
+        (true, _) => Ok(()),
+        (false, true) => Err(ToolError::NoServo(format!(" at id {}", missing.join(", ")))),
+        (false, false) => {
+            let text = format!(" at id {}, and one does at {}", missing.join(", "), answering.join(", "));
+            Err(ToolError::NoServo(text))
+        }
+    }
+}
+
+/// Asks again a few times while a servo is silent.
+fn again<T>(mut ask: impl FnMut() -> Result<T, BusError>) -> Result<T, BusError> {
+    for _ in 0..4 {
+        match ask() {
+            Err(BusError::NoAnswer { .. }) => {}
+            answer => return answer,
+        }
+    }
+    ask()
 }
 
 /// Reads the state of the servo with this id.

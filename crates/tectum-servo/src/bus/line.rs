@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, ErrorKind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rustix::fs::{FlockOperation, OFlags, flock};
@@ -37,6 +37,31 @@ pub fn stable_name(path: &str) -> String {
     same.next().map_or_else(|| path.to_owned(), |link| link.display().to_string())
 }
 
+/// Says what to do about the latency timer of the USB adapter behind the port at `path`, if it has one that holds
+/// answers back.
+pub fn latency_advice(path: &str) -> Option<String> {
+    let (milliseconds, file) = latency_timer(Path::new("/sys/bus/usb-serial/devices"), path)?;
+    (milliseconds > 2).then(|| {
+        format!(
+            "the latency timer of {path} is {milliseconds} ms: its adapter holds every answer back for so long, so \
+             that an answer may come too late; set it to 1: echo 1 | sudo tee {}",
+            file.display()
+        )
+    })
+}
+
+/// The latency timer of the adapter behind the port at `path`, ms; `None` if it has none.
+pub fn latency_ms(path: &str) -> Option<u32> {
+    latency_timer(Path::new("/sys/bus/usb-serial/devices"), path).map(|(milliseconds, _)| milliseconds)
+}
+
+fn latency_timer(devices: &Path, path: &str) -> Option<(u32, PathBuf)> {
+    let real = std::fs::canonicalize(path).ok()?;
+    let file = devices.join(real.file_name()?).join("latency_timer");
+    let milliseconds = std::fs::read_to_string(&file).ok()?.trim().parse().ok()?;
+    Some((milliseconds, file))
+}
+
 /// Checks that the port exists, may be opened, and is not locked: serialport does not distinguish these errors.
 /// The lock is released at once, because serialport takes its own.
 fn probe(path: &str) -> Result<(), BusError> {
@@ -68,23 +93,33 @@ pub(super) struct Line {
     pub deadline: u64,
     /// Received bytes of the current instruction that belong to no answer yet.
     received: Vec<u8>,
+    /// The current instruction, until it is known whether it came back.
+    sent: Vec<u8>,
+    /// Whether the adapter sends back what it is sent, once that is known.
+    echo: Option<bool>,
 }
 
 impl Line {
     pub fn new(port: Box<dyn SerialPort>, protocol: Protocol, clock: BusClock) -> Self {
-        Self { port: Some(port), clock, protocol, deadline: u64::MAX, received: Vec::new() }
+        Self {
+            port: Some(port),
+            clock,
+            protocol,
+            deadline: u64::MAX,
+            received: Vec::new(),
+            sent: Vec::new(),
+            echo: None,
+        }
     }
 
     /// Sends an instruction. What has arrived before belongs to nothing any more and is dropped.
     pub fn send(&mut self, packet: &[u8]) -> Result<(), AnswerFault> {
         self.received.clear();
+        self.sent = packet.to_vec();
         if self.is_anything_waiting()? {
             let deadline = self.deadline;
-            let quiet = self.drain(deadline);
+            self.drain(deadline);
             self.deadline = deadline;
-            if !quiet {
-                return Err(AnswerFault::Babble);
-            }
         }
         let mut sent = 0;
         while sent < packet.len() {
@@ -102,8 +137,10 @@ impl Line {
     /// Receives the answer of servo `id` with `length` bytes.
     pub fn receive(&mut self, id: u8, length: usize) -> Result<ServoReply, AnswerFault> {
         loop {
-            if let Some((taken, reply)) = packet::answer(self.protocol, id, length, &self.received)? {
+            let echo_is_over = self.take_echo();
+            if echo_is_over && let Some((taken, reply)) = packet::answer(self.protocol, id, length, &self.received)? {
                 self.received.drain(..taken);
+                self.echo.get_or_insert(false);
                 return Ok(reply);
             }
             let mut bytes = [0; 256];
@@ -117,21 +154,54 @@ impl Line {
         }
     }
 
-    /// Reads and drops bytes that are still arriving, until `limit` at most. An answer does not identify its
-    /// instruction, so a late answer would be taken for that of the next one. Returns whether the line has become quiet.
-    pub fn drain(&mut self, limit: u64) -> bool {
+    /// Drops the instruction from the received bytes if an adapter has sent it back. Returns whether what follows are
+    /// answers. An answer that has the very bytes of its instruction is taken for an echo only while nothing is known
+    /// of the adapter: before the first answer.
+    fn take_echo(&mut self) -> bool {
+        if self.sent.is_empty() || self.echo == Some(false) {
+            return true;
+        }
+        if self.received.len() < self.sent.len() && self.sent.starts_with(&self.received) {
+            return false;
+        }
+        if self.received.starts_with(&self.sent) {
+            self.received.drain(..self.sent.len());
+            self.echo = Some(true);
+        }
+        self.sent.clear();
+        true
+    }
+
+    /// After an instruction that nobody answers: receives what the adapter sends back, if it does.
+    pub fn skip_echo(&mut self) {
+        let mut bytes = [0; 256];
+        while self.echo == Some(true) && !self.take_echo() {
+            match self.read(&mut bytes) {
+                Ok(n) => self.received.extend_from_slice(&bytes[..n]),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(_) => return,
+            }
+        }
+    }
+
+    /// Whether the adapter sends back what it is sent.
+    pub fn echoes(&self) -> bool {
+        self.echo == Some(true)
+    }
+
+    /// Reads and drops bytes that are still arriving, until the line is quiet or `limit` has come. An answer does not
+    /// identify its instruction, so a late answer would be taken for that of the next one.
+    pub fn drain(&mut self, limit: u64) {
         self.received.clear();
         let end = self.now().saturating_add(DRAIN_NS).min(limit);
         let mut late = [0; 64];
         while self.now() < end {
             self.deadline = self.now().saturating_add(QUIET_NS);
             match self.read(&mut late) {
-                Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(_) => return true,
-                Ok(_) => {}
+                Err(error) if error.kind() != ErrorKind::Interrupted => return,
+                _ => {}
             }
         }
-        false
     }
 
     pub fn now(&self) -> u64 {
@@ -181,4 +251,23 @@ fn is_passing(error: &io::Error) -> bool {
 /// The error of a port that is gone.
 fn gone() -> io::Error {
     io::Error::new(ErrorKind::BrokenPipe, "the port is gone")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_latency_timer_is_that_of_the_device_behind_a_link() {
+        let folder = std::env::temp_dir().join(format!("tectum-latency-{}", std::process::id()));
+        let (devices, port, link) = (folder.join("devices"), folder.join("ttyUSB7"), folder.join("arm"));
+        std::fs::create_dir_all(devices.join("ttyUSB7")).unwrap();
+        std::fs::write(&port, "").unwrap();
+        std::fs::write(devices.join("ttyUSB7/latency_timer"), "16\n").unwrap();
+        std::os::unix::fs::symlink(&port, &link).unwrap();
+        let found = [&port, &link].map(|path| latency_timer(&devices, path.to_str().unwrap()).map(|(ms, _)| ms));
+        let none = latency_timer(&devices, devices.to_str().unwrap());
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert_eq!((found, none), ([Some(16), Some(16)], None));
+    }
 }

@@ -18,7 +18,7 @@ use super::model::{Protocol, Register, RegisterBlock, ServoModel, ServoSeries, m
 use super::packet;
 
 pub use super::packet::{AnswerFault, ServoReply};
-pub use line::stable_name;
+pub use line::{latency_advice, latency_ms, stable_name};
 
 use line::{Line, open_port};
 
@@ -70,6 +70,19 @@ pub enum BusError {
     /// An instruction that could not be sent.
     #[error("{0}")]
     NotSent(AnswerFault),
+    /// A servo that obeys and does not say so.
+    #[error(
+        "servo {id} does what it is told and does not acknowledge it: its response level (address {address}) is too \
+         low; write {level} there"
+    )]
+    Mute {
+        /// The id.
+        id: u8,
+        /// Address of the register that says what it answers.
+        address: u8,
+        /// The value with which it answers everything.
+        level: u8,
+    },
     /// A servo does not take a value.
     #[error("{0}")]
     Refused(String),
@@ -90,7 +103,7 @@ pub enum BusError {
 impl BusError {
     /// Whether the cause is what the user has set up, rather than a cable, a servo or another program.
     pub fn is_configuration(&self) -> bool {
-        matches!(self, Self::Denied(_))
+        matches!(self, Self::Denied(_) | Self::Mute { .. })
     }
 }
 
@@ -192,6 +205,9 @@ impl Bus {
         let began = self.now();
         self.line.deadline = began.saturating_add(budget);
         let sent = self.line.send(packet).map_err(BusError::NotSent);
+        if ids.is_empty() {
+            self.line.skip_echo();
+        }
         let mut receive = |id| self.line.receive(id, length).map_err(|fault| BusError::NoAnswer { id, fault });
         let result = sent.and_then(|()| ids.iter().map(|&id| receive(id)).collect());
         (result, self.now().saturating_sub(began))
@@ -242,9 +258,12 @@ impl Bus {
     /// The model number of one servo, and the model if it is known.
     ///
     /// # Errors
-    /// As for [`Bus::read`].
+    /// As for [`Bus::read`]. A servo that answers a ping and no read is told apart from one that is not there.
     pub fn model(&mut self, id: u8) -> Result<(i32, Option<&'static ServoModel>), BusError> {
-        let number = self.read(id, self.series.model)?;
+        let number = match self.read(id, self.series.model) {
+            Err(BusError::NoAnswer { fault: AnswerFault::Silent, .. }) if self.ping(id) => return Err(self.mute(id)),
+            number => number?,
+        };
         let known = u16::try_from(number).ok().and_then(|number| model(self.series.protocol, number));
         Ok((number, known))
     }
@@ -256,9 +275,20 @@ impl Bus {
     pub fn write(&mut self, id: u8, register: Register, value: i32) -> Result<(), BusError> {
         let data = &register.encode(value)[..usize::from(register.width)];
         self.check_goal(id, register.address, data)?;
-        let status = self.request(id, &packet::write(self.series.protocol, id, register.address, data), 0)?;
-        // In protocol 1.0 the error byte has flags. In protocol 2.0 it has the reason of a refusal, and in bit 7 whether
-        // the servo has an error of its own.
+        let packet = packet::write(self.series.protocol, id, register.address, data);
+        let status = match self.request(id, &packet, 0) {
+            // Lost, or obeyed in silence?
+            Err(error @ BusError::NoAnswer { fault: AnswerFault::Silent, .. }) => {
+                return Err(if matches!(self.read(id, register), Ok(found) if found == value) {
+                    self.mute(id)
+                } else {
+                    error
+                });
+            }
+            status => status?,
+        };
+        // In protocol 1.0 the error byte has flags. In protocol 2.0 it has the reason of a refusal, and in bit 7
+        // whether the servo has an error of its own.
         match status.error & 0x7f {
             number if self.series.protocol == Protocol::Dynamixel && number != 0 => {
                 let text = format!("servo {id} refuses {value} at address {} (error {number})", register.address);
@@ -268,6 +298,17 @@ impl Bus {
         }
     }
 
+    /// The error of a servo that is there and does not answer as it should.
+    fn mute(&self, id: u8) -> BusError {
+        let level = if self.series.protocol == Protocol::Dynamixel { 2 } else { 1 };
+        BusError::Mute { id, address: self.series.response_level.address, level }
+    }
+
+    /// Whether the adapter sends back what it is sent; its own bytes are then dropped.
+    pub fn echoes(&self) -> bool {
+        self.line.echoes()
+    }
+
     /// A synchronous read, repeated once if it fails. Returns the servos' answers in order, and the duration, ns.
     ///
     /// # Errors
@@ -275,12 +316,14 @@ impl Bus {
     pub fn sync_read(&mut self, ids: &[u8], block: RegisterBlock) -> (Result<Vec<ServoReply>, BusError>, u64) {
         let half = self.budget.read_ns / 2;
         let packet = packet::sync_read(self.series.protocol, ids, block);
+        let began = self.now();
         let (first, took) = self.exchange(&packet, ids, usize::from(block.length), half);
-        if first.is_ok() {
-            return (first, took);
-        }
-        let (second, took_again) = self.exchange(&packet, ids, usize::from(block.length), half);
-        (second, took + took_again)
+        let Err(first) = first else { return (first, took) };
+        // The servos behind the one that failed are still answering; with that the first half of the budget ends.
+        self.line.drain(began.saturating_add(half));
+        let second = self.exchange(&packet, ids, usize::from(block.length), half).0;
+        // What failed first is the cause; what follows it may be its consequence.
+        (second.map_err(|_| first), self.now().saturating_sub(began))
     }
 
     /// A synchronous write, which servos do not answer. Returns the duration, ns.

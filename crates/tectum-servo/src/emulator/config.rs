@@ -23,6 +23,9 @@ pub struct EmulatorConfig {
     pub jitter_us: f64,
     /// Standard deviation of the measured position, steps (4096 per turn).
     pub noise: f64,
+    /// Whether the adapter sends back what it is sent.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub echo: bool,
     /// Injected faults.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub faults: Vec<ServoFault>,

@@ -7,8 +7,8 @@
 //! *Like real servos*: packets, checksums, stuffing and error bytes; control tables with EEPROM and read-only
 //! registers; transmission time and return delay; sequential answers to a synchronous read, where the servos
 //! after a missing answer do not answer; two servos with one id that answer at the same time; no answers at a
-//! wrong baud rate; speed and acceleration from registers; Dynamixel's bus watchdog and its errors that last
-//! until a reboot; torque off after a loss of power.
+//! wrong baud rate or too low a response level; speed and acceleration from registers; Dynamixel's bus watchdog and
+//! its errors that last until a reboot; torque off after a loss of power.
 //!
 //! *Where the manuals are unclear, the worse behaviour is emulated*: goals are kept while torque is off, so
 //! that turning it on moves the shaft to an old goal; with Feetech, writing a goal position turns torque on.
@@ -162,6 +162,10 @@ impl EmulatedChain {
         let baud_in_use =
             if baud == 0 { self.servos.first().map_or(1_000_000, |servo| servo.table.baud()) } else { baud };
         self.wire_free = self.wire_free.max(now) + wire_ns(bytes.len(), baud_in_use);
+        if self.settings.echo {
+            let due = self.answers.back().map_or(self.wire_free, |(last, _)| self.wire_free.max(*last));
+            self.answers.push_back((due, bytes.to_vec()));
+        }
         self.parser.push(bytes);
         while let Some(request) = self.parser.next_request() {
             let at = self.wire_free.max(self.now);
@@ -263,6 +267,7 @@ impl EmulatedChain {
                 let results: Vec<_> = addressed.iter().map(|&i| self.write(i, address, data)).collect();
                 if !all {
                     let error = results.iter().copied().find(|&error| error != 0).unwrap_or(0);
+                    let addressed = self.answering(addressed, instruction::WRITE);
                     self.answer_as(addressed, request.id, at, wire_baud, error);
                 }
                 self.advance_to(at);
@@ -294,7 +299,18 @@ impl EmulatedChain {
         }
     }
 
+    /// Those of `servos` whose response level lets them answer this instruction.
+    fn answering(&self, mut servos: Vec<usize>, instruction: u8) -> Vec<usize> {
+        let level = i32::from(instruction == instruction::WRITE) + i32::from(self.protocol == Protocol::Dynamixel);
+        servos.retain(|&i| {
+            let table = &self.servos[i].table;
+            table.get(table.series.response_level) >= level
+        });
+        servos
+    }
+
     fn read(&mut self, servos: Vec<usize>, at: u64, baud: u32, address: u16, length: u16) {
+        let servos = self.answering(servos, instruction::READ);
         if servos.iter().any(|&i| self.servos[i].table.read(address, length).is_none()) {
             return self.answer(servos, at, baud, instruction_error::RANGE, |_, _| Vec::new());
         }

@@ -1,6 +1,6 @@
 //! Series of servos: registers, units, signs, models.
 //!
-//! Two series are supported: Dynamixel X (XL330, XC330, XL430, XC430, XM430, XH430, XM540, XH540; protocol 2.0)
+//! Two series are supported: Dynamixel X (XL, XC, XM, XH, XD and XW with three digits, such as XL330; protocol 2.0)
 //! and Feetech STS (STS3215 and similar models, as in the SO-100 and SO-101 arms). Addresses and widths are
 //! those of the manufacturers' manuals (<https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/>, `xl430-w250`,
 //! `xm430-w350`; Feetech's memory table of the STS series), and a test compares them with rustypot's tables.
@@ -92,6 +92,8 @@ pub struct ServoSeries {
     pub profile_velocity: Register,
     /// Goal position in position mode.
     pub goal_position: Register,
+    /// What the servo answers: 0 pings only, 1 reads too, 2 everything. With Feetech 0 reads too, 1 everything.
+    pub response_level: Register,
     /// EEPROM lock: 0 open, 1 locked. Only Feetech.
     pub lock: Option<Register>,
     /// Present load, in 0.1 % of the greatest load (current, if the model measures it).
@@ -160,6 +162,7 @@ pub const DYNAMIXEL_X: ServoSeries = ServoSeries {
     kept: settings::DYNAMIXEL,
     shutdown: Register::unsigned(63, 1),
     torque_enable: Register::unsigned(64, 1),
+    response_level: Register::unsigned(68, 1),
     hardware_error: Register::unsigned(70, 1),
     bus_watchdog: Some(Register::unsigned(98, 1)),
     goal_velocity: Register::new(104, 4, SignEncoding::TwosComplement),
@@ -191,6 +194,7 @@ pub const FEETECH_STS: ServoSeries = ServoSeries {
     protocol: Protocol::Feetech,
     name: "Feetech STS",
     model: Register::unsigned(3, 2),
+    response_level: Register::unsigned(8, 1),
     id: Register::unsigned(5, 1),
     baud: Register::unsigned(6, 1),
     return_delay: Register::unsigned(7, 1),

@@ -5,8 +5,9 @@ use super::Protocol;
 /// A servo reports a model number that is not known for its series.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "servo {id} says that it is model {number}, which is none of the {series} that this program knows; \
-     give another protocol, or id"
+    "servo {id} says that it is model {number}, which is none of the {series} that this program knows, so what its \
+     registers mean is not known; docs/first-hour.md names the series that are; if it speaks the other protocol, \
+     give that"
 )]
 pub struct UnknownModel {
     /// The id.
@@ -37,7 +38,7 @@ const fn feetech(name: &'static str, number: u16) -> ServoModel {
 }
 
 /// The known models. Their control tables are those of their series.
-pub const MODELS: [ServoModel; 21] = [
+pub const MODELS: [ServoModel; 36] = [
     dynamixel("XL330-M288", 1200),
     dynamixel("XL330-M077", 1190),
     dynamixel("XC330-T181", 1210),
@@ -55,6 +56,21 @@ pub const MODELS: [ServoModel; 21] = [
     dynamixel("XM540-W270", 1120),
     dynamixel("XM540-W150", 1130),
     dynamixel("XH540-W150", 1110),
+    dynamixel("XH540-W270", 1100),
+    dynamixel("XH430-V350", 1040),
+    dynamixel("XH430-V210", 1050),
+    dynamixel("XH540-V150", 1150),
+    dynamixel("XH540-V270", 1140),
+    dynamixel("XD430-T350", 1001),
+    dynamixel("XD430-T210", 1011),
+    dynamixel("XD540-T270", 1101),
+    dynamixel("XD540-T150", 1111),
+    dynamixel("XW430-T200", 1280),
+    dynamixel("XW430-T333", 1270),
+    dynamixel("XW540-T260", 1170),
+    dynamixel("XW540-T140", 1180),
+    dynamixel("XW540-H260", 1310),
+    dynamixel("2XC430-W250", 1160),
     feetech("STS3215", 777),
     feetech("STS3250", 2825),
     feetech("STS3036", 521),

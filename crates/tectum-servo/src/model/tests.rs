@@ -27,6 +27,7 @@ fn named_registers(series: &ServoSeries) -> Vec<(&'static str, Register)> {
     ];
     all.extend(match series.protocol {
         Protocol::Dynamixel => vec![
+            ("status_return_level", series.response_level),
             ("temperature_limit", series.temperature_limit),
             ("shutdown", series.shutdown),
             ("hardware_error_status", series.hardware_error),

@@ -196,9 +196,6 @@ pub enum AnswerFault {
     /// The answer has more or fewer bytes than were asked for.
     #[error("an answer of the wrong length")]
     Length,
-    /// Bytes kept coming, so that the instruction was not sent.
-    #[error("the line does not become quiet")]
-    Babble,
     /// The port took the instruction not at all, or not in time.
     #[error("the port does not take the instruction")]
     NotSent,

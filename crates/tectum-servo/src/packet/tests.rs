@@ -69,11 +69,13 @@ proptest! {
 
     #[test]
     fn instructions_are_those_of_rustypot(
-        id in 0_u8..=252, address: u8, length in 1_u8..100, data in body(1..40), goals in prop::collection::vec(body(4), 1..6),
+        id in 0_u8..=252, address: u8, length in 1_u8..100,
+        data in body(1..40), goals in prop::collection::vec(body(4), 1..6),
     ) {
         let (ids, block): (Vec<u8>, _) = ((1..=goals.len() as u8).collect(), RegisterBlock { address, length });
         for protocol in BOTH {
-            let same = |ours: &[u8], instruction: &dyn Fn(&Host, &mut dyn SerialPort)| writes(ours, protocol, instruction);
+            type Instruction<'a> = &'a dyn Fn(&Host, &mut dyn SerialPort);
+            let same = |ours: &[u8], instruction: Instruction| writes(ours, protocol, instruction);
             prop_assert!(same(&ping(protocol, id), &|host, port| drop(host.ping(port, id))));
             let ours = read(protocol, id, block);
             prop_assert!(same(&ours, &|host, port| drop(host.read(port, id, address, length))));
