@@ -127,6 +127,9 @@ fn a_killed_bridge_restarts() {
     let scenario = scenario(&test_folder, true, "");
     let mut run = test_folder.run(&[&scenario, "--ticks", "100000", "--json"]);
     chain.wait_for_torque(true);
+    let report = test_folder.run_folder().join("bridge.json");
+    let is_armed = || std::fs::read_to_string(&report).is_ok_and(|text| text.contains("\"armed\": 1,"));
+    run.wait_until("the report on the torque", is_armed);
     signal_process(run.child_pid("tectum-bridge"), "KILL");
     chain.wait_for_torque(false);
     chain.wait_for_torque(true);

@@ -147,6 +147,8 @@ impl Bridge {
             Ok(earlier) => self.earlier = earlier,
             Err(why) => (self.notify)(&format!("{}: {why}; the counts of earlier bridges are lost", path.display())),
         }
+        // At once, so that a bridge that is killed in its first second counts too.
+        write(&path, &self.whole_report());
         self.report_file = Some(ReportFile::new(path));
     }
 
@@ -190,6 +192,7 @@ impl Bridge {
             }
             _ => {}
         }
+        self.pass_report();
     }
 
     /// The report on this bridge and the run's earlier ones.
