@@ -223,7 +223,7 @@ fn a_run_whose_ticks_were_all_passed_over_did_not_go_well() {
 fn shared_memory_is_closed_to_other_users() {
     let test_folder = TestFolder::new();
     let run = start(&test_folder, "realtime", "");
-    let prefix = domain(&test_folder.run_folder());
+    let prefix = domain(test_folder.run_folder());
     for entry in fs::read_dir("/dev/shm").unwrap().flatten() {
         if entry.file_name().to_str().is_some_and(|name| name.starts_with(&prefix)) {
             let mode = entry.metadata().unwrap().mode() & 0o7777;

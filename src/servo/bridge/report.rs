@@ -205,9 +205,9 @@ impl Bridge {
 
     /// Passes the report on to its file, so that a bridge that is killed loses the counts of a second at most.
     pub(super) fn pass_report(&mut self) {
-        if self.report_file.is_some() {
-            let report = self.whole_report();
-            self.report_file.as_mut().expect("there is one").pass(report);
+        if let Some(mut file) = self.report_file.take() {
+            file.pass(self.whole_report());
+            self.report_file = Some(file);
         }
     }
 

@@ -277,7 +277,7 @@ mod tests {
         for rule_ in LEARNERS {
             let entry = LearnerEntry::new(rule_, None, &Changes::Usual, &[]).unwrap();
             assert_eq!(learner(&entry.name).unwrap(), ComparedLearner::Rule(rule_));
-            assert_eq!(entry.plan.scenario.learner, LearnerConfig::preset(rule_));
+            assert_eq!(entry.plan.scenario.learner, LearnerConfig::preset(rule_).within(50.0));
             assert_eq!(entry.changes.len(), 1);
             let short = LearnerEntry::new(rule_, Some(1000), &Changes::Usual, &[]).unwrap();
             assert_eq!(short.changes, []);
