@@ -96,8 +96,8 @@ impl Plant for ReplayedPlant {
 
     fn sensing_flags(&self) -> u32 {
         match self {
+            Self::Simulated(body) => body.sensing_flags(),
             Self::Logged { own, ended, .. } => *ended | own.map_or(0, |own| own.flags & flag::BLIND),
-            _ => 0,
         }
     }
 
