@@ -306,6 +306,9 @@ fn texts() -> Vec<String> {
     other.plant.arm = None;
     other.encoder.maps.truncate(1);
     other.encoder.maps[0].inputs = vec!["angle".to_owned(), "speed".to_owned()];
+    if let Some(model) = &mut other.learner.model {
+        model.moved = vec!["angle".to_owned(), "speed".to_owned()];
+    }
     let built = [scenario_with_all_tables().to_toml(), other.to_toml()];
     presets().iter().map(|preset| preset.text.to_owned()).chain(built).collect()
 }
