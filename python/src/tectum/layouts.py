@@ -151,7 +151,7 @@ class Control(Structure):
 
     @staticmethod
     def type_name() -> str:
-        return "tectum.Control.v2"
+        return "tectum.Control.v3"
 
 
 class Status(Structure):
