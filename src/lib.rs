@@ -78,14 +78,12 @@
 
 #![warn(missing_docs)]
 
-pub mod log;
 pub mod process;
-pub mod runtime;
 pub mod study;
-pub mod wire;
 
 pub use tectum_core::{agent, learner, plant, policy, seed, state};
 pub use tectum_encoder as encoder;
+pub use tectum_runtime::{BUILD, log, runtime, wire};
 pub use tectum_scenario as scenario;
 
 // The programs, tests and benches of this package are crates of their own and need the following modules, so
@@ -96,15 +94,12 @@ pub use tectum_encoder::simd;
 use tectum_report::text;
 #[doc(hidden)]
 pub use tectum_report::{self as report, stats};
+use tectum_runtime::run_folder;
+#[doc(hidden)]
+pub use tectum_runtime::{channel, checkpoint, clock};
 
 #[doc(hidden)]
 pub mod bench;
-#[doc(hidden)]
-pub mod channel;
-#[doc(hidden)]
-pub mod checkpoint;
-#[doc(hidden)]
-pub mod clock;
 #[doc(hidden)]
 pub mod doctor;
 #[doc(hidden)]
@@ -115,8 +110,3 @@ pub mod reference;
 pub mod servo;
 #[doc(hidden)]
 pub mod supervise;
-
-mod run_folder;
-
-/// The build's identity: package version and git commit. The handshake compares it, and every log has it.
-pub const BUILD: &str = env!("TECTUM_BUILD");

@@ -9,14 +9,13 @@ use super::costs::GrowthKey;
 use super::run_block::SCENARIO;
 use crate::learner::PaperRule;
 use crate::learner::naive::NaivePaperRule;
-use crate::plant::SimulatedPlant;
 use crate::policy::{LinearPolicy, Outputs};
-use crate::runtime::{Controller, PlantSide};
+use crate::runtime::Simulation;
 use crate::scenario::{LearnerConfig, Plan, Rule, Scenario};
 use crate::simd::SimdPath;
 use crate::study::compare::{LEARNERS, name_of};
 use crate::supervise::simulated_plant;
-use crate::wire::{Command, Learning, Observation};
+use crate::wire::Observation;
 
 /// The exploration noise of every tick.
 const NOISE: Outputs = [0.003, -0.002, 0.001, -0.004, 0.002, -0.001, 0.004, -0.003];
@@ -81,14 +80,10 @@ pub fn rule_growth(outputs: usize, power: u32) -> impl Iterator<Item = CallCase<
 
 /// A plant and its controller in the middle of a run, and the observations of the ticks before.
 pub struct ControlLoop {
-    plant: PlantSide<SimulatedPlant>,
-    controller: Controller,
+    simulation: Simulation,
     /// A power of two many.
     ring: Vec<Observation>,
     tick: u64,
-    observation: Observation,
-    command: Command,
-    learning: Learning,
 }
 
 impl ControlLoop {
@@ -100,19 +95,11 @@ impl ControlLoop {
     /// # Errors
     /// When the plant of `plan` is not simulated.
     pub fn new(plan: &Plan, path: SimdPath) -> Result<Self, BenchError> {
-        let plant = simulated_plant(plan)?;
-        let mut control_loop = Self {
-            plant: PlantSide::new(plant, plan),
-            controller: Controller::new(plan).on(path),
-            ring: Vec::with_capacity(Self::RING as usize),
-            tick: 0,
-            observation: Observation::default(),
-            command: Command::default(),
-            learning: Learning::default(),
-        };
+        let simulation = Simulation::new(plan, simulated_plant(plan)?).on(path);
+        let mut control_loop = Self { simulation, ring: Vec::with_capacity(Self::RING as usize), tick: 0 };
         for _ in 0..Self::RING {
             control_loop.step();
-            control_loop.ring.push(control_loop.observation);
+            control_loop.ring.push(*control_loop.simulation.observation());
         }
         Ok(control_loop)
     }
@@ -123,37 +110,32 @@ impl ControlLoop {
         observation.header.tick = self.tick;
         observation.header.flags = 0;
         self.tick += 1;
-        self.controller.respond(black_box(&observation), &mut self.command);
-        black_box(&self.command);
+        black_box(self.simulation.answer_to(black_box(&observation)));
     }
 
     /// The part of the controller's tick after the command: statistics and learning record.
     pub fn after_command(&mut self) {
         let observation = &self.ring[(self.tick % Self::RING) as usize];
         self.tick += 1;
-        self.controller.after_command(black_box(observation));
-        self.controller.record(observation, &mut self.learning);
-        black_box(&self.learning);
+        black_box(self.simulation.improve_after(black_box(observation)));
     }
 
     /// A whole tick, including the plant. A rule that learns a model of the plant detects when observations do
     /// not result from its commands, and then learns nothing; so the ring does not serve here.
     pub fn step(&mut self) {
-        self.plant.observe(self.tick, 0, 0, &mut self.observation);
-        self.controller.respond(&self.observation, &mut self.command);
-        self.controller.after_command(&self.observation);
-        self.controller.record(&self.observation, &mut self.learning);
-        self.plant.step(self.tick, Some(&self.command));
+        self.simulation.sense();
+        black_box(self.simulation.answer());
+        self.simulation.improve();
+        black_box(self.simulation.record());
+        self.simulation.advance();
         self.tick += 1;
-        black_box((&self.command, &self.learning));
     }
 
     /// A tick of the plant alone, with the last command.
     fn step_plant(&mut self) {
-        self.plant.observe(self.tick, 0, 0, &mut self.observation);
-        self.plant.step(self.tick, Some(black_box(&self.command)));
+        black_box(self.simulation.sense());
+        self.simulation.advance();
         self.tick += 1;
-        black_box(&self.observation);
     }
 }
 

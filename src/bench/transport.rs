@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use rustix::thread::sched_yield;
 
-use crate::channel::{BareExchange, ChannelError, Payload, SharedPage};
+use crate::channel::{BareExchange, ChannelError, Exchange, Payload, SharedPage};
 
 /// A means to send a sample to another process and receive one back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -73,12 +73,15 @@ pub(super) enum TransportError {
     System(#[from] std::io::Error),
 }
 
-impl<S: Payload, R: Payload> TransportEnd<S, R> {
+impl<S: Payload, R: Payload> TransportEnd<S, R>
+where
+    BareExchange<S, R>: Exchange<S, R>,
+{
     #[inline]
     pub fn send(&mut self, sample: &S) -> Result<(), TransportError> {
         match self {
             Self::Bare { ends, asleep } => {
-                ends.to.send(sample)?;
+                ends.send(sample)?;
                 if *asleep {
                     ends.notify();
                 }
@@ -97,7 +100,7 @@ impl<S: Payload, R: Payload> TransportEnd<S, R> {
             Self::Bare { ends, asleep } => {
                 let mut polls = 0_u32;
                 loop {
-                    if let Some(sample) = ends.from.receive().map_err(TransportError::from)? {
+                    if let Some(sample) = ends.receive().map_err(TransportError::from)? {
                         return Ok(sample);
                     }
                     polls += 1;

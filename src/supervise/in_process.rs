@@ -8,8 +8,7 @@ use crate::agent::Agent as _;
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::plant::SimulatedPlant;
 use crate::runtime::{
-    ControllerReport, PipedController, PlantReport, PolicySnapshot, SnapshotSchedule, in_process_over_pipe,
-    in_process_with_observer,
+    ControllerReport, PipedController, PlantReport, PolicySnapshot, SnapshotSchedule, in_process_over_pipe, simulate,
 };
 use crate::scenario::Plan;
 
@@ -46,7 +45,7 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     }
     let due = SnapshotSchedule::of(plan).map_or_else(Vec::new, |schedule| schedule.due().to_vec());
     let mut snapshots: Vec<PolicySnapshot> = Vec::new();
-    let result = in_process_with_observer(plan, plant, |observation, controller| {
+    let result = simulate(plan, plant, &mut |observation, controller| {
         let tick = observation.header.tick;
         if due.get(snapshots.len()) == Some(&tick) {
             snapshots.extend(controller.policy().map(|policy| PolicySnapshot { tick, policy: policy.clone() }));

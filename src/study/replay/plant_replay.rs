@@ -197,7 +197,7 @@ impl PlantReplay {
         for side in self.candidates.drain(..) {
             for command in &arrived {
                 let mut side = side.clone();
-                side.follow(due, tick, *command, logged);
+                follow(&mut side, due, tick, *command, logged);
                 side.observe(tick, late, replayed.skipped, &mut replayed);
                 match compare("observation", tick, logged, &replayed) {
                     Ok(()) if fitting.len() < MOST_CANDIDATES => fitting.push(side),
@@ -275,35 +275,33 @@ fn distinct(mut candidates: Vec<PlantSide<ReplayedPlant>>) -> Vec<PlantSide<Repl
     candidates
 }
 
-impl PlantSide<ReplayedPlant> {
-    /// Advances from tick `due` - 1, in which `command` arrived in time, to the beginning of `tick`.
-    fn follow(&mut self, due: u64, tick: u64, command: Option<&Command>, logged: &Observation) {
-        if let ReplayedPlant::Logged { inputs, fresh, ended, outcome, own } = self.body_mut() {
-            *inputs = logged.inputs;
-            *fresh = logged.header.flags & flag::NEW_TARGET != 0;
-            *ended = logged.header.flags & flag::EPISODE_END;
-            *outcome = Outcome { reward: logged.reward, measures: logged.measures };
-            if let Some(own) = own {
-                *own = PlantOwnLimits { applied: logged.applied, flags: logged.header.flags, current: tick == due };
-            }
+/// Advances `side` from tick `due` - 1, in which `command` arrived in time, to the beginning of `tick`.
+fn follow(side: &mut PlantSide<ReplayedPlant>, due: u64, tick: u64, command: Option<&Command>, logged: &Observation) {
+    if let ReplayedPlant::Logged { inputs, fresh, ended, outcome, own } = side.body_mut() {
+        *inputs = logged.inputs;
+        *fresh = logged.header.flags & flag::NEW_TARGET != 0;
+        *ended = logged.header.flags & flag::EPISODE_END;
+        *outcome = Outcome { reward: logged.reward, measures: logged.measures };
+        if let Some(own) = own {
+            *own = PlantOwnLimits { applied: logged.applied, flags: logged.header.flags, current: tick == due };
         }
-        let assumed_limits = matches!(self.body_mut(), ReplayedPlant::Logged { .. }) && self.limits_positions();
-        if assumed_limits {
-            let limited = logged.header.flags & flag::POSITION_LIMITED != 0;
-            self.set_command_ranges(
-                logged.applied.map(|u| if limited { [u.min(0.0), u.max(0.0)] } else { [f32::MIN, f32::MAX] }),
-            );
-        }
-        if due > 0 {
-            self.step(due - 1, command);
-        }
-        if let ReplayedPlant::Logged { own: Some(own), .. } = self.body_mut() {
-            own.current = true;
-        }
-        self.skip(due, tick);
-        // Of the skipped ticks, the log has only the last one.
-        if assumed_limits && tick > due {
-            self.adopt_applied(logged);
-        }
+    }
+    let assumed_limits = matches!(side.body_mut(), ReplayedPlant::Logged { .. }) && side.limits_positions();
+    if assumed_limits {
+        let limited = logged.header.flags & flag::POSITION_LIMITED != 0;
+        side.set_command_ranges(
+            logged.applied.map(|u| if limited { [u.min(0.0), u.max(0.0)] } else { [f32::MIN, f32::MAX] }),
+        );
+    }
+    if due > 0 {
+        side.step(due - 1, command);
+    }
+    if let ReplayedPlant::Logged { own: Some(own), .. } = side.body_mut() {
+        own.current = true;
+    }
+    side.skip(due, tick);
+    // Of the skipped ticks, the log has only the last one.
+    if assumed_limits && tick > due {
+        side.adopt_applied(logged);
     }
 }

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::ReproduceSettings;
 use crate::clock::{machine_facts, monotonic_ns};
-use crate::runtime::{Controller, in_process_with_observer};
+use crate::runtime::{Controller, simulate};
 use crate::scenario::{Plan, Scenario};
 use crate::study::error::write_file;
 use crate::study::{JobProgress, StudyError, WorkerPool};
@@ -119,7 +119,7 @@ pub(super) fn run(
     mut observe: impl FnMut(&Observation, &Controller),
 ) -> LearnerEnd {
     let Some(body) = plan.simulated_plant() else { unreachable!("the built-in scenarios use simulated plants") };
-    let result = in_process_with_observer(plan, body, |observation, controller| {
+    let result = simulate(plan, body, &mut |observation, controller| {
         observe(observation, controller);
         !observation.header.tick.is_multiple_of(REPORT) || progress.report(REPORT)
     });

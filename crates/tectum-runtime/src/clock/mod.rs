@@ -1,0 +1,76 @@
+//! The operating-system boundary: time, signals, handles on other processes, real-time scheduling, and facts
+//! about the machine.
+//!
+//! Only this module and `channel` ask the operating system for the time or sleep. The loops take a
+//! [`TimeSource`], which is real (absolute deadlines on CLOCK_MONOTONIC) or stepped (the tick's own virtual
+//! time).
+
+mod holders;
+mod limits;
+mod machine;
+mod process_handle;
+mod realtime;
+mod signals;
+mod source;
+
+pub use holders::{maps_file, processes_mapping};
+pub use limits::{lock_limit, lock_remedy, priority_limit, priority_remedy};
+pub use machine::machine_facts;
+pub use process_handle::ProcessHandle;
+pub use realtime::set_fifo_priority;
+pub use realtime::{RealtimeGranted, RealtimeRefusal, RealtimeReport, RealtimeRequest};
+pub use signals::TerminationSignals;
+pub use source::{Backoff, TimeSource, WakeReason};
+
+use rustix::thread::{NanosleepRelativeResult, clock_nanosleep_absolute, nanosleep};
+use rustix::time::{ClockId, Timespec, clock_gettime};
+
+/// CLOCK_MONOTONIC, ns.
+pub fn monotonic_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::Monotonic))
+}
+
+/// The time for which the machine was suspended since it was started, ns: CLOCK_BOOTTIME counts it, CLOCK_MONOTONIC
+/// does not.
+pub fn suspended_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::Boottime)).saturating_sub(monotonic_ns())
+}
+
+/// The wall clock, ns since 1970. It is read once per run, to date the log.
+pub fn wall_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::Realtime))
+}
+
+/// The processor time that the calling thread has used, ns.
+pub fn thread_cpu_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::ThreadCPUTime))
+}
+
+/// Sleeps until the absolute instant `at` on CLOCK_MONOTONIC, ns; returns at once if it has passed. A signal
+/// ends the sleep early, so callers check their flags and call again.
+pub fn sleep_until(at: u64) {
+    // The result tells only whether a signal interrupted the sleep. Callers find that out from the clock.
+    let _ = clock_nanosleep_absolute(ClockId::Monotonic, &timespec(at));
+}
+
+/// Sleeps for `ns` nanoseconds, for pacing without a deadline. A signal ends the sleep early.
+pub fn pause(ns: u64) {
+    match nanosleep(&timespec(ns)) {
+        NanosleepRelativeResult::Ok | NanosleepRelativeResult::Interrupted(_) => {}
+        NanosleepRelativeResult::Err(error) => debug_assert!(false, "nanosleep: {error}"),
+    }
+}
+
+/// Sets the calling thread's timer slack to 1 ns. With the default slack of an ordinary thread, timers fire up
+/// to 50 us late.
+pub fn precise_timers() {
+    let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
+}
+
+fn nanoseconds(t: Timespec) -> u64 {
+    t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
+}
+
+fn timespec(ns: u64) -> Timespec {
+    Timespec { tv_sec: (ns / 1_000_000_000) as i64, tv_nsec: (ns % 1_000_000_000) as i64 }
+}
