@@ -1,4 +1,4 @@
-"""The controller's half of every tick, without clock and transport: as `crates/tectum-runtime/src/runtime/controller.rs`."""
+"""The controller's half of every tick, without clock and transport: as `runtime/controller.rs` of tectum-runtime."""
 
 import hashlib
 import math

@@ -1,4 +1,4 @@
-"""What a controller counts of a run, by which the summary judges it: `crates/tectum-runtime/src/runtime/run_counts.rs`."""
+"""What a controller counts of a run, by which the summary judges it: `runtime/run_counts.rs` of tectum-runtime."""
 
 import math
 from typing import Any

@@ -1,6 +1,6 @@
 """Memory that outlives a process: a state at some tick, and what came since then.
 
-As `crates/tectum-runtime/src/channel/crash_store.rs`, in files of its own in the run's part of shared memory. A record has a checksum over
+As `channel/crash_store.rs` of tectum-runtime, in files of its own in the run's part of shared memory. A record has a checksum over
 its bytes and its number. That checksum alone tells a torn record from a whole one: a process that is killed between any
 two stores leaves a record whose checksum does not fit, which counts as absent.
 

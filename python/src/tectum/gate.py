@@ -1,7 +1,7 @@
 """The last check between a command and the actuators.
 
 Limits of rate, step and position, a ramp, and the hold policy for missing commands. Whatever arrives, what the gate
-lets through is finite and within limits. It matches `crates/tectum-runtime/src/runtime/gate.rs` bit for bit, so that `tectum replay` can
+lets through is finite and within limits. It matches `runtime/gate.rs` of tectum-runtime bit for bit, so that `tectum replay` can
 check every applied command.
 """
 
