@@ -1,8 +1,8 @@
 """Checkpoints of a process in Python: its whole state at a tick, in a file from which a later run continues.
 
-The file is what a Rust process writes (`checkpoint` of tectum-runtime): safetensors, with the run's facts and a checksum in the
-metadata. The state itself is one row of bytes, `python.state`, which `state.unpack` reads; it belongs to the program
-that wrote it.
+The file is what a Rust process writes (`checkpoint` of tectum-runtime): safetensors, with the run's facts and a
+checksum in the metadata. The state itself is one row of bytes, `python.state`, which `state.unpack` reads; it
+belongs to the program that wrote it.
 """
 
 import contextlib

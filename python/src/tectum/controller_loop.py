@@ -1,9 +1,9 @@
 """The loop of a controller: receives observations, sends commands and learning records, keeps its state.
 
-As `runtime/controller_loop.rs` of tectum-runtime: every observation goes into a journal before it is answered, the answer into
-another before it is sent, and the whole state is kept every `keep_every` observations. A process that comes back
-restores the state, repeats the ticks since then, and sends its last answer again under the same sequence number; who
-has it drops it. So no tick is learned twice, and none is lost.
+As `runtime/controller_loop.rs` of tectum-runtime: every observation goes into a journal before it is answered, the
+answer into another before it is sent, and the whole state is kept every `keep_every` observations. A process that
+comes back restores the state, repeats the ticks since then, and sends its last answer again under the same sequence
+number; who has it drops it. So no tick is learned twice, and none is lost.
 """
 
 import contextlib

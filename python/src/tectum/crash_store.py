@@ -1,8 +1,8 @@
 """Memory that outlives a process: a state at some tick, and what came since then.
 
-As `channel/crash_store.rs` of tectum-runtime, in files of its own in the run's part of shared memory. A record has a checksum over
-its bytes and its number. That checksum alone tells a torn record from a whole one: a process that is killed between any
-two stores leaves a record whose checksum does not fit, which counts as absent.
+As `channel/crash_store.rs` of tectum-runtime, in files of its own in the run's part of shared memory. A record has a
+checksum over its bytes and its number. That checksum alone tells a torn record from a whole one: a process that is
+killed between any two stores leaves a record whose checksum does not fit, which counts as absent.
 
 It covers the death of a process, not of the machine.
 """

@@ -1,8 +1,8 @@
 """The last check between a command and the actuators.
 
 Limits of rate, step and position, a ramp, and the hold policy for missing commands. Whatever arrives, what the gate
-lets through is finite and within limits. It matches `runtime/gate.rs` of tectum-runtime bit for bit, so that `tectum replay` can
-check every applied command.
+lets through is finite and within limits. It matches `runtime/gate.rs` of tectum-runtime bit for bit, so that `tectum
+replay` can check every applied command.
 """
 
 import math
