@@ -66,6 +66,38 @@ fn info_describes_a_whole_log() {
 }
 
 #[test]
+fn a_packed_log_is_smaller_and_reads_the_same() {
+    let test_folder = TestFolder::new();
+    let before = recorded(&test_folder, "1", "3000");
+    let path = test_folder.log_path();
+    let (_, content) = read_log(&path);
+    let done = test_folder.tectum("log", &["pack", "run", "--out", "packed.mcap", "--json"]).expect(0).json();
+    assert!(before == fs::read(&path).unwrap(), "with --out the log stays as it is");
+    let bytes = done["bytes"].as_u64().unwrap();
+    assert_eq!(bytes, test_folder.path().join("packed.mcap").metadata().unwrap().len());
+    assert!(bytes * 2 < done["bytes_before"].as_u64().unwrap(), "{done}");
+    let refused = test_folder.refused("log", &["pack", "run", "--out", "packed.mcap"]);
+    assert!(refused.contains("packed.mcap cannot be written: the file exists already"), "{refused}");
+
+    let csv = |log: &str| test_folder.tectum("log", &["csv", log]).expect(0).stdout;
+    let (table, info) = (csv("run"), test_folder.tectum("log", &["info", "run", "--json"]).expect(0).json());
+    let text = test_folder.tectum("log", &["pack", "run"]).expect(0).stdout;
+    assert!(text.starts_with("run/log.mcap is packed: "), "{text}");
+    let (reader, packed) = read_log(&path);
+    assert!(reader.finished() && reader.packed() && packed == content);
+    assert!(csv("run") == table);
+    let packed_info = test_folder.tectum("log", &["info", "run", "--json"]).expect(0).json();
+    assert_eq!((&packed_info["channels"], &packed_info["state"]), (&info["channels"], &info["state"]));
+    test_folder.tectum("replay", &["run"]).expect(0);
+    let again = test_folder.tectum("log", &["pack", "run"]).expect(0).stdout;
+    assert_eq!(again, "run/log.mcap is packed already; it was left alone\n");
+
+    test_folder.write_file("torn.mcap", &before[..before.len() / 2]);
+    let torn = test_folder.refused("log", &["pack", "torn.mcap"]);
+    assert!(torn.contains("torn.mcap is torn") && torn.contains("tectum log repair"), "{torn}");
+}
+
+#[test]
 fn info_tells_thinned_from_lost() {
     let test_folder = TestFolder::new();
     recorded(&test_folder, "7", "1000");

@@ -62,6 +62,25 @@ fn python_reads_a_repaired_log() {
     }
 }
 
+/// A packed log is read through its index of chunks, and by the package's own reader.
+#[test]
+#[ignore = "needs a Python with the packages of tests/python/requirements.txt, named by TECTUM_PYTHON"]
+fn python_reads_a_packed_log() {
+    let test_folder = TestFolder::new();
+    let scenario = test_folder.arm_scenario(&[("every", "1")]);
+    test_folder.run(&[&scenario, "--ticks", "5000"]).wait().expect(0);
+    test_folder.tectum("log", &["pack", "run", "--out", "packed.mcap"]).expect(0);
+    let read = test_folder.start(python(), &[&script("check_repaired.py"), "packed.mcap"]).wait().expect(0).json();
+    assert_eq!(read["messages"], read["stated"], "{read}");
+    assert_eq!(read["messages"]["/observation"], 5000, "{read}");
+    assert_eq!(read["last_tick"], 4999, "{read}");
+    let compare = "import tectum, numpy\n\
+                   a, b = tectum.read_log('run'), tectum.read_log('packed.mcap')\n\
+                   assert a.complete and b.complete and a.facts == b.facts\n\
+                   assert numpy.array_equal(a.observation, b.observation) and len(b.learning) == 5000\n";
+    test_folder.start(python(), &["-c", compare]).wait().expect(0);
+}
+
 #[test]
 #[ignore = "needs a Python with the packages of tests/python/requirements.txt, named by TECTUM_PYTHON"]
 fn python_reads_a_checkpoint() {

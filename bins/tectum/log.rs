@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
-use tectum::log::{CsvChannel, LogError, LogInfo, Repair, RunLog, csv, find, repair};
+use tectum::log::{CsvChannel, LogError, LogInfo, PackedLog, Repair, RunLog, csv, find, pack, repair};
 use tectum::process::print_error_line;
 use tectum::runtime::exit;
 
@@ -17,6 +17,7 @@ use super::print;
 Examples:
   tectum log info runs/arm-1                its run, whether it is whole, what it holds and what is missing
   tectum log repair runs/arm-1              makes a torn log whole
+  tectum log pack runs/arm-1                puts it into compressed, indexed chunks, for viewers and archives
   tectum log csv runs/arm-1 --out arm.csv   its observations as a table")]
 pub struct Arguments {
     #[command(subcommand)]
@@ -37,6 +38,19 @@ Examples:
         #[command(flatten)]
         common: Common,
         /// Write the repaired log there, and leave the torn one as it is
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+    /// Put a whole log, all its segments, into chunks with an index, compressed with zstd: smaller, and quick to open in
+    /// Foxglove, Lichtblick, PlotJuggler and rerun. All commands read it as before
+    #[command(after_help = "\
+Examples:
+  tectum log pack runs/arm-1                        the packed log takes the other one's place
+  tectum log pack runs/arm-1 --out packed.mcap      the log stays as it is")]
+    Pack {
+        #[command(flatten)]
+        common: Common,
+        /// Write the packed log there, and leave the log as it is
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
@@ -97,6 +111,9 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Work::Repair { common, out } => find(&common.log)
             .and_then(|log| repair_segments(&log, out.as_deref()))
             .map(|repairs| print(&if common.json { json(&repairs) + "\n" } else { text(&repairs) })),
+        Work::Pack { common, out } => find(&common.log)
+            .and_then(|log| pack_segments(&log, out.as_deref()))
+            .map(|packed| print(&if common.json { packed_json(&packed) + "\n" } else { packed_text(&packed) })),
         Work::Csv { log, channel, out } => {
             find(log).and_then(|log| export(&log, channel.channel(), out.as_deref()).map(|()| ExitCode::SUCCESS))
         }
@@ -110,12 +127,33 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     }
 }
 
+/// Refuses a single file for several segments.
+fn one_target(segments: &[PathBuf], out: Option<&Path>) -> Result<(), LogError> {
+    let Some(out) = out.filter(|_| segments.len() > 1) else { return Ok(()) };
+    let error = std::io::Error::other("the log has several segments, which would all go there; name one of them");
+    Err(LogError::Export { path: out.to_owned(), error })
+}
+
+/// Packs every segment, one after the other. A failure leaves the segments before it packed.
+fn pack_segments(segments: &[PathBuf], out: Option<&Path>) -> Result<Vec<PackedLog>, LogError> {
+    one_target(segments, out)?;
+    segments.iter().map(|log| pack(log, out)).collect()
+}
+
+fn packed_json(packed: &[PackedLog]) -> String {
+    match packed {
+        [one] => one.to_json(),
+        several => format!("[{}]", several.iter().map(PackedLog::to_json).collect::<Vec<_>>().join(",\n")),
+    }
+}
+
+fn packed_text(packed: &[PackedLog]) -> String {
+    packed.iter().map(PackedLog::to_text).collect()
+}
+
 /// Repairs every torn segment, one after the other. A failure leaves the segments before it repaired.
 fn repair_segments(segments: &[PathBuf], out: Option<&Path>) -> Result<Vec<Repair>, LogError> {
-    if let (Some(out), true) = (out, segments.len() > 1) {
-        let error = std::io::Error::other("the log has several segments, which would all go there; name one of them");
-        return Err(LogError::Export { path: out.to_owned(), error });
-    }
+    one_target(segments, out)?;
     segments.iter().map(|log| repair(log, out)).collect()
 }
 

@@ -1,13 +1,14 @@
 """Reads a run's log into numpy arrays, with the scenario's names and units.
 
-The log is MCAP, unchunked, with fixed-size messages whose schema stands in the log itself (docs/studies.md). So a log
-of another version can be read, too.
+The log is MCAP with fixed-size messages whose schema stands in the log itself (docs/studies.md). So a log of another
+version can be read, too. Its messages stand by themselves, or in chunks once `tectum log pack` has packed it.
 """
 
 import json
 import os
 import re
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 from .errors import Refused
 
 MAGIC = b"\x89MCAP0\r\n"
-SCHEMA, CHANNEL, MESSAGE, METADATA, DATA_END = 3, 4, 5, 12, 15
+SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 3, 4, 5, 6, 12, 15
 TYPES = {"uint32": "<u4", "uint64": "<u8", "float32": "<f4"}
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 CDR = 4  # bytes of a body's encapsulation header
@@ -138,14 +139,8 @@ def read_file(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], bool]:
     channels: dict[int, str] = {}
     bodies: dict[int, list[memoryview]] = {}
     facts: dict[str, str] = {}
-    at, complete = len(MAGIC), False
-    while at + 9 <= len(data):
-        kind, length = data[at], int.from_bytes(data[at + 1 : at + 9], "little")
-        at += 9
-        if at + length > len(data) or kind == 0:
-            break  # torn: what comes next was never written
-        content = data[at : at + length]
-        at += length
+    complete = False
+    for kind, content in records(data[len(MAGIC) :], path):
         if kind == MESSAGE:
             bodies.setdefault(content[0] | content[1] << 8, []).append(content[MESSAGE_HEAD.size + CDR :])
         elif kind == SCHEMA:
@@ -170,6 +165,38 @@ def read_file(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], bool]:
         body = b"".join(bytes(part[: row.itemsize]) for number in found for part in bodies[number])
         arrays[short] = np.frombuffer(body, dtype=row)
     return arrays, facts, complete
+
+
+def records(data: memoryview, path: Path) -> Iterator[tuple[int, memoryview]]:
+    """Kind and content of every record, those in chunks included, up to the last whole one."""
+    at = 0
+    while at + 9 <= len(data):
+        kind, length = data[at], int.from_bytes(data[at + 1 : at + 9], "little")
+        at += 9
+        if at + length > len(data) or kind == 0:
+            return  # torn: what comes next was never written
+        content = data[at : at + length]
+        at += length
+        if kind == CHUNK:
+            yield from records(unpack(content, path), path)
+        else:
+            yield kind, content
+
+
+def unpack(content: memoryview, path: Path) -> memoryview:
+    """The records of a chunk."""
+    size = int.from_bytes(content[16:24], "little")
+    compression, at = text_at(content, 28)
+    packed = content[at + 8 : at + 8 + int.from_bytes(content[at : at + 8], "little")]
+    if compression == "":
+        return packed
+    if compression != "zstd":
+        raise Refused(f"{path} is packed with {compression}, and only zstd can be read here")
+    try:
+        import zstandard
+    except ImportError:
+        raise Refused(f"{path} is packed, and zstandard is not installed: pip install 'tectum[zstd]'") from None
+    return memoryview(zstandard.ZstdDecompressor().decompress(bytes(packed), max_output_size=size))
 
 
 def text_at(content: memoryview, at: int) -> tuple[str, int]:

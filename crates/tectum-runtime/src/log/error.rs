@@ -46,6 +46,15 @@ pub enum LogError {
         /// What is wrong with it.
         why: String,
     },
+    /// Only a whole log can be packed.
+    #[error(
+        "the log {} is torn: its run was killed, or is still going on; make it whole with tectum log repair first",
+        path.display()
+    )]
+    Torn {
+        /// The log's file.
+        path: PathBuf,
+    },
     /// The logger is still writing the log.
     #[error("the log {} is still being written by its logger; wait until its run is over", path.display())]
     InUse {

@@ -33,6 +33,8 @@
 //! `log_time` and `publish_time` of a message are its `published_ns`, converted from the run's clock to wall
 //! time by the two instants in `tectum.run`. In lockstep both are 0, so equal runs write equal messages.
 
+mod chunk;
+mod copier;
 mod csv;
 mod disk_reserve;
 mod error;
@@ -41,6 +43,7 @@ mod info;
 mod latency_histograms;
 mod log_file;
 mod message_counts;
+mod pack;
 mod parse;
 mod reader;
 mod recovery;
@@ -55,6 +58,7 @@ pub use header::{LogClock, LogHeader, LogSegment};
 pub use info::{ChannelInfo, LogInfo, LogState, SegmentInfo};
 pub use latency_histograms::LatencyHistograms;
 pub use message_counts::{ChannelCounts, MessageCounts};
+pub use pack::{PackedLog, pack};
 pub use reader::LogReader;
 pub use recovery::LogRecovery;
 pub use repair::{Repair, TornContents, mend, repair};

@@ -94,6 +94,23 @@ pub(super) fn message(body: &[u8]) -> Option<MessageRecord<'_>> {
     Some(MessageRecord { channel, sequence, log_time, publish_time, data: f.0 })
 }
 
+/// A chunk of records.
+pub(super) struct ChunkRecord<'a> {
+    /// Bytes of the records, unpacked.
+    pub size: u64,
+    /// How they are packed; empty if they are not.
+    pub compression: &'a str,
+    pub records: &'a [u8],
+}
+
+pub(super) fn chunk(body: &[u8]) -> Option<ChunkRecord<'_>> {
+    let mut f = FieldReader(body);
+    // First and last time of its messages; the checksum of its records is covered by that of the data section.
+    let (_, _, size, _) = (f.u64()?, f.u64()?, f.u64()?, f.u32()?);
+    let (compression, n) = (f.text()?, f.u64()?);
+    Some(ChunkRecord { size, compression, records: f.bytes(usize::try_from(n).ok()?)? })
+}
+
 /// The profile and the library that the file's header names.
 pub(super) fn header(body: &[u8]) -> Option<(&str, &str)> {
     let mut f = FieldReader(body);

@@ -4,6 +4,7 @@
 //! [`LogReader::finished`] is then false. That is no error. An invalid record or a wrong checksum is an error:
 //! the file was changed after it was written.
 
+use super::chunk::ChunkRecords;
 use super::parse::{self, op};
 use super::{
     ENCAPSULATION, LogError, LogRecord, LogSegment, LogTotals, MISSING_METADATA, MessageCounts, REPAIR_METADATA,
@@ -33,6 +34,9 @@ pub struct LogReader {
     source: Box<dyn Read + Send>,
     linear: LinearReader,
     contents: LogContents,
+    /// The chunk that is being read, and where in the file it begins.
+    chunk: Option<(ChunkRecords, u64)>,
+    packed: bool,
     /// Bytes up to the end of the last whole record.
     position: u64,
     /// The first message, read while looking for the run's description.
@@ -99,7 +103,7 @@ impl LogReader {
     /// As [`open`](Self::open).
     pub fn over(path: &Path, source: Box<dyn Read + Send>) -> Result<LogReader, LogError> {
         let options = LinearReaderOptions::default()
-            // Our logs have no chunks: they are returned as records, and refused without being unpacked.
+            // Chunks of a packed log are returned as records, so that their place in the file is known.
             .with_emit_chunks(true)
             .with_check_finishes_after_end_magic(true)
             .with_validate_data_section_crc(true)
@@ -121,6 +125,8 @@ impl LogReader {
             source,
             linear: LinearReader::new_with_options(options),
             contents,
+            chunk: None,
+            packed: false,
             position: mcap::MAGIC.len() as u64,
             first: None,
             zeros: false,
@@ -197,6 +203,11 @@ impl LogReader {
         self.finished
     }
 
+    /// Whether the messages are in chunks: the log was packed. Known after the first message.
+    pub fn packed(&self) -> bool {
+        self.packed
+    }
+
     /// Bytes from the file's start to the end of the last whole record read.
     pub fn position(&self) -> u64 {
         self.position
@@ -220,6 +231,14 @@ impl LogReader {
 
     fn read_record(&mut self) -> Result<Option<ReadStep>, LogError> {
         loop {
+            if let Some((chunk, start)) = &mut self.chunk {
+                let start = *start;
+                match chunk.next_record() {
+                    Some(Ok((opcode, body))) => return self.contents.take(opcode, body, start).map(Some),
+                    Some(Err(why)) => return Err(damaged(&self.contents.path, start, why)),
+                    None => self.chunk = None,
+                }
+            }
             let event = match self.linear.next_event() {
                 None => {
                     self.finished = true;
@@ -265,6 +284,12 @@ impl LogReader {
                     }
                     let start = self.position;
                     self.position += 9 + data.len() as u64;
+                    if opcode == op::CHUNK {
+                        let chunk =
+                            ChunkRecords::unpack(data).map_err(|why| damaged(&self.contents.path, start, why))?;
+                        (self.chunk, self.packed) = (Some((chunk, start)), true);
+                        continue;
+                    }
                     return self.contents.take(opcode, data, start).map(Some);
                 }
             }
@@ -307,10 +332,6 @@ impl LogContents {
                     let text = std::str::from_utf8(attachment.data).map_err(|_| bad("the scenario is not text"))?;
                     self.scenario = text.to_owned();
                 }
-            }
-            op::CHUNK => {
-                let why = "its messages are in chunks, as another program writes them";
-                return Err(LogError::not_a_log(&self.path, why));
             }
             op::DATA_END => self.data_ended = true,
             _ => {}

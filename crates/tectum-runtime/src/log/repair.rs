@@ -7,18 +7,14 @@
 //! torn. The existing records stay the same, byte for byte. A damaged log is refused, because a new checksum
 //! would hide the damage.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{BufReader, BufWriter, ErrorKind, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
-use mcap::McapError;
-use mcap::records::{MessageHeader, Metadata};
 use serde::Serialize;
 
-use super::parse::{self, op};
-use super::reader::{MAX_RECORD, damaged};
+use super::copier::RecordCopier;
 use super::{LogError, LogReader, LogTotals, MessageCounts, REPAIR_METADATA, TOTALS_METADATA, in_use};
 
 #[cfg(test)]
@@ -175,7 +171,7 @@ pub fn mend<W: Write + Seek>(
     if log.finished() {
         return Ok(None);
     }
-    let mut copier = RecordCopier::begin(path, BufReader::new(open()?), sink, log.position())?;
+    let mut copier = RecordCopier::begin(path, BufReader::new(open()?), sink, log.position(), plain())?;
     while copier.copy_record()? {}
     let mended = TornContents::of(&counts, log.position(), copier.incomplete_bytes()?);
     // A log can be torn after the logger's own totals, which are kept.
@@ -194,6 +190,11 @@ pub fn mend<W: Write + Seek>(
     )?;
     copier.finish()?;
     Ok(Some(mended))
+}
+
+/// A log's layout while it is written: without chunks.
+fn plain() -> mcap::WriteOptions {
+    mcap::WriteOptions::new().use_chunks(false).compression(None)
 }
 
 /// Copies a whole log up to its end, at byte `end`, and leaves out what stands behind it.
@@ -227,136 +228,4 @@ fn counted_totals(log: &LogReader, counts: &MessageCounts, mended: &TornContents
     let mut map = totals.to_map(std::array::from_fn(|i| before.written[i].saturating_add(mended.messages[i])));
     map.insert("repaired".into(), "true".into());
     map
-}
-
-/// Copies a log's records into a new file.
-struct RecordCopier<'a, R: Read, W: Write + Seek> {
-    path: &'a Path,
-    source: R,
-    mcap: mcap::Writer<W>,
-    /// Bytes read, and where the last whole record ends.
-    at: u64,
-    end: u64,
-    body: Vec<u8>,
-}
-
-impl<'a, R: Read, W: Write + Seek> RecordCopier<'a, R, W> {
-    fn begin(path: &'a Path, mut source: R, sink: W, end: u64) -> Result<Self, LogError> {
-        let mut at = mcap::MAGIC.len() as u64;
-        source.read_exact(&mut [0; mcap::MAGIC.len()]).map_err(|e| LogError::read(path, e))?;
-        let mut body = Vec::new();
-        let first = read_record(path, &mut source, &mut at, &mut body)?;
-        let (profile, library) =
-            parse::header(&body).filter(|_| first == op::HEADER).ok_or_else(|| damaged(path, 8, "no header"))?;
-        let options = mcap::WriteOptions::new().use_chunks(false).compression(None).profile(profile).library(library);
-        let mcap = options.create(sink).map_err(|e| write_error(path, at, e))?;
-        Ok(Self { path, source, mcap, at, end, body })
-    }
-
-    /// Copies the next record. Returns false after the last whole record, and at the end of the data section.
-    fn copy_record(&mut self) -> Result<bool, LogError> {
-        if self.at >= self.end {
-            return Ok(false);
-        }
-        let (path, start) = (self.path, self.at);
-        let opcode = read_record(path, &mut self.source, &mut self.at, &mut self.body)?;
-        let short = || damaged(path, start, "a record is cut short");
-        let mcap = &mut self.mcap;
-        let done = match opcode {
-            op::SCHEMA => {
-                let (id, name, encoding, text) = parse::schema(&self.body).ok_or_else(short)?;
-                mcap.add_schema_with_id(id, name, encoding, text).map(drop)
-            }
-            op::CHANNEL => {
-                let c = parse::channel(&self.body).ok_or_else(short)?;
-                mcap.add_channel_with_id(c.id, c.schema, c.topic, c.encoding, &c.metadata).map(drop)
-            }
-            op::MESSAGE => {
-                let m = parse::message(&self.body).ok_or_else(short)?;
-                let header = MessageHeader {
-                    channel_id: m.channel,
-                    sequence: m.sequence,
-                    log_time: m.log_time,
-                    publish_time: m.publish_time,
-                };
-                mcap.write_to_known_channel(&header, m.data)
-            }
-            op::METADATA => {
-                let (name, metadata) = parse::metadata(&self.body).ok_or_else(short)?;
-                mcap.write_metadata(&Metadata { name: name.to_owned(), metadata })
-            }
-            op::ATTACHMENT => {
-                let a = parse::attachment(&self.body).ok_or_else(short)?;
-                mcap.attach(&mcap::Attachment {
-                    log_time: a.log_time,
-                    create_time: a.create_time,
-                    name: a.name.to_owned(),
-                    media_type: a.media_type.to_owned(),
-                    data: Cow::Borrowed(a.data),
-                })
-            }
-            op::DATA_END => return Ok(false),
-            // Our logger writes no other records, and no message depends on them.
-            _ => Ok(()),
-        };
-        done.map(|()| true).map_err(|e| write_error(path, start, e))
-    }
-
-    /// The number of bytes after the last whole record. If they begin with a zero, all must be zeros.
-    fn incomplete_bytes(&mut self) -> Result<u64, LogError> {
-        let failed = |e| LogError::read(self.path, e);
-        // Skips whole records of a summary, which is written anew.
-        let summary = self.end.saturating_sub(self.at);
-        std::io::copy(&mut self.source.by_ref().take(summary), &mut std::io::sink()).map_err(failed)?;
-        let (mut count, mut first, mut all_zeros, mut buffer) = (0, 1, true, [0; 8192]);
-        loop {
-            let n = match self.source.read(&mut buffer) {
-                Err(e) if e.kind() == ErrorKind::Interrupted => continue,
-                other => other.map_err(failed)?,
-            };
-            if n == 0 {
-                break;
-            }
-            if count == 0 {
-                first = buffer[0];
-            }
-            all_zeros &= buffer[..n].iter().all(|&byte| byte == 0);
-            count += n as u64;
-        }
-        if first == 0 && !all_zeros {
-            return Err(damaged(self.path, self.end, "zeros stand where a record should begin"));
-        }
-        Ok(count)
-    }
-
-    fn add_metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), LogError> {
-        let record = Metadata { name: name.into(), metadata };
-        self.mcap.write_metadata(&record).map_err(|e| write_error(self.path, self.end, e))
-    }
-
-    fn finish(mut self) -> Result<(), LogError> {
-        self.mcap.finish().map(drop).map_err(|e| write_error(self.path, self.end, e))
-    }
-}
-
-fn read_record(path: &Path, source: &mut impl Read, at: &mut u64, body: &mut Vec<u8>) -> Result<u8, LogError> {
-    let failed = |e| LogError::read(path, e);
-    let mut head = [0; 9];
-    source.read_exact(&mut head).map_err(failed)?;
-    let [opcode, length @ ..] = head;
-    let length = u64::from_le_bytes(length);
-    // The reader has checked the length, but the file may have changed since.
-    let n = usize::try_from(length).ok().filter(|&n| n <= MAX_RECORD);
-    body.resize(n.ok_or_else(|| damaged(path, *at, "a record is larger than any of a log"))?, 0);
-    source.read_exact(body).map_err(failed)?;
-    *at += 9 + length;
-    Ok(opcode)
-}
-
-/// An error of the writer: a full or failing disk, or a record that is invalid in a log.
-fn write_error(path: &Path, at: u64, error: McapError) -> LogError {
-    match error {
-        McapError::Io(error) => LogError::write(path, error),
-        other => damaged(path, at, &other.to_string()),
-    }
 }

@@ -97,7 +97,7 @@ fn a_log_cut_at_the_ends_of_records_is_repaired() {
 #[test]
 fn a_damaged_log_is_refused() {
     // The learning record of tick 6, and within it the byte after its sequence number, where its instants begin.
-    let end = records().filter(|&at| WHOLE[at] == op::MESSAGE).nth(3 + 3 + 2).unwrap();
+    let end = records().filter(|&at| WHOLE[at] == crate::log::parse::op::MESSAGE).nth(3 + 3 + 2).unwrap();
     let at = end + 9 + 22 + ENCAPSULATION.len() + 24;
     let mut bytes = WHOLE.clone();
     bytes[at] ^= 1;
