@@ -2,20 +2,24 @@
 //! the guard that turns torque off after a bridge was killed.
 
 mod guard;
+mod teleop;
 mod tools;
 
 use std::io::{BufRead as _, IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 
 use clap::{Parser, Subcommand};
 use tectum::channel::VisionReceiver;
 use tectum::clock::{monotonic_ns, pause, suspended_ns};
 use tectum::process::print_error_line;
-use tectum::runtime::{Participant, RuntimeError, exit, run_plant};
+use tectum::runtime::{Mode, Participant, RuntimeError, exit, run_plant};
+use tectum::scenario::ServosConfig;
 use tectum::servo::bridge::{Bridge, BridgeError, TripCause, joints_of};
 use tectum::servo::bus::{Bus, BusBudget, BusError, latency_advice};
+use tectum::servo::emulator::{EmulatedChain, EmulatedPort, SteppedClock};
 use tectum::servo::guard::{Guard, GuardSettings};
 use tectum::servo::model::Protocol;
 use tectum::wire::Role;
@@ -53,6 +57,8 @@ struct Arguments {
 enum Tool {
     #[command(flatten)]
     Tool(tools::Tool),
+    /// Let one arm follow another that is moved by hand
+    Teleop(teleop::Arguments),
     /// Turns torque off when another process has ended; bridges start it for themselves
     #[command(hide = true)]
     Guard(guard::Arguments),
@@ -62,6 +68,10 @@ fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let (text, code) = match &arguments.tool {
         Some(Tool::Guard(of)) => return guard::run(of),
+        Some(Tool::Teleop(arguments)) => match teleop::main(arguments) {
+            Ok(code) => return code,
+            Err(problem) => problem,
+        },
         Some(Tool::Tool(tool)) => match tools::run(tool) {
             Ok(()) => return ExitCode::SUCCESS,
             Err(error) => (error.to_string(), if error.is_bad_input() { exit::INPUT } else { exit::PROCESS }),
@@ -82,9 +92,6 @@ type Problem = (String, u8);
 fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
     let bad = |text: String| (text, exit::INPUT);
     let failed = |text: String| (text, exit::PROCESS);
-    let of_bridge = |what: &str, error: BridgeError| {
-        (format!("{what}{error}"), if error.is_configuration() { exit::INPUT } else { exit::PROCESS })
-    };
     let own = |error: RuntimeError| (error.to_string(), error.exit_code());
     let Some(run) = &arguments.run else {
         return Err(bad("no run is named; give --run, or let `tectum run` start this program".to_owned()));
@@ -96,25 +103,20 @@ fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
     };
     let ids: Vec<u8> = joints.iter().map(|joint| joint.id).collect();
     // The emulator ends with this function, after the bridge, which `run_plant` drops.
-    let (_emulator, port) = match config.port.as_str() {
-        "emulator" => {
-            let (child, port) =
-                start_emulator(&participant.folder, config.protocol, config.baud, &ids).map_err(failed)?;
-            (Some(child), port)
-        }
-        port => (None, port.to_owned()),
-    };
-    let bus = open_bus(&port, config.protocol, config.baud, Bridge::budget(&participant.plan))
-        .map_err(|error| of_bridge("", error.into()))?;
-    if let Some(advice) = latency_advice(&port) {
-        print_error_line(&format!("tectum-bridge: {advice}"));
-    }
-    let period_ns = participant.plan.period_ns;
-    let guard = GuardSettings { port, protocol: config.protocol, baud: config.baud, ids, period_ns };
-    let guard = guard::start(&guard).map_err(failed)?;
+    let Connection { emulator: _emulator, bus, guard, clock } = connect(&participant, &config, ids)?;
     let tell = Box::new(|text: &str| print_error_line(&format!("tectum-bridge: {text}")));
     let mut bridge = Bridge::new(&participant.plan, bus, joints, tell).map_err(|error| of_bridge("", error))?;
-    attach(&mut bridge, guard);
+    if let Some(guard) = guard {
+        attach(&mut bridge, guard);
+    }
+    if let Some(clock) = clock {
+        bridge.set_virtual_time(clock);
+    }
+    if let Some(leader) = &participant.plan.scenario.plant.leader {
+        let of_leader = |error: BridgeError| of_bridge("the leader: ", error);
+        let bus = open_bus(&leader.port, leader.protocol, leader.baud, Bridge::budget(&participant.plan));
+        bus.map_err(BridgeError::from).and_then(|bus| bridge.set_leader(bus)).map_err(of_leader)?;
+    }
     let ending = bridge.ending();
     bridge.write_report_to(participant.folder.join("bridge.json"));
     if arguments.arm || config.armed {
@@ -139,6 +141,67 @@ fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
         Some(cause) => Err(failed(format!("torque was off when the run ended: {cause}"))),
         None => Ok(()),
     }
+}
+
+/// The message and the exit code of an error of the bridge.
+fn of_bridge(what: &str, error: BridgeError) -> Problem {
+    (format!("{what}{error}"), if error.is_configuration() { exit::INPUT } else { exit::PROCESS })
+}
+
+/// The bus of a run's servos, and what belongs to it.
+struct Connection {
+    emulator: Option<Helper>,
+    bus: Bus,
+    /// In real time: the guard.
+    guard: Option<Guard>,
+    /// In lockstep: the clock of the emulated servos.
+    clock: Option<SteppedClock>,
+}
+
+/// Connects to the servos with these ids: through the port, to emulated ones behind a terminal, or, in lockstep, to
+/// emulated ones in this process.
+fn connect(participant: &Participant, config: &ServosConfig, ids: Vec<u8>) -> Result<Connection, Problem> {
+    let failed = |text: String| (text, exit::PROCESS);
+    if participant.manifest.mode == Mode::Lockstep {
+        return connect_in_process(participant, config, &ids);
+    }
+    let (emulator, port) = match config.port.as_str() {
+        "emulator" => {
+            let (child, port) =
+                start_emulator(&participant.folder, config.protocol, config.baud, &ids).map_err(failed)?;
+            (Some(child), port)
+        }
+        port => (None, port.to_owned()),
+    };
+    let bus = open_bus(&port, config.protocol, config.baud, Bridge::budget(&participant.plan))
+        .map_err(|error| of_bridge("", error.into()))?;
+    if let Some(advice) = latency_advice(&port) {
+        print_error_line(&format!("tectum-bridge: {advice}"));
+    }
+    let period_ns = participant.plan.period_ns;
+    let guard = GuardSettings { port, protocol: config.protocol, baud: config.baud, ids, period_ns };
+    let guard = guard::start(&guard).map_err(failed)?;
+    Ok(Connection { emulator, bus, guard: Some(guard), clock: None })
+}
+
+/// Connects to emulated servos in this process, whose clock the ticks step.
+fn connect_in_process(participant: &Participant, config: &ServosConfig, ids: &[u8]) -> Result<Connection, Problem> {
+    if !participant.plan.scenario.plant.has_virtual_servos() {
+        return Err(("servos that are not emulated run in real time only".to_owned(), exit::INPUT));
+    }
+    if participant.folder.join("bridge.json").exists() {
+        let text = "the emulated servos of a lockstep run were part of the bridge that has died, and their positions are \
+                    lost; start the run again";
+        return Err((text.to_owned(), exit::INPUT));
+    }
+    let plan = &participant.plan;
+    let settings = plan.scenario.plant.emulator.clone().unwrap_or_default();
+    let chain = EmulatedChain::new(config.protocol, ids, config.baud, &settings, plan.scenario.seed);
+    let clock = SteppedClock::default();
+    let port = EmulatedPort::new(Arc::new(Mutex::new(chain)), clock.clone(), config.baud);
+    let now = clock.clone();
+    let bus = Bus::over(Box::new(port), config.protocol, Bridge::budget(plan), Box::new(move || now.now()));
+    Ok(Connection { emulator: None, bus, guard: None, clock: Some(clock) })
 }
 
 /// Opens the channel of trackers, if the scenario has them.

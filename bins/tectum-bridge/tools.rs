@@ -82,6 +82,9 @@ pub struct Calibrate {
     /// The ids, from the base on; with --import, those to take over
     #[arg(long, value_delimiter = ',', required_unless_present = "import")]
     ids: Vec<u8>,
+    /// Names of the joints, in the same order; `teleop` pairs joints by them
+    #[arg(long, value_delimiter = ',')]
+    names: Vec<String>,
     /// Take the joints from this file instead, one of LeRobot's (.json), and compare the servos' registers with it
     #[arg(long, value_name = "FILE")]
     import: Option<PathBuf>,
@@ -303,8 +306,12 @@ fn calibrate(arguments: &Calibrate) -> Result<(), ToolError> {
         let text = format!("{}: the file is there already; give another --out, or --force", arguments.out.display());
         return Err(ToolError::Refused(text));
     }
+    if !arguments.names.is_empty() && arguments.names.len() != arguments.ids.len() {
+        let (names, ids) = (arguments.names.len(), arguments.ids.len());
+        return Err(ToolError::Refused(format!("--names has {names} names and --ids {ids} ids; give one for each")));
+    }
     let mut bus = arguments.bus.open()?;
-    let calibration = match &arguments.import {
+    let mut calibration = match &arguments.import {
         Some(file) => tools::import(&mut bus, file, &arguments.ids)?,
         None => {
             let mut input = std::io::stdin().lock();
@@ -313,6 +320,9 @@ fn calibrate(arguments: &Calibrate) -> Result<(), ToolError> {
             tools::calibrate(&mut bus, &arguments.ids, arguments.max_speed, &mut input, &mut ask)?
         }
     };
+    for (joint, name) in calibration.joints.iter_mut().zip(&arguments.names) {
+        joint.name = Some(name.clone());
+    }
     if let Some(file) = &arguments.export {
         let written = std::fs::write(file, tools::write_lerobot(&calibration));
         written.map_err(|error| ToolError::Io(file.display().to_string(), error))?;

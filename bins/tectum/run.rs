@@ -120,13 +120,15 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
         }
     };
     let servos = plan.scenario.plant.servos.is_some();
+    // Emulated servos can be part of the bridge's process, on a clock that the ticks step.
+    let emulated = plan.scenario.plant.has_virtual_servos();
     let mode = match arguments.mode {
         None if servos => Mode::Realtime,
         None | Some(ModeArgument::Lockstep) => Mode::Lockstep,
         Some(ModeArgument::Realtime) => Mode::Realtime,
         Some(ModeArgument::InProcess) => Mode::InProcess,
     };
-    if servos && mode != Mode::Realtime {
+    if servos && mode != Mode::Realtime && !(emulated && mode == Mode::Lockstep) {
         return Err(LaunchError::OnlyRealtime(mode.name()));
     }
     Ok(Launch {

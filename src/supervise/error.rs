@@ -72,7 +72,8 @@ pub enum LaunchError {
     Pipe(#[from] PipeError),
     /// A plant with servos cannot follow virtual time.
     #[error(
-        "the plant drives servos, which run in real time only, and --mode is {0}; leave --mode out, or give realtime"
+        "the plant drives servos, which run in real time only, and --mode is {0}; leave --mode out, or give realtime \
+         (with plant.servos.port = \"emulator\", and neither trackers nor a leader, also lockstep)"
     )]
     OnlyRealtime(&'static str),
     /// Signal handlers cannot be installed.

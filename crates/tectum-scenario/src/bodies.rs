@@ -77,7 +77,9 @@ pub(super) fn check_other_program(plant: &PlantConfig) -> Result<(), Violation> 
         let text = format!("belongs to tectum-simulator and plant.program is {program}; take one of the two out");
         Err(Violation::new(key, text))
     };
-    match plant.bodies().into_iter().flatten().find(|(key, _)| *key != "plant.arm") {
+    // The models of arms on servos.
+    let is_model = |key: &str| key == "plant.arm" || key == "plant.so101" && plant.servos.is_some();
+    match plant.bodies().into_iter().flatten().find(|(key, _)| !is_model(key)) {
         Some((key, _)) => refused(key),
         None if !plant.timing.is_nothing() => refused("plant.timing"),
         None => Ok(()),

@@ -38,6 +38,7 @@ mod exploration_loss;
 mod faults;
 mod file;
 mod gate;
+mod leader;
 mod learner;
 pub mod limits;
 mod measure;
@@ -69,6 +70,7 @@ pub use faults::{
 };
 pub use file::{LogConfig, PolicyConfig, Scenario};
 pub use gate::{GateConfig, OverrunConfig, PerOutput};
+pub use leader::{JointMapping, LeaderConfig};
 pub use measure::{MeasureConfig, MeasureRole, MeasureTable};
 pub use per_axis::PerAxis;
 pub use plant::PlantConfig;

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{number, program, range_end, range_ends, show, signal_name, ticks, unique_names};
 use super::{
-    ArmConfig, CartPoleConfig, EmulatorConfig, EyeConfig, FurutaConfig, MeasureConfig, MeasureRole, PendulumConfig,
-    PointMassConfig, ReacherConfig, ServosConfig, SignalConfig, So101Config, TimingConfig, bodies, error::Violation,
-    error::quoted, limits,
+    ArmConfig, CartPoleConfig, EmulatorConfig, EyeConfig, FurutaConfig, LeaderConfig, MeasureConfig, MeasureRole,
+    PendulumConfig, PointMassConfig, ReacherConfig, ServosConfig, SignalConfig, So101Config, TimingConfig, bodies,
+    error::Violation, error::quoted, limits,
 };
 use crate::limits::MAX_MEASURES;
 use crate::programs::is_simulator;
@@ -63,6 +63,9 @@ pub struct PlantConfig {
     /// The servos of `tectum-bridge`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub servos: Option<ServosConfig>,
+    /// The arm that the servos of `tectum-bridge` follow.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub leader: Option<LeaderConfig>,
     /// An emulated chain of servos.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub emulator: Option<EmulatorConfig>,

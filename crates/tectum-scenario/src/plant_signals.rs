@@ -1,6 +1,6 @@
 //! The inputs, outputs and measures of a scenario's plant: those that the file lists, or else those of its body.
 
-use super::{MeasureConfig, Scenario, SignalConfig};
+use super::{MeasureConfig, Scenario, SignalConfig, leader};
 use crate::limits::MAX_MEASURES;
 
 /// The signals of a plant, in the order in which samples carry them.
@@ -29,10 +29,22 @@ pub(super) fn signals(scenario: &Scenario) -> PlantSignals {
                 measures: signals.measures.into_iter().map(MeasureConfig::from).collect(),
             }
         }
+        None if plant.leader.is_some() => {
+            let names = leader::outputs(plant);
+            PlantSignals {
+                inputs: leader::inputs(plant),
+                outputs: names.iter().enumerate().map(|(i, name)| output_signal(name, limit(i))).collect(),
+                measures: vec!["error".into()],
+                moved: names,
+            }
+        }
         None => PlantSignals { inputs: Vec::new(), outputs: Vec::new(), measures: Vec::new(), moved: Vec::new() },
     };
     if plant.servos.is_some() {
         defaults.measures.extend(["bus_read_us", "bus_write_us"].map(MeasureConfig::from));
+    }
+    if plant.leader.is_some() {
+        defaults.measures.push("leader_read_us".into());
     }
     if plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model()) && defaults.measures.len() < MAX_MEASURES {
         defaults.measures.push("vision_age_ms".into());

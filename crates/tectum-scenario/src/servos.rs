@@ -7,7 +7,7 @@ use tectum_servo::model::{Protocol, STEP, STEPS_PER_TURN};
 
 use super::check::{number, show};
 use super::error::{Violation, quoted};
-use super::{ArmConfig, PlantConfig, limits};
+use super::{PlantConfig, limits};
 
 /// `[plant.servos]`: the bus, the joints on it, and the limits at which torque is switched off.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -59,7 +59,10 @@ pub struct ServosConfig {
     /// one. Default: 0.05.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision_jump: Option<f64>,
-    /// The joints, from the base on, one per segment of `[plant.arm]`.
+    /// Ids of joints that no command moves: they are held where they stand when torque comes on, as a gripper is.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held: Vec<u8>,
+    /// The joints, from the base on: one per joint of the model, or of the leader, and those that are held.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub joints: Vec<JointConfig>,
 }
@@ -70,6 +73,9 @@ pub struct ServosConfig {
 pub struct JointConfig {
     /// The servo's id on the bus.
     pub id: u8,
+    /// The joint's name. A leader's joint moves the follower's joint of the same name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// 1 if positions increase with the angle, -1 if they decrease.
     #[serde(default = "default_direction")]
     pub direction: i32,
@@ -151,6 +157,12 @@ impl ServosConfig {
         (self.vision_age_ms.unwrap_or(100.0) * 1e6) as u64
     }
 
+    /// The joints that commands move, in their order, and behind them those that are held.
+    pub fn moving_first(&self, joints: &[JointConfig]) -> Vec<JointConfig> {
+        let (held, moving): (Vec<_>, Vec<_>) = joints.iter().cloned().partition(|joint| self.held.contains(&joint.id));
+        [moving, held].concat()
+    }
+
     /// Distance from the last new target, m, beyond which a target counts as a new one.
     pub fn vision_jump(&self) -> f32 {
         self.vision_jump.unwrap_or(0.05) as f32
@@ -186,6 +198,11 @@ fn default_max_speed() -> f64 {
 }
 
 impl JointConfig {
+    /// Its name; joint `place` (counted from 0) of an arm without names is `joint_1`, `joint_2` and so on.
+    pub fn name_at(&self, place: usize) -> String {
+        self.name.clone().unwrap_or_else(|| format!("joint_{}", place + 1))
+    }
+
     /// Whether the joint turns freely: its range is a full turn or more.
     pub fn is_free(&self) -> bool {
         self.range[1] - self.range[0] >= std::f64::consts::TAU - 1e-9
@@ -217,6 +234,14 @@ impl JointConfig {
     }
 }
 
+impl PlantConfig {
+    /// Whether its servos can be emulated in virtual time: nothing else of the plant is outside the run.
+    pub fn has_virtual_servos(&self) -> bool {
+        let emulated = |servos: &ServosConfig| servos.port == "emulator" && servos.sight.is_model();
+        self.servos.as_ref().is_some_and(emulated) && self.leader.is_none()
+    }
+}
+
 /// Checks the plant's `[plant.servos]`, if it has one.
 pub(super) fn check(plant: &PlantConfig, period_ms: f64) -> Result<(), Violation> {
     let Some(servos) = &plant.servos else { return Ok(()) };
@@ -224,11 +249,10 @@ pub(super) fn check(plant: &PlantConfig, period_ms: f64) -> Result<(), Violation
         let text = "belongs to tectum-bridge and plant.program is the simulator; take it out, or give tectum-bridge";
         return Err(Violation::new("plant.servos", text));
     }
-    let Some(arm) = &plant.arm else {
-        let text = "needs [plant.arm], the model of the arm that its servos move; add it";
-        return Err(Violation::new("plant.servos", text));
-    };
-    if arm.open_loop || !arm.block.is_empty() {
+    driven_joints(plant)?;
+    if let Some(arm) = &plant.arm
+        && (arm.open_loop || !arm.block.is_empty())
+    {
         let key = if arm.open_loop { "plant.arm.open_loop" } else { "plant.arm.block" };
         return Err(Violation::new(key, "is the simulator's, and servos cannot do it; take it out"));
     }
@@ -250,7 +274,7 @@ pub(super) fn check(plant: &PlantConfig, period_ms: f64) -> Result<(), Violation
     }
     number("plant.servos.max_temperature", servos.max_temperature, 20.0..=100.0, "give 20 to 100 degrees")?;
     number("plant.servos.min_voltage", servos.min_voltage, 0.0..=50.0, "give 0 to 50 V")?;
-    check_sight(servos, arm)?;
+    check_sight(servos, plant)?;
     match (&servos.calibration, servos.joints.is_empty()) {
         (None, true) => {
             let text = "has neither joints nor a calibration; add [[plant.servos.joints]], \
@@ -261,12 +285,33 @@ pub(super) fn check(plant: &PlantConfig, period_ms: f64) -> Result<(), Violation
             Err(Violation::new("plant.servos.calibration", "stands beside plant.servos.joints; keep one of the two"))
         }
         (Some(_), true) => Ok(()),
-        (None, false) => check_joint_table(&servos.joints, arm.lengths.len(), servos.protocol, servos.goal()),
+        (None, false) => check_chain(&servos.joints, plant, servos),
+    }
+}
+
+/// The number of joints that commands move: those of the model of the arm, or of the leader.
+pub(super) fn driven_joints(plant: &PlantConfig) -> Result<usize, Violation> {
+    let given = [
+        ("plant.arm", plant.arm.as_ref().map(|arm| arm.lengths.len())),
+        ("plant.so101", plant.body().filter(|_| plant.so101.is_some()).map(|body| body.signals().outputs.len())),
+        ("plant.leader", plant.leader.as_ref().map(|leader| leader.joints.len())),
+    ];
+    let mut given = given.into_iter().filter_map(|(key, joints)| Some((key, joints?)));
+    match (given.next(), given.next()) {
+        (Some((_, joints)), None) => Ok(joints),
+        (Some((first, _)), Some((second, _))) => {
+            Err(Violation::new(second, format_args!("stands beside {first}; keep one of the two")))
+        }
+        (None, _) => {
+            let text = "needs [plant.arm] or [plant.so101], the model of the arm that its servos move, or \
+                        [plant.leader], the arm that they follow; add one of them";
+            Err(Violation::new("plant.servos", text))
+        }
     }
 }
 
 /// Checks the keys that belong to the source of positions.
-fn check_sight(servos: &ServosConfig, arm: &ArmConfig) -> Result<(), Violation> {
+fn check_sight(servos: &ServosConfig, plant: &PlantConfig) -> Result<(), Violation> {
     if servos.sight.is_model() {
         let vision_keys = [("vision_age_ms", servos.vision_age_ms), ("vision_jump", servos.vision_jump)];
         return match vision_keys.iter().find(|(_, value)| value.is_some()) {
@@ -278,6 +323,10 @@ fn check_sight(servos: &ServosConfig, arm: &ArmConfig) -> Result<(), Violation> 
             None => Ok(()),
         };
     }
+    let Some(arm) = &plant.arm else {
+        let text = "is \"vision\", and trackers report positions in a plane, which only [plant.arm] has; leave it out";
+        return Err(Violation::new("plant.servos.sight", text));
+    };
     if let Some(age) = servos.vision_age_ms {
         number("plant.servos.vision_age_ms", age, 1.0..=10_000.0, "give 1 to 10000 ms")?;
     }
@@ -292,19 +341,40 @@ fn check_sight(servos: &ServosConfig, arm: &ArmConfig) -> Result<(), Violation> 
     Ok(())
 }
 
-/// Checks a table of joints, from a scenario or from a calibration.
-fn check_joint_table(
+/// Checks the joints of the chain that is driven, from a scenario or from a calibration.
+fn check_chain(joints: &[JointConfig], plant: &PlantConfig, servos: &ServosConfig) -> Result<(), Violation> {
+    if let Some(id) = servos.held.iter().find(|&&id| !joints.iter().any(|joint| joint.id == id)) {
+        return Err(Violation::value("plant.servos.held", id, "no joint has this id; give ids of joints"));
+    }
+    let (driven, moving) = (driven_joints(plant)?, joints.len() - held_joints(joints, servos));
+    if moving != driven {
+        let text = format!(
+            "has {moving} entries that are not held, and {driven} joints are driven; give one for each, and name those \
+             that only keep their position in plant.servos.held"
+        );
+        return Err(Violation::new("plant.servos.joints", text));
+    }
+    if joints.len() > limits::MAX_OUTPUTS {
+        let text = format!("has {} entries; give at most {}", joints.len(), limits::MAX_OUTPUTS);
+        return Err(Violation::new("plant.servos.joints", text));
+    }
+    check_joint_table("plant.servos", joints, servos.protocol, servos.goal())
+}
+
+/// The number of joints that are held.
+fn held_joints(joints: &[JointConfig], servos: &ServosConfig) -> usize {
+    joints.iter().filter(|joint| servos.held.contains(&joint.id)).count()
+}
+
+/// Checks a table of joints under `table`.
+pub(super) fn check_joint_table(
+    table: &str,
     joints: &[JointConfig],
-    segments: usize,
     protocol: Protocol,
     goal: ServoGoal,
 ) -> Result<(), Violation> {
-    if joints.len() != segments {
-        let text = format!("has {} entries and plant.arm has {segments} segments; give one for each", joints.len());
-        return Err(Violation::new("plant.servos.joints", text));
-    }
     for (i, joint) in joints.iter().enumerate() {
-        let key = |name: &str| format!("plant.servos.joints[{i}].{name}");
+        let key = |name: &str| format!("{table}.joints[{i}].{name}");
         let max_id = protocol.series().max_id;
         if joint.id > max_id {
             return Err(Violation::value(key("id"), joint.id, format!("give 0 to {max_id}")));
@@ -344,12 +414,13 @@ fn check_joint_table(
     Ok(())
 }
 
-/// Checks the joints of a calibration against the arm.
+/// Checks the joints of a calibration against the arm of `plant`.
 ///
 /// # Errors
 /// The first problem, as one sentence with the key, as for the joints of a scenario.
-pub fn check_joints(table: &[JointConfig], segments: usize, protocol: Protocol, goal: ServoGoal) -> Result<(), String> {
-    check_joint_table(table, segments, protocol, goal).map_err(|problem| format!("{} {}", problem.key, problem.text))
+pub fn check_joints(table: &[JointConfig], plant: &PlantConfig) -> Result<(), String> {
+    let Some(servos) = &plant.servos else { return Ok(()) };
+    check_chain(table, plant, servos).map_err(|problem| format!("{} {}", problem.key, problem.text))
 }
 
 #[cfg(test)]

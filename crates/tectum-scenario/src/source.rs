@@ -161,7 +161,7 @@ fn follow<'d, 'i>(document: &'d DeTable<'i>, path: &str) -> Option<(usize, &'d D
 /// The first list in place of a table, as path and byte offset. serde would accept it and assign its entries to
 /// the table's keys in the order of their declaration, which is never intended.
 pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> {
-    const TABLES: [&str; 23] = [
+    const TABLES: [&str; 24] = [
         "plant",
         "plant.arm",
         "plant.arm.reward",
@@ -172,6 +172,7 @@ pub(super) fn list_for_table(document: &DeTable<'_>) -> Option<(String, usize)> 
         "plant.furuta",
         "plant.point-mass",
         "plant.so101",
+        "plant.leader",
         "plant.timing",
         "controller",
         "encoder",

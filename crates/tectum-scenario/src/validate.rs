@@ -5,8 +5,8 @@
 
 use super::check::{checked_name, number, show, ticks};
 use super::{
-    LogConfig, Noise, Rule, Scenario, controller, encoder, error::Violation, error::quoted, faults, gate, learner,
-    limits, plant, plant_signals::PlantSignals, plant_signals::signals, realtime, restart, servos,
+    LogConfig, Noise, Rule, Scenario, controller, encoder, error::Violation, error::quoted, faults, gate, leader,
+    learner, limits, plant, plant_signals::PlantSignals, plant_signals::signals, realtime, restart, servos,
 };
 use crate::limits::{MAX_INPUTS, MAX_OUTPUTS};
 
@@ -15,6 +15,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Violation> {
     check_top_level(scenario)?;
     gate::check(&scenario.gate, &scenario.overrun)?;
     plant::check(&scenario.plant)?;
+    leader::check(&scenario.plant)?;
     servos::check(&scenario.plant, scenario.period_ms)?;
 
     let signals = signals(scenario);

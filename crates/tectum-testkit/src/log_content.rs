@@ -6,7 +6,7 @@ use tectum::log::{LogError, LogReader, LogRecord, RunLog, find};
 use tectum::wire::{Command, Gap, Learning, Observation};
 
 /// All samples of a log, in the order of the file.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct LogContent {
     /// From the plant.
     pub observations: Vec<Observation>,

@@ -76,7 +76,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn joint(direction: i32, zero: i32, range: [f64; 2]) -> JointConfig {
-        JointConfig { id: 1, direction, zero, range, max_speed: 6.0, registers: Default::default() }
+        JointConfig { id: 1, name: None, direction, zero, range, max_speed: 6.0, registers: Default::default() }
     }
 
     #[test]

@@ -9,7 +9,9 @@ use crate::servo::tools::Calibration;
 #[derive(Debug, thiserror::Error)]
 pub enum BridgeError {
     /// The scenario has no servos.
-    #[error("the scenario has no [plant.servos] with a [plant.arm]; add them, or start another plant")]
+    #[error(
+        "the scenario has no [plant.servos] with the model of an arm, or with a leader; add them, or start another plant"
+    )]
     NoServos,
     /// An error of the bus.
     #[error(transparent)]
@@ -151,14 +153,15 @@ impl BridgeError {
     }
 }
 
-/// The joints of a plan, from the scenario or from the file that it names.
+/// The joints of a plan, from the scenario or from the file that it names: those that commands move, then those that
+/// are held.
 ///
 /// # Errors
 /// When the plan has no servos, or the joints of the file do not fit the arm.
 pub fn joints_of(plan: &Plan) -> Result<Vec<JointConfig>, BridgeError> {
     let plant = &plan.scenario.plant;
-    let (Some(servos), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
-    let Some(named) = &servos.calibration else { return Ok(servos.joints.clone()) };
+    let Some(servos) = &plant.servos else { return Err(BridgeError::NoServos) };
+    let Some(named) = &servos.calibration else { return Ok(servos.moving_first(&servos.joints)) };
     let source = &plan.scenario.source;
     let path = source.resolve(named);
     let text = std::fs::read_to_string(&path)
@@ -171,8 +174,8 @@ pub fn joints_of(plan: &Plan) -> Result<Vec<JointConfig>, BridgeError> {
             "it is for servos that speak {theirs} and plant.servos.protocol is {ours}: it is another arm's"
         )));
     }
-    check_joints(&calibration.joints, arm.lengths.len(), servos.protocol, servos.goal()).map_err(bad)?;
-    Ok(calibration.joints)
+    check_joints(&calibration.joints, plant).map_err(bad)?;
+    Ok(servos.moving_first(&calibration.joints))
 }
 
 /// Time for which a step before the first tick is done again while servos are silent, ns.

@@ -12,6 +12,14 @@
 //! [blind](flag::BLIND): it holds its position with torque on, nothing is learned, and it continues with the
 //! next recent sample. Torque does not come on before the first one.
 //!
+//! *A leader.* With `[plant.leader]` the arm follows another one that a user moves by hand ([`leader`]). There is no
+//! model then, and the error is the difference of angles.
+//!
+//! *Joints that are held.* Joints in `held` are no outputs: they keep the position at which torque came on.
+//!
+//! *Virtual time.* With emulated servos in the bridge's own process and a clock that ticks step, a run in lockstep is a
+//! function of scenario and seed.
+//!
 //! *Motors and outputs.* A motor turns a segment relative to the previous one. With `angles = "absolute"` the
 //! inputs are the directions of the segments, running sums of the motors' angles, and a motor's rate is the
 //! difference of two outputs. Limits apply to motors: if a motor would exceed its `max_speed`, all rates are
@@ -24,10 +32,12 @@
 
 mod chain;
 mod checks;
+mod leader;
 mod motors;
 mod presence;
 mod report;
 mod safety;
+mod task;
 mod vision;
 
 pub use checks::{BridgeError, joints_of};
@@ -43,12 +53,14 @@ use hdrhistogram::Histogram;
 use tectum_core::angle::wrap_f64;
 
 use super::bus::{Bus, BusBudget, BusError};
-use crate::plant::{Arm, JointState, Outcome, Plant};
+use super::emulator::SteppedClock;
+use crate::plant::{JointState, Outcome, Plant};
 
-use crate::scenario::{Angles, JointConfig, Plan, ServosConfig};
+use crate::scenario::{Angles, JointConfig, LeaderConfig, Plan, ServosConfig};
 use crate::state::{Persist, StateVisitor};
 use crate::stats::histogram;
 use crate::wire::{MAX_MEASURES, MAX_OUTPUTS, OutputValues, Vision, flag};
+use task::ArmTask;
 use vision::VisionInput;
 
 /// Ticks over which commands grow after torque came on, if the gate has no ramp.
@@ -69,9 +81,12 @@ pub struct Bridge {
     config: ServosConfig,
     joints: Vec<JointConfig>,
     ids: Vec<u8>,
-    arm: Arm,
+    /// Number of joints that commands move, the first ones; the others are held.
+    moving: usize,
+    task: ArmTask,
     angles: Angles,
-    counts_collisions: bool,
+    /// Number of the task's measures.
+    measures: usize,
     /// rad/s for a command of 1.
     gain: f32,
     /// Length of a tick, s.
@@ -98,10 +113,17 @@ pub struct Bridge {
     /// The trackers' samples, if the scenario uses them.
     vision: Option<VisionInput>,
     vision_source: Option<VisionSource>,
+    leader_config: Option<LeaderConfig>,
+    /// The leader's chain, if the scenario has one.
+    leader: Option<leader::Leader>,
+    /// In virtual time: the clock, and the time of tick 0, ns, when it has begun.
+    stepped: Option<(SteppedClock, Option<u64>)>,
     /// The outcome of the last tick with vision.
     last_outcome: Outcome,
     /// Positions of the motors when the arm began to hold its position, steps.
     hold_position: Option<[i32; MAX_OUTPUTS]>,
+    /// Positions of the motors when torque came on, steps.
+    held_at: Option<[i32; MAX_OUTPUTS]>,
     /// Duration of the tick's writes, ns.
     write_ns: u64,
     /// What tells the bridge that the line, the machine or the guard is still there.
@@ -135,7 +157,7 @@ impl Bridge {
         notify: Box<dyn FnMut(&str)>,
     ) -> Result<Self, BridgeError> {
         let plant = &plan.scenario.plant;
-        let (Some(config), Some(arm)) = (&plant.servos, &plant.arm) else { return Err(BridgeError::NoServos) };
+        let (Some(config), Some(task)) = (&plant.servos, ArmTask::new(plan)) else { return Err(BridgeError::NoServos) };
         // Before any check: an open port keeps the guard of a killed bridge from turning torque off, and the
         // checks may fail.
         bus.torque_off(&joints.iter().map(|joint| joint.id).collect::<Vec<_>>());
@@ -144,10 +166,11 @@ impl Bridge {
         let within_ms = config.command_within_ms.unwrap_or(plan.scenario.period_ms / 2.0);
         let mut bridge = Self {
             ids: joints.iter().map(|joint| joint.id).collect(),
-            arm: Arm::new(arm, period_s, plan.scenario.seed),
-            angles: arm.angles,
-            counts_collisions: arm.reward.collision > 0.0,
-            gain: arm.gain as f32,
+            moving: joints.iter().filter(|joint| !config.held.contains(&joint.id)).count(),
+            task,
+            angles: ArmTask::angles(plan),
+            measures: ArmTask::measures(plan),
+            gain: ArmTask::gain(plan),
             period: period_s as f32,
             command_within: (within_ms * 1e6) as u64,
             safety: SafetyMachine::new(config.lost_after, config.rearm.is_automatic()),
@@ -164,8 +187,12 @@ impl Bridge {
             silence: None,
             vision: (!config.sight.is_model()).then(|| VisionInput::new(config, plan.period_ns)),
             vision_source: None,
+            leader_config: plant.leader.clone(),
+            leader: None,
+            stepped: None,
             last_outcome: Outcome::default(),
             hold_position: None,
+            held_at: None,
             write_ns: 0,
             presence: presence::Presence::new(plan.period_ns, config.reopen_within_ns()),
             arm_request: Arc::default(),
@@ -180,8 +207,21 @@ impl Bridge {
             bus,
         };
         bridge.measured()?;
-        bridge.arm.stands(&bridge.theta);
+        bridge.task.stands(&bridge.theta);
         Ok(bridge)
+    }
+
+    /// Lets the ticks step `clock`, which is the clock of the bus: a tick lasts a period from the first one on.
+    pub fn set_virtual_time(&mut self, clock: SteppedClock) {
+        self.stepped = Some((clock, None));
+    }
+
+    /// In virtual time: steps the clock to the beginning of `tick`.
+    fn step_to(&mut self, tick: u64) {
+        let Some((clock, start)) = &mut self.stepped else { return };
+        let period_ns = self.presence.period();
+        let start = *start.get_or_insert(clock.now().saturating_sub(tick * period_ns));
+        clock.step_to(start + tick * period_ns);
     }
 
     /// Sets the source of trackers' samples, for a scenario with `sight = "vision"`. Without a source there is
@@ -260,19 +300,19 @@ impl Bridge {
         }
     }
 
-    /// Whether there is vision, or none is needed.
+    /// Whether what the task needs besides the arm is known: vision, a leader, or nothing.
     fn sees(&self) -> bool {
-        self.vision.as_ref().is_none_or(|vision| vision.sees)
+        self.vision.as_ref().is_none_or(|vision| vision.sees) && self.knows_leader()
     }
 
     /// The outcome of a tick. With trackers it is computed from their samples, or, without vision, it is that
     /// of the last tick with vision.
     fn outcome(&mut self, tick: u64, rates: &[f32]) -> Outcome {
-        let Some(vision) = &self.vision else { return self.arm.measured(tick, &self.theta, rates, None) };
+        let Some(vision) = &self.vision else { return self.task.measured(tick, &self.theta, rates, None) };
         if vision.sees {
-            self.last_outcome = self.arm.measured(tick, &self.theta, rates, Some(vision.end()));
+            self.last_outcome = self.task.measured(tick, &self.theta, rates, Some(vision.end()));
         } else {
-            self.arm.stands(&self.theta);
+            self.task.stands(&self.theta);
         }
         self.last_outcome
     }
@@ -298,7 +338,7 @@ impl Bridge {
     /// Limits `applied` to the motors' speeds and ranges. Returns the motors' rates, rad/s, and the flags of
     /// what was limited.
     fn limit_to_motors(&self, applied: &mut [f32]) -> ([f64; MAX_OUTPUTS], u32) {
-        let n = self.ids.len();
+        let n = self.moving;
         let (mut requested, mut rates) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
         for (rate, u) in requested.iter_mut().zip(applied.iter()) {
             *rate = f64::from(self.gain * u);
@@ -380,12 +420,13 @@ impl Plant for Bridge {
     fn sense(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
         // In later ticks, `advance` has updated vision already.
         if self.report.ticks == 0 {
+            self.step_to(tick);
             self.update_vision(tick);
         }
-        let Some(vision) = &mut self.vision else { return self.arm.sense(tick, inputs) };
-        let (target, new_target) = vision.target().unwrap_or((self.arm.target(), false));
-        self.arm.sense_seen(tick, target, inputs);
-        new_target
+        let Some(vision) = &mut self.vision else { return self.task.sense(tick, inputs) };
+        let seen = vision.target();
+        self.task.sense_seen(tick, seen.map(|(target, _)| target), inputs);
+        seen.is_some_and(|(_, new_target)| new_target)
     }
 
     fn command_deadline_ns(&self) -> Option<u64> {
@@ -423,10 +464,12 @@ impl Plant for Bridge {
     }
 
     fn advance(&mut self, tick: u64, _applied: &[f32]) -> Outcome {
+        self.step_to(tick + 1);
         let (before, theta_before) = (self.safety.state(), self.theta);
         self.check_presence(tick);
         // Before the read, because the age of a sample counts from the beginning of the tick.
         self.update_vision(tick + 1);
+        self.read_leader(tick + 1);
         let (health, mut took) = self.measure();
         self.read_failed = health.is_none();
         self.safety.read_result(health);
@@ -448,13 +491,16 @@ impl Plant for Bridge {
             *rate = wrap_f64(f64::from(now - then)) as f32 / self.period;
         }
         let mut outcome = self.outcome(tick, &rates);
-        let first = if self.counts_collisions { 4 } else { 3 };
+        let first = self.measures;
         outcome.measures[first] = report::microseconds(took);
         outcome.measures[first + 1] = report::microseconds(self.write_ns);
         if let Some(vision) = &self.vision
             && first + 2 < MAX_MEASURES
         {
             outcome.measures[first + 2] = vision.latest_age.map_or(-1.0, |ns| ns as f32 / 1e6);
+        }
+        if let Some(leader) = &self.leader {
+            outcome.measures[first + 2] = report::microseconds(leader.read_ns);
         }
         self.report.ticks += 1;
         self.report.blind += u64::from(self.read_failed);
@@ -471,7 +517,7 @@ impl Plant for Bridge {
     }
 
     fn joints(&self) -> Option<JointState> {
-        self.arm.joints()
+        self.task.joints()
     }
 
     /// Turns torque off: what follows may take longer than the guard waits, and nobody sends commands any more.
@@ -497,6 +543,6 @@ impl Drop for Bridge {
 /// The state is only that of the task: the servos keep their positions.
 impl Persist for Bridge {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
-        visitor.nested("task", &mut self.arm);
+        visitor.nested("task", &mut self.task);
     }
 }

@@ -43,7 +43,7 @@ impl Bridge {
                 health = Err(self.error_cause(self.ids[i], answer.error));
             }
         }
-        chain::outputs(self.angles, &self.motors[..self.ids.len()], &mut self.theta);
+        chain::outputs(self.angles, &self.motors[..self.moving], &mut self.theta);
         (Some(health), took)
     }
 
@@ -67,7 +67,10 @@ impl Bridge {
             ServoGoal::Position => series.goal_position,
         };
         // An arm that holds its position keeps the one at which it began to hold, even if it is pulled away.
-        let from = self.hold_position.unwrap_or(self.raw);
+        let mut from = self.hold_position.unwrap_or(self.raw);
+        // So do joints that no command moves.
+        let held_at = self.held_at.unwrap_or(from);
+        from[self.moving..].copy_from_slice(&held_at[self.moving..]);
         let value = |i: usize| {
             let (joint, rate) = (&self.joints[i], rates[i]);
             match self.config.goal() {
@@ -102,6 +105,7 @@ impl Bridge {
                 return false;
             }
         }
+        self.held_at = Some(self.raw);
         let written = self.write_goals(&[0.0; MAX_OUTPUTS]);
         let torque = self.bus.series().torque_enable;
         // Some servos keep a goal only while torque is on, so it is written again.

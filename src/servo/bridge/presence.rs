@@ -40,6 +40,20 @@ impl Presence {
         Self { period, reopen_within, ..Self::default() }
     }
 
+    /// Length of a tick, ns.
+    pub(super) fn period(&self) -> u64 {
+        self.period
+    }
+
+    /// Ends the process with a sentence when a port was gone for longer than `limit`, ns.
+    pub(super) fn give_up_after(&mut self, gone: u64, limit: u64, why: &str) {
+        if gone >= limit
+            && let Some(mut give_up) = self.give_up.take()
+        {
+            give_up(why);
+        }
+    }
+
     /// Why torque must go off at `now`, the beginning of a tick, if time has passed unseen.
     fn standstill(&mut self, now: u64) -> Option<TripCause> {
         let slept = self.slept.as_mut().map_or(0, |slept| slept());

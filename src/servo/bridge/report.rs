@@ -168,7 +168,12 @@ impl Bridge {
                     false => "arm it again to go on",
                 };
                 let unknown = cause.leaves_torque_unknown();
-                let cause = match self.silence.as_ref().filter(|_| cause == TripCause::BusLost) {
+                let silence = match cause {
+                    TripCause::BusLost => self.silence.as_ref(),
+                    TripCause::LeaderLost => self.leader.as_ref().and_then(|leader| leader.silence.as_ref()),
+                    _ => None,
+                };
+                let cause = match silence {
                     Some(silence) => format!("{cause} ({silence})"),
                     None => cause.to_string(),
                 };

@@ -10,11 +10,12 @@
 //! | Cause | Torque goes off | Torque returns |
 //! |---|---|---|
 //! | bus lost | after `lost_after` ticks without answer | after [`RECOVERY`] ticks with all answers, and checks |
+//! | leader lost | after `lost_after` ticks without answer, at once when its port is gone | likewise |
 //! | cable out, machine or bridge stood still | at once | after [`RECOVERY`] ticks with all answers, and checks |
 //! | no commands | after the gate's hold and decay | with the next command and the gate's ramp |
-//! | overload, heat, voltage, torque lost, guard lost | in the tick that reports it | after it is armed again |
+//! | overload, heat, voltage, torque lost, guard lost, error of the leader | in the tick that reports it | after it is armed again |
 //!
-//! With `rearm = "by-hand"` torque returns after the causes of the first two rows only when it is armed again.
+//! With `rearm = "by-hand"` torque returns after the causes of the first three rows only when it is armed again.
 //!
 //! From the first tick without an answer on, and while nothing is seen, the arm holds its position.
 
@@ -51,12 +52,16 @@ pub enum TripCause {
     CommandsAway,
     /// The checks before torque failed.
     Refused,
+    /// No valid answers of the leader.
+    LeaderLost,
+    /// A servo of the leader reports an error.
+    LeaderFault,
 }
 
 impl TripCause {
     /// Whether the connection was lost, and torque can return when it is back and all checks pass.
     pub fn is_loss(self) -> bool {
-        matches!(self, Self::BusLost | Self::Unplugged | Self::Suspended | Self::Stalled)
+        matches!(self, Self::BusLost | Self::Unplugged | Self::Suspended | Self::Stalled | Self::LeaderLost)
     }
 
     /// Whether the servos may still have torque, because they cannot be told to turn it off, or cannot confirm it.
@@ -79,6 +84,8 @@ impl fmt::Display for TripCause {
             Self::Unguarded => "the guard process has died",
             Self::CommandsAway => "commands stay away",
             Self::Refused => "the checks before torque failed",
+            Self::LeaderLost => "the leader is lost",
+            Self::LeaderFault => "a servo of the leader reports an error",
         })
     }
 }

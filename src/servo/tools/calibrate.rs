@@ -249,7 +249,15 @@ fn calibrate_joint(id: u8, max_speed: f64, ask: &mut Ask) -> Result<Result<Joint
     let (low, answer) = ask("turn it to its least angle; or say free if it turns without end.")?;
     if answer == "free" {
         let range = [-std::f64::consts::PI, std::f64::consts::PI];
-        return Ok(Ok(JointConfig { id, direction, zero, range, max_speed, registers: Default::default() }));
+        return Ok(Ok(JointConfig {
+            id,
+            name: None,
+            direction,
+            zero,
+            range,
+            max_speed,
+            registers: Default::default(),
+        }));
     }
     let (high, _) = ask("turn it to its greatest angle.")?;
     let range = [low, high].map(|end| rad(shorter_way(zero, end) * direction));
@@ -261,5 +269,5 @@ fn calibrate_joint(id: u8, max_speed: f64, ask: &mut Ask) -> Result<Result<Joint
         );
         return Ok(Err(text));
     }
-    Ok(Ok(JointConfig { id, direction, zero, range, max_speed, registers: Default::default() }))
+    Ok(Ok(JointConfig { id, name: None, direction, zero, range, max_speed, registers: Default::default() }))
 }

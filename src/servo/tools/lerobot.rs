@@ -76,6 +76,7 @@ fn joint_of(name: &str, joint: &LerobotJoint, protocol: Protocol) -> Result<Join
         _ => homing_offset,
     };
     let mut joint = between(id, drive_mode, range_min, range_max);
+    joint.name = Some(name.to_owned());
     joint.registers.insert("homing_offset".to_owned(), homing);
     Ok(joint)
 }
@@ -85,7 +86,7 @@ fn between(id: u8, drive_mode: i32, low: i32, high: i32) -> JointConfig {
     let (zero, direction) = ((low + high) / 2, if drive_mode == 0 { 1 } else { -1 });
     let ends = [low - zero, high - zero].map(|end| f64::from(end * direction) * STEP);
     let range = [ends[0].min(ends[1]), ends[0].max(ends[1])];
-    JointConfig { id, direction, zero, range, max_speed: MAX_SPEED, registers: BTreeMap::new() }
+    JointConfig { id, name: None, direction, zero, range, max_speed: MAX_SPEED, registers: BTreeMap::new() }
 }
 
 fn joints_of_lists(lists: &LerobotLists) -> Result<Vec<JointConfig>, String> {
@@ -118,7 +119,10 @@ fn joints_of_lists(lists: &LerobotLists) -> Result<Vec<JointConfig>, String> {
 /// A calibration as a LeRobot file of the newer generation. LeRobot puts the angle 0 into the middle of the range.
 pub fn write_lerobot(calibration: &Calibration) -> String {
     let n = calibration.joints.len();
-    let name = |i: usize| if n == SO_101.len() { SO_101[i].to_owned() } else { format!("joint_{}", i + 1) };
+    let name = |i: usize| match &calibration.joints[i].name {
+        None if n == SO_101.len() => SO_101[i].to_owned(),
+        _ => calibration.joints[i].name_at(i),
+    };
     let joint = |joint: &JointConfig| {
         let [range_min, range_max] = joint.raw_ends().unwrap_or([0, 4095]);
         LerobotJoint {

@@ -7,6 +7,7 @@
 mod calibrate;
 mod jog;
 mod lerobot;
+mod teleop;
 
 use std::io::{self, Write};
 
@@ -15,6 +16,7 @@ use serde::Serialize;
 pub use calibrate::{Calibration, calibrate, import};
 pub use jog::{Jog, JogContext, jog};
 pub use lerobot::write_lerobot;
+pub use teleop::{Teleop, TeleopArm, pair_joints, teleop_scenario};
 
 use super::bridge::BridgeError;
 use super::bus::{AnswerFault, Bus, BusBudget, BusError};

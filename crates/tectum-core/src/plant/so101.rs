@@ -9,6 +9,7 @@ use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 
 use super::state_space::{SimulatedModel, StateSpace, StateSpacePlant};
+use super::{JointState, MAX_JOINTS, Outcome, Plant};
 use crate::MAX_MEASURES;
 use crate::seed::Rng;
 
@@ -100,6 +101,11 @@ impl So101Model {
         let square = (0..3).map(|i| (end[i] - state[JOINTS + i]) * (end[i] - state[JOINTS + i])).sum();
         (end, square)
     }
+
+    /// The reward, from the sums of the squared errors, rates and angles.
+    fn reward(&self, error: f64, rates: f64, angles: f64) -> f64 {
+        -self.config.scale * (error + self.config.speed * rates + self.config.angle * angles)
+    }
 }
 
 /// The rotation by roll, pitch and yaw about the fixed axes x, y and z, in this order.
@@ -116,6 +122,48 @@ impl So101 {
     /// The arm of a validated configuration, for ticks of `period_s`, s.
     pub fn new(config: &So101Config, period_s: f64, seed: u64) -> Self {
         Self::with_model(So101Model::new(config, period_s), seed)
+    }
+
+    /// Sets the measured angles `theta`, rad, of a real arm, of which this arm is the model.
+    pub fn stands(&mut self, theta: &[f32]) {
+        let mut state = [0.0; JOINTS + 3];
+        state.copy_from_slice(self.state());
+        for (to, from) in state[..JOINTS].iter_mut().zip(theta) {
+            *to = f64::from(*from);
+        }
+        self.set_state(&state);
+    }
+
+    /// The outcome of a tick of a real arm, from its measured angles, rad, and rates, rad/s.
+    pub fn measured(&mut self, theta: &[f32], rates: &[f32]) -> Outcome {
+        self.stands(theta);
+        let squares = |values: &[f32]| values[..JOINTS].iter().map(|&x| f64::from(x) * f64::from(x)).sum();
+        let (_, error) = self.model().error(self.state());
+        let reward = self.model().reward(error, squares(rates), squares(theta));
+        Outcome { reward: reward as f32, measures: self.model().measures(self.state()).map(|measure| measure as f32) }
+    }
+
+    /// Senses at the beginning of `tick` as [`Plant::sense`] does, with the measured angles.
+    pub fn sense_measured(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
+        let mut theta = [0.0; JOINTS];
+        for (to, from) in theta.iter_mut().zip(self.state()) {
+            *to = *from as f32;
+        }
+        let fresh = self.sense(tick, inputs);
+        // The first trial of a simulated arm begins with all angles 0.
+        self.stands(&theta);
+        self.model().sense(self.state(), inputs);
+        fresh
+    }
+
+    /// The joints, for the gate: positions, and the travel of a command of 1.
+    pub fn measured_joints(&self) -> JointState {
+        let mut position = [0.0; MAX_JOINTS];
+        for (to, from) in position.iter_mut().zip(&self.state()[..JOINTS]) {
+            *to = *from as f32;
+        }
+        let model = self.model();
+        JointState { position, travel: [(model.config.gain * model.period) as f32; MAX_JOINTS] }
     }
 }
 
@@ -147,7 +195,7 @@ impl StateSpace for So101Model {
             angles += reached * reached;
         }
         let (_, error) = self.error(state);
-        -self.config.scale * (error + self.config.speed * rates + self.config.angle * angles)
+        self.reward(error, rates, angles)
     }
 }
 
@@ -183,7 +231,6 @@ impl SimulatedModel for So101Model {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plant::Plant as _;
 
     /// Computed by MuJoCo 3.17 from `so101_new_calib.xml`, the same arm with rotations as quaternions of six digits.
     #[test]
@@ -197,6 +244,30 @@ mod tests {
             let end = model.end(&theta);
             assert!(end.iter().zip(expected).all(|(a, b)| (a - b).abs() < 3e-6), "{end:?} {expected:?}");
         }
+    }
+
+    /// A real arm that moves as the simulated one has the same inputs, measures and rewards, within single precision.
+    #[test]
+    fn a_measured_arm_is_the_simulated_one() {
+        let config = So101Config { target_every: 5, ..So101Config::default() };
+        let (mut simulated, mut real) = (So101::new(&config, 0.05, 3), So101::new(&config, 0.05, 3));
+        let mut inputs = [[0.0; 8]; 2];
+        let mut theta = [0.0; JOINTS];
+        real.stands(&theta);
+        for tick in 0..40 {
+            assert_eq!(simulated.sense(tick, &mut inputs[0]), real.sense_measured(tick, &mut inputs[1]));
+            assert_eq!(inputs[0], inputs[1], "tick {tick}");
+            let expected = simulated.advance(tick, &[0.1, -0.05, 0.08, 0.02, 0.2]);
+            let before = theta;
+            for (to, from) in theta.iter_mut().zip(simulated.state()) {
+                *to = *from as f32;
+            }
+            let rates: Vec<f32> = theta.iter().zip(before).map(|(now, then)| (now - then) / 0.05).collect();
+            let outcome = real.measured(&theta, &rates);
+            assert!((outcome.reward - expected.reward).abs() < 1e-5, "tick {tick}: {outcome:?} {expected:?}");
+            assert!(outcome.measures.iter().zip(expected.measures).all(|(a, b)| (a - b).abs() < 1e-6));
+        }
+        assert_eq!(real.measured_joints().position[..JOINTS], theta);
     }
 
     #[test]

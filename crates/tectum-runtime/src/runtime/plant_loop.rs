@@ -253,12 +253,19 @@ impl<P: Plant> PlantLoop<P> {
     /// Waits until the tick begins: in real time until its scheduled instant, in lockstep until the command of
     /// the tick before has arrived.
     fn wake(&mut self) -> Result<WakeReason, RuntimeError> {
+        // A plant that acts within the tick has the command already.
+        let awaited = if self.advanced || self.acted { None } else { Some(self.tick - 1) };
+        self.await_tick(awaited)
+    }
+
+    /// Waits until the tick begins: in lockstep until the command of tick `awaited` has arrived.
+    fn await_tick(&mut self, awaited: Option<u64>) -> Result<WakeReason, RuntimeError> {
         let (tick, real) = (self.tick, self.real);
         let mut failure = None;
         let wake = self.time.await_tick(
             tick,
             &mut self.backoff,
-            || self.advanced || self.inbox.poll_for(&self.ports.command, tick - 1),
+            || awaited.is_none_or(|awaited| self.inbox.poll_for(&self.ports.command, awaited)),
             || {
                 if real {
                     // The next tick may be a second away.
@@ -267,7 +274,7 @@ impl<P: Plant> PlantLoop<P> {
                 // The command is on its way, unless the controller was killed before it had received the
                 // observation.
                 failure = match self.controller.check(&mut self.ports.controller, &self.session) {
-                    Ok(true) if !self.advanced => {
+                    Ok(true) if awaited.is_some() => {
                         self.ports.observation.send(&self.state.observation).err().map(RuntimeError::from)
                     }
                     checked => checked.err(),
@@ -411,6 +418,10 @@ impl<P: Plant> PlantLoop<P> {
     fn act(&mut self) -> Result<(), RuntimeError> {
         self.acted = false;
         if let Some(within) = self.state.side.command_deadline_ns() {
+            // In lockstep no command is late.
+            if !self.real && self.await_tick(Some(self.tick))? == WakeReason::Cancelled {
+                return Ok(());
+            }
             let until = self.time.scheduled(self.tick) + within;
             while !self.inbox.poll_for(&self.ports.command, self.tick)
                 && self.time.now() < until
