@@ -115,6 +115,8 @@ pub mod reference;
 pub mod servo;
 #[doc(hidden)]
 pub mod supervise;
+#[doc(hidden)]
+pub mod watch;
 
 mod run_folder;
 

@@ -27,6 +27,7 @@ mod shared_page;
 mod stale_domains;
 mod vision_ports;
 mod wake;
+mod watch_files;
 
 pub(crate) use bare_exchange::BareExchange;
 pub use boards::{BoardReader, BoardWriter, StatusBoard};
@@ -47,6 +48,7 @@ pub(crate) use stale_domains::{list_domains, remove_stale_domains};
 pub use vision_ports::{TrackerPorts, VisionReceiver};
 pub(crate) use wake::wake_file;
 pub use wake::{WakeListener, WakeNotifier};
+pub use watch_files::{BoardsCopy, MessageTail, WatchFiles, list_watched};
 
 use iceoryx2::prelude::ServiceName;
 
