@@ -3,7 +3,7 @@
 mod support;
 
 use support::terminal::TestTerminal;
-use support::{Process, TECTUM, TestFolder, domain, read_json, shared_memory, signal_process};
+use support::{Process, TECTUM, TestFolder, WATCHDOG, domain, has_ended, read_json, shared_memory, signal_process};
 
 /// A run in real time that lasts until the test ends it.
 fn long_run(folder: &TestFolder) -> Process {
@@ -175,4 +175,56 @@ fn four_watchers_of_which_one_is_stopped_change_nothing() {
     }
     let logged = read_json(folder.run_folder().join("run.json"));
     assert_eq!(logged["mode"], "lockstep");
+}
+
+#[test]
+fn a_run_is_launched_and_watched_in_one() {
+    let folder = TestFolder::new();
+    let terminal = TestTerminal::new([80, 24]);
+    let mut run = terminal.start(&folder, &["run", "--watch", "--out", "run", "--ticks", "400"], true);
+    wait_for(&mut run, &terminal, &["lockstep, seed 1", "running"]);
+    run.wait().expect(0);
+    terminal.assert_restored();
+    assert!(terminal.text().rsplit("\x1b[?1049l").next().unwrap().contains("weights "), "no summary");
+
+    std::fs::remove_dir_all(folder.run_folder()).unwrap();
+    let terminal = TestTerminal::new([80, 24]);
+    let arguments = ["run", "--watch", "--out", "run", "--mode", "realtime", "--ticks", "100000"];
+    let mut run = terminal.start(&folder, &arguments, true);
+    wait_for(&mut run, &terminal, &["real time, seed 1", "controller running"]);
+    terminal.press("q");
+    run.wait_until("the shell's screen", || terminal.text().contains("the run goes on; Ctrl-C ends it"));
+    terminal.press("\x03");
+    run.wait().expect(130);
+    terminal.assert_restored();
+    folder.assert_no_debris();
+
+    let refusal = folder.tectum("run", &["--watch"]).refusal();
+    assert!(refusal.contains("no terminal to draw on"), "{refusal}");
+}
+
+/// A watcher that is killed cannot leave a run behind that nobody sees.
+#[test]
+fn a_run_that_is_launched_and_watched_ends_with_its_watcher() {
+    let folder = TestFolder::new();
+    let terminal = TestTerminal::new([80, 24]);
+    let arguments = ["run", "--watch", "--out", "run", "--mode", "realtime", "--ticks", "100000"];
+    let mut watcher = terminal.start(&folder, &arguments, true);
+    wait_for(&mut watcher, &terminal, &["controller running"]);
+    let launcher = read_json(folder.run_folder().join("run.json"))["launcher"].as_u64().unwrap() as u32;
+    watcher.signal("KILL");
+    let began = std::time::Instant::now();
+    while !has_ended(launcher) {
+        assert!(began.elapsed() < WATCHDOG, "the launcher goes on");
+        std::thread::park_timeout(std::time::Duration::from_millis(5));
+    }
+    folder.assert_no_debris();
+}
+
+#[test]
+fn without_a_terminal_a_line_comes_every_ten_seconds() {
+    let folder = TestFolder::new();
+    let outcome = folder.run(&["arm", "--mode", "realtime", "--ticks", "230", "--json"]).wait().expect(0);
+    let line = outcome.stderr.lines().find(|line| line.contains(" of 230 ticks")).unwrap_or_default();
+    assert!(line.starts_with("tectum: arm  ") && line.contains(" left  ") && !line.contains('\x1b'), "{outcome:#?}");
 }

@@ -50,7 +50,7 @@ impl RunEvent {
     /// One line without the tick.
     pub fn line(&self) -> String {
         if self.count > 1 {
-            format!("{} ({} times)", self.text, crate::thousands(self.count))
+            format!("{} ({} times since tick {})", self.text, crate::thousands(self.count), crate::thousands(self.tick))
         } else {
             self.text.clone()
         }
@@ -106,8 +106,8 @@ mod tests {
         log.add(40, RunEventKind::Flag, "missed", 5);
         log.add(41, RunEventKind::Message, "\x1b[31mred\n", 0);
         log.add(41, RunEventKind::Message, "\x1b[31mred\n", 0);
-        let lines: Vec<_> = log.iter().map(|event| (event.tick, event.line())).collect();
-        let expected = [(10, "missed (10 times)"), (40, "missed"), (41, "[31mred"), (41, "[31mred")];
+        let lines: Vec<_> = log.iter().map(|event| (event.last_tick, event.line())).collect();
+        let expected = [(19, "missed (10 times since tick 10)"), (40, "missed"), (41, "[31mred"), (41, "[31mred")];
         assert_eq!(lines, expected.map(|(tick, line)| (tick, line.to_owned())));
         (0..1000).for_each(|tick| log.add(tick * 10, RunEventKind::Flag, "late", 5));
         assert_eq!((log.iter().count(), log.next_number()), (KEPT, 1013));

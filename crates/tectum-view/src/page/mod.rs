@@ -70,7 +70,8 @@ impl PageCursor {
         let new = view.events.iter().filter(|event| event.number >= self.next_event);
         let new = new.map(|event| {
             let (tick, kind) = (event.tick, event.kind.name());
-            json!({"n": event.number, "tick": tick, "kind": kind, "text": event.text, "count": event.count})
+            let (last, text) = (event.last_tick, &event.text);
+            json!({"tick": tick, "last": last, "kind": kind, "text": text, "count": event.count})
         });
         new.collect()
     }

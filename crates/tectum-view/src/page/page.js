@@ -51,8 +51,9 @@ function takeEvent(event) {
     state.events.splice(known, 1);
   }
   const row = document.createElement("li"), tick = document.createElement("span"), text = document.createElement("div");
-  tick.textContent = thousands(event.tick);
-  text.textContent = event.text + (event.count > 1 ? ` (${thousands(event.count)} times)` : "");
+  tick.textContent = thousands(event.last);
+  text.textContent = event.text + (event.count > 1
+    ? ` (${thousands(event.count)} times since tick ${thousands(event.tick)})` : "");
   row.className = event.kind;
   row.append(tick, text);
   $("events").prepend(row);

@@ -8,7 +8,8 @@ const thousands = n => n.toLocaleString("en");
 const seconds = s => s == null ? "?" : s < 60 ? `${Math.round(s)} s` : s < 3600
   ? `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")} min`
   : `${Math.floor(s / 3600)}:${String(Math.floor(s % 3600 / 60)).padStart(2, "0")} h`;
-const micros = us => us == null ? "-" : us < 999.5 ? `${short(us)} us` : `${short(us / 1000)} ms`;
+const micros = us => us == null ? "-" : us < 999.5 ? `${short(us)} us` : us < 999500 ? `${short(us / 1000)} ms`
+  : `${short(us / 1e6)} s`;
 
 // The arm at `record`, with the path of its end over `past` (oldest first). `frame` is the square that is shown.
 function drawArm(canvas, frame, record, past) {

@@ -318,7 +318,7 @@ pub(super) fn events(view: &RunView, options: ScreenOptions, area: Rect, buffer:
     newest.reverse();
     for (row, event) in newest.into_iter().enumerate() {
         let row = row as u16 + 1;
-        let column = put_at(buffer, area, [0, row], &format!("{:>9}  ", thousands(event.tick)), options.weak());
+        let column = put_at(buffer, area, [0, row], &format!("{:>9}  ", thousands(event.last_tick)), options.weak());
         let colour = match event.kind {
             RunEventKind::Flag | RunEventKind::Restart => Color::Red,
             RunEventKind::Change | RunEventKind::Run => Color::Yellow,
