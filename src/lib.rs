@@ -110,3 +110,5 @@ pub mod reference;
 pub mod servo;
 #[doc(hidden)]
 pub mod supervise;
+#[doc(hidden)]
+pub mod watch;

@@ -13,6 +13,7 @@ mod run;
 mod scenario;
 mod tasks;
 mod tick_count;
+mod watch;
 
 use std::process::ExitCode;
 
@@ -27,6 +28,7 @@ use tectum::study::StudyError;
 Examples:
   tectum run                            an arm learns to reach, as fast as the machine goes
   tectum run --mode realtime            the same on the real clock
+  tectum watch                          see a run while it goes on
   tectum scenario list                  what else there is to run
 
 Exit codes:
@@ -48,6 +50,8 @@ struct Arguments {
 enum Command {
     /// Run a scenario: plant, controller and logger, each in its own process
     Run(run::Arguments),
+    /// Watch a run while it goes on, in this terminal or in a browser
+    Watch(watch::Arguments),
     /// List the built-in scenarios, or print one to copy and change
     Scenario(scenario::Arguments),
     /// Make a small project for a plant or a controller of your own, in Rust or in Python
@@ -75,6 +79,7 @@ enum Command {
 fn main() -> ExitCode {
     match Arguments::parse().command {
         Command::Run(arguments) => run::main(&arguments),
+        Command::Watch(arguments) => watch::main(&arguments),
         Command::Scenario(arguments) => scenario::main(&arguments),
         Command::New(arguments) => new::main(&arguments),
         Command::Reproduce(arguments) => reproduce::main(&arguments),

@@ -1,5 +1,6 @@
 //! `tectum run`.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -8,6 +9,7 @@ use tectum::process::print_error_line;
 use tectum::runtime::{Mode, exit};
 use tectum::scenario::Scenario;
 use tectum::supervise::{Launch, LaunchError, RunSummary, resume, run, run_in_process};
+use tectum::watch::{WatchError, WatchedRun, end_with_parent, launch_and_watch};
 use tectum::wire::Role;
 
 use super::print;
@@ -19,6 +21,7 @@ Examples:
   tectum run                                   the built-in scenario arm, in lockstep
   tectum run paper --seed 7 --ticks 1e6        another scenario, seed and length
   tectum run --mode realtime --ticks 200       ten seconds on the real clock
+  tectum run --watch                           see it while it goes on
   tectum run --name demo --by-hand controller  wait for a controller that you start yourself
   tectum run --resume runs/arm-1               continue an interrupted run")]
 pub struct Arguments {
@@ -49,9 +52,15 @@ pub struct Arguments {
     /// Continue a lockstep run from its last checkpoint, in a new folder
     #[arg(long, value_name = "RUN", conflicts_with_all = ["scenario", "mode", "ticks", "seed"])]
     resume: Option<PathBuf>,
+    /// Watch the run in this terminal while it goes on (tectum watch)
+    #[arg(long)]
+    watch: bool,
     /// Print one JSON object instead of the table
     #[arg(long)]
     json: bool,
+    /// The watcher that has started this launcher
+    #[arg(long, value_name = "PID", hide = true)]
+    watched_by: Option<u32>,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -82,10 +91,38 @@ fn run_name(text: &str) -> Result<String, String> {
 }
 
 pub fn main(arguments: &Arguments) -> ExitCode {
+    if arguments.watch {
+        return watch(arguments);
+    }
+    if arguments.watched_by.is_some_and(|parent| !end_with_parent(parent)) {
+        return ExitCode::from(exit::TERMINATED);
+    }
     match launch(arguments) {
         Ok(summary) => {
             let printed = show(&summary, arguments.json);
             if summary.exit_code() == exit::OK { printed } else { ExitCode::from(summary.exit_code()) }
+        }
+        Err(error) => {
+            print_error_line(&format!("tectum: {error}"));
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+/// Launches the run in a process of its own, watches it, and prints what that printed.
+fn watch(arguments: &Arguments) -> ExitCode {
+    if matches!(arguments.mode, Some(ModeArgument::InProcess)) {
+        print_error_line("tectum: a run in one process cannot be watched; leave out --watch, or use another --mode");
+        return ExitCode::from(exit::INPUT);
+    }
+    let mut own: Vec<OsString> = std::env::args_os().skip(1).filter(|argument| argument != "--watch").collect();
+    own.extend(["--watched-by".into(), std::process::id().to_string().into()]);
+    let program = std::env::current_exe().map_err(WatchError::Launcher);
+    match program.and_then(|program| launch_and_watch(&program, &own)) {
+        Ok(WatchedRun { code, stdout, stderr }) => {
+            stderr.lines().for_each(print_error_line);
+            let printed = print(&stdout);
+            if code == exit::OK { printed } else { ExitCode::from(code) }
         }
         Err(error) => {
             print_error_line(&format!("tectum: {error}"));
@@ -148,7 +185,7 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
                 RoleArgument::Logger => Role::Logger,
             })
             .collect(),
-        progress: true,
+        progress: arguments.watched_by.is_none(),
     })
 }
 

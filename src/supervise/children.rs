@@ -3,10 +3,11 @@
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::Arc;
 
 use super::LaunchError;
 use super::error_output::{CollectedOutput, ErrorOutput, show};
-use crate::channel::{DomainName, RunServices, is_member};
+use crate::channel::{DomainName, RunServices, WatchFiles, is_member};
 use crate::clock::{ProcessHandle, monotonic_ns};
 use crate::runtime::exit;
 use crate::scenario::Plan;
@@ -88,17 +89,25 @@ pub(super) struct ChildProcesses {
     /// The standard errors of processes that have ended, as long as a program that they started has them open: the
     /// guard of a killed bridge says what it did.
     left: Vec<ErrorOutput>,
+    /// Where watchers find what the processes say.
+    watch_files: Arc<WatchFiles>,
 }
 
 impl ChildProcesses {
     /// Starts all processes except those in `by_hand`.
-    pub fn start(plan: &Plan, folder: &Path, by_hand: &[Role]) -> Result<Self, LaunchError> {
+    pub fn start(
+        plan: &Plan,
+        folder: &Path,
+        by_hand: &[Role],
+        watch_files: Arc<WatchFiles>,
+    ) -> Result<Self, LaunchError> {
         // All programs are located before the first one starts, so that a missing one leaves no process behind.
         let mut commands = Vec::new();
         for role in Role::ALL {
             commands.push(if by_hand.contains(&role) { None } else { Some(SpawnCommand::locate(plan, role)?) });
         }
-        let mut children = Self { folder: folder.to_owned(), commands, slots: Vec::new(), left: Vec::new() };
+        let (slots, left) = (Vec::new(), Vec::new());
+        let mut children = Self { folder: folder.to_owned(), commands, slots, left, watch_files };
         for role in Role::ALL {
             let slot = match children.commands[role as usize] {
                 Some(_) => children.spawn(role)?,
@@ -124,7 +133,7 @@ impl ChildProcesses {
         command.args(arguments).arg("--run").arg(&self.folder).process_group(0);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child = command.spawn().map_err(|cause| failed(program, &cause.to_string()))?;
-        let stderr = ErrorOutput::of(child.stderr.take(), role == Role::Plant);
+        let stderr = ErrorOutput::of(child.stderr.take(), role, Arc::clone(&self.watch_files));
         let process = ProcessHandle::of(child.id());
         Ok(ChildSlot::Child { child, process, stderr })
     }

@@ -4,10 +4,13 @@
 use std::io::{IsTerminal as _, Read as _, Write as _};
 use std::os::fd::{AsFd as _, BorrowedFd};
 use std::process::ChildStderr;
+use std::sync::Arc;
 
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
+use crate::channel::WatchFiles;
 use crate::clock::monotonic_ns;
+use crate::wire::Role;
 
 /// Bytes that are kept: the beginning.
 const KEPT: usize = 64 << 10;
@@ -27,6 +30,9 @@ pub(super) struct ErrorOutput {
     line: Vec<u8>,
     /// The last whole line, if it is not shown yet, and when it came.
     held: Option<(String, u64)>,
+    /// The process, and where watchers find its lines.
+    role: Role,
+    watch_files: Arc<WatchFiles>,
 }
 
 /// What a process has written to its standard error.
@@ -39,13 +45,14 @@ pub(super) struct CollectedOutput {
 }
 
 impl ErrorOutput {
-    /// Reads from `pipe`. A pipe that cannot be read without waiting is not read at all.
-    pub fn of(pipe: Option<ChildStderr>, shown: bool) -> Self {
+    /// Reads from `pipe` of the process in `role`. A pipe that cannot be read without waiting is not read at all.
+    pub fn of(pipe: Option<ChildStderr>, role: Role, watch_files: Arc<WatchFiles>) -> Self {
         let pipe = pipe.filter(|pipe| {
             let flags = fcntl_getfl(pipe).map(|flags| flags | OFlags::NONBLOCK);
             flags.and_then(|flags| fcntl_setfl(pipe, flags)).is_ok()
         });
-        Self { pipe, text: Vec::new(), shown, line: Vec::new(), held: None }
+        let shown = role == Role::Plant;
+        Self { pipe, text: Vec::new(), shown, line: Vec::new(), held: None, role, watch_files }
     }
 
     /// The pipe, to wait until it can be read.
@@ -86,6 +93,7 @@ impl ErrorOutput {
     /// Holds the line in progress, and shows the one before.
     fn end_line(&mut self) {
         let line = String::from_utf8_lossy(&std::mem::take(&mut self.line)).into_owned();
+        self.watch_files.say(&format!("{}: {line}", self.role.name()));
         let before = self.held.replace((line, monotonic_ns()));
         show(before.map(|(line, _)| line), self.shown);
     }

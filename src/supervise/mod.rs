@@ -37,12 +37,13 @@ pub use resume::resume;
 pub use summary::{ProcessRealtime, RunOutcome, RunSummary, WindowSummary};
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use children::{ChildProcesses, ProcessFailure};
 use folder_watch::FolderWatch;
 use supervisor::Supervisor;
 
-use crate::channel::{DomainName, RunServices, check_shared_memory, remove_stale_domains};
+use crate::channel::{DomainName, RunServices, WatchFiles, check_shared_memory, remove_stale_domains};
 use crate::clock::{RealtimeRefusal, TerminationSignals, monotonic_ns, wall_ns};
 use crate::process::print_error_line;
 use crate::runtime::{Mode, ResumePoint, RunManifest, WireManifest, identity, read_realtime, snapshot_path};
@@ -99,9 +100,11 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
     folder.write_manifest(&manifest(launch, run_id, &domain), plan)?;
 
     services.control.put(Control::default());
-    let children = ChildProcesses::start(plan, folder.path(), &launch.by_hand)?;
+    let watch_files = Arc::new(WatchFiles::create(&domain, folder.path()));
+    let children = ChildProcesses::start(plan, folder.path(), &launch.by_hand, Arc::clone(&watch_files))?;
     let progress = RunProgress::new(launch, &folder);
-    let mut supervisor = Supervisor::new(launch, services, children, signals, progress, FolderWatch::new(&folder));
+    let folder_watch = FolderWatch::new(&folder);
+    let mut supervisor = Supervisor::new(launch, services, children, signals, progress, folder_watch, watch_files);
     if let Err(error) = supervisor.set_up(launch) {
         // A traceback is more than the sentence that the error repeats.
         let long = |death: &&ProcessFailure| death.stderr.trim().lines().count() > 1;

@@ -1,5 +1,6 @@
-//! The progress of a run or a study: ticks, rate, loss and, in real time, missed and lost samples, on a
-//! progress line.
+//! The progress of a run or a study: per cent, ticks, rate, time left, loss and, in real time, missed and lost samples,
+//! on a progress line. A run in processes of its own whose standard error is no terminal prints such a line every ten
+//! seconds instead, so that whoever reads its output later, or follows it from afar, sees that it gets on.
 
 use super::Launch;
 use super::folder::RunFolder;
@@ -10,9 +11,12 @@ use crate::process::print_error_line;
 use crate::runtime::Mode;
 use crate::text::thousands;
 use crate::wire::Role;
+use tectum_view::duration;
 
 /// How often the line is redrawn, ns.
 const REDRAW_NS: u64 = 200_000_000;
+/// How often a line is printed where there is no terminal, ns.
+const PRINT_NS: u64 = 10_000_000_000;
 
 /// The progress line of a run.
 #[derive(Debug)]
@@ -21,6 +25,8 @@ pub(crate) struct RunProgress {
     name: String,
     ticks: u64,
     realtime: bool,
+    /// Whether lines are printed, one below the other, because there is no terminal.
+    printed: bool,
     /// When the line was last drawn, ns, and the ticks done by then; zero before the first time.
     last: (u64, u64),
     /// The learner's total computing time by then, ns.
@@ -39,16 +45,20 @@ impl RunProgress {
             print_error_line(&format!("waiting for the {}: {program} --run {}", role.name(), folder.path().display()));
         }
         let scenario = &launch.plan.scenario;
-        Self { realtime: launch.mode == Mode::Realtime, ..Self::study(&scenario.name, scenario.ticks, launch.progress) }
+        let progress = Self::study(&scenario.name, scenario.ticks, launch.progress);
+        let printed = launch.progress && !progress.line.enabled();
+        // The first line comes after the first ten seconds.
+        let last = if printed { (monotonic_ns(), 0) } else { (0, 0) };
+        Self { realtime: launch.mode == Mode::Realtime, printed, last, ..progress }
     }
 
     /// The progress of a run or a study in this process.
     pub fn study(name: &str, ticks: u64, wanted: bool) -> Self {
         let line = ProgressLine::new(wanted);
-        Self { line, name: name.to_owned(), ticks, realtime: false, last: (0, 0), learner_ns: 0 }
+        Self { line, name: name.to_owned(), ticks, realtime: false, printed: false, last: (0, 0), learner_ns: 0 }
     }
 
-    /// Draws the line from the status boards, if it is due.
+    /// Draws or prints the line from the status boards, if it is due.
     pub fn show(&mut self, services: &RunServices) {
         if !self.due() {
             return;
@@ -56,18 +66,18 @@ impl RunProgress {
         let (plant, controller) = (services.status(Role::Plant), services.status(Role::Controller));
         let timing = if self.realtime {
             let (share, lost) = (self.learner_share(controller.learner_ns), services.status(Role::Logger).lost);
-            format!("  learner {share:.0} %  missed {}  lost {lost}", plant.missed)
+            format!("learner {share:.0} %  missed {}  lost {lost}", plant.missed)
         } else {
             String::new()
         };
-        self.draw(plant.ticks, controller.loss, controller.end_error, &timing);
+        self.draw(plant.ticks, controller.loss, controller.end_error, timing);
         self.learner_ns = controller.learner_ns;
     }
 
     /// Draws the line from the tick, loss and end error of a run in this process, if it is due.
     pub fn show_study(&mut self, tick: u64, (loss, end_error): (f32, f32)) {
         if self.due() {
-            self.draw(tick, loss, end_error, "");
+            self.draw(tick, loss, end_error, String::new());
         }
     }
 
@@ -82,27 +92,36 @@ impl RunProgress {
     }
 
     fn due(&self) -> bool {
-        self.line.enabled() && monotonic_ns() - self.last.0 >= REDRAW_NS
+        let every = if self.printed { PRINT_NS } else { REDRAW_NS };
+        (self.line.enabled() || self.printed) && monotonic_ns() - self.last.0 >= every
     }
 
-    fn draw(&mut self, tick: u64, loss: f32, end_error: f32, timing: &str) {
+    fn draw(&mut self, tick: u64, loss: f32, end_error: f32, timing: String) {
         let now = monotonic_ns();
         let rate = match self.last {
             (0, _) => 0.0,
             (then, ticks) => tick.saturating_sub(ticks) as f64 * 1e9 / (now - then) as f64,
         };
         let value = |label: &str, x: f32, unit: &str| {
-            if x.is_finite() { format!("  {label} {x:.3}{unit}") } else { String::new() }
+            if x.is_finite() { format!("{label} {x:.3}{unit}") } else { String::new() }
         };
-        self.line.show(&format!(
-            "{}  {} of {} ticks  {} ticks/s{}{}{timing}",
-            self.name,
-            thousands(tick),
-            thousands(self.ticks),
-            thousands(rate as u64),
+        let left = self.ticks.saturating_sub(tick) as f64 / rate;
+        let parts = [
+            self.name.clone(),
+            format!("{} %", 100 * tick / self.ticks.max(1)),
+            if rate > 0.0 { format!("{} left", duration(left)) } else { String::new() },
+            format!("{} of {} ticks", thousands(tick), thousands(self.ticks)),
+            format!("{} ticks/s", thousands(rate as u64)),
             value("loss", loss, ""),
             value("end error", end_error, " m"),
-        ));
+            timing,
+        ];
+        if self.printed {
+            let shown: Vec<&str> = parts.iter().map(String::as_str).filter(|part| !part.is_empty()).collect();
+            print_error_line(&format!("tectum: {}", shown.join("  ")));
+        } else {
+            self.line.show_parts(&parts);
+        }
         self.last = (now, tick);
     }
 

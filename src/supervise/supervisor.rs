@@ -1,5 +1,6 @@
 //! The launcher's loop over a run in progress: phases, signals, deaths, hangs, restarts, and the end.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::children::{ChildProcesses, DeathKind, ProcessDeath, ProcessFailure};
@@ -8,7 +9,7 @@ use super::folder_watch::FolderWatch;
 use super::restarts::{RestartIncident, RestartTracker};
 use super::stall::StallWatch;
 use super::{Launch, LaunchError, RunOutcome, RunProgress};
-use crate::channel::{DomainName, RunServices, fill_domain, reclaim_dead};
+use crate::channel::{BoardsCopy, DomainName, RunServices, WatchFiles, fill_domain, reclaim_dead};
 use crate::clock::{TerminationSignals, monotonic_ns, pause};
 use crate::process::print_error_line;
 use crate::runtime::Mode;
@@ -45,6 +46,7 @@ pub(super) struct Supervisor {
     restarts: RestartTracker,
     fault_injector: ProcessFaultInjector,
     folder: FolderWatch,
+    watch_files: Arc<WatchFiles>,
     /// In lockstep only.
     stall: Option<StallWatch>,
     poll_ns: u64,
@@ -76,11 +78,13 @@ impl Supervisor {
         signals: TerminationSignals,
         progress: RunProgress,
         folder: FolderWatch,
+        watch_files: Arc<WatchFiles>,
     ) -> Self {
         Self {
             domain: services.domain().clone(),
             services,
             folder,
+            watch_files,
             children,
             control: Control::default(),
             signals,
@@ -99,6 +103,12 @@ impl Supervisor {
     fn enter(&mut self, phase: Phase) {
         self.control.phase = phase as u32;
         self.services.control.put(self.control);
+    }
+
+    /// Says it on standard error and to watchers.
+    fn say(&self, message: &str) {
+        print_error_line(message);
+        self.watch_files.say(message);
     }
 
     fn state(&self, role: Role) -> ProcessState {
@@ -169,7 +179,7 @@ impl Supervisor {
             let running = self.ended.is_none() && self.control.phase() == Phase::Run;
             let requested = self.fault_injector.take_restart(death.failure.role);
             if running && self.restarts.schedule(&death, monotonic_ns(), requested) {
-                print_error_line(&format!("tectum: {}; it is started again", death.failure.message));
+                self.say(&format!("tectum: {}; it is started again", death.failure.message));
             } else {
                 self.fail(death.failure);
             }
@@ -182,6 +192,8 @@ impl Supervisor {
             }
         }
         self.announce_losses();
+        let status = Role::ALL.map(|role| self.services.status(role));
+        self.watch_files.put(BoardsCopy { control: self.control, status });
         self.ended.is_some()
     }
 
@@ -207,6 +219,7 @@ impl Supervisor {
     }
 
     fn fail(&mut self, failure: ProcessFailure) {
+        self.watch_files.say(&failure.message);
         self.failure.get_or_insert(failure);
     }
 
@@ -215,7 +228,7 @@ impl Supervisor {
         let tick = self.services.status(Role::Plant).ticks;
         if if now { self.folder.check_now(tick) } else { self.folder.check(monotonic_ns(), tick) } {
             let message = "tectum: the run's folder has been removed, and the log with it; the run goes on without one";
-            print_error_line(message);
+            self.say(message);
         }
     }
 
@@ -234,7 +247,7 @@ impl Supervisor {
                 _ => self.restarts.since_start(role, now) > SET_UP_LIMIT.as_nanos() as u64,
             };
             if hangs {
-                print_error_line(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));
+                self.say(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));
                 process.kill_group();
             }
         }

@@ -5,11 +5,14 @@
 
 #![allow(dead_code, unused_imports)] // Each test binary uses only a part of this module.
 
+pub mod browser;
 pub mod bytes;
 pub mod content;
 pub mod python;
 pub mod slow;
 pub mod snapshot;
+pub mod terminal;
+pub mod web_watcher;
 
 use std::fs;
 use std::ops::Deref;

@@ -3,7 +3,7 @@
 use std::fs;
 use std::io::Read;
 use std::path::PathBuf;
-use std::process::Child;
+use std::process::{Child, Command};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::log_content::newest_tick;
 use crate::signals::child_running;
-use crate::{children, signal_process};
+use crate::{WATCHDOG, children, signal_process};
 
 /// How far a run has come when its ticks are certain to run.
 const TICKING: u64 = 16;
@@ -60,6 +60,20 @@ impl Process {
     pub(crate) fn new(mut child: Child, run_folder: PathBuf, watchdog: Duration) -> Self {
         let (stdout, stderr) = (collect(child.stdout.take()), collect(child.stderr.take()));
         Self { child, stdout, stderr, run_folder, watchdog }
+    }
+
+    /// Starts a command as it is, for a test that gives it a terminal instead of pipes. `run_folder` is the folder of
+    /// the run that it starts, if it starts one.
+    ///
+    /// # Panics
+    ///
+    /// If it cannot be started.
+    #[track_caller]
+    pub fn of_command(mut command: Command, run_folder: PathBuf) -> Self {
+        let child = command.spawn();
+        let child =
+            child.unwrap_or_else(|e| panic!("{} cannot be started: {e}", command.get_program().to_string_lossy()));
+        Self::new(child, run_folder, WATCHDOG)
     }
 
     /// The process id.

@@ -19,7 +19,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering, fence};
 
 use bytemuck::Zeroable;
-use memmap2::{MmapMut, MmapOptions};
+use memmap2::{MmapOptions, MmapRaw};
 use rustix::fs::{FallocateFlags, fallocate};
 
 use super::own_files::open_own;
@@ -47,7 +47,7 @@ pub fn ring_file(domain: &DomainName, channel: &str) -> PathBuf {
 /// A mapped ring for samples of one type.
 #[derive(Debug)]
 struct Ring<T> {
-    map: MmapMut,
+    map: MmapRaw,
     sample: PhantomData<T>,
 }
 
@@ -75,39 +75,42 @@ impl<T: Sample> Ring<T> {
         let file = file.map_err(failed)?;
         // Allocates all pages now: without room, a later write through the map would kill the process.
         fallocate(&file, FallocateFlags::empty(), 0, 8 * Self::WORDS as u64).map_err(|e| failed(e.into()))?;
-        let ring = Self { map: Self::map(&file).map_err(failed)?, sample: PhantomData };
+        let ring = Self { map: Self::map(&file, true).map_err(failed)?, sample: PhantomData };
         for (word, value) in ring.words().iter().zip(Self::header()) {
             word.store(value, Ordering::Relaxed);
         }
         Ok(())
     }
 
-    fn open(domain: &DomainName, channel: &str) -> Result<Self, ChannelError> {
+    /// Opens the ring, to append to it or (`writes` is false) only to read.
+    fn open(domain: &DomainName, channel: &str, writes: bool) -> Result<Self, ChannelError> {
         let failed = |cause| Self::failed(channel, cause);
         let mut options = OpenOptions::new();
-        let file = open_own(&ring_file(domain, channel), options.read(true).write(true)).map_err(failed)?;
+        let file = open_own(&ring_file(domain, channel), options.read(true).write(writes)).map_err(failed)?;
         let other = || failed(std::io::Error::other("it has another layout"));
         if file.metadata().map_err(failed)?.len() != 8 * Self::WORDS as u64 {
             return Err(other());
         }
-        let ring = Self { map: Self::map(&file).map_err(failed)?, sample: PhantomData };
+        let ring = Self { map: Self::map(&file, writes).map_err(failed)?, sample: PhantomData };
         let fits = ring.words().iter().zip(Self::header()).all(|(word, value)| word.load(Ordering::Relaxed) == value);
         if fits { Ok(ring) } else { Err(other()) }
     }
 
-    fn map(file: &File) -> std::io::Result<MmapMut> {
-        // SAFETY: A map is sound as long as no other process truncates the file under it. Its folder belongs to the
-        // run and is accessible to its user alone. The launcher gives the file its size before any process opens
-        // it, and removes it, without truncating it, at the end of the run. All processes access it as atomics.
-        unsafe { MmapOptions::new().len(8 * Self::WORDS).populate().map_mut(file) }
+    /// Maps the file. A map is sound as long as no other process truncates the file under it. Its folder belongs to the
+    /// run and is accessible to its user alone. The launcher gives the file its size before any process opens it, and
+    /// removes it, without truncating it, at the end of the run. All processes access it as atomics.
+    fn map(file: &File, writes: bool) -> std::io::Result<MmapRaw> {
+        let mut options = MmapOptions::new();
+        options.len(8 * Self::WORDS).populate();
+        if writes { options.map_raw(file) } else { options.map_raw_read_only(file) }
     }
 
     /// The whole file as words.
     #[inline]
     fn words(&self) -> &[AtomicU64] {
-        // SAFETY: The map has 8 * WORDS bytes, is page-aligned, readable and writable, and lives as long as `self`.
-        // Every bit pattern is a valid `AtomicU64`, and all processes access the words only as atomics, so there is
-        // no data race.
+        // SAFETY: The map has 8 * WORDS bytes, is page-aligned and readable, and lives as long as `self`; where words
+        // are stored (`create`, `LogAppender`) it is writable, too. Every bit pattern is a valid `AtomicU64`, and all
+        // processes access the words only as atomics, so there is no data race.
         unsafe { std::slice::from_raw_parts(self.map.as_ptr().cast(), Self::WORDS) }
     }
 
@@ -129,7 +132,7 @@ pub struct LogAppender<T> {
 
 impl<T: Sample> LogAppender<T> {
     pub(super) fn open(domain: &DomainName, channel: &str) -> Result<Self, ChannelError> {
-        let ring = Ring::open(domain, channel)?;
+        let ring = Ring::open(domain, channel, true)?;
         let count = ring.words()[COUNT].load(Ordering::Relaxed);
         Ok(Self { ring, count })
     }
@@ -165,7 +168,31 @@ pub struct LogTail<T> {
 impl<T: Sample> LogTail<T> {
     /// Opens the ring at its oldest entry.
     pub(super) fn open(domain: &DomainName, channel: &str) -> Result<Self, ChannelError> {
-        Ok(Self { ring: Ring::open(domain, channel)?, next: 0, taken: Vec::with_capacity(STRETCH), received: 0 })
+        let ring = Ring::open(domain, channel, false)?;
+        Ok(Self { ring, next: 0, taken: Vec::with_capacity(STRETCH), received: 0 })
+    }
+
+    /// Opens the ring of the channel called `channel` (`observation`, `command` or `learning`) to watch it. Watching
+    /// changes nothing in the ring, and any number of processes may do so beside the logger.
+    ///
+    /// # Errors
+    /// [`ChannelError::SetUp`] when there is no such ring.
+    pub fn watch(domain: &DomainName, channel: &str) -> Result<Self, ChannelError> {
+        Self::open(domain, channel)
+    }
+
+    /// Passes over all samples but the newest `keep` that have not been received yet, and returns how many it passed
+    /// over.
+    pub fn skip_to_newest(&mut self, keep: u64) -> u64 {
+        let appended = self.ring.words()[COUNT].load(Ordering::Acquire);
+        let next = self.next - (self.taken.len() - self.received) as u64;
+        let passed_over = appended.saturating_sub(keep).saturating_sub(next);
+        if passed_over > 0 {
+            self.next = next + passed_over;
+            self.taken.clear();
+            self.received = 0;
+        }
+        passed_over
     }
 
     /// The oldest sample that has not been received yet and is still in the ring.
@@ -299,6 +326,19 @@ mod tests {
         let first_kept = 2 * ENTRIES + ENTRIES / 8;
         let expected: Vec<u64> = (1..STRETCH as u64).chain(first_kept..3 * ENTRIES).collect();
         assert_eq!(received, expected);
+    }
+
+    #[test]
+    fn a_watcher_takes_the_newest_and_changes_nothing() {
+        let domain = TestDomain::new(4);
+        let (mut appender, mut tail) = domain.ends();
+        let mut watcher = LogTail::<Command>::watch(&domain.0, "command").unwrap();
+        (0..100).for_each(|i| appender.append(&command(i)));
+        assert_eq!(watcher.receive().as_ref().map(number), Some(0));
+        assert_eq!((watcher.skip_to_newest(3), watcher.skip_to_newest(3)), (96, 0));
+        let newest: Vec<u64> = std::iter::from_fn(|| watcher.receive()).map(|sample| number(&sample)).collect();
+        assert_eq!((newest, watcher.skip_to_newest(0)), (vec![97, 98, 99], 0));
+        assert_eq!(std::iter::from_fn(|| tail.receive()).count(), 100);
     }
 
     /// A writer that overtakes the reader all the time never makes it take a torn sample.

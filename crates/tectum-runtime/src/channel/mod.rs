@@ -27,6 +27,7 @@ mod shared_page;
 mod stale_domains;
 mod vision_ports;
 mod wake;
+mod watch_files;
 
 pub use bare_exchange::{BareExchange, Exchange};
 pub use boards::{BoardReader, BoardWriter, StatusBoard};
@@ -47,6 +48,7 @@ pub use stale_domains::{list_domains, remove_stale_domains};
 pub use vision_ports::{TrackerPorts, VisionReceiver};
 pub use wake::wake_file;
 pub use wake::{WakeListener, WakeNotifier};
+pub use watch_files::{BoardsCopy, MessageTail, WatchFiles, list_watched};
 
 use iceoryx2::prelude::ServiceName;
 

@@ -1,0 +1,24 @@
+//! Watching runs from outside: finds them, reads what they leave in shared memory, and shows it in a terminal or a
+//! browser.
+//!
+//! A watcher opens nothing of iceoryx2. It maps the log rings to read and reads the launcher's copy of the boards, so
+//! that no process of the run can notice it, whatever it does: there may be any number of watchers, and they may be
+//! stopped or killed. [`tectum_view`] has the state and the faces; this room has clocks, files, sockets and terminals.
+
+mod error;
+mod facts;
+mod follower;
+mod living;
+mod run_watcher;
+mod screen_session;
+mod snapshot;
+mod terminal;
+mod watched_run;
+mod web;
+
+pub use error::WatchError;
+pub use follower::{Follower, WatchTarget};
+pub use snapshot::snapshot;
+pub use terminal::{FaceEnd, watch_in_terminal};
+pub use watched_run::{WatchedRun, end_with_parent, launch_and_watch};
+pub use web::watch_in_browser;

@@ -1,0 +1,230 @@
+//! `tectum watch` beside real runs: in a pseudo-terminal, as one object, four at once, and what it says to bad input.
+
+mod support;
+
+use support::terminal::TestTerminal;
+use support::{Process, TECTUM, TestFolder, WATCHDOG, domain, has_ended, read_json, shared_memory, signal_process};
+
+/// A run in real time that lasts until the test ends it.
+fn long_run(folder: &TestFolder) -> Process {
+    let mut run = folder.run(&["arm", "--mode", "realtime", "--ticks", "100000", "--json"]);
+    run.wait_until_ticking();
+    run
+}
+
+#[track_caller]
+fn wait_for(watcher: &mut Process, terminal: &TestTerminal, words: &[&str]) {
+    let mut shown = String::new();
+    let what = format!("{words:?} on the screen");
+    watcher.wait_until(&what, || {
+        shown = terminal.screen();
+        words.iter().all(|word| shown.contains(word))
+    });
+}
+
+fn end(run: Process) {
+    run.signal("INT");
+    run.wait().expect(130);
+}
+
+#[test]
+fn the_terminal_shows_a_run_at_any_size_and_is_left_as_it_was() {
+    let folder = TestFolder::new();
+    let run = long_run(&folder);
+    let terminal = TestTerminal::new([80, 24]);
+    let before = format!("{:?}", terminal.settings());
+    let mut watcher = terminal.start(&folder, &["watch", "run"], true);
+    let words = ["run  real time, seed 1", "sensing", "slack", "running", "ticks/s", "missed", "q quit"];
+    wait_for(&mut watcher, &terminal, &words);
+    assert!(terminal.text().contains("\x1b[0;36m"), "no colour");
+    terminal.resize([40, 30]);
+    watcher.wait_until("a screen of 40 columns", || {
+        let screen = terminal.screen();
+        screen.contains("q quit")
+            && screen.contains("processes")
+            && screen.lines().all(|line| line.chars().count() <= 40)
+    });
+    terminal.press("?");
+    wait_for(&mut watcher, &terminal, &["the run goes on"]);
+    terminal.press("\x1b[A? ");
+    wait_for(&mut watcher, &terminal, &["paused"]);
+    terminal.press("q");
+    watcher.wait().expect(0);
+    terminal.assert_restored();
+    assert_eq!(format!("{:?}", terminal.settings()), before);
+    end(run);
+    folder.assert_no_debris();
+}
+
+#[test]
+fn whatever_ends_a_watcher_the_terminal_is_left_as_it_was() {
+    let folder = TestFolder::new();
+    let run = long_run(&folder);
+    for (signal, keys, code) in [("TERM", "", 143), ("HUP", "", 129), ("QUIT", "", 131), ("", "\x03", 130)] {
+        let terminal = TestTerminal::new([80, 24]);
+        let mut watcher = terminal.start(&folder, &["watch", "run"], false);
+        wait_for(&mut watcher, &terminal, &["q quit", "running"]);
+        if keys.is_empty() {
+            watcher.signal(signal);
+        } else {
+            terminal.press(keys);
+        }
+        watcher.wait().expect(code);
+        terminal.assert_restored();
+        let text = terminal.text();
+        assert!(!text.contains("\x1b[0;3") && !text.contains("\x1b[0;1;3"), "colours in spite of NO_COLOR");
+    }
+    end(run);
+}
+
+#[test]
+fn a_restart_the_end_and_the_next_run_appear() {
+    let folder = TestFolder::new();
+    let terminal = TestTerminal::new([100, 40]);
+    let mut watcher = terminal.start(&folder, &["watch", "run", "--wait"], true);
+    wait_for(&mut watcher, &terminal, &["Waiting for the run run."]);
+    let mut run = long_run(&folder);
+    wait_for(&mut watcher, &terminal, &["controller running"]);
+    let killed = run.kill_child("tectum-controller");
+    run.next_child_pid("tectum-controller", killed);
+    let words = ["the controller is started again, start 2", "was killed by signal 9", "running  start 2"];
+    wait_for(&mut watcher, &terminal, &words);
+    end(run);
+    wait_for(&mut watcher, &terminal, &["the run ended early"]);
+    std::fs::remove_dir_all(folder.run_folder()).unwrap();
+    let run = long_run(&folder);
+    wait_for(&mut watcher, &terminal, &["controller running  pid"]);
+    assert!(!terminal.screen().contains("ended early"), "{}", terminal.screen());
+    terminal.press("q");
+    watcher.wait().expect(0);
+    end(run);
+}
+
+#[test]
+fn one_object_has_the_numbers_of_now() {
+    let folder = TestFolder::new();
+    let run = long_run(&folder);
+    let now = folder.tectum("watch", &["run", "--json"]).expect(0).json();
+    assert!(now["tick"].as_u64().unwrap() > 0 && now["ended"].is_null(), "{now}");
+    assert_eq!(
+        (&now["processes"][1]["name"], &now["processes"][1]["state"]),
+        (&"controller".into(), &"running".into())
+    );
+    let stages: Vec<_> = now["stages"].as_array().unwrap().iter().map(|stage| stage["us"]["p50"].as_f64()).collect();
+    assert!(stages.iter().all(|p50| p50.is_some_and(|us| us >= 0.0 && us < 60_000.0)), "{now}");
+    end(run);
+}
+
+#[test]
+fn bad_input_is_one_sentence() {
+    let folder = TestFolder::new();
+    folder.run(&["arm", "--ticks", "50", "--json"]).wait().expect(0);
+    let refusal = |arguments: &[&str]| folder.tectum("watch", arguments).refusal();
+    let none = refusal(&["nowhere"]);
+    assert!(none.contains("there is no run in nowhere") && none.contains("alive"), "{none}");
+    let over = refusal(&["run", "--wait", "--json"]);
+    assert!(over.contains("the run in run is over") && over.contains("tectum film run"), "{over}");
+    let run = long_run_in(&folder, "second");
+    let blind = refusal(&["second"]);
+    assert!(blind.contains("no terminal to draw on") && blind.contains("--web"), "{blind}");
+    let address = refusal(&["second", "--web", "nonsense"]);
+    assert!(address.contains("nonsense") && address.contains("port"), "{address}");
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    let taken = refusal(&["second", "--web", &port]);
+    assert!(taken.contains("another program uses the port"), "{taken}");
+    end(run);
+}
+
+fn long_run_in(folder: &TestFolder, name: &str) -> Process {
+    let arguments = ["run", "arm", "--out", name, "--mode", "realtime", "--ticks", "100000", "--json"];
+    let mut run = folder.start(TECTUM, &arguments);
+    let path = folder.path().join(name).join("log.mcap");
+    run.wait_until("the log of the second run", || path.exists());
+    run
+}
+
+/// Four watchers, one of which is stopped while it reads: the run's result is the same to the last bit, nothing is
+/// missed, and the run's part of shared memory has nothing that it does not have without them.
+#[test]
+fn four_watchers_of_which_one_is_stopped_change_nothing() {
+    let folder = TestFolder::new();
+    let terminals = [TestTerminal::new([80, 24]), TestTerminal::new([40, 24])];
+    let mut watchers: Vec<Process> =
+        terminals.iter().map(|terminal| terminal.start(&folder, &["watch", "run", "--wait"], true)).collect();
+    for _ in 0..2 {
+        watchers.push(folder.start(TECTUM, &["watch", "run", "--wait", "--web", "127.0.0.1:0"]));
+    }
+    let mut run = folder.run(&["arm", "--json"]);
+    wait_for(&mut watchers[0], &terminals[0], &["lockstep", "running"]);
+    signal_process(watchers[1].id(), "STOP");
+    let files = shared_memory(&domain(folder.run_folder()));
+    let nodes = files.iter().filter(|file| file.ends_with(".node_monitor") || file.contains("node")).count();
+    assert!(nodes <= 4, "launcher, plant, controller and logger, and no watcher: {files:#?}");
+    run.wait_until_or_end("the run's end", || false);
+    let summary = run.wait().expect(0).json();
+    assert_eq!(summary["weights_hash"].as_str(), Some("3fe6c1b84a66790b"), "{summary}");
+    assert_eq!((summary["missed"].as_u64(), summary["lost"].as_u64()), (Some(0), Some(0)), "{summary}");
+    folder.assert_no_debris();
+    wait_for(&mut watchers[0], &terminals[0], &["the run is over", "tick 3,600 of 3,600"]);
+    signal_process(watchers[1].id(), "CONT");
+    wait_for(&mut watchers[1], &terminals[1], &["the run is over"]);
+    for watcher in watchers {
+        watcher.signal("TERM");
+        watcher.wait().expect(143);
+    }
+    let logged = read_json(folder.run_folder().join("run.json"));
+    assert_eq!(logged["mode"], "lockstep");
+}
+
+#[test]
+fn a_run_is_launched_and_watched_in_one() {
+    let folder = TestFolder::new();
+    let terminal = TestTerminal::new([80, 24]);
+    let mut run = terminal.start(&folder, &["run", "--watch", "--out", "run", "--ticks", "400"], true);
+    wait_for(&mut run, &terminal, &["lockstep, seed 1", "running"]);
+    run.wait().expect(0);
+    terminal.assert_restored();
+    assert!(terminal.text().rsplit("\x1b[?1049l").next().unwrap().contains("weights "), "no summary");
+
+    std::fs::remove_dir_all(folder.run_folder()).unwrap();
+    let terminal = TestTerminal::new([80, 24]);
+    let arguments = ["run", "--watch", "--out", "run", "--mode", "realtime", "--ticks", "100000"];
+    let mut run = terminal.start(&folder, &arguments, true);
+    wait_for(&mut run, &terminal, &["real time, seed 1", "controller running"]);
+    terminal.press("q");
+    run.wait_until("the shell's screen", || terminal.text().contains("the run goes on; Ctrl-C ends it"));
+    terminal.press("\x03");
+    run.wait().expect(130);
+    terminal.assert_restored();
+    folder.assert_no_debris();
+
+    let refusal = folder.tectum("run", &["--watch"]).refusal();
+    assert!(refusal.contains("no terminal to draw on"), "{refusal}");
+}
+
+/// A watcher that is killed cannot leave a run behind that nobody sees.
+#[test]
+fn a_run_that_is_launched_and_watched_ends_with_its_watcher() {
+    let folder = TestFolder::new();
+    let terminal = TestTerminal::new([80, 24]);
+    let arguments = ["run", "--watch", "--out", "run", "--mode", "realtime", "--ticks", "100000"];
+    let mut watcher = terminal.start(&folder, &arguments, true);
+    wait_for(&mut watcher, &terminal, &["controller running"]);
+    let launcher = read_json(folder.run_folder().join("run.json"))["launcher"].as_u64().unwrap() as u32;
+    watcher.signal("KILL");
+    let began = std::time::Instant::now();
+    while !has_ended(launcher) {
+        assert!(began.elapsed() < WATCHDOG, "the launcher goes on");
+        std::thread::park_timeout(std::time::Duration::from_millis(5));
+    }
+    folder.assert_no_debris();
+}
+
+#[test]
+fn without_a_terminal_a_line_comes_every_ten_seconds() {
+    let folder = TestFolder::new();
+    let outcome = folder.run(&["arm", "--mode", "realtime", "--ticks", "230", "--json"]).wait().expect(0);
+    let line = outcome.stderr.lines().find(|line| line.contains(" of 230 ticks")).unwrap_or_default();
+    assert!(line.starts_with("tectum: arm  ") && line.contains(" left  ") && !line.contains('\x1b'), "{outcome:#?}");
+}
