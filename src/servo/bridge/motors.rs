@@ -2,11 +2,18 @@
 
 use super::{Bridge, TripCause, chain};
 use crate::scenario::ServoGoal;
+use crate::servo::guard::SILENT_PERIODS;
 use crate::servo::model::{RegisterBlock, STEP, error_bit};
 use crate::wire::MAX_OUTPUTS;
 
-/// Value of Dynamixel's bus watchdog, in units of 20 ms: without instructions for this time the servo stops.
-const WATCHDOG: i32 = 10;
+/// Value of Dynamixel's bus watchdog, in units of 20 ms: without instructions for this time the servo stops, and takes no
+/// goals any more. That is as long as the guard waits, so that a bridge that goes on after a shorter pause moves the arm,
+/// and after a longer one arms it again.
+fn watchdog(period_ns: u64) -> i32 {
+    const UNIT_NS: u64 = 20_000_000;
+    // Values above 127 have another meaning; below 10 a pause of the machine would stop the arm.
+    (period_ns * SILENT_PERIODS).div_ceil(UNIT_NS).clamp(10, 127) as i32
+}
 
 impl Bridge {
     /// Reads all servos. Returns their health, or `None` if not all of them answered, and the duration, ns.
@@ -98,9 +105,10 @@ impl Bridge {
     pub(super) fn turn_torque_on(&mut self) -> bool {
         if self.config.goal() == ServoGoal::Speed && self.bus.series().bus_watchdog.is_some() {
             let register = self.bus.series().bus_watchdog.expect("there is one");
+            let watchdog = watchdog(self.presence.period());
             // A watchdog that has stopped the servo refuses goals until it is cleared.
             if self.bus.sync_set(&self.ids, register, |_| 0).is_err()
-                || self.bus.sync_set(&self.ids, register, |_| WATCHDOG).is_err()
+                || self.bus.sync_set(&self.ids, register, |_| watchdog).is_err()
             {
                 return false;
             }
@@ -128,5 +136,16 @@ impl Bridge {
             Ok(answers) => answers.iter().all(|answer| torque.decode(&answer.bytes) == 1),
             Err(_) => true,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_watchdog_waits_as_long_as_the_guard() {
+        let ms = |period_ms| 20 * watchdog(period_ms * 1_000_000);
+        assert_eq!([10, 50, 100, 200, 1000].map(ms), [200, 200, 400, 800, 2540]);
     }
 }
