@@ -52,10 +52,13 @@ impl Arm {
         }
     }
 
-    /// Waits until a shaft turns at its highest speed.
+    /// Waits until a shaft turns at its highest speed. At most a few ticks pass until it does; after hundreds, none will.
     fn wait_for_full_speed(&mut self) {
         let full = 0.98 * MAX_SPEED / STEP;
+        let mut looks = 0;
         while self.servos[1..].iter().all(|servo| servo["speed"].as_f64().is_none_or(|speed| speed.abs() < full)) {
+            looks += 1;
+            assert!(looks < 6_000, "no shaft reaches full speed: {:?}", self.servos);
             self.emulator.send_command("state");
             self.take_report();
             std::thread::park_timeout(std::time::Duration::from_millis(20));
