@@ -41,8 +41,8 @@ Examples:
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Put a whole log, all its segments, into chunks with an index, compressed with zstd: smaller, and quick to open in
-    /// Foxglove, Lichtblick, PlotJuggler and rerun. All commands read it as before
+    /// Put a whole log, all its segments, into chunks with an index, compressed with zstd, for viewers (Foxglove,
+    /// Lichtblick, PlotJuggler, rerun) and archives. Adds topics with the scenario's names. All commands read it as before
     #[command(after_help = "\
 Examples:
   tectum log pack runs/arm-1                        the packed log takes the other one's place
@@ -53,6 +53,9 @@ Examples:
         /// Write the packed log there, and leave the log as it is
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
+        /// Leave out the topics /inputs, /outputs, /applied, /measures and /joint_states, which repeat the samples by name
+        #[arg(long)]
+        no_views: bool,
     },
     /// Export a channel as CSV: one row per sample, columns by the scenario's names, with units
     #[command(after_help = "\
@@ -111,8 +114,8 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Work::Repair { common, out } => find(&common.log)
             .and_then(|log| repair_segments(&log, out.as_deref()))
             .map(|repairs| print(&if common.json { json(&repairs) + "\n" } else { text(&repairs) })),
-        Work::Pack { common, out } => find(&common.log)
-            .and_then(|log| pack_segments(&log, out.as_deref()))
+        Work::Pack { common, out, no_views } => find(&common.log)
+            .and_then(|log| pack_segments(&log, out.as_deref(), !no_views))
             .map(|packed| print(&if common.json { packed_json(&packed) + "\n" } else { packed_text(&packed) })),
         Work::Csv { log, channel, out } => {
             find(log).and_then(|log| export(&log, channel.channel(), out.as_deref()).map(|()| ExitCode::SUCCESS))
@@ -135,9 +138,9 @@ fn one_target(segments: &[PathBuf], out: Option<&Path>) -> Result<(), LogError> 
 }
 
 /// Packs every segment, one after the other. A failure leaves the segments before it packed.
-fn pack_segments(segments: &[PathBuf], out: Option<&Path>) -> Result<Vec<PackedLog>, LogError> {
+fn pack_segments(segments: &[PathBuf], out: Option<&Path>, views: bool) -> Result<Vec<PackedLog>, LogError> {
     one_target(segments, out)?;
-    segments.iter().map(|log| pack(log, out)).collect()
+    segments.iter().map(|log| pack(log, out, views)).collect()
 }
 
 fn packed_json(packed: &[PackedLog]) -> String {

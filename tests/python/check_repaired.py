@@ -19,7 +19,7 @@ def main(path):
         messages, last = Counter(), None
         for _, channel, _, sample in reader.iter_decoded_messages():
             messages[channel.topic] += 1
-            last = sample.header.tick
+            last = getattr(getattr(sample, "header", None), "tick", last)
         metadata = {record.name: dict(record.metadata) for record in reader.iter_metadata()}
         attachments = [record.name for record in reader.iter_attachments()]
     content = {"messages": messages, "stated": stated, "last_tick": last}

@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn the_watchdog_waits_as_long_as_the_guard() {
-        let ms = |period_ms| 20 * watchdog(period_ms * 1_000_000);
+        let ms = |period_ms: u64| 20 * watchdog(period_ms * 1_000_000);
         assert_eq!([10, 50, 100, 200, 1000].map(ms), [200, 200, 400, 800, 2540]);
     }
 }

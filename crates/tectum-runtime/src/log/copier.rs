@@ -88,6 +88,11 @@ impl<'a, R: Read, W: Write + Seek> RecordCopier<'a, R, W> {
         self.mcap.write_metadata(&record).map_err(|e| write_error(self.path, self.end, e))
     }
 
+    /// Writes more records behind the copied ones.
+    pub fn write<T>(&mut self, work: impl FnOnce(&mut mcap::Writer<W>) -> mcap::McapResult<T>) -> Result<T, LogError> {
+        work(&mut self.mcap).map_err(|e| write_error(self.path, self.end, e))
+    }
+
     pub fn finish(mut self) -> Result<(), LogError> {
         self.mcap.finish().map(drop).map_err(|e| write_error(self.path, self.end, e))
     }

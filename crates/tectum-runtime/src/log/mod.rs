@@ -49,6 +49,7 @@ mod reader;
 mod recovery;
 mod repair;
 mod segments;
+mod views;
 mod writer;
 
 pub use csv::{CsvChannel, csv};

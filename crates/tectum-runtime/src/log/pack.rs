@@ -2,7 +2,8 @@
 //!
 //! While a run writes its log, every message is a record by itself, so that a kill loses none. Many programs read such a
 //! file slowly, or show it as empty, because they look for chunks and their index. Packing changes no message and no
-//! statement, only the layout: [`LogReader`] reads both. The packed log replaces the other one at once or not at all.
+//! statement, only the layout: [`LogReader`] reads both. Views of the samples follow behind them
+//! ([`views`](super::views)). The packed log replaces the other one at once or not at all.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, ErrorKind, Write};
@@ -11,6 +12,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::copier::RecordCopier;
+use super::views::LogViews;
 use super::{LogError, LogReader, MessageCounts, in_use};
 
 /// Size of a chunk's records before they are compressed, bytes. Its reader unpacks a chunk at a time.
@@ -47,14 +49,14 @@ impl PackedLog {
     }
 }
 
-/// Packs the whole log at `path`. Without `out` the packed log replaces it; with `out` it is written there. A log that
+/// Packs the whole log at `path`, with views of its samples if they are wanted. Without `out` the packed log replaces it; with `out` it is written there. A log that
 /// is packed already is not changed.
 ///
 /// # Errors
 ///
 /// As [`LogReader::open`] and its iterator; [`LogError::InUse`] while its logger is running; [`LogError::Torn`] if it is
 /// torn; [`LogError::Write`] if the new file cannot be written or exists.
-pub fn pack(path: &Path, out: Option<&Path>) -> Result<PackedLog, LogError> {
+pub fn pack(path: &Path, out: Option<&Path>, views: bool) -> Result<PackedLog, LogError> {
     let read = |e| LogError::read(path, e);
     let file = File::open(path).map_err(read)?;
     if in_use(&file) {
@@ -73,13 +75,10 @@ pub fn pack(path: &Path, out: Option<&Path>) -> Result<PackedLog, LogError> {
     }
     let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut draft = tempfile::NamedTempFile::new_in(folder).map_err(write)?;
-    let mut sink = BufWriter::new(draft.as_file_mut());
-    let options = mcap::WriteOptions::new().compression(Some(mcap::Compression::Zstd)).chunk_size(Some(CHUNK_BYTES));
-    let mut copier = RecordCopier::begin(path, BufReader::new(file), &mut sink, log.position(), options)?;
-    while copier.copy_record()? {}
-    copier.finish()?;
-    sink.flush().map_err(write)?;
-    drop(sink);
+    copy(path, file, log.position(), views, draft.as_file_mut()).map_err(|error| match error {
+        LogError::Write { error, .. } => write(error),
+        other => other,
+    })?;
     // Before the packed log takes the other one's place, it is seen to hold the same.
     let (packed_counts, packed) = read_whole(draft.path(), target)?;
     if packed_counts != counts || packed.metadata() != log.metadata() {
@@ -96,6 +95,24 @@ pub fn pack(path: &Path, out: Option<&Path>) -> Result<PackedLog, LogError> {
     // Also syncs the names.
     File::open(folder).and_then(|folder| folder.sync_all()).map_err(write)?;
     Ok(PackedLog { log: path.to_owned(), packed: target.to_owned(), bytes_before, bytes, already_packed: false })
+}
+
+/// Copies the log `file` at `path` up to byte `end` into chunks.
+fn copy(path: &Path, file: File, end: u64, views: bool, target: &mut File) -> Result<(), LogError> {
+    let mut sink = BufWriter::new(target);
+    let options = mcap::WriteOptions::new().compression(Some(mcap::Compression::Zstd)).chunk_size(Some(CHUNK_BYTES));
+    let mut copier = RecordCopier::begin(path, BufReader::new(file), &mut sink, end, options)?;
+    while copier.copy_record()? {}
+    if views {
+        let mut log = LogReader::open(path)?;
+        let mut views = copier.write(|mcap| LogViews::declare(&log, mcap))?;
+        for record in log.by_ref() {
+            let record = record?;
+            copier.write(|mcap| views.write(&record, mcap))?;
+        }
+    }
+    copier.finish()?;
+    sink.flush().map_err(|error| LogError::write(path, error))
 }
 
 /// Reads the log in `file`, which messages name `path`, to its end, and counts its messages.
@@ -142,7 +159,7 @@ mod tests {
         let path = folder.path().join("log.mcap");
         write(&path, 9_000, true);
         let before = records(&path);
-        let packed = pack(&path, None).unwrap();
+        let packed = pack(&path, None, false).unwrap();
         assert!(!packed.already_packed && packed.bytes < packed.bytes_before / 4, "{packed:?}");
         assert_eq!(records(&path), before);
         let bytes = std::fs::read(&path).unwrap();
@@ -150,8 +167,26 @@ mod tests {
         assert!(summary.chunk_indexes.len() > 1, "{}", summary.chunk_indexes.len());
         assert_eq!(summary.stats.unwrap().message_count, 9_000);
         assert_eq!(mcap::MessageStream::new(&bytes).unwrap().count(), 9_000);
-        assert!(pack(&path, None).unwrap().already_packed);
+        assert!(pack(&path, None, false).unwrap().already_packed);
         assert_eq!(std::fs::read(&path).unwrap(), bytes);
+    }
+
+    #[test]
+    fn views_stand_beside_the_samples() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, packed) = (folder.path().join("log.mcap"), folder.path().join("packed.mcap"));
+        write(&path, 100, true);
+        pack(&path, Some(&packed), true).unwrap();
+        assert_eq!(records(&packed), records(&path));
+        let bytes = std::fs::read(&packed).unwrap();
+        let messages: Vec<_> = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
+        let of = |topic: &str| messages.iter().filter(|m| m.channel.topic == topic).collect::<Vec<_>>();
+        let measures = of("/measures");
+        assert_eq!((measures.len(), of("/inputs").len(), of("/joint_states").len()), (100, 100, 0));
+        assert_eq!(measures[7].log_time, 7);
+        assert_eq!(measures[7].data[4..8], 7.0_f32.to_le_bytes());
+        let schema = measures[0].channel.schema.as_ref().unwrap();
+        assert_eq!(std::str::from_utf8(&schema.data).unwrap(), "float32 reward # \nfloat32 error # \n");
     }
 
     #[test]
@@ -160,12 +195,12 @@ mod tests {
         let path = folder.path().join("log.mcap");
         write(&path, 9_000, false);
         let before = std::fs::read(&path).unwrap();
-        let error = pack(&path, None).unwrap_err().to_string();
+        let error = pack(&path, None, false).unwrap_err().to_string();
         assert!(error.contains("torn") && error.contains("tectum log repair"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), before);
         repair(&path, None).unwrap();
         let all = records(&path);
-        pack(&path, None).unwrap();
+        pack(&path, None, false).unwrap();
         let bytes = std::fs::read(&path).unwrap();
         let cut = folder.path().join("cut.mcap");
         for length in (0..bytes.len()).step_by(bytes.len() / 50) {
