@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use tectum::clock::{ProcessHandle, TerminationSignals};
 use tectum::runtime::exit;
-use tectum::scenario::{EmulatorConfig, Scenario, ServoFault, ServoFaultKind};
+use tectum::scenario::{EmulatorConfig, Scenario, ServoFault};
 use tectum::servo::emulator::EmulatedChain;
 use tectum::servo::model::Protocol;
 use tectum::servo::pseudo_terminal::{EmulatorTasks, PseudoTerminal};
@@ -16,7 +16,8 @@ const EXAMPLE: &str = "Four servos that a bridge, or any program for such servos
     tectum-servo-emulator --protocol feetech --ids 1,2,3,4 --link /tmp/arm\n  \
     tectum-bridge scan --port /tmp/arm --protocol feetech\n\
     With --control it takes lines on standard input: \
-    \"hand 1 3000\" turns servo 1 by hand, \"state\" says how all are.";
+    \"hand 1 3000\" turns servo 1 by hand, \"state\" says how all are, \"unplug\" and \"plug\" pull the port out \
+    and put it back, \"fault hot:2:0:5\" is a fault from now on for 5 s.";
 
 /// Emulates a chain of serial-bus servos behind a pseudo-terminal
 #[derive(Debug, Parser)]
@@ -96,7 +97,7 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
         seed = plan.scenario.seed;
     }
     for text in &arguments.faults {
-        settings.faults.push(fault(text).map_err(bad)?);
+        settings.faults.push(ServoFault::parse(text).map_err(|why| bad(format!("--fault {text}: {why}")))?);
     }
     let signals = TerminationSignals::install().map_err(|error| own(format!("signals cannot be taken: {error}")))?;
     let parent = match arguments.parent {
@@ -107,7 +108,7 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
         },
         None => None,
     };
-    let terminal = PseudoTerminal::open(arguments.link.as_deref()).map_err(|error| match &arguments.link {
+    let mut terminal = PseudoTerminal::open(arguments.link.as_deref()).map_err(|error| match &arguments.link {
         Some(link) => bad(format!("{}: no terminal can be put there: {error}", link.display())),
         None => own(format!("there is no terminal to be had: {error}")),
     })?;
@@ -120,7 +121,7 @@ fn run(arguments: &Arguments) -> Result<(), Problem> {
         let (servo, address, bytes) = register(text).map_err(bad)?;
         chain.overwrite(servo, address, &bytes);
     }
-    let path = arguments.link.as_deref().unwrap_or(terminal.path()).display().to_string();
+    let path = arguments.link.clone().or(terminal.path()).unwrap_or_default().display().to_string();
     let mut out = std::io::stdout();
     let line = if arguments.json {
         serde_json::json!({ "port": path, "protocol": protocol, "ids": arguments.ids, "baud": arguments.baud })
@@ -143,35 +144,4 @@ fn register(text: &str) -> Result<(u8, u8, Vec<u8>), String> {
         }
         _ => Err(wrong()),
     }
-}
-
-/// Parses a fault: `KIND[:SERVO[:FROM_S[:UNTIL_S]]]`.
-fn fault(text: &str) -> Result<ServoFault, String> {
-    let wrong =
-        |what: &str| format!("--fault {text}: {what}; give KIND[:SERVO[:FROM_S[:UNTIL_S]]], as in no-reply:2:5:6");
-    let mut parts = text.split(':');
-    let word = parts.next().unwrap_or_default();
-    let kind: ServoFaultKind = serde_json::from_value(word.into()).map_err(|_| {
-        wrong("there are no-reply, bad-checksum, wrong-id, slow, cable-out, overload, brown-out and hot")
-    })?;
-    let mut number = |name: &str| match parts.next().filter(|part| !part.is_empty()) {
-        None => Ok(None),
-        Some(part) => match part.parse::<f64>() {
-            Ok(value) if (0.0..1e9).contains(&value) => Ok(Some(value)),
-            _ => Err(wrong(&format!("\"{part}\" is no {name}"))),
-        },
-    };
-    let (servo, from, until_s) = (number("id")?, number("instant")?, number("instant")?);
-    if parts.next().is_some() {
-        return Err(wrong("there is more than four parts"));
-    }
-    let servo = match servo {
-        Some(id) if id > 253.0 || id.fract() != 0.0 => return Err(wrong(&format!("\"{id}\" is no id"))),
-        id => id.map(|id| id as u8),
-    };
-    let from = from.unwrap_or(0.0);
-    if let Some(until) = until_s.filter(|&until| until <= from) {
-        return Err(wrong(&format!("it ends at {until} s and begins at {from} s")));
-    }
-    Ok(ServoFault { kind, servo, from_s: Some(from), until_s, probability: None, delay_ms: None })
 }

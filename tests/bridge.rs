@@ -297,7 +297,7 @@ fn a_mismatch_is_refused_and_torque_stays_off() {
     let small = ServoModel { name: "XL-320", number: 350, protocol: Protocol::Dynamixel };
     let small = EmulatedChain::of(&small, &ids, 1_000_000, &EmulatorConfig::default(), 1);
     for (chain, text) in [
-        (small, "servo 1 says that it is model 350, which is none of the Dynamixel X"),
+        (small, "servo 1 says that it is model 350 (XL-320: "),
         (chain(&[1, 2, 4]), "(`tectum-bridge scan`)"),
         (chain(&[2, 4]), "servo 1: no answer in time; servo 3: no answer in time; with an answer: servo 2, 4"),
         (chain(&[9]), "no servo of the arm answers"),

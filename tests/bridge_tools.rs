@@ -336,10 +336,16 @@ fn watch_goes_on_after_a_silence() {
 
 #[test]
 fn every_tool_has_help_with_an_example() {
-    for name in ["scan", "calibrate", "jog", "watch"] {
+    for (name, first) in [
+        ("scan", "--port"),
+        ("calibrate", "--port"),
+        ("jog", "--port"),
+        ("watch", "--port"),
+        ("teleop", "/dev/ttyACM0 /dev/ttyACM1"),
+    ] {
         let help = Command::new(BRIDGE).args([name, "--help"]).output().unwrap();
         let text = String::from_utf8(help.stdout).unwrap();
-        assert!(help.status.success() && text.contains(&format!("tectum-bridge {name} --port")), "{name}: {text}");
+        assert!(help.status.success() && text.contains(&format!("tectum-bridge {name} {first}")), "{name}: {text}");
         assert!(text.contains("--json"), "{name}: {text}");
     }
 }

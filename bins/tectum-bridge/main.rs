@@ -190,8 +190,8 @@ fn connect_in_process(participant: &Participant, config: &ServosConfig, ids: &[u
         return Err(("servos that are not emulated run in real time only".to_owned(), exit::INPUT));
     }
     if participant.folder.join("bridge.json").exists() {
-        let text = "the emulated servos of a lockstep run were part of the bridge that has died, and their positions are \
-                    lost; start the run again";
+        let text = "the emulated servos of a lockstep run were part of the bridge that has died, and their positions \
+                    are lost; start the run again";
         return Err((text.to_owned(), exit::INPUT));
     }
     let plan = &participant.plan;
@@ -233,8 +233,11 @@ fn attach(bridge: &mut Bridge, mut guard: Guard) {
     }));
 }
 
-/// Opens the port. Retries for half a second, because the guard of a killed bridge may use the port to turn
+/// Opens the port. Retries for half a second, because the guard of a killed bridge or `jog` may use the port to turn
 /// torque off.
+///
+/// # Errors
+/// As for [`Bus::open`].
 fn open_bus(port: &str, protocol: Protocol, baud: u32, budget: BusBudget) -> Result<Bus, BusError> {
     let deadline = monotonic_ns() + 500_000_000;
     loop {

@@ -4,11 +4,11 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use tectum::clock::{TerminationSignals, monotonic_ns, pause};
+use tectum::clock::{TerminationSignals, pause};
 use tectum::process::print_error_line;
 use tectum::servo::bus::{Bus, BusBudget, BusError, latency_advice, latency_ms};
 use tectum::servo::guard::GuardSettings;
-use tectum::servo::model::{Protocol, ServoSeries};
+use tectum::servo::model::{Protocol, ServoSeries, foreign_model};
 use tectum::servo::tools::{self, Calibration, FoundServo, Jog, JogContext, ToolError};
 
 use super::guard;
@@ -165,7 +165,7 @@ impl BusArguments {
         if let Err(known) = series.check_baud(self.baud) {
             return Err(ToolError::Refused(format!("--baud {}: {} has {known}", self.baud, series.name)));
         }
-        Ok(Bus::open(&self.port, series.protocol, self.baud, tools::BUDGET, Box::new(monotonic_ns))?)
+        Ok(super::open_bus(&self.port, series.protocol, self.baud, tools::BUDGET)?)
     }
 }
 
@@ -202,7 +202,12 @@ fn jog(arguments: &Move, calibration: Option<&Calibration>, stop: &dyn Fn() -> b
     let mut guard = guard::start(&settings).map_err(ToolError::Failed)?;
     let motion = Jog { id: *id, by: *by, speed: *speed, calibration };
     let mut context = JogContext { sleep: &mut pause, stop: &mut || stop(), beat: &mut |torque| guard.beat(torque) };
-    let after = tools::jog(&mut bus, motion, &mut context)?;
+    let after = tools::jog(&mut bus, motion, &mut context);
+    if bus.is_gone() {
+        // Its pipe ends with this process, without a farewell: it waits for the cable and turns torque off.
+        std::mem::forget(guard);
+    }
+    let after = after?;
     print_line(&if arguments.json { serde_json::json!(after).to_string() } else { after.line() })
 }
 
@@ -236,7 +241,8 @@ fn find(scan: &Scan, stop: &dyn Fn() -> bool) -> Result<(), ToolError> {
                     duplicate_id = Some(found.id);
                 }
                 if !scan.json {
-                    print_line(&format!("{} at {baud} baud: servo {}, {}", series.name, found.id, describe(&found)))?;
+                    let what = describe(series.protocol, &found);
+                    print_line(&format!("{} at {baud} baud: servo {}, {what}", series.name, found.id))?;
                 }
                 all.push(serde_json::json!({ "protocol": series.protocol, "baud": baud, "servo": found }));
             }
@@ -283,18 +289,18 @@ fn search(
     // At low rates the transmission time matters: about thirty bytes in each direction.
     let wire = 30 * 10 * 1_000_000_000 / u64::from(baud);
     let budget = BusBudget { read_ns: usual.read_ns + 2 * wire, ..usual };
-    let mut bus = Bus::open(&scan.port, series.protocol, baud, budget, Box::new(monotonic_ns))?;
+    let mut bus = super::open_bus(&scan.port, series.protocol, baud, budget)?;
     let (found, late) = tools::scan(&mut bus, 0..=last, stop);
     Ok(Answers { found, late, echo: bus.echoes() })
 }
 
 /// What a servo is, for the user.
-fn describe(found: &FoundServo) -> String {
+fn describe(protocol: Protocol, found: &FoundServo) -> String {
     match (found.garbled, found.mute, found.model) {
         (true, ..) => "cannot be read: two servos with this id?".to_owned(),
         (_, true, _) => "answers pings alone: its response level (Dynamixel: address 68) is too low".to_owned(),
         (.., Some(name)) => name.to_owned(),
-        (.., None) => format!("unknown model {}", found.number.unwrap_or(0)),
+        (.., None) => format!("not driven: {}", foreign_model(protocol, found.number.unwrap_or(0))),
     }
 }
 

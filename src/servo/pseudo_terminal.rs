@@ -16,7 +16,7 @@ use rustix::fs::{Mode, OFlags, fcntl_setfl};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 
-use super::emulator::{EmulatedChain, ServoState};
+use super::emulator::{EmulatedChain, ServoFault, ServoState};
 use crate::clock::{ProcessHandle, TerminationSignals, monotonic_ns, precise_timers};
 
 /// Longest sleep, ns, and so the interval between checks for signals.
@@ -25,18 +25,25 @@ const MAX_SLEEP: u64 = 100_000_000;
 /// A pseudo-terminal, with an optional symbolic link to it.
 #[derive(Debug)]
 pub struct PseudoTerminal {
+    /// `None` while the cable is out.
+    ends: Option<TerminalEnds>,
+    link: Option<PathBuf>,
+}
+
+/// Both ends of an open terminal.
+#[derive(Debug)]
+struct TerminalEnds {
     /// The emulator's end.
     ours: OwnedFd,
     /// The hosts' end.
     theirs: OwnedFd,
     path: PathBuf,
-    link: Option<PathBuf>,
 }
 
 /// Options of the emulator's loop.
 #[derive(Debug, Default)]
 pub struct EmulatorTasks {
-    /// Reads commands from standard input: `hand ID STEPS`, `state`.
+    /// Reads commands from standard input: `hand ID STEPS`, `state`, `unplug`, `plug`, `fault FAULT`.
     pub control: bool,
     /// Prints a line when a servo's torque goes on or off.
     pub trace: bool,
@@ -52,6 +59,16 @@ impl PseudoTerminal {
     /// # Errors
     /// When no terminal is available, or the link cannot be created; a file that is not a link is not replaced.
     pub fn open(link: Option<&Path>) -> io::Result<Self> {
+        let mut terminal = Self { ends: None, link: link.map(Path::to_path_buf) };
+        terminal.plug()?;
+        Ok(terminal)
+    }
+
+    /// Opens a terminal in the place of the one that was unplugged.
+    fn plug(&mut self) -> io::Result<()> {
+        if self.ends.is_some() {
+            return Ok(());
+        }
         let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&ours)?;
         unlockpt(&ours)?;
@@ -63,23 +80,30 @@ impl PseudoTerminal {
         settings.make_raw();
         tcsetattr(&theirs, OptionalActions::Now, &settings)?;
         fcntl_setfl(&ours, OFlags::RDWR | OFlags::NONBLOCK)?;
-        if let Some(link) = link {
+        if let Some(link) = &self.link {
             if fs::symlink_metadata(link).is_ok_and(|file| file.is_symlink()) {
                 fs::remove_file(link)?;
             }
             symlink(&path, link)?;
         }
-        Ok(Self { ours, theirs, path, link: link.map(Path::to_path_buf) })
+        self.ends = Some(TerminalEnds { ours, theirs, path });
+        Ok(())
     }
 
-    /// The path that hosts open.
-    pub fn path(&self) -> &Path {
-        &self.path
+    /// Closes the terminal, as when an adapter is pulled out. The servos keep their power.
+    fn unplug(&mut self) {
+        let Some(ends) = self.ends.take() else { return };
+        // Only the own link is removed: another emulator may have replaced it.
+        if let Some(link) = &self.link
+            && fs::read_link(link).is_ok_and(|to| to == ends.path)
+        {
+            let _ = fs::remove_file(link);
+        }
     }
 
-    /// The baud rate that the host has set.
-    fn baud(&self) -> u32 {
-        tcgetattr(&self.theirs).map_or(0, |settings| settings.output_speed())
+    /// The path that hosts open, unless it is unplugged.
+    pub fn path(&self) -> Option<PathBuf> {
+        self.ends.as_ref().map(|ends| ends.path.clone())
     }
 
     /// Answers hosts until a signal comes or the parent has ended.
@@ -87,7 +111,7 @@ impl PseudoTerminal {
     /// # Errors
     /// When the terminal fails.
     pub fn serve(
-        &self,
+        &mut self,
         mut chain: EmulatedChain,
         signals: &TerminationSignals,
         tasks: &EmulatorTasks,
@@ -97,35 +121,22 @@ impl PseudoTerminal {
         let now = || monotonic_ns() - began;
         let mut commands = tasks.control.then(Vec::new);
         let mut torque: Vec<bool> = Vec::new();
-        let mut bytes = [0; 4096];
         while signals.received() == 0 && !tasks.parent.as_ref().is_some_and(ProcessHandle::ended) {
             while let Some(answer) = chain.take(now()) {
                 // A host that does not read loses the answer, as on a real bus.
-                let _ = rustix::io::write(&self.ours, &answer);
+                let _ = self.ends.as_ref().map(|ends| rustix::io::write(&ends.ours, &answer));
             }
             if tasks.trace {
-                self.trace(&mut chain, now(), &mut torque, tasks.json);
+                trace(&mut chain, now(), &mut torque, tasks.json);
             }
             let wait = chain.next_answer().map_or(MAX_SLEEP, |due| due.saturating_sub(now()).min(MAX_SLEEP));
-            let input = std::io::stdin();
-            let mut fds = vec![PollFd::new(&self.ours, PollFlags::IN)];
-            if commands.is_some() {
-                fds.push(PollFd::from_borrowed_fd(input.as_fd(), PollFlags::IN));
-            }
-            let limit = Timespec { tv_sec: (wait / 1_000_000_000) as i64, tv_nsec: (wait % 1_000_000_000) as i64 };
-            // A signal interrupts the wait; the loop condition checks for it.
-            let _ = poll(&mut fds, Some(&limit));
-            let has_command = fds.get(1).is_some_and(|fd| !fd.revents().is_empty());
-            let has_bytes = !fds[0].revents().is_empty();
-            drop(fds);
-            if has_bytes {
-                match rustix::io::read(&self.ours, &mut bytes) {
-                    Ok(n) => chain.receive(now(), self.baud(), &bytes[..n]),
-                    Err(rustix::io::Errno::AGAIN | rustix::io::Errno::INTR) => {}
-                    Err(error) => return Err(error.into()),
+            let [has_bytes, has_command] = self.wait(wait, commands.is_some());
+            if let Some(ends) = &self.ends {
+                if has_bytes {
+                    ends.receive(&mut chain, now())?;
                 }
+                let _ = ioctl_tiocnxcl(&ends.theirs);
             }
-            let _ = ioctl_tiocnxcl(&self.theirs);
             if has_command && let Some(line) = commands.as_mut() {
                 let ended = !self.read_commands(line, &mut chain, now(), tasks.json)?;
                 if ended {
@@ -136,8 +147,34 @@ impl PseudoTerminal {
         Ok(())
     }
 
+    /// Waits for `wait` ns at most. Returns whether there are bytes of a host, and input of the user.
+    fn wait(&self, wait: u64, commands: bool) -> [bool; 2] {
+        let input = std::io::stdin();
+        let mut fds = Vec::with_capacity(2);
+        if let Some(ends) = &self.ends {
+            fds.push(PollFd::new(&ends.ours, PollFlags::IN));
+        }
+        if commands {
+            fds.push(PollFd::from_borrowed_fd(input.as_fd(), PollFlags::IN));
+        }
+        let limit = Timespec { tv_sec: (wait / 1_000_000_000) as i64, tv_nsec: (wait % 1_000_000_000) as i64 };
+        // A signal interrupts the wait; the caller checks for it.
+        let _ = poll(&mut fds, Some(&limit));
+        let ready = |i: usize| fds.get(i).is_some_and(|fd| !fd.revents().is_empty());
+        match self.ends.is_some() {
+            true => [ready(0), ready(1)],
+            false => [false, ready(0)],
+        }
+    }
+
     /// Reads standard input and executes complete lines. Returns whether there may be more input.
-    fn read_commands(&self, line: &mut Vec<u8>, chain: &mut EmulatedChain, now: u64, json: bool) -> io::Result<bool> {
+    fn read_commands(
+        &mut self,
+        line: &mut Vec<u8>,
+        chain: &mut EmulatedChain,
+        now: u64,
+        json: bool,
+    ) -> io::Result<bool> {
         let mut bytes = [0; 1024];
         let n = match rustix::io::read(std::io::stdin(), &mut bytes) {
             Ok(n) => n,
@@ -148,33 +185,50 @@ impl PseudoTerminal {
         while let Some(end) = line.iter().position(|&byte| byte == b'\n') {
             let text = String::from_utf8_lossy(&line[..end]).into_owned();
             line.drain(..=end);
-            execute(&text, chain, now, json);
+            match text.trim() {
+                "unplug" => self.unplug(),
+                "plug" => self.plug()?,
+                text => execute(text, chain, now, json),
+            }
         }
         Ok(n > 0)
     }
+}
 
-    /// Prints the servos whose torque has changed.
-    fn trace(&self, chain: &mut EmulatedChain, now: u64, torque: &mut Vec<bool>, json: bool) {
-        let state = chain.state(now);
-        let first = torque.is_empty();
-        for (i, servo) in state.iter().enumerate() {
-            if first || torque[i] != servo.torque {
-                print_state(std::slice::from_ref(servo), now, json);
-            }
-        }
-        torque.clear();
-        torque.extend(state.iter().map(|servo| servo.torque));
+impl TerminalEnds {
+    /// The baud rate that the host has set.
+    fn baud(&self) -> u32 {
+        tcgetattr(&self.theirs).map_or(0, |settings| settings.output_speed())
     }
+
+    /// Passes the bytes that a host has sent to the chain.
+    fn receive(&self, chain: &mut EmulatedChain, now: u64) -> io::Result<()> {
+        let mut bytes = [0; 4096];
+        match rustix::io::read(&self.ours, &mut bytes) {
+            Ok(n) => chain.receive(now, self.baud(), &bytes[..n]),
+            Err(rustix::io::Errno::AGAIN | rustix::io::Errno::INTR) => {}
+            Err(error) => return Err(error.into()),
+        }
+        Ok(())
+    }
+}
+
+/// Prints the servos whose torque has changed.
+fn trace(chain: &mut EmulatedChain, now: u64, torque: &mut Vec<bool>, json: bool) {
+    let state = chain.state(now);
+    let first = torque.is_empty();
+    for (i, servo) in state.iter().enumerate() {
+        if first || torque[i] != servo.torque {
+            print_state(std::slice::from_ref(servo), now, json);
+        }
+    }
+    torque.clear();
+    torque.extend(state.iter().map(|servo| servo.torque));
 }
 
 impl Drop for PseudoTerminal {
     fn drop(&mut self) {
-        // Only the own link is removed: another emulator may have replaced it.
-        if let Some(link) = &self.link
-            && fs::read_link(link).is_ok_and(|to| to == self.path)
-        {
-            let _ = fs::remove_file(link);
-        }
+        self.unplug();
     }
 }
 
@@ -193,7 +247,14 @@ fn execute(text: &str, chain: &mut EmulatedChain, now: u64, json: bool) {
             }
             _ => eprintln!("tectum-servo-emulator: \"{text}\": give an id and a position in steps, as in hand 1 2048"),
         },
-        _ => eprintln!("tectum-servo-emulator: \"{text}\": there are hand ID STEPS and state"),
+        ["fault", fault] => match ServoFault::parse(fault) {
+            Ok(fault) => chain.add_fault(now, fault),
+            Err(why) => eprintln!("tectum-servo-emulator: fault {fault}: {why}"),
+        },
+        _ => eprintln!(
+            "tectum-servo-emulator: \"{text}\": there are hand ID STEPS, state, unplug, plug and fault \
+             KIND[:SERVO[:FROM_S[:UNTIL_S]]]"
+        ),
     }
 }
 

@@ -10,7 +10,7 @@ use crate::servo::tools::Calibration;
 pub enum BridgeError {
     /// The scenario has no servos.
     #[error(
-        "the scenario has no [plant.servos] with the model of an arm, or with a leader; add them, or start another plant"
+        "the scenario has no [plant.servos] with the model of an arm or a leader; add them, or start another plant"
     )]
     NoServos,
     /// An error of the bus.
@@ -202,7 +202,7 @@ pub(super) fn identify(bus: &mut Bus, joints: &[JointConfig]) -> Result<(), Brid
     for joint in joints {
         match bus.model(joint.id) {
             Ok((_, Some(_))) => answering.push(joint.id.to_string()),
-            Ok((number, None)) => return Err(UnknownModel { id: joint.id, number, series: series.name }.into()),
+            Ok((number, None)) => return Err(UnknownModel { id: joint.id, number, protocol: series.protocol }.into()),
             Err(error @ BusError::NoAnswer { .. }) => missing.push(error.to_string()),
             Err(error) => return Err(error.into()),
         }

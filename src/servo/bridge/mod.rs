@@ -526,6 +526,10 @@ impl Plant for Bridge {
             self.bus.torque_off(&self.ids);
         }
         self.beat(false);
+        let unknown = matches!(self.safety.state(), SafetyState::Tripped(cause) if cause.leaves_torque_unknown());
+        if unknown || self.bus.is_gone() && self.safety.state() != SafetyState::ReadOnly {
+            self.presence.leave_to_guard();
+        }
         self.presence.ended = true;
     }
 }

@@ -40,6 +40,12 @@ impl Presence {
         Self { period, reopen_within, ..Self::default() }
     }
 
+    /// Leaves servos that cannot be told to turn torque off to the guard: it is not bidden farewell, so it acts when
+    /// this process has ended, and waits for a cable that is out.
+    pub(super) fn leave_to_guard(&mut self) {
+        std::mem::forget(self.guard.take());
+    }
+
     /// Length of a tick, ns.
     pub(super) fn period(&self) -> u64 {
         self.period

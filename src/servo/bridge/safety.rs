@@ -13,7 +13,8 @@
 //! | leader lost | after `lost_after` ticks without answer, at once when its port is gone | likewise |
 //! | cable out, machine or bridge stood still | at once | after [`RECOVERY`] ticks with all answers, and checks |
 //! | no commands | after the gate's hold and decay | with the next command and the gate's ramp |
-//! | overload, heat, voltage, torque lost, guard lost, error of the leader | in the tick that reports it | after it is armed again |
+//! | overload, heat, voltage, torque lost, guard lost | in the tick that reports it | after it is armed again |
+//! | a servo of the leader reports an error | in that tick | likewise |
 //!
 //! With `rearm = "by-hand"` torque returns after the causes of the first three rows only when it is armed again.
 //!

@@ -55,8 +55,8 @@ impl ArmTask {
         }
     }
 
-    /// The outcome of a tick, from the measured angles, rad, and rates, rad/s. A tracker may have `seen` the end-effector
-    /// of a planar arm, m.
+    /// The outcome of a tick, from the measured angles, rad, and rates, rad/s. A tracker may have `seen` the
+    /// end-effector of a planar arm, m.
     pub fn measured(&mut self, tick: u64, theta: &[f32], rates: &[f32], seen: Option<[f32; 2]>) -> Outcome {
         match self {
             Self::Planar(arm) => arm.measured(tick, theta, rates, seen),

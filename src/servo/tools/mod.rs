@@ -163,7 +163,7 @@ pub fn identify(bus: &mut Bus, ids: &[u8]) -> Result<(), ToolError> {
         };
         answering.push(id.to_string());
         if known.is_none() {
-            return Err(UnknownModel { id, number, series: series.name }.into());
+            return Err(UnknownModel { id, number, protocol: series.protocol }.into());
         }
     }
     match (missing.is_empty(), answering.is_empty()) {

@@ -1,6 +1,8 @@
 //! `[plant.emulator]`: the configuration of an emulated chain of servos. The default is an ideal chain, without
 //! limits of speed, delay, noise or faults.
 
+use serde::de::IntoDeserializer as _;
+use serde::de::value::{Error as ValueError, StrDeserializer};
 use serde::{Deserialize, Serialize};
 
 /// `[plant.emulator]`: an emulated chain of servos.
@@ -52,6 +54,41 @@ pub struct ServoFault {
     /// Delay of `slow` answers, ms; by default 20.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub delay_ms: Option<f64>,
+}
+
+impl ServoFault {
+    /// The fault that a text describes: `KIND[:SERVO[:FROM_S[:UNTIL_S]]]`.
+    ///
+    /// # Errors
+    /// What is wrong with the text.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let wrong = |what: &str| format!("{what}; give KIND[:SERVO[:FROM_S[:UNTIL_S]]], as in no-reply:2:5:6");
+        let mut parts = text.split(':');
+        let word: StrDeserializer<'_, ValueError> = parts.next().unwrap_or_default().into_deserializer();
+        let kind = ServoFaultKind::deserialize(word).map_err(|_| {
+            wrong("there are no-reply, bad-checksum, wrong-id, slow, cable-out, overload, brown-out and hot")
+        })?;
+        let mut number = |name: &str| match parts.next().filter(|part| !part.is_empty()) {
+            None => Ok(None),
+            Some(part) => match part.parse::<f64>() {
+                Ok(value) if (0.0..1e9).contains(&value) => Ok(Some(value)),
+                _ => Err(wrong(&format!("\"{part}\" is no {name}"))),
+            },
+        };
+        let (servo, from, until_s) = (number("id")?, number("instant")?, number("instant")?);
+        if parts.next().is_some() {
+            return Err(wrong("there is more than four parts"));
+        }
+        let servo = match servo {
+            Some(id) if id > 253.0 || id.fract() != 0.0 => return Err(wrong(&format!("\"{id}\" is no id"))),
+            id => id.map(|id| id as u8),
+        };
+        let from = from.unwrap_or(0.0);
+        if let Some(until) = until_s.filter(|&until| until <= from) {
+            return Err(wrong(&format!("it ends at {until} s and begins at {from} s")));
+        }
+        Ok(Self { kind, servo, from_s: Some(from), until_s, probability: None, delay_ms: None })
+    }
 }
 
 /// Kinds of servo faults.

@@ -33,6 +33,11 @@ impl ChainFaults {
         Self { list: list.to_vec(), seed }
     }
 
+    /// Adds a fault.
+    pub fn push(&mut self, fault: ServoFault) {
+        self.list.push(fault);
+    }
+
     /// The first time after `now` at which a fault of a servo may begin or end, ns.
     pub fn next_change(&self, now: u64) -> u64 {
         let of_servos = self.list.iter().filter(|fault| fault.kind.affects_servo());

@@ -145,6 +145,14 @@ impl EmulatedChain {
         self.pulled
     }
 
+    /// Adds a fault whose times count from `now`, ns.
+    pub fn add_fault(&mut self, now: u64, fault: ServoFault) {
+        self.advance_to(now.max(self.now));
+        let later = |seconds: f64| seconds + now as f64 / 1e9;
+        let from_s = Some(later(fault.from_s.unwrap_or(0.0)));
+        self.faults.push(ServoFault { from_s, until_s: fault.until_s.map(later), ..fault });
+    }
+
     /// Overwrites registers of servo `id` for good, as another program may have done.
     pub fn overwrite(&mut self, id: u8, address: u8, bytes: &[u8]) {
         for servo in self.servos.iter_mut().filter(|servo| servo.id() == id) {

@@ -14,7 +14,7 @@ mod models;
 mod register;
 mod settings;
 
-pub use models::{MODELS, ServoModel, UnknownModel, model};
+pub use models::{MODELS, ServoModel, UnknownModel, foreign_model, model};
 pub use register::{Register, RegisterBlock, SignEncoding};
 pub use settings::KeptSetting;
 

@@ -2,20 +2,39 @@
 
 use super::Protocol;
 
-/// A servo reports a model number that is not known for its series.
+/// A servo reports a model number that is not one of those of its series.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "servo {id} says that it is model {number}, which is none of the {series} that this program knows, so what its \
-     registers mean is not known; docs/first-hour.md names the series that are; if it speaks the other protocol, \
-     give that"
+    "servo {id} says that it is {}, which is none of the {} that this program knows, so what its registers mean is not \
+     known; docs/first-hour.md names the series that are; if it speaks the other protocol, give that",
+    foreign_model(*.protocol, *.number), .protocol.series().name
 )]
 pub struct UnknownModel {
     /// The id.
     pub id: u8,
     /// The reported model number.
     pub number: i32,
-    /// Name of the series.
-    pub series: &'static str,
+    /// The protocol.
+    pub protocol: Protocol,
+}
+
+/// What is known of a model number that is none of the series of `protocol`: the number, and the model and why its
+/// registers mean something else, where that is documented.
+///
+/// A Feetech's model number is two bytes: the series (address 3), then the model in it (address 4).
+pub fn foreign_model(protocol: Protocol, number: i32) -> String {
+    let known = FOREIGN.iter().find(|known| known.protocol == protocol && i32::from(known.number) == number);
+    let name = known.map_or("unknown", |known| known.name);
+    let series = match (protocol, number & 0xff, number) {
+        (Protocol::Dynamixel, _, 350) => "it has 1024 steps a turn and a control table of its own",
+        (Protocol::Feetech, 5, _) => "series SCS, with 1024 steps a turn and the high byte of numbers first",
+        (Protocol::Feetech, 6 | 8, _) => "series SM",
+        (Protocol::Feetech, 9, _) if known.is_some() => "second generation of the series SCS",
+        (Protocol::Feetech, 9, _) => "series STS, by its first byte; what else it has is not documented",
+        (Protocol::Feetech, 10, _) => "series HLS",
+        _ => return format!("model {number}"),
+    };
+    format!("model {number} ({name}: {series})")
 }
 
 /// A model of a series.
@@ -38,7 +57,7 @@ const fn feetech(name: &'static str, number: u16) -> ServoModel {
 }
 
 /// The known models. Their control tables are those of their series.
-pub const MODELS: [ServoModel; 36] = [
+pub const MODELS: [ServoModel; 40] = [
     dynamixel("XL330-M288", 1200),
     dynamixel("XL330-M077", 1190),
     dynamixel("XC330-T181", 1210),
@@ -72,9 +91,42 @@ pub const MODELS: [ServoModel; 36] = [
     dynamixel("XW540-H260", 1310),
     dynamixel("2XC430-W250", 1160),
     feetech("STS3215", 777),
+    feetech("STS3032", 521),
+    feetech("STS3040", 1033),
+    feetech("STS3020", 1289),
+    feetech("STS3046", 1545),
+    feetech("STS3095", 2569),
     feetech("STS3250", 2825),
-    feetech("STS3036", 521),
     feetech("SM8512BL", 11272),
+];
+
+/// Models that are known by their number and not driven, because their control tables are others.
+pub(super) const FOREIGN: [ServoModel; 25] = [
+    dynamixel("XL-320", 350),
+    feetech("SCS0009", 1029),
+    feetech("SCS2332", 2053),
+    feetech("SCS45", 3077),
+    feetech("SCS15", 3845),
+    feetech("SCS315", 4101),
+    feetech("SCS115", 6405),
+    feetech("SCS215", 8965),
+    feetech("SCS40", 10245),
+    feetech("SCS6560", 15365),
+    feetech("SM30-360M", 774),
+    feetech("SM60-360M", 2054),
+    feetech("SM80-360M", 3078),
+    feetech("SM100-360M", 4102),
+    feetech("SM150-360M", 5126),
+    feetech("SM85-360M", 6150),
+    feetech("SM30BL", 7688),
+    feetech("SM40BLHV", 10248),
+    feetech("SM45BLHV", 10760),
+    feetech("SM120BLHV", 30728),
+    feetech("SM200BLHV", 56328),
+    feetech("SCS15-2", 3849),
+    feetech("SCS225", 8969),
+    feetech("SCS40-2", 10249),
+    feetech("HLS3625", 3338),
 ];
 
 /// The model with this number, if it is known for `protocol`.

@@ -89,6 +89,35 @@ fn registers_agree_with_rustypot() {
 }
 
 #[test]
+fn models_that_are_not_driven_are_told_by_name() {
+    for (protocol, number, told) in [
+        (Protocol::Feetech, 1029, "model 1029 (SCS0009: series SCS, with 1024 steps"),
+        (Protocol::Feetech, 8965, "model 8965 (SCS215: series SCS, "),
+        (Protocol::Feetech, 5, "model 5 (unknown: series SCS, "),
+        (Protocol::Feetech, 10249, "model 10249 (SCS40-2: second generation"),
+        (Protocol::Feetech, 0x6309, "model 25353 (unknown: series STS, by its first byte"),
+        (Protocol::Feetech, 99, "model 99"),
+        (Protocol::Dynamixel, 350, "model 350 (XL-320: it has 1024 steps"),
+        (Protocol::Dynamixel, 12, "model 12"),
+    ] {
+        let text = foreign_model(protocol, number);
+        assert!(text.starts_with(told), "{text}");
+        let error = UnknownModel { id: 3, number, protocol }.to_string();
+        assert!(error.contains(told) && error.contains(protocol.series().name), "{error}");
+    }
+    // No number stands in both lists, or twice in one.
+    let numbers = |protocol: Protocol| {
+        let of = move |model: &&ServoModel| model.protocol == protocol;
+        MODELS.iter().chain(&models::FOREIGN).filter(of).map(|model| model.number).collect::<Vec<_>>()
+    };
+    for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
+        let mut all = numbers(protocol);
+        all.sort_unstable();
+        assert!(all.windows(2).all(|pair| pair[0] != pair[1]), "{all:?}");
+    }
+}
+
+#[test]
 fn the_registers_of_a_tick_are_in_one_block() {
     for series in [&DYNAMIXEL_X, &FEETECH_STS] {
         let bytes = [0; 32];
