@@ -41,8 +41,8 @@ Examples:
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Put a whole log, all its segments, into chunks with an index, compressed with zstd, for viewers (Foxglove,
-    /// Lichtblick, PlotJuggler, rerun) and archives. Adds topics with the scenario's names. All commands read it as before
+    /// Put a whole log, all its segments, into compressed chunks with an index, for viewers (Foxglove, Lichtblick,
+    /// PlotJuggler, rerun) and archives. Adds topics with the scenario's names. All commands read it as before
     #[command(after_help = "\
 Examples:
   tectum log pack runs/arm-1                        the packed log takes the other one's place
@@ -53,7 +53,7 @@ Examples:
         /// Write the packed log there, and leave the log as it is
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
-        /// Leave out the topics /inputs, /outputs, /applied, /measures and /joint_states, which repeat the samples by name
+        /// Leave out the topics that repeat the samples by name: /inputs, /outputs, /applied, /measures, /joint_states
         #[arg(long)]
         no_views: bool,
     },

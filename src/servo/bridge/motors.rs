@@ -6,9 +6,9 @@ use crate::servo::guard::SILENT_PERIODS;
 use crate::servo::model::{RegisterBlock, STEP, error_bit};
 use crate::wire::MAX_OUTPUTS;
 
-/// Value of Dynamixel's bus watchdog, in units of 20 ms: without instructions for this time the servo stops, and takes no
-/// goals any more. That is as long as the guard waits, so that a bridge that goes on after a shorter pause moves the arm,
-/// and after a longer one arms it again.
+/// Value of Dynamixel's bus watchdog, in units of 20 ms: without instructions for this time the servo stops, and takes
+/// no goals any more. That is as long as the guard waits, so that a bridge that goes on after a shorter pause moves the
+/// arm, and after a longer one arms it again.
 fn watchdog(period_ns: u64) -> i32 {
     const UNIT_NS: u64 = 20_000_000;
     // Values above 127 have another meaning; below 10 a pause of the machine would stop the arm.

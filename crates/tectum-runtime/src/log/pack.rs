@@ -1,7 +1,7 @@
 //! Packs a whole log: puts its records into chunks with an index, compressed.
 //!
-//! While a run writes its log, every message is a record by itself, so that a kill loses none. Many programs read such a
-//! file slowly, or show it as empty, because they look for chunks and their index. Packing changes no message and no
+//! While a run writes its log, every message is a record by itself, so that a kill loses none. Many programs read such
+//! a file slowly, or show it as empty, because they look for chunks and their index. Packing changes no message and no
 //! statement, only the layout: [`LogReader`] reads both. Views of the samples follow behind them
 //! ([`views`](super::views)). The packed log replaces the other one at once or not at all.
 
@@ -49,13 +49,13 @@ impl PackedLog {
     }
 }
 
-/// Packs the whole log at `path`, with views of its samples if they are wanted. Without `out` the packed log replaces it; with `out` it is written there. A log that
-/// is packed already is not changed.
+/// Packs the whole log at `path`, with views of its samples if they are wanted. Without `out` the packed log replaces
+/// it; with `out` it is written there. A log that is packed already is not changed.
 ///
 /// # Errors
 ///
-/// As [`LogReader::open`] and its iterator; [`LogError::InUse`] while its logger is running; [`LogError::Torn`] if it is
-/// torn; [`LogError::Write`] if the new file cannot be written or exists.
+/// As [`LogReader::open`] and its iterator; [`LogError::InUse`] while its logger is running; [`LogError::Torn`] if it
+/// is torn; [`LogError::Write`] if the new file cannot be written or exists.
 pub fn pack(path: &Path, out: Option<&Path>, views: bool) -> Result<PackedLog, LogError> {
     let read = |e| LogError::read(path, e);
     let file = File::open(path).map_err(read)?;

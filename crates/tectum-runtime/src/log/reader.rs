@@ -244,18 +244,7 @@ impl LogReader {
                     self.finished = true;
                     return Ok(None);
                 }
-                Some(Err(McapError::UnexpectedEof)) if self.position > mcap::MAGIC.len() as u64 => return Ok(None),
-                Some(Err(McapError::UnexpectedEof)) => {
-                    return Err(LogError::not_a_log(&self.contents.path, "it is empty or ends within its first bytes"));
-                }
-                Some(Err(McapError::BadMagic)) if self.position == mcap::MAGIC.len() as u64 => {
-                    return Err(LogError::not_a_log(&self.contents.path, "it does not start like an MCAP file"));
-                }
-                Some(Err(McapError::BytesAfterEndMagic)) => {
-                    let end = self.position + mcap::MAGIC.len() as u64;
-                    return Err(LogError::BehindEnd { path: self.contents.path.clone(), end });
-                }
-                Some(Err(e)) => return Err(damaged(&self.contents.path, self.position, &e.to_string())),
+                Some(Err(error)) => return end_without_magic(&self.contents.path, self.position, error),
                 Some(Ok(event)) => event,
             };
             match event {
@@ -294,6 +283,20 @@ impl LogReader {
                 }
             }
         }
+    }
+}
+
+/// What it means that MCAP's reader fails behind the last whole record, at byte `position`: a torn log ends there.
+fn end_without_magic(path: &Path, position: u64, error: McapError) -> Result<Option<ReadStep>, LogError> {
+    let magic = mcap::MAGIC.len() as u64;
+    match error {
+        McapError::UnexpectedEof if position > magic => Ok(None),
+        McapError::UnexpectedEof => Err(LogError::not_a_log(path, "it is empty or ends within its first bytes")),
+        McapError::BadMagic if position == magic => {
+            Err(LogError::not_a_log(path, "it does not start like an MCAP file"))
+        }
+        McapError::BytesAfterEndMagic => Err(LogError::BehindEnd { path: path.to_owned(), end: position + magic }),
+        error => Err(damaged(path, position, &error.to_string())),
     }
 }
 

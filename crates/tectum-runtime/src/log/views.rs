@@ -1,7 +1,7 @@
 //! Views: what a packed log holds beside its samples, for programs that draw curves by name.
 //!
-//! A sample is an array of numbers, and replay needs it as it was. A person looks for `theta_1` and its unit. So a packed
-//! log repeats the numbers on topics whose messages have the scenario's names as fields:
+//! A sample is an array of numbers, and replay needs it as it was. A person looks for `theta_1` and its unit. So a
+//! packed log repeats the numbers on topics whose messages have the scenario's names as fields:
 //!
 //! | topic | type | content, at the time of the sample |
 //! |---|---|---|
