@@ -3,7 +3,8 @@
 mod support;
 
 use support::terminal::TestTerminal;
-use support::{Process, TECTUM, TestFolder, WATCHDOG, domain, has_ended, read_json, shared_memory, signal_process};
+use support::web_watcher::WebWatcher;
+use support::{Process, TECTUM, TestFolder, WATCHDOG, domain, has_ended, program, read_json, shared_memory};
 
 /// A run in real time that lasts until the test ends it.
 fn long_run(folder: &TestFolder) -> Process {
@@ -144,37 +145,49 @@ fn long_run_in(folder: &TestFolder, name: &str) -> Process {
     run
 }
 
-/// Four watchers, one of which is stopped while it reads: the run's result is the same to the last bit, nothing is
+/// Four watchers, one of which is stopped while it watches: the run's result is the same to the last bit, nothing is
 /// missed, and the run's part of shared memory has nothing that it does not have without them.
 #[test]
 fn four_watchers_of_which_one_is_stopped_change_nothing() {
     let folder = TestFolder::new();
-    let terminals = [TestTerminal::new([80, 24]), TestTerminal::new([40, 24])];
-    let mut watchers: Vec<Process> =
-        terminals.iter().map(|terminal| terminal.start(&folder, &["watch", "run", "--wait"], true)).collect();
-    for _ in 0..2 {
-        watchers.push(folder.start(TECTUM, &["watch", "run", "--wait", "--web", "127.0.0.1:0"]));
+    let alone = folder.start(TECTUM, &["run", "arm", "--ticks", "200", "--out", "alone", "--json"]);
+    let alone = alone.wait().expect(0).json();
+    // A run that waits for its logger, so that all watchers see it from its begin, however fast it is.
+    let mut run = folder.run(&["arm", "--ticks", "200", "--by-hand", "logger", "--json"]);
+    run.wait_until("the run's manifest", || folder.run_folder().join("run.json").exists());
+    let files = || {
+        let mut files = shared_memory(&domain(folder.run_folder()));
+        files.sort();
+        files
+    };
+    let terminals = [TestTerminal::new([80, 24]), TestTerminal::new([40, 30])];
+    let mut watchers = terminals.each_ref().map(|terminal| terminal.start(&folder, &["watch", "run"], true));
+    for (watcher, terminal) in watchers.iter_mut().zip(&terminals) {
+        wait_for(watcher, terminal, &["plant      setting up", "controller setting up", "logger     waiting"]);
     }
-    let mut run = folder.run(&["arm", "--json"]);
-    wait_for(&mut watchers[0], &terminals[0], &["lockstep", "running"]);
-    signal_process(watchers[1].id(), "STOP");
-    let files = shared_memory(&domain(folder.run_folder()));
-    let nodes = files.iter().filter(|file| file.ends_with(".node_monitor") || file.contains("node")).count();
-    assert!(nodes <= 4, "launcher, plant, controller and logger, and no watcher: {files:#?}");
-    run.wait_until_or_end("the run's end", || false);
+    let before = files();
+    let pages = [(); 2].map(|()| WebWatcher::start(&folder, &["run", "--web", "127.0.0.1:0"]));
+    let mut events = pages.each_ref().map(|page| page.events("/events"));
+    assert!(events.iter_mut().all(|events| events.next().unwrap()["kind"] == "hello"));
+    assert_eq!(files(), before, "watchers leave files in shared memory");
+    watchers[1].signal("STOP");
+    let logger = folder.start(program("tectum-logger"), &["--run", "run"]);
     let summary = run.wait().expect(0).json();
-    assert_eq!(summary["weights_hash"].as_str(), Some("3fe6c1b84a66790b"), "{summary}");
-    assert_eq!((summary["missed"].as_u64(), summary["lost"].as_u64()), (Some(0), Some(0)), "{summary}");
+    logger.wait().expect(0);
+    for what in ["weights_hash", "missed", "late", "lost", "ticks"] {
+        assert!(!summary[what].is_null() && summary[what] == alone[what], "{what}: {summary}\nand alone {alone}");
+    }
     folder.assert_no_debris();
-    wait_for(&mut watchers[0], &terminals[0], &["the run is over", "tick 3,600 of 3,600"]);
-    signal_process(watchers[1].id(), "CONT");
+    wait_for(&mut watchers[0], &terminals[0], &["the run is over", "tick 200 of 200"]);
+    let last = events[0].find(|event| !event["ended"].is_null()).unwrap();
+    assert_eq!((&last["ended"], &last["tick"]), (&"the run is over".into(), &200.into()));
+    watchers[1].signal("CONT");
     wait_for(&mut watchers[1], &terminals[1], &["the run is over"]);
     for watcher in watchers {
         watcher.signal("TERM");
         watcher.wait().expect(143);
     }
-    let logged = read_json(folder.run_folder().join("run.json"));
-    assert_eq!(logged["mode"], "lockstep");
+    pages.into_iter().for_each(WebWatcher::end);
 }
 
 #[test]

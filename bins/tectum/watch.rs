@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use tectum::clock::TerminationSignals;
-use tectum::process::print_error_line;
+use tectum::process::{print_error_line, print_result};
 use tectum::runtime::exit;
 use tectum::watch::{FaceEnd, Follower, WatchError, WatchTarget, snapshot, watch_in_browser, watch_in_terminal};
 
@@ -62,9 +62,7 @@ fn watch(arguments: &Arguments) -> Result<ExitCode, WatchError> {
     }
     let end = match &arguments.web {
         Some(address) => {
-            let announce = |url: &str| {
-                print(&format!("{url}\n"));
-            };
+            let announce = |url: &str| print_result(&format!("{url}\n"));
             watch_in_browser(&mut follower, address, &signals, announce)?
         }
         None => watch_in_terminal(&mut follower, &signals, || false)?,

@@ -97,10 +97,11 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let run_id = run_id(plan);
     let domain = DomainName::of(run_id);
     let services = RunServices::create(&domain, &identity(plan), &plan.scenario.channels, plan.scenario.vision())?;
+    // Before the manifest, by which watchers know a run.
+    let watch_files = Arc::new(WatchFiles::create(&domain, folder.path()));
     folder.write_manifest(&manifest(launch, run_id, &domain), plan)?;
 
     services.control.put(Control::default());
-    let watch_files = Arc::new(WatchFiles::create(&domain, folder.path()));
     let children = ChildProcesses::start(plan, folder.path(), &launch.by_hand, Arc::clone(&watch_files))?;
     let progress = RunProgress::new(launch, &folder);
     let folder_watch = FolderWatch::new(&folder);

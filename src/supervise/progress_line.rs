@@ -1,5 +1,5 @@
-//! A progress line on standard error: one line that is overwritten in place, shown only on a terminal. What does not fit
-//! into the terminal's width is left out, because a line that is broken cannot be overwritten.
+//! A progress line on standard error: one line that is overwritten in place, shown only on a terminal. What does not
+//! fit into the terminal's width is left out, because a line that is broken cannot be overwritten.
 
 use std::io::{IsTerminal as _, Write as _};
 

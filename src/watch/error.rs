@@ -68,6 +68,9 @@ pub enum WatchError {
         /// What is wrong with it.
         cause: String,
     },
+    /// The page's address cannot be printed.
+    #[error("standard output cannot be written: {0}")]
+    Output(std::io::Error),
     /// The launcher of the run to watch cannot be started.
     #[error("the run cannot be launched: {0}")]
     Launcher(std::io::Error),

@@ -9,7 +9,7 @@ use super::living::LivingRun;
 use super::run_watcher::RunWatcher;
 
 /// How often it looks for a run, s.
-const SEARCH_EVERY_S: f64 = 0.5;
+const SEARCH_EVERY_S: f64 = 0.2;
 
 /// Which run to watch.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -49,7 +49,9 @@ impl Follower {
         let mut follower = Self { target, watched: None, waits_for: String::new(), next_search: 0.0, generation: 0 };
         match follower.find() {
             Ok(run) => follower.begin(run)?,
-            Err(_) if wait => follower.waits_for = follower.what_it_waits_for(),
+            Err(WatchError::NoRun { .. } | WatchError::NoneLiving) if wait => {
+                follower.waits_for = follower.what_it_waits_for();
+            }
             Err(error) => return Err(error),
         }
         Ok(follower)

@@ -122,20 +122,20 @@ impl ScreenSession {
         }
     }
 
-    /// Waits for a key, for `ns` nanoseconds at most.
-    pub fn key(&mut self, ns: u64) -> Option<Key> {
+    /// Waits for keys, for `ns` nanoseconds at most.
+    pub fn keys(&mut self, ns: u64) -> Vec<Key> {
         let stdin = std::io::stdin();
         let mut fds = [PollFd::new(&stdin, PollFlags::IN)];
         let limit = Timespec { tv_sec: (ns / 1_000_000_000) as i64, tv_nsec: (ns % 1_000_000_000) as i64 };
         // A signal ends the wait early; the caller's loop checks for it.
         if !matches!(poll(&mut fds, Some(&limit)), Ok(1)) {
-            return None;
+            return Vec::new();
         }
         let mut bytes = [0; 64];
         match rustix::io::read(&stdin, &mut bytes) {
-            Ok(0) | Err(rustix::io::Errno::IO) => Some(Key::HungUp),
-            Ok(n) => key_of(&bytes[..n]),
-            Err(_) => None,
+            Ok(0) | Err(rustix::io::Errno::IO) => vec![Key::HungUp],
+            Ok(n) => keys_of(&bytes[..n]),
+            Err(_) => Vec::new(),
         }
     }
 }
@@ -146,18 +146,22 @@ impl Drop for ScreenSession {
     }
 }
 
-/// The first key that is known among what was typed. Arrows and other keys that send several bytes are passed over.
-fn key_of(bytes: &[u8]) -> Option<Key> {
-    if bytes.first() == Some(&0x1b) {
-        return None;
+/// The keys that are known among what was typed. Arrows and other keys that send several bytes are passed over.
+fn keys_of(bytes: &[u8]) -> Vec<Key> {
+    let mut keys = Vec::new();
+    let mut rest = bytes.iter().copied();
+    while let Some(byte) = rest.next() {
+        match byte {
+            b'q' | b'Q' => keys.push(Key::Quit),
+            0x03 => keys.push(Key::Interrupt),
+            b' ' => keys.push(Key::Pause),
+            b'?' | b'h' => keys.push(Key::Help),
+            // A sequence ends with its first byte from @ on, after [ or O.
+            0x1b if matches!(rest.next(), Some(b'[' | b'O')) => drop(rest.find(|byte| (0x40..0x7f).contains(byte))),
+            _ => {}
+        }
     }
-    bytes.iter().find_map(|byte| match byte {
-        b'q' | b'Q' => Some(Key::Quit),
-        0x03 => Some(Key::Interrupt),
-        b' ' => Some(Key::Pause),
-        b'?' | b'h' => Some(Key::Help),
-        _ => None,
-    })
+    keys
 }
 
 /// Writes what turns the screen `before` into `after`.
@@ -216,8 +220,10 @@ mod tests {
 
     #[test]
     fn keys_are_known_and_sequences_are_passed_over() {
-        let keys = [b"q".as_slice(), b"\x03", b" ", b"x?", b"\x1b[A", b"\x1bq", b""].map(key_of);
-        let known = [Some(Key::Quit), Some(Key::Interrupt), Some(Key::Pause), Some(Key::Help), None, None, None];
+        use Key::{Help, Interrupt, Pause, Quit};
+        let keys =
+            [b"q".as_slice(), b"\x03", b"x? ", b"\x1b[A\x1b[3~q", b"\x1bOPq", b"\x1bq", b"\x1b", b""].map(keys_of);
+        let known = [vec![Quit], vec![Interrupt], vec![Help, Pause], vec![Quit], vec![Quit], vec![], vec![], vec![]];
         assert_eq!(keys, known);
     }
 }

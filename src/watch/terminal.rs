@@ -57,15 +57,16 @@ pub fn watch_in_terminal(
                 return Ok(FaceEnd::Over);
             }
         }
-        match session.key(next.saturating_sub(monotonic_ns())) {
-            Some(Key::Quit) => return Ok(FaceEnd::Quit),
-            Some(Key::Interrupt) => return Ok(FaceEnd::Interrupted),
-            Some(Key::HungUp) => return Ok(FaceEnd::HungUp),
-            Some(Key::Pause) => face.pause(follower),
-            Some(Key::Help) => face.options.help = !face.options.help,
-            None => continue,
+        for key in session.keys(next.saturating_sub(monotonic_ns())) {
+            match key {
+                Key::Quit => return Ok(FaceEnd::Quit),
+                Key::Interrupt => return Ok(FaceEnd::Interrupted),
+                Key::HungUp => return Ok(FaceEnd::HungUp),
+                Key::Pause => face.pause(follower),
+                Key::Help => face.options.help = !face.options.help,
+            }
+            next = monotonic_ns();
         }
-        next = monotonic_ns();
     }
 }
 

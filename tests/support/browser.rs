@@ -113,11 +113,12 @@ impl Browser {
         result["result"]["value"].clone()
     }
 
-    /// Waits until an expression in the page is true.
+    /// Waits until an expression in the page is true. While the page loads, it may fail.
     #[track_caller]
     pub fn wait_until(&mut self, expression: &str) {
         let began = Instant::now();
-        while self.evaluate(expression) != true {
+        let tried = format!("(() => {{ try {{ return {expression}; }} catch {{ return false; }} }})()");
+        while self.evaluate(&tried) != true {
             let state = "document.body.innerText";
             if began.elapsed() > WATCHDOG {
                 panic!("waiting for {expression}; the page shows\n{}\n{:#?}", self.evaluate(state), self.complaints);

@@ -19,8 +19,8 @@ use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 pub use tectum_testkit::{
-    Process, ProcessOutcome, WATCHDOG, assert_no_debris, children, domain, has_ended, read_json, shared_memory,
-    signal_process, stop_process_for,
+    Process, ProcessOutcome, WATCHDOG, assert_no_debris, children, domain, has_ended, program, read_json,
+    shared_memory, signal_process, stop_process_for,
 };
 
 /// The `tectum` program under test.

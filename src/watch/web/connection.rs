@@ -7,7 +7,7 @@ use std::net::{SocketAddr, TcpStream};
 use tectum_view::RunView;
 use tectum_view::page::PageCursor;
 
-use super::request::{Answer, LONGEST_HEAD, answer, head};
+use super::request::{LONGEST_HEAD, PageResponse, answer, head};
 
 /// How long a connection may take to ask, ns.
 const REQUEST_NS: u64 = 5_000_000_000;
@@ -105,22 +105,22 @@ impl Connection {
         }
     }
 
-    fn give(&mut self, answer: Answer, page: &str) {
+    fn give(&mut self, answer: PageResponse, page: &str) {
         const HTML: &str = "text/html; charset=utf-8";
         match answer {
-            Answer::NotYet => {}
-            Answer::Page { head: only_head } => {
+            PageResponse::NotYet => {}
+            PageResponse::Page { head: only_head } => {
                 self.output.extend(head("200 OK", HTML, Some(page.len())).into_bytes());
                 self.output.extend(if only_head { "" } else { page }.bytes());
                 self.stage = Stage::Answered;
             }
-            Answer::Events => {
+            PageResponse::Events => {
                 // A browser that loses the connection tries again after a second.
                 self.output.extend(head("200 OK", "text/event-stream", None).into_bytes());
                 self.output.extend(b"retry: 1000\n\n");
                 self.stage = Stage::Reading(PageCursor::default());
             }
-            Answer::Refusal(status, text) => {
+            PageResponse::Refusal(status, text) => {
                 self.output.extend(head(status, "text/plain; charset=utf-8", Some(text.len() + 1)).into_bytes());
                 self.output.extend(text.bytes().chain(*b"\n"));
                 self.stage = Stage::Answered;

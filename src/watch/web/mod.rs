@@ -32,12 +32,12 @@ const MOST_CONNECTIONS: usize = 64;
 /// page's address when it can be read.
 ///
 /// # Errors
-/// [`WatchError::Address`] if the address cannot be listened on.
+/// [`WatchError::Address`] if the address cannot be listened on, [`WatchError::Output`] if `announce` fails.
 pub fn watch_in_browser(
     follower: &mut Follower,
     address: &str,
     signals: &TerminationSignals,
-    announce: impl FnOnce(&str),
+    announce: impl FnOnce(&str) -> std::io::Result<()>,
 ) -> Result<FaceEnd, WatchError> {
     let address = WebAddress::parse(address)?;
     let listener = address.listen()?;
@@ -45,7 +45,7 @@ pub fn watch_in_browser(
     listener.set_nonblocking(true).map_err(failed)?;
     let local = listener.local_addr().map_err(failed)?;
     let token = if local.ip().is_loopback() { None } else { Some(address::token().map_err(failed)?) };
-    announce(&link(local, token.as_deref()));
+    announce(&link(local, token.as_deref())).map_err(WatchError::Output)?;
     let mut server = Server { listener, local, token, page: page::page(), connections: Vec::new() };
     let began = monotonic_ns();
     let mut next = began;

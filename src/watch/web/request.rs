@@ -9,7 +9,7 @@ const MOST_FIELDS: usize = 64;
 
 /// The answer to a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Answer {
+pub(super) enum PageResponse {
     /// The head is not complete yet.
     NotYet,
     /// The page; without its body if the method was HEAD.
@@ -24,37 +24,37 @@ pub(super) enum Answer {
 }
 
 /// The answer to the request whose first bytes are `bytes`. The page is served at `local`, to whoever has `token`.
-pub(super) fn answer(bytes: &[u8], local: SocketAddr, token: Option<&str>) -> Answer {
+pub(super) fn answer(bytes: &[u8], local: SocketAddr, token: Option<&str>) -> PageResponse {
     let mut fields = [httparse::EMPTY_HEADER; MOST_FIELDS];
     let mut request = httparse::Request::new(&mut fields);
     match request.parse(bytes) {
         Ok(httparse::Status::Complete(_)) => {}
-        Ok(httparse::Status::Partial) if bytes.len() < LONGEST_HEAD => return Answer::NotYet,
+        Ok(httparse::Status::Partial) if bytes.len() < LONGEST_HEAD => return PageResponse::NotYet,
         Ok(httparse::Status::Partial) => {
-            return Answer::Refusal("431 Request Header Fields Too Large", "The request is too long.");
+            return PageResponse::Refusal("431 Request Header Fields Too Large", "The request is too long.");
         }
-        Err(_) => return Answer::Refusal("400 Bad Request", "This is no request of HTTP."),
+        Err(_) => return PageResponse::Refusal("400 Bad Request", "This is no request of HTTP."),
     }
     let head = request.method == Some("HEAD");
     if !head && request.method != Some("GET") {
-        return Answer::Refusal("405 Method Not Allowed", "Nothing here can be changed.");
+        return PageResponse::Refusal("405 Method Not Allowed", "Nothing here can be changed.");
     }
     let (path, query) = split_query(request.path.unwrap_or_default());
     let host = request.headers.iter().find(|field| field.name.eq_ignore_ascii_case("host"));
     let host = host.and_then(|field| std::str::from_utf8(field.value).ok()).unwrap_or_default();
     match token {
         None if !names_this_machine(host, local) => {
-            return Answer::Refusal("403 Forbidden", "This page is for this machine alone; open it as printed.");
+            return PageResponse::Refusal("403 Forbidden", "This page is for this machine alone; open it as printed.");
         }
         Some(token) if !query.split('&').any(|pair| pair.strip_prefix("token=") == Some(token)) => {
-            return Answer::Refusal("403 Forbidden", "The token is missing or wrong; open the link as printed.");
+            return PageResponse::Refusal("403 Forbidden", "The token is missing or wrong; open the link as printed.");
         }
         _ => {}
     }
     match path {
-        "/" => Answer::Page { head },
-        "/events" if !head => Answer::Events,
-        _ => Answer::Refusal("404 Not Found", "There is nothing here; the page is at /."),
+        "/" => PageResponse::Page { head },
+        "/events" if !head => PageResponse::Events,
+        _ => PageResponse::Refusal("404 Not Found", "There is nothing here; the page is at /."),
     }
 }
 
@@ -88,43 +88,46 @@ pub(super) fn head(status: &str, kind: &str, length: Option<usize>) -> String {
 mod tests {
     use super::*;
 
-    fn ask(text: &str, token: Option<&str>) -> Answer {
+    fn ask(text: &str, token: Option<&str>) -> PageResponse {
         answer(text.as_bytes(), "127.0.0.1:8417".parse().unwrap(), token)
     }
 
     #[test]
     fn this_machine_may_read_and_other_names_for_it_may_not() {
         for host in ["localhost:8417", "127.0.0.1:8417", "[::1]:8417"] {
-            assert_eq!(ask(&format!("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n"), None), Answer::Page { head: false });
+            assert_eq!(
+                ask(&format!("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n"), None),
+                PageResponse::Page { head: false }
+            );
         }
         for host in ["evil.example:8417", "localhost:80", "localhost", "", "127.0.0.1.evil.example:8417"] {
             let answer = ask(&format!("GET /events HTTP/1.1\r\nhost: {host}\r\n\r\n"), None);
-            assert!(matches!(answer, Answer::Refusal("403 Forbidden", _)), "{host}: {answer:?}");
+            assert!(matches!(answer, PageResponse::Refusal("403 Forbidden", _)), "{host}: {answer:?}");
         }
     }
 
     #[test]
     fn another_machine_needs_the_token() {
         let with = |target: &str| ask(&format!("GET {target} HTTP/1.1\r\nHost: robot:8417\r\n\r\n"), Some("5e"));
-        assert_eq!(with("/?token=5e"), Answer::Page { head: false });
-        assert_eq!(with("/events?x=1&token=5e"), Answer::Events);
+        assert_eq!(with("/?token=5e"), PageResponse::Page { head: false });
+        assert_eq!(with("/events?x=1&token=5e"), PageResponse::Events);
         for target in ["/", "/?token=", "/?token=5", "/?token=5e5e", "/events?tok=5e", "/events"] {
-            assert!(matches!(with(target), Answer::Refusal("403 Forbidden", _)), "{target}");
+            assert!(matches!(with(target), PageResponse::Refusal("403 Forbidden", _)), "{target}");
         }
     }
 
     #[test]
     fn what_is_no_request_is_refused_and_what_is_not_whole_is_waited_for() {
         let host = "HTTP/1.1\r\nHost: localhost:8417\r\n\r\n";
-        assert_eq!(ask("GET / HTTP/1.1\r\nHo", None), Answer::NotYet);
-        assert_eq!(ask(&format!("HEAD / {host}"), None), Answer::Page { head: true });
+        assert_eq!(ask("GET / HTTP/1.1\r\nHo", None), PageResponse::NotYet);
+        assert_eq!(ask(&format!("HEAD / {host}"), None), PageResponse::Page { head: true });
         for (text, status) in [
             ("\x16\x03\x01hello".to_owned(), "400"),
             (format!("POST / {host}"), "405"),
             (format!("GET /../etc/passwd {host}"), "404"),
             (format!("GET /{}", "x".repeat(LONGEST_HEAD)), "431"),
         ] {
-            let Answer::Refusal(found, _) = ask(&text, None) else { panic!("{text}") };
+            let PageResponse::Refusal(found, _) = ask(&text, None) else { panic!("{text}") };
             assert!(found.starts_with(status), "{found} for {text}");
         }
     }

@@ -94,7 +94,10 @@ fn numbers(values: &[f32]) -> Value {
 fn hello(view: &RunView, generation: u64) -> Value {
     let facts = &view.facts;
     let signals = |signals: &[crate::SignalRange]| -> Value {
-        let json = |s: &crate::SignalRange| json!({"name": s.name, "unit": s.unit, "min": number(s.min.into()), "max": number(s.max.into())});
+        let json = |s: &crate::SignalRange| {
+            let [min, max] = [s.min, s.max].map(|end| number(end.into()));
+            json!({"name": s.name, "unit": s.unit, "min": min, "max": max})
+        };
         signals.iter().map(json).collect()
     };
     let frame = facts.arm.map(|frame| json!({"centre": numbers(&frame.centre), "half": number(frame.half.into())}));
