@@ -52,7 +52,7 @@ impl Arm {
         }
     }
 
-    /// Waits until a shaft turns at its highest speed. At most a few ticks pass until it does; after hundreds, none will.
+    /// Waits until a shaft turns at its highest speed. A few ticks pass until one does; after hundreds, none will.
     fn wait_for_full_speed(&mut self) {
         let full = 0.98 * MAX_SPEED / STEP;
         let mut looks = 0;
