@@ -202,6 +202,41 @@ fn jog_leaves_no_torque_behind() {
     }
 }
 
+/// A run or `jog` that ends while the cable is out leaves the servos, which keep power and torque, to the
+/// guard: it waits for the cable.
+#[test]
+fn what_ends_while_the_cable_is_out_leaves_no_torque_behind() {
+    for protocol in ["feetech", "dynamixel"] {
+        let test_folder = TestFolder::new();
+        let mut arm = Arm::start(&test_folder, protocol);
+        let (mut run, _, _) = start_run(&test_folder, protocol, "position", false);
+        arm.wait_for_torque(true);
+        arm.emulator.send_command("unplug");
+        run.signal("INT");
+        run.wait_until_or_end("the end of the run", || false);
+        run.wait();
+        arm.emulator.send_command("state");
+        arm.take_report();
+        assert!(arm.servos[1..].iter().all(|servo| servo["torque"] == true), "{protocol}: nobody could tell them");
+        arm.emulator.send_command("plug");
+        arm.wait_for_torque(false);
+
+        let mut jog = Command::new(BRIDGE)
+            .args(["jog", "--port", "arm", "--protocol", protocol, "--id", "2", "--by", "1", "--speed", "0.02"])
+            .current_dir(test_folder.path())
+            .stdin(Stdio::null())
+            .spawn()
+            .unwrap();
+        while arm.servos[2]["torque"] != true {
+            arm.take_report();
+        }
+        arm.emulator.send_command("unplug");
+        assert!(!jog.wait().unwrap().success(), "{protocol}");
+        arm.emulator.send_command("plug");
+        arm.wait_for_torque(false);
+    }
+}
+
 /// The cable is out for a while: the emulator ends, and another one takes its place under the same name.
 #[test]
 fn a_cable_that_comes_back_is_used_again() {

@@ -258,8 +258,8 @@ fn a_misspelt_name_gets_suggestions() {
         (
             "nowhere",
             "the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, \
-             open-loop-3, open-loop-4, office, pendulum, cart-pole, so101, so101-emulated, servo-simulated, servo-emulated and \
-             servo-vision",
+             open-loop-3, open-loop-4, office, pendulum, cart-pole, so101, so101-emulated, servo-simulated, \
+             servo-emulated and servo-vision",
         ),
     ] {
         assert_eq!(remedy(name), remedies, "{name}");

@@ -109,6 +109,9 @@ fn run_bridge(arguments: &Arguments) -> Result<(), Problem> {
     if let Some(guard) = guard {
         attach(&mut bridge, guard);
     }
+    if config.port == "emulator" {
+        bridge.set_port_ends_with_run();
+    }
     if let Some(clock) = clock {
         bridge.set_virtual_time(clock);
     }

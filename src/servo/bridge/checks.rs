@@ -240,6 +240,11 @@ pub(super) fn prepare(
             return Err(BridgeError::HardwareError { id: joint.id, bits });
         }
     }
+    if let Some(watchdog) = series.bus_watchdog {
+        // One that has stopped a servo, after the death of another bridge, refuses goals until it is cleared.
+        let ids: Vec<_> = joints.iter().map(|joint| joint.id).collect();
+        bus.sync_set(&ids, watchdog, |_| 0)?;
+    }
     for joint in joints {
         bus.write(joint.id, series.torque_enable, 0)?;
         let mode = if goal == ServoGoal::Speed { series.velocity_mode } else { series.position_mode };

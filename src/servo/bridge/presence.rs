@@ -29,6 +29,8 @@ pub(super) struct Presence {
     gone_since: Option<u64>,
     reopen_within: u64,
     give_up: Option<GiveUp>,
+    /// Whether nobody needs the port after the run.
+    port_ends_with_run: bool,
     /// Whether the loop is over, and torque off.
     pub(super) ended: bool,
     /// Why torque was off at the end.
@@ -43,7 +45,9 @@ impl Presence {
     /// Leaves servos that cannot be told to turn torque off to the guard: it is not bidden farewell, so it acts when
     /// this process has ended, and waits for a cable that is out.
     pub(super) fn leave_to_guard(&mut self) {
-        std::mem::forget(self.guard.take());
+        if !self.port_ends_with_run {
+            std::mem::forget(self.guard.take());
+        }
     }
 
     /// Length of a tick, ns.
@@ -79,6 +83,12 @@ impl Bridge {
     /// lives. Without a guard the bridge has torque only in tests.
     pub fn set_guard(&mut self, guard: Box<dyn FnMut(bool) -> bool>) {
         self.presence.guard = Some(guard);
+    }
+
+    /// Says that the port ends with the run, as that of a chain which is emulated for it does: nothing is left to the
+    /// guard.
+    pub fn set_port_ends_with_run(&mut self) {
+        self.presence.port_ends_with_run = true;
     }
 
     /// Sets the clock of the machine's sleep: the time, ns, for which it was suspended since it was started.

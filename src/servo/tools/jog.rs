@@ -109,6 +109,10 @@ fn prepare(bus: &mut Bus, motion: Jog) -> Result<(i32, i32), ToolError> {
     })?;
     let goal = goal(motion, joint, &before)?;
     bus.torque_off(&[id]);
+    if let Some(watchdog) = series.bus_watchdog {
+        // One that has stopped the servo, after the death of another program, refuses goals until it is cleared.
+        bus.write(id, watchdog, 0)?;
+    }
     bus.write(id, series.operating_mode, i32::from(series.position_mode))?;
     // The change of mode maps positions of more than a turn to those within one.
     let start = bus.read(id, series.position)?;
