@@ -112,7 +112,7 @@ fn one_object_has_the_numbers_of_now() {
         (&"controller".into(), &"running".into())
     );
     let stages: Vec<_> = now["stages"].as_array().unwrap().iter().map(|stage| stage["us"]["p50"].as_f64()).collect();
-    assert!(stages.iter().all(|p50| p50.is_some_and(|us| us >= 0.0 && us < 60_000.0)), "{now}");
+    assert!(stages.iter().all(|p50| p50.is_some_and(|us| us >= 0.0)), "{now}");
     end(run);
 }
 

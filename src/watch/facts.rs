@@ -63,13 +63,13 @@ pub(super) fn drawable_arm(plan: &Plan) -> Option<&ArmConfig> {
     plan.scenario.plant.arm.as_ref().filter(|arm| !arm.open_loop && plan.inputs.len() == 2 + arm.lengths.len())
 }
 
-/// The square that holds everything that the arm can reach, and its targets.
+/// The square that holds the arm's targets and its base with half its reach around: it seldom bends further.
 fn arm_frame(arm: &ArmConfig) -> ArmFrame {
     let reach: f64 = arm.lengths.iter().sum();
     let ends = |axis: usize| {
         let [low, high] = [arm.base[axis] - reach, arm.base[axis] + reach];
-        // Most of what lies below a base at the edge of the arena is never visited.
-        [low.max(arm.arena[0].min(arm.base[axis])), high.min(arm.arena[1].max(arm.base[axis]))]
+        let [near_low, near_high] = [arm.base[axis] - 0.5 * reach, arm.base[axis] + 0.5 * reach];
+        [low.max(arm.arena[0].min(near_low)), high.min(arm.arena[1].max(near_high))]
     };
     let [[left, right], [bottom, top]] = [ends(0), ends(1)];
     let half = MARGIN * 0.5 * (right - left).max(top - bottom);

@@ -326,8 +326,8 @@ pub(crate) mod tests {
             inputs: vec![
                 signal("target_x", "m", 1.0),
                 signal("target_y", "m", 1.0),
-                signal("theta_1", "rad", 3.14),
-                signal("theta_2", "rad", 3.14),
+                signal("theta_1", "rad", 3.0),
+                signal("theta_2", "rad", 3.0),
             ],
             outputs: vec![signal("rate_1", "", 0.05), signal("rate_2", "", 0.05)],
             measures: vec!["error".to_owned()],

@@ -15,7 +15,7 @@ pub fn thousands(n: u64) -> String {
 
 /// A time in its two greatest units: `4 s`, `3:05 min`, `2:05 h`.
 pub fn duration(seconds: f64) -> String {
-    if !seconds.is_finite() || seconds < 0.0 || seconds >= 3.6e8 {
+    if !(0.0..3.6e8).contains(&seconds) {
         return "?".to_owned();
     }
     let whole = seconds.round() as u64;
@@ -33,7 +33,7 @@ pub(crate) fn short(x: f64) -> String {
         "-".to_owned()
     } else if size == 0.0 {
         "0".to_owned()
-    } else if size < 1e-3 || size >= 1e6 {
+    } else if !(1e-3..1e6).contains(&size) {
         format!("{x:.1e}")
     } else {
         let digits = (2.0 - size.log10().floor()).clamp(0.0, 5.0) as usize;
