@@ -26,7 +26,7 @@ pub struct ModelFit {
 }
 
 /// Most samples of a posterior.
-pub const MAX_SAMPLES: usize = 8;
+const MAX_SAMPLES: usize = 8;
 
 /// A model of some outputs.
 #[derive(Debug, Clone)]
@@ -170,12 +170,12 @@ impl Model {
         self.weighted.take(&self.layout, features, regression, part, held);
     }
 
-    /// What the samples differ from the mean, at the last point of the planner's function.
-    pub fn apart(&self) -> ([f64; MAX_SAMPLES], usize) {
+    /// Mean square of what the samples differ from the mean, at the last point of the planner's function.
+    pub fn variance(&self) -> f64 {
         let mut apart = [0.0; MAX_SAMPLES];
-        let count = self.fit.regression.samples - 1;
-        self.weighted.outputs_at_point(1, &mut apart[..count]);
-        (apart, count)
+        let apart = &mut apart[..self.fit.regression.samples - 1];
+        self.weighted.outputs_at_point(1, apart);
+        apart.iter().map(|x| x * x).sum::<f64>() / (apart.len() as f64).max(1.0)
     }
 
     /// Works on the refit with about `operations`. Returns how many it took, and whether a new fit is in use.

@@ -49,7 +49,7 @@ impl StepCost {
             let value = value + of_output(model);
             [values + value, slopes + value + gradient]
         });
-        let slopes = value + samples * (gradient + active * active);
+        let slopes = value + gradient;
         let [_, pairs, products] = reward.weighted.size();
         let curves = active * active * pairs / 2 + 4 * active * products;
         // The eigenvalues take some five sweeps of rotations where the reward is not concave, and nothing elsewhere.

@@ -142,21 +142,16 @@ fn kernel(layout: &Layout, scales: &[f64], a: &[f64], b: &[f64]) -> f64 {
         }
     };
     let mut k = scales[0].exp();
-    let mut apart = 0.0_f64;
+    let (mut apart, mut singles) = (0.0_f64, 0.0);
     for (u, unit) in layout.units.iter().enumerate() {
         k += at(u, ScaleKind::Linear) * inner(u) + at(u, ScaleKind::Square) * inner(u).powi(2);
+        singles += if unit.group.is_some() { at(u, ScaleKind::Product) * inner(u) } else { 0.0 };
         let square = if unit.circle { 2.0 - 2.0 * inner(u) } else { (a[unit.at] - b[unit.at]).powi(2) };
         apart += at(u, ScaleKind::Smooth) * square;
     }
-    let factor = |units: &Vec<usize>| units.iter().map(|&u| at(u, ScaleKind::Product) * inner(u)).sum::<f64>();
-    let of_order = |order: u32| {
-        let chosen = |set: &usize| (*set as u32).count_ones() == order;
-        let product = |set: usize| -> f64 {
-            (0..layout.groups.len()).filter(|g| set & (1 << g) != 0).map(|g| factor(&layout.groups[g])).product()
-        };
-        scales[2 + order as usize].exp() * (0..1 << layout.groups.len()).filter(chosen).map(product).sum::<f64>()
-    };
-    k + scales[1].exp() * (2..=6).map(of_order).sum::<f64>() + scales[2].exp() * (-0.5 * apart).exp()
+    let factor = |units: &Vec<usize>| 1.0 + units.iter().map(|&u| at(u, ScaleKind::Product) * inner(u)).sum::<f64>();
+    let product: f64 = layout.groups.iter().map(factor).product();
+    k + scales[1].exp() * (product - 1.0 - singles) + scales[2].exp() * (-0.5 * apart).exp()
 }
 
 /// `log |A|` and `yᵀ A⁻¹ y`, by Gaussian elimination.
