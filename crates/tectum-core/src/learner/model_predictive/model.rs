@@ -163,8 +163,8 @@ impl Model {
         parts.reduce(f64::max)
     }
 
-    /// The planner's function from now on: the mean and a part of what the sample differs. The inputs `held` (bits) stay
-    /// as they are in `q`.
+    /// The planner's function from now on: the mean and a part of what the sample differs. The inputs `held` (bits)
+    /// stay as they are in `q`.
     pub fn take(&mut self, part: f64, held: (&[f64], u32)) {
         let ModelFit { features, regression, .. } = &self.fit;
         self.weighted.take(&self.layout, features, regression, part, held);
