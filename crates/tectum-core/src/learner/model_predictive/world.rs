@@ -114,20 +114,26 @@ pub struct LearnedWorld<'a> {
     pub scratch: &'a mut WorldScratch,
 }
 
-/// A reward as it counts, and its slope, if the model predicts `reward` at the last point of its planner's function:
-/// less `caution` standard deviations. Beyond the `best` reward that was seen, what is certain counts, less three
-/// standard deviations, and else a small part: it may be the promise of a model that knows nothing there.
+/// A reward as it counts, and its slope, if the model predicts `reward` at the last point of its planner's function.
+/// Beyond the `best` reward that was seen, what is certain counts, less three standard deviations, and else a small
+/// part: it may be the promise of a model that knows nothing there.
 fn believed(model: &Model, reward: f64, best: f64, caution: f64) -> (f64, f64) {
-    let is_promise = reward > best;
-    let deviation = if caution > 0.0 || is_promise { model.variance().sqrt() } else { 0.0 };
+    let doubt = if caution > 0.0 { caution * model.variance().sqrt() } else { 0.0 };
+    let (value, slope) = promised(model, reward, best);
+    (value - doubt, slope)
+}
+
+/// The same without caution.
+fn promised(model: &Model, reward: f64, best: f64) -> (f64, f64) {
+    if reward <= best {
+        return (reward, 1.0);
+    }
     let beyond = (reward - best).min(BEYOND);
-    let certain = beyond - DEVIATIONS * deviation;
-    let (value, slope) = match () {
-        () if !is_promise => (reward, 1.0),
-        () if certain < 0.0 => (best + PROMISED * beyond, PROMISED),
-        () => (best + PROMISED * beyond + (1.0 - PROMISED) * certain, 1.0),
-    };
-    (value - caution * deviation, slope)
+    let certain = beyond - DEVIATIONS * model.variance().sqrt();
+    match certain {
+        ..0.0 => (best + PROMISED * beyond, PROMISED),
+        _ => (best + PROMISED * beyond + (1.0 - PROMISED) * certain, 1.0),
+    }
 }
 
 impl LearnedWorld<'_> {
@@ -152,8 +158,9 @@ impl LearnedWorld<'_> {
 
     /// The reward of a point, as if it were before or after the tick, whichever the model looks at.
     pub fn reward_of(&mut self, q: &[f64]) -> f64 {
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let mut reward = [0.0];
-        self.reward.weighted.value(q, &mut reward);
+        weighted.value(layout, &fit.features, q, &mut reward);
         believed(self.reward, reward[0], self.best, self.caution).0
     }
 
@@ -174,8 +181,9 @@ impl World for LearnedWorld<'_> {
         self.dynamics.value(q, &mut d[..n]);
         self.advance(q, &d[..n], next);
         self.look(q, next);
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let mut reward = [0.0];
-        self.reward.weighted.value(&self.scratch.after, &mut reward);
+        weighted.value(layout, &fit.features, &self.scratch.after, &mut reward);
         believed(self.reward, reward[0], self.best, self.caution).0
     }
 
@@ -219,12 +227,16 @@ impl LearnedWorld<'_> {
             &mut *self.scratch;
         let order = active.len();
         let small = &mut small[..order * order];
-        let value = self.reward.weighted.hessian(after, active, by_look, small);
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
+        let value = weighted.hessian(layout, &fit.features, after, active, by_look, small);
         let slope = believed(self.reward, value, self.best, self.caution).1;
-        clip_to_concave(small, order, copy, vectors);
-        small.iter_mut().chain(by_look.iter_mut()).for_each(|x| *x *= slope);
         gradient.fill(0.0);
         hessian.fill(0.0);
+        if slope == 0.0 {
+            return;
+        }
+        clip_to_concave(small, order, copy, vectors);
+        small.iter_mut().chain(by_look.iter_mut()).for_each(|x| *x *= slope);
         if !self.after {
             gradient.copy_from_slice(by_look);
             for (r, &row) in active.iter().enumerate() {
