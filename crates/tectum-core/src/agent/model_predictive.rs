@@ -23,17 +23,11 @@ pub struct ModelPredictiveAgent {
     improved: bool,
 }
 
-/// Units of what is no angle.
-const NO_ANGLES: [&str; 18] = [
-    "m", "cm", "mm", "um", "m/s", "cm/s", "mm/s", "rad/s", "deg/s", "m/s^2", "N", "Nm", "N m", "kg", "A", "V", "K", "s",
-];
-
 /// What an input's description says about its range.
 fn range(signal: &SignalConfig) -> InputRange {
     let radians = match signal.unit.as_str() {
         "rad" => Some(1.0),
         "deg" => Some(std::f64::consts::PI / 180.0),
-        unit if NO_ANGLES.contains(&unit) => Some(0.0),
         _ => None,
     };
     InputRange { min: signal.min, max: signal.max, wraps: signal.wraps(), radians }

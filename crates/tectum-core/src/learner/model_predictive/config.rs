@@ -59,7 +59,7 @@ impl Default for ModelPredictiveConfig {
             first_noise: 3.0,
             refit_operations: 40.0,
             operations: 0.0,
-            noise_floor: 1e-9,
+            noise_floor: 1e-7,
         }
     }
 }
@@ -73,8 +73,7 @@ pub struct InputRange {
     pub max: f64,
     /// Whether the input comes round, as an angle does.
     pub wraps: bool,
-    /// Radians in one unit of the input, if it is known to be an angle: 1 for rad, pi / 180 for degrees; 0 if it is
-    /// known to be none, as a length or a velocity. Without it
+    /// Radians in one unit of the input, if it is known to be an angle: 1 for rad, pi / 180 for degrees. Without it
     /// the learner finds out by itself whether the input acts through its sine and cosine, and with which period, and
     /// needs more ticks for it.
     pub radians: Option<f64>,

@@ -88,22 +88,16 @@ impl Dynamics {
         self.models.iter().enumerate().filter(|(i, _)| self.moves(*i)).map(|(_, model)| model)
     }
 
-    /// The planner's functions from now on; inputs that never moved stay as they are in `q`.
-    pub fn take(&mut self, part: f64, q: &[f64]) {
-        let held = self.held();
-        self.movers().for_each(|(_, model)| model.take(part, (q, held)));
-    }
-
-    /// The inputs (bits) that have not moved yet.
-    pub fn held(&self) -> u32 {
-        !self.moving & ((1 << self.models.len()) - 1)
+    /// The planner's functions from now on.
+    pub fn take(&mut self, part: f64) {
+        self.movers().for_each(|(_, model)| model.take(part));
     }
 
     /// Writes the changes at `q`.
     pub fn value(&mut self, q: &[f64], d: &mut [f64]) {
         d.fill(0.0);
-        for (i, model) in self.movers() {
-            model.weighted.value(q, &mut d[i..=i]);
+        for (i, Model { layout, fit, weighted, .. }) in self.movers() {
+            weighted.value(layout, &fit.features, q, &mut d[i..=i]);
         }
     }
 
@@ -112,8 +106,9 @@ impl Dynamics {
         d.fill(0.0);
         jacobian.fill(0.0);
         let width = self.width;
-        for (i, model) in self.movers() {
-            model.weighted.jacobian(q, &mut d[i..=i], &mut jacobian[i * width..(i + 1) * width]);
+        for (i, Model { layout, fit, weighted, .. }) in self.movers() {
+            let row = &mut jacobian[i * width..(i + 1) * width];
+            weighted.jacobian(layout, &fit.features, q, &mut d[i..=i], row);
         }
     }
 

@@ -16,13 +16,10 @@ mod check;
 mod row;
 
 use super::functions::{exp, sines_and_cosines};
-use super::layout::{BIAS, GLOBAL, LEAST_ORDER, Layout, MOST_ORDER, NOISE, ORDERS, PRODUCTS, SMOOTH, ScaleKind};
+use super::layout::{BIAS, Layout, NOISE, PRODUCTS, SMOOTH, ScaleKind};
 use super::linalg::{add_scaled, cholesky, dot, invert, packed, solve_lower, solve_lower_transposed};
 use crate::state::{Persist, StateVisitor};
 use row::Row;
-
-/// Width of the prior of a unit's own part of its scales' logarithms.
-const OWN_WIDTH: f64 = 1.0;
 
 /// Evidence of a layout's scales on at most `capacity` points.
 #[derive(Debug, Clone)]
@@ -66,7 +63,7 @@ impl Evidence {
             inner: vec![0.0; layout.units.len() * capacity],
             turned: vec![0.0; layout.circles * capacity],
             factors: vec![0.0; layout.groups.len() * capacity],
-            orders: vec![0.0; (MOST_ORDER + 1) * capacity],
+            product: vec![0.0; capacity],
             smooth: vec![0.0; capacity],
             kernel: vec![0.0; capacity],
             scratch: vec![0.0; capacity],
@@ -172,7 +169,7 @@ impl Evidence {
         if !cholesky(&mut self.matrix, n) {
             return None;
         }
-        let (evidence, counted) = self.weigh_outputs();
+        let (mut evidence, counted) = self.weigh_outputs();
         invert(&mut self.matrix, n, &mut self.plain);
         self.gradient.fill(0.0);
         // The trace of dL/dK: the noise depends on the diagonal.
@@ -188,46 +185,12 @@ impl Evidence {
         for i in 0..n {
             self.gradient_row(layout, i, f64::from(counted), diagonal);
         }
-        Some(evidence - self.weigh_scales(layout, width))
-    }
-
-    /// The negative logarithm of the scales' prior; its gradient is taken from `gradient`. Scales of one kind and family
-    /// have a common part of this `width` and parts of their own, so that they rise and fall together unless the data
-    /// say otherwise.
-    fn weigh_scales(&mut self, layout: &Layout, width: f64) -> f64 {
-        let mut penalty = 0.0;
-        for k in 0..GLOBAL {
+        for (k, g) in self.gradient.iter_mut().enumerate() {
             let from = (self.scales[k] - layout.prior[k]) / width;
-            penalty += 0.5 * from * from;
-            self.gradient[k] -= from / width;
+            evidence -= 0.5 * from * from;
+            *g = if layout.learned[k] { *g - from / width } else { 0.0 };
         }
-        for (first, unit) in layout.units.iter().enumerate() {
-            for kind in ScaleKind::ALL {
-                let shared = kind != ScaleKind::Frequency;
-                if shared && unit.family != first {
-                    continue;
-                }
-                let of_family = |u: &usize| if shared { layout.units[*u].family == first } else { *u == first };
-                let places = || (first..layout.units.len()).filter(of_family).map(|u| Layout::scale(u, kind));
-                let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
-                for k in places().filter(|k| layout.learned[*k]) {
-                    let from = self.scales[k] - layout.prior[k];
-                    (count, sum, squares) = (count + 1.0, sum + from, squares + from * from);
-                }
-                // The inverse of own^2 I + width^2 1 1ᵀ.
-                let own = if shared { OWN_WIDTH } else { width };
-                let precision = 1.0 / (own * own);
-                let common = if shared { precision * width * width / (own * own + count * width * width) } else { 0.0 };
-                penalty += 0.5 * (precision * squares - common * sum * sum);
-                for k in places() {
-                    self.gradient[k] -= precision * (self.scales[k] - layout.prior[k]) - common * sum;
-                }
-            }
-        }
-        for (g, learned) in self.gradient.iter_mut().zip(&layout.learned) {
-            *g = if *learned { *g } else { 0.0 };
-        }
-        penalty
+        Some(evidence)
     }
 
     /// The evidence of the outputs, from the Cholesky factor, and how many of them count. `alpha` is then `alpha_j`
@@ -281,9 +244,11 @@ impl Evidence {
         let bias = exp(scales[BIAS]);
         row.kernel[..n].fill(bias);
         row.smooth[..n].fill(0.0);
+        row.scratch[..n].fill(1.0);
         for g in 0..layout.groups.len() {
-            row.factors[g * capacity..][..n].fill(0.0);
+            row.factors[g * capacity..][..n].fill(1.0);
         }
+        let products = exp(scales[PRODUCTS]);
         for (u, unit) in layout.units.iter().enumerate() {
             let inner = &mut row.inner[u * capacity..][..n];
             let scale = |s| if unit.scales[s as usize] { exp(scales[Layout::scale(u, s)]) } else { 0.0 };
@@ -311,17 +276,20 @@ impl Evidence {
                 let factors = &mut row.factors[group * capacity..][..n];
                 for j in 0..n {
                     factors[j] += v * inner[j];
+                    row.scratch[j] += v * inner[j];
                 }
             }
         }
-        row.symmetric_polynomials(layout.groups.len(), n);
+        row.product[..n].fill(1.0);
+        for g in 0..layout.groups.len() {
+            for (p, f) in row.product[..n].iter_mut().zip(&row.factors[g * capacity..][..n]) {
+                *p *= f;
+            }
+        }
         let smooth = exp(scales[SMOOTH]);
         for j in 0..n {
             row.smooth[j] = smooth * exp(-row.smooth[j]);
-            row.kernel[j] += row.smooth[j];
-        }
-        for (order, amplitude) in (LEAST_ORDER..).zip(amplitudes(scales)) {
-            add_scaled(&mut row.kernel[..n], amplitude, &row.orders[order * capacity..][..n]);
+            row.kernel[j] += products * (row.product[j] - row.scratch[j]) + row.smooth[j];
         }
     }
 
@@ -340,16 +308,15 @@ impl Evidence {
         self.kernel_row(layout, i);
         let Self { row, scales, values, gradient, outer, plain, .. } = self;
         let outer = &outer[..n];
-        let amplitudes = amplitudes(scales);
+        let products = exp(scales[PRODUCTS]);
         gradient[BIAS] += exp(scales[BIAS]) * outer.iter().sum::<f64>();
         gradient[SMOOTH] += dot(outer, &row.smooth[..n]);
-        for (k, amplitude) in amplitudes.iter().enumerate() {
-            let slope = amplitude * dot(outer, &row.orders[(LEAST_ORDER + k) * capacity..][..n]);
-            gradient[PRODUCTS] += slope;
-            gradient[ORDERS + k] += slope;
+        for j in 0..n {
+            gradient[PRODUCTS] += outer[j] * products * (row.product[j] - row.scratch[j]);
+            row.smooth[j] *= outer[j];
+            // From here on `scratch` has the weights of the products.
+            row.scratch[j] = products * outer[j];
         }
-        row.smooth[..n].iter_mut().zip(outer).for_each(|(smooth, outer)| *smooth *= outer);
-        row.slopes_by_group(&amplitudes, layout.groups.len(), n);
         for (u, unit) in layout.units.iter().enumerate() {
             let inner = &row.inner[u * capacity..][..n];
             let scale = |s| if unit.scales[s as usize] { exp(scales[Layout::scale(u, s)]) } else { 0.0 };
@@ -358,9 +325,11 @@ impl Evidence {
             gradient[Layout::scale(u, ScaleKind::Linear)] += linear * along_inner;
             let v = scale(ScaleKind::Product);
             if let Some(group) = unit.group {
-                let slopes = &row.factors[group * capacity..][..n];
+                let factors = &row.factors[group * capacity..][..n];
                 for j in 0..n {
-                    plain[j] = outer[j] * slopes[j];
+                    // A factor is 0 only by chance; the others' product is then taken as 0.
+                    let others = if factors[j] == 0.0 { 0.0 } else { row.product[j] / factors[j] };
+                    plain[j] = row.scratch[j] * (others - 1.0);
                 }
                 gradient[Layout::scale(u, ScaleKind::Product)] += v * dot(&plain[..n], inner);
             } else {
@@ -397,11 +366,6 @@ impl Evidence {
         }
         Some(evidence)
     }
-}
-
-/// The amplitude of the products of each order, from the least on.
-fn amplitudes(scales: &[f64]) -> [f64; MOST_ORDER + 1 - LEAST_ORDER] {
-    std::array::from_fn(|k| exp(scales[PRODUCTS] + scales[ORDERS + k]))
 }
 
 impl Persist for Evidence {

@@ -9,7 +9,7 @@
 //! those of largest prior variance have a feature; they are chosen anew when the scales change.
 
 use super::functions::{exp, sines_and_cosines};
-use super::layout::{BIAS, LEAST_ORDER, Layout, MOST_ORDER, ORDERS, PRODUCTS, SMOOTH, ScaleKind};
+use super::layout::{BIAS, Layout, PRODUCTS, SMOOTH, ScaleKind};
 use crate::state::StateVisitor;
 
 /// Most groups of a layout's products: inputs and commands.
@@ -158,11 +158,11 @@ impl ModelFeatures {
 
     /// Takes the memory that any build needs; a clone has less.
     pub fn reserve(&mut self, layout: &Layout) {
-        let beam = (MOST_ORDER + 1) * self.products.max(1);
+        let beam = self.products + 1 + layout.components;
         let components = |group: &Vec<usize>| group.iter().map(|&u| if layout.units[u].circle { 2 } else { 1 }).sum();
         let choices = 1 + layout.groups.iter().map(components).max().unwrap_or(0_usize);
         self.nodes.reserve(self.most_nodes - self.nodes.len());
-        self.candidates.reserve(beam);
+        self.candidates.reserve(choices * beam);
         self.spare.reserve(choices * beam);
     }
 
@@ -203,9 +203,10 @@ impl ModelFeatures {
         self.choose_products(layout);
     }
 
-    /// Chooses the products of largest prior variance. Keeping the best of each order of the products of the first
-    /// groups, group after group, misses none, because variances of an order are products over groups.
+    /// Chooses the products of largest prior variance. Keeping the best of the products of the first groups, group
+    /// after group, misses none, because variances are products over groups.
     fn choose_products(&mut self, layout: &Layout) {
+        let beam = self.products + 1 + layout.components;
         self.candidates.clear();
         self.candidates.push(Candidate { variance: 1.0, order: 0, choice: [0; MAX_GROUPS] });
         for (g, units) in layout.groups.iter().enumerate() {
@@ -224,23 +225,11 @@ impl ModelFeatures {
                     }
                 }
             }
-            self.spare.retain(|c| usize::from(c.order) <= MOST_ORDER);
             self.spare.sort_unstable_by(|a, b| b.variance.total_cmp(&a.variance).then(a.choice.cmp(&b.choice)));
-            let mut kept = [0; MOST_ORDER + 1];
-            self.candidates.clear();
-            for candidate in &self.spare {
-                let kept = &mut kept[usize::from(candidate.order)];
-                *kept += 1;
-                if *kept <= self.products.max(1) {
-                    self.candidates.push(*candidate);
-                }
-            }
+            self.spare.truncate(beam);
+            std::mem::swap(&mut self.candidates, &mut self.spare);
         }
-        self.candidates.retain(|c| usize::from(c.order) >= LEAST_ORDER);
-        for candidate in &mut self.candidates {
-            candidate.variance *= exp(self.scales[ORDERS + usize::from(candidate.order) - LEAST_ORDER]);
-        }
-        self.candidates.sort_unstable_by(|a, b| b.variance.total_cmp(&a.variance).then(a.choice.cmp(&b.choice)));
+        self.candidates.retain(|c| c.order >= 2);
         self.candidates.truncate(self.products);
         self.candidates.sort_unstable_by_key(|candidate| candidate.choice);
         self.plant_nodes(layout);
@@ -257,8 +246,7 @@ impl ModelFeatures {
         for (feature, candidate) in self.candidates.iter().enumerate() {
             let shared = (0..MAX_GROUPS).find(|&g| candidate.choice[g] != before[g]).unwrap_or(MAX_GROUPS);
             let shared = if feature == 0 { 0 } else { shared };
-            let order = usize::from(candidate.order);
-            let mut variance = amplitude * exp(self.scales[ORDERS + order - LEAST_ORDER]);
+            let mut variance = amplitude;
             let mut parent = NONE;
             for g in (0..MAX_GROUPS).filter(|&g| candidate.choice[g] > 0) {
                 let component = usize::from(candidate.choice[g]) - 1;

@@ -7,13 +7,12 @@
 //!
 //! ```text
 //! k(q, q') = b + sum_i a_i x_i.x_i' + sum_i c_i (x_i x_i')^2         linear terms and squares
-//!          + s sum_{d = 2..6} t_d e_d(z),  z_g = sum_{i in g} v_i x_i.x_i'   multilinear products of d inputs
+//!          + s (prod_g (1 + sum_{i in g} v_i x_i.x_i') - 1 - ...)    multilinear products of two or more inputs
 //!          + f exp(-1/2 sum_i rho_i |x_i - x_i'|^2)                  anything smooth
 //! ```
 //!
-//! with `x_i` the value of unit `i` (one number, or cosine and sine), and the elementary symmetric polynomials `e_d`
-//! (additive kernels: Duvenaud, Nickisch & Rasmussen 2011): how many inputs act together shows in the data. All of
-//! `b, a, c, s, t, v, f, rho`, the noise and the frequencies are scales, learned as logarithms.
+//! with `x_i` the value of unit `i` (one number, or cosine and sine). All of `b, a, c, s, v, f, rho`, the noise and
+//! the frequencies are scales, learned as logarithms.
 
 /// Where the parts of `q` begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,8 +59,6 @@ pub struct Unit {
     pub component: usize,
     /// The group of the products to which it belongs.
     pub group: Option<usize>,
-    /// Units of a family look at the same kind of number, and begin with the same scales.
-    pub family: usize,
     /// Which of the scales are learned (by [`ScaleKind`]).
     pub scales: [bool; ScaleKind::COUNT],
 }
@@ -84,8 +81,6 @@ pub enum ScaleKind {
 impl ScaleKind {
     /// Number of scales of a unit.
     pub const COUNT: usize = 5;
-    /// All of them.
-    pub const ALL: [Self; Self::COUNT] = [Self::Linear, Self::Square, Self::Product, Self::Smooth, Self::Frequency];
 }
 
 /// Scales of the whole model, before those of the units.
@@ -96,14 +91,7 @@ pub const PRODUCTS: usize = 1;
 pub const SMOOTH: usize = 2;
 /// Noise, as a part of the prior's scale.
 pub const NOISE: usize = 3;
-/// The first of the parts of the products' amplitude that each order has for itself.
-pub const ORDERS: usize = 4;
-/// Least and greatest number of factors of a product.
-pub const LEAST_ORDER: usize = 2;
-/// See [`LEAST_ORDER`].
-pub const MOST_ORDER: usize = 6;
-/// Number of scales of the whole model.
-pub const GLOBAL: usize = ORDERS + MOST_ORDER + 1 - LEAST_ORDER;
+const GLOBAL: usize = 4;
 
 /// What a model looks at, with the first logarithms of its scales.
 #[derive(Debug, Clone)]
@@ -140,8 +128,7 @@ pub struct Priors {
 impl Layout {
     /// An empty layout for `width` numbers; amplitudes of bias, products, smooth part, and the noise.
     pub fn new(width: usize, amplitudes: [f64; 4]) -> Self {
-        let mut prior = amplitudes.map(libm::log).to_vec();
-        prior.resize(GLOBAL, 0.0);
+        let prior = amplitudes.map(libm::log).to_vec();
         let learned = vec![true; GLOBAL];
         Self { width, units: Vec::new(), circles: 0, components: 0, groups: Vec::new(), prior, learned }
     }
@@ -178,16 +165,7 @@ impl Layout {
         }
         self.prior.extend(values.map(|v| if v > 0.0 { libm::log(v) } else { 0.0 }));
         self.learned.extend(scales);
-        let circle = frequency.is_some();
-        let same = |other: &usize| {
-            let (unit, first) = (&self.units[*other], Self::scale(*other, ScaleKind::Linear));
-            let log = |value: f64| if value > 0.0 { libm::log(value) } else { 0.0 };
-            unit.circle == circle
-                && unit.scales[..4] == scales[..4]
-                && (0..4).all(|k| self.prior[first + k] == log(values[k]))
-        };
-        let family = (0..self.units.len()).find(same).map_or(self.units.len(), |u| self.units[u].family);
-        self.units.push(Unit { at, circle, component: self.components, group, family, scales });
+        self.units.push(Unit { at, circle: frequency.is_some(), component: self.components, group, scales });
         self.components += if frequency.is_some() { 2 } else { 1 };
     }
 

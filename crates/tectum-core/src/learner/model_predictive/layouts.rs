@@ -10,8 +10,7 @@ const FREQUENCY: f64 = 2.5;
 /// and then as numbers. Each input is a group of the products. What is known to be an angle is part of products as an
 /// angle alone; what may be one, mostly as a number.
 fn inputs(layout: &mut Layout, ranges: &[InputRange], priors: Priors, wrapped: Priors, doubled: f64) {
-    let no_angle = |range: &InputRange| !range.wraps && range.radians == Some(0.0);
-    for (i, range) in ranges.iter().enumerate().filter(|(_, range)| !no_angle(range)) {
+    for (i, range) in ranges.iter().enumerate() {
         let known = range.radians.map(|radians| radians * 0.5 * (range.max - range.min));
         let known = if range.wraps { Some(std::f64::consts::PI) } else { known };
         let doubtful = Priors { linear: 0.1 * priors.linear, product: 0.1 * priors.product, ..priors };
@@ -24,8 +23,7 @@ fn inputs(layout: &mut Layout, ranges: &[InputRange], priors: Priors, wrapped: P
         }
     }
     for (i, range) in ranges.iter().enumerate() {
-        let angle = range.radians.is_some() && !no_angle(range);
-        let number = Priors { product: if angle { 0.0 } else { priors.product }, ..priors };
+        let number = Priors { product: if range.radians.is_some() { 0.0 } else { priors.product }, ..priors };
         layout.number(i, Some(i), if range.wraps { wrapped } else { number });
     }
 }

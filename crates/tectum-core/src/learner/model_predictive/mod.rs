@@ -16,7 +16,7 @@
 //! | `alignment.rs` | how late rewards come | |
 //! | `dynamics.rs` | the models of movement | |
 //! | `refit.rs`, `model.rs`, `memory.rs` | fitting anew in slices, the models, the ticks that were seen | |
-//! | `weighted.rs`, `weighted/`, `world.rs` | predictions with their derivatives | Griewank & Walther 2008 |
+//! | `weighted.rs`, `world.rs` | predictions with their derivatives | Griewank & Walther 2008 |
 //! | `planner.rs`, `box_qp.rs` | control-limited iLQR | Tassa, Mansard & Todorov 2014 |
 //! | `rivals.rs` | where other plans begin | |
 //! | `belief.rs`, `exploration.rs` | outliers and alarms; noise | |

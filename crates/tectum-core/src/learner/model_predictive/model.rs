@@ -26,7 +26,7 @@ pub struct ModelFit {
 }
 
 /// Most samples of a posterior.
-pub const MAX_SAMPLES: usize = 8;
+const MAX_SAMPLES: usize = 8;
 
 /// A model of some outputs.
 #[derive(Debug, Clone)]
@@ -37,8 +37,10 @@ pub struct Model {
     pub fit: ModelFit,
     /// The work on the next one.
     pub refit: Refit,
-    /// The planner's function: the mean, and how samples of the posterior differ from it.
+    /// The planner's function.
     pub weighted: Weighted,
+    /// How samples of the posterior differ from its mean: as many outputs as there are samples for it.
+    pub spread: Weighted,
     basis: BasisValues,
     phi: Vec<f64>,
     /// Predictions for the last point.
@@ -84,11 +86,12 @@ impl Model {
         let regression = Regression::new(features.len, size.outputs, size.samples, lambda);
         let mut fit = ModelFit { features, regression, center: 0.0, scale: 1.0 };
         fit.regression.forget(|| normal(rng));
-        let weighted = Weighted::new(&layout, &fit.features, size.samples);
+        let weighted = Weighted::new(&layout, &fit.features, size.outputs);
+        let spread = Weighted::new(&layout, &fit.features, size.samples - 1);
         let basis = BasisValues::new(&layout, &fit.features);
         let phi = vec![0.0; fit.features.len];
         let refit = Refit::new(&layout, &fit, settings);
-        Self { layout, fit, refit, weighted, basis, phi, predicted: [0.0; MAX_MODEL_OUTPUTS], nu: 1.0 }
+        Self { layout, fit, refit, weighted, spread, basis, phi, predicted: [0.0; MAX_MODEL_OUTPUTS], nu: 1.0 }
     }
 
     /// Back to the prior.
@@ -163,19 +166,21 @@ impl Model {
         parts.reduce(f64::max)
     }
 
-    /// The planner's function from now on: the mean and a part of what the sample differs. The inputs `held` (bits) stay
-    /// as they are in `q`.
-    pub fn take(&mut self, part: f64, held: (&[f64], u32)) {
+    /// The planner's function from now on: the mean and a part of what the sample differs.
+    pub fn take(&mut self, part: f64) {
         let ModelFit { features, regression, .. } = &self.fit;
-        self.weighted.take(&self.layout, features, regression, part, held);
+        self.weighted.take(&self.layout, features, regression, part);
+        if regression.samples > 1 {
+            self.spread.take_spread(&self.layout, features, regression);
+        }
     }
 
-    /// What the samples differ from the mean, at the last point of the planner's function.
-    pub fn apart(&self) -> ([f64; MAX_SAMPLES], usize) {
+    /// Mean square of what the samples differ from the mean, at the last point of the planner's function.
+    pub fn variance(&self) -> f64 {
         let mut apart = [0.0; MAX_SAMPLES];
-        let count = self.fit.regression.samples - 1;
-        self.weighted.outputs_at_point(1, &mut apart[..count]);
-        (apart, count)
+        let apart = &mut apart[..self.fit.regression.samples - 1];
+        self.spread.value_beside(&self.weighted, &self.layout, &self.fit.features, apart);
+        apart.iter().map(|x| x * x).sum::<f64>() / (apart.len() as f64).max(1.0)
     }
 
     /// Works on the refit with about `operations`. Returns how many it took, and whether a new fit is in use.

@@ -4,11 +4,11 @@
 //! steps through the learned world take follows from the sizes of the models:
 //!
 //! ```text
-//! value     C M + 12 M + K + O (C + M + K)         C components, M Fourier pairs, K products, O outputs
-//! gradient  C M + 3 M + 2 K                        of each output
-//! Hessian   1/2 A^2 M + 4 A K                      A places
+//! value     C M + 12 M + K (1 + O) + O F           C components, M Fourier pairs, K products, F features,
+//! Jacobian  value + C M + O (3 M + 2 K + D M)      O outputs, D places of q, A places of the reward's Hessian
+//! Hessian   Jacobian + 1/2 A^2 M + 4 A K
 //! step      values of dynamics and reward
-//! expansion gradients of both, Hessian of the reward and its eigenvalues, and its way back through the plan
+//! expansion Jacobian of the dynamics, Hessian of the reward and its eigenvalues, and its way back through the plan
 //! ```
 
 use super::dynamics::Dynamics;
@@ -26,32 +26,26 @@ pub struct StepCost {
     expansion: u64,
 }
 
-/// Operations of a value of a model's function, and of a gradient.
-fn of_model(model: &Model) -> [u64; 2] {
-    let [components, pairs, products] = model.weighted.size();
-    [(components + 12) * pairs + products, (components + 3) * pairs + 2 * products]
-}
-
-/// Operations of one of its outputs at a point.
-fn of_output(model: &Model) -> u64 {
-    model.weighted.size().iter().sum()
+/// Operations of a model's value, and of its Jacobian.
+fn of_model(model: &Model, width: u64) -> [u64; 2] {
+    let features = &model.fit.features;
+    let (waves, products) = (features.pairs as u64, features.nodes.len() as u64);
+    let (outputs, components) = (model.outputs() as u64, model.layout.components as u64);
+    let value = (components + 12) * waves + products * (1 + outputs) + outputs * features.len as u64;
+    [value, value + components * waves + outputs * (3 * waves + 2 * products + width * waves)]
 }
 
 impl StepCost {
     /// That of a world of these models; the reward's Hessian has `active` places.
     pub fn of(places: Places, dynamics: &Dynamics, reward: &Model, active: usize) -> Self {
         let (width, states, active) = (places.len() as u64, places.state() as u64, active as u64);
-        let samples = reward.fit.regression.samples as u64;
-        let [value, gradient] = of_model(reward);
-        let value = value + samples * of_output(reward);
-        let [move_value, move_slopes] = dynamics.moving_models().fold([0, 0], |[values, slopes], model| {
-            let [value, gradient] = of_model(model);
-            let value = value + of_output(model);
-            [values + value, slopes + value + gradient]
-        });
-        let slopes = value + samples * (gradient + active * active);
-        let [_, pairs, products] = reward.weighted.size();
-        let curves = active * active * pairs / 2 + 4 * active * products;
+        let [value, slopes] = of_model(reward, width);
+        let [move_value, move_slopes] = dynamics
+            .moving_models()
+            .map(|model| of_model(model, width))
+            .fold([0, 0], |sum, cost| [sum[0] + cost[0], sum[1] + cost[1]]);
+        let (waves, products) = (reward.fit.features.pairs as u64, reward.fit.features.nodes.len() as u64);
+        let curves = active * active * waves / 2 + 4 * active * products;
         // The eigenvalues take some five sweeps of rotations where the reward is not concave, and nothing elsewhere.
         let concave = 6 * active * active * active;
         let back = states * states * width + states * width * width;

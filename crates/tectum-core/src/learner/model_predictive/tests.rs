@@ -33,8 +33,6 @@ fn gradients_of_the_evidence_match_differences() {
         let q: Vec<f64> = (0..5).map(|_| 0.6 * normal(&mut rng)).collect();
         evidence.push(&q, &[q[0] * q[1], q[2] + 0.1 * normal(&mut rng)], 1.0 + q[3] * q[3]);
     }
-    // Away from the first scales, where their prior has a slope.
-    evidence.step(&layout, 2.5, 0.3, 1e-7).unwrap();
     evidence.check_gradient(&layout);
 }
 
@@ -43,47 +41,47 @@ fn derivatives_of_a_model_match_differences() {
     let layout = layout();
     let mut rng = stream(2, "test");
     let features = ModelFeatures::new(&layout, 6, 30, || normal(&mut rng));
-    // The mean alone, with two samples, and where two inputs are held.
-    for (outputs, held) in [(1, 0), (3, 0), (3, 0b101)] {
+    for outputs in [1, 3] {
         let mut model = Weighted::new(&layout, &features, outputs);
         let weights: Vec<f64> = (0..outputs * features.len).map(|_| normal(&mut rng)).collect();
-        let mut posterior = Regression::new(features.len, 1, outputs, 1e-12);
-        posterior.weights.copy_from_slice(&weights[..features.len]);
-        posterior.deviation.copy_from_slice(&weights);
-        posterior.squares[0] = 1.0;
+        let mut posterior = Regression::new(features.len, outputs, 1, 1e-3);
+        posterior.weights.copy_from_slice(&weights);
+        model.take(&layout, &features, &posterior, 0.5);
         let q = [0.3, -0.7, 0.9, -0.2, 0.5];
-        model.take(&layout, &features, &posterior, 0.0, (&q, held));
         let (mut y, mut jacobian) = (vec![0.0; outputs], vec![0.0; outputs * 5]);
-        model.jacobian(&q, &mut y, &mut jacobian);
+        model.jacobian(&layout, &features, &q, &mut y, &mut jacobian);
         let mut phi = vec![0.0; features.len];
         features.evaluate(&layout, &q, &mut BasisValues::new(&layout, &features), &mut phi);
         for j in 0..outputs {
             let sum: f64 = phi.iter().zip(&weights[j * features.len..]).map(|(a, b)| a * b).sum();
-            assert!((sum - y[j]).abs() < 1e-6, "{sum} {}", y[j]);
+            assert!((sum - y[j]).abs() < 1e-9, "{sum} {}", y[j]);
         }
         let step = 1e-5;
-        for at in (0..5).filter(|at| held & (1 << at) == 0) {
-            let sides = [-step, step].map(|step| {
+        for at in 0..5 {
+            let mut sides = [-step, step].map(|step| {
                 let mut q = q;
                 q[at] += step;
                 let (mut y, mut jacobian) = (vec![0.0; outputs], vec![0.0; outputs * 5]);
-                model.jacobian(&q, &mut y, &mut jacobian);
+                model.jacobian(&layout, &features, &q, &mut y, &mut jacobian);
                 (y, jacobian)
             });
             for j in 0..outputs {
                 let slope = (sides[1].0[j] - sides[0].0[j]) / (2.0 * step);
                 assert!((slope - jacobian[j * 5 + at]).abs() < 1e-6, "{at}: {slope} {}", jacobian[j * 5 + at]);
             }
-            let places: &[usize] = if held == 0 { &[4, 0, 1, 2] } else { &[4, 1, 3] };
-            let n = places.len();
-            let (mut gradient, mut hessian) = ([0.0; 5], [0.0; 16]);
-            model.hessian(&q, places, &mut gradient, &mut hessian[..n * n]);
-            let Some(r) = places.iter().position(|&p| p == at) else { continue };
-            for (c, &p) in places.iter().enumerate() {
-                let curve = (sides[1].1[p] - sides[0].1[p]) / (2.0 * step);
-                let h = hessian[r * n + c];
-                assert!((curve - h).abs() < 1e-5, "{at} {p}: {curve} {h}");
+            if outputs == 1 {
+                let places = [4, 0, 1, 2];
+                let (mut gradient, mut hessian) = ([0.0; 5], [0.0; 16]);
+                model.hessian(&layout, &features, &q, &places, &mut gradient, &mut hessian);
+                if let Some(r) = places.iter().position(|&p| p == at) {
+                    for (c, &p) in places.iter().enumerate() {
+                        let curve = (sides[1].1[p] - sides[0].1[p]) / (2.0 * step);
+                        let h = hessian[r * 4 + c];
+                        assert!((curve - h).abs() < 1e-5, "{at} {p}: {curve} {h}");
+                    }
+                }
             }
+            sides[0].0[0] = 0.0;
         }
     }
 }
@@ -142,21 +140,16 @@ fn kernel(layout: &Layout, scales: &[f64], a: &[f64], b: &[f64]) -> f64 {
         }
     };
     let mut k = scales[0].exp();
-    let mut apart = 0.0_f64;
+    let (mut apart, mut singles) = (0.0_f64, 0.0);
     for (u, unit) in layout.units.iter().enumerate() {
         k += at(u, ScaleKind::Linear) * inner(u) + at(u, ScaleKind::Square) * inner(u).powi(2);
+        singles += if unit.group.is_some() { at(u, ScaleKind::Product) * inner(u) } else { 0.0 };
         let square = if unit.circle { 2.0 - 2.0 * inner(u) } else { (a[unit.at] - b[unit.at]).powi(2) };
         apart += at(u, ScaleKind::Smooth) * square;
     }
-    let factor = |units: &Vec<usize>| units.iter().map(|&u| at(u, ScaleKind::Product) * inner(u)).sum::<f64>();
-    let of_order = |order: u32| {
-        let chosen = |set: &usize| (*set as u32).count_ones() == order;
-        let product = |set: usize| -> f64 {
-            (0..layout.groups.len()).filter(|g| set & (1 << g) != 0).map(|g| factor(&layout.groups[g])).product()
-        };
-        scales[2 + order as usize].exp() * (0..1 << layout.groups.len()).filter(chosen).map(product).sum::<f64>()
-    };
-    k + scales[1].exp() * (2..=6).map(of_order).sum::<f64>() + scales[2].exp() * (-0.5 * apart).exp()
+    let factor = |units: &Vec<usize>| 1.0 + units.iter().map(|&u| at(u, ScaleKind::Product) * inner(u)).sum::<f64>();
+    let product: f64 = layout.groups.iter().map(factor).product();
+    k + scales[1].exp() * (product - 1.0 - singles) + scales[2].exp() * (-0.5 * apart).exp()
 }
 
 /// `log |A|` and `yᵀ A⁻¹ y`, by Gaussian elimination.

@@ -1,188 +1,301 @@
-//! A model as a function of `q`, with the derivatives that the planner needs.
+//! A model's mean as a function of `q`, with the derivatives that the planner needs.
 //!
-//! For outputs `y_j(q) = w_jᵀ phi(q)`: values (O), the Jacobian `dy / dq` (O x D), and for the first output the Hessian
-//! over chosen places of `q`. The first output is the model's mean; the others are how samples of the posterior differ
-//! from it. Products are differentiated backwards through their tree; their Hessian is the forward derivative of that
-//! (Griewank & Walther 2008).
-//!
-//! A plan asks for thousands of values with the same weights, and with the same values of those inputs that nothing
-//! moves. So the function is made anew for every plan (`fold.rs`): constant inputs are put in, products that then
-//! are the same become one, and what is smaller than the noise is left out.
+//! For outputs `y_j(q) = w_jᵀ phi(q)`: values (O), the Jacobian `dy / dq` (O x D), and for a single output the Hessian
+//! over chosen places of `q`. Products are differentiated backwards through their tree; their Hessian is the forward
+//! derivative of that (Griewank & Walther 2008).
 
-mod curves;
-mod fold;
-
-use super::features::ModelFeatures;
-use super::functions::{sin_cos, sines_and_cosines};
+use super::features::{BasisValues, ModelFeatures, has_feature, parent};
 use super::layout::Layout;
 use super::linalg::{add_scaled, dot};
+use super::regression::Regression;
 
-/// No node.
-const NONE: u32 = u32::MAX;
-
-/// A unit whose input is not constant.
-#[derive(Debug, Clone, Copy)]
-struct MovingUnit {
-    /// Its place in `q`.
-    at: usize,
-    /// The frequency of an angle, seen as cosine and sine; `None` for a number.
-    frequency: Option<f64>,
-    /// The first of its components.
-    component: usize,
-    /// Whether it is part of products.
-    in_products: bool,
-}
-
-impl MovingUnit {
-    fn components(&self) -> std::ops::Range<usize> {
-        self.component..self.component + if self.frequency.is_some() { 2 } else { 1 }
-    }
-}
-
-/// A product: a component times the product of its parent, which stands before it.
-#[derive(Debug, Clone, Copy)]
-struct Product {
-    parent: u32,
-    component: u32,
-}
-
-impl Product {
-    fn parent(&self) -> Option<usize> {
-        (self.parent != NONE).then_some(self.parent as usize)
-    }
-}
-
-/// Most of each part.
-#[derive(Debug, Clone, Copy)]
-struct Sizes {
-    outputs: usize,
-    features: usize,
-    components: usize,
-    units: usize,
-    pairs: usize,
-    products: usize,
-}
-
-/// A model's weights, times the amplitudes of the features, and the function that follows from them.
+/// A model's weights, times the amplitudes of the features.
 #[derive(Debug, Clone)]
 pub struct Weighted {
-    sizes: Sizes,
+    outputs: usize,
+    len: usize,
     /// By output, then feature.
-    weights: Vec<f64>,
-    /// The function: constants by output, then weights by output and component, unit, pair, product.
-    constants: Vec<f64>,
-    linear: Vec<f64>,
-    squares: Vec<f64>,
-    cosine_weights: Vec<f64>,
-    sine_weights: Vec<f64>,
-    product_weights: Vec<f64>,
-    units: Vec<MovingUnit>,
-    components: usize,
-    pairs: usize,
-    products: Vec<Product>,
-    /// Frequencies of the pairs, by component, then pair, and their phases where all components are 0.
-    waves: Vec<f64>,
-    first_phases: Vec<f64>,
-    /// Values at the last point: components with their slopes, pairs, products.
-    values: Vec<f64>,
+    pub weights: Vec<f64>,
+    /// Weights of the nodes of the products, by node, then output.
+    nodes: Vec<f64>,
+    basis: BasisValues,
+    // Scratch memory of derivatives.
+    projected: Vec<f64>,
     slopes: Vec<f64>,
-    phases: Vec<f64>,
-    cosines: Vec<f64>,
-    sines: Vec<f64>,
-    product_values: Vec<f64>,
-    folding: fold::Folding,
-    scratch: curves::CurveScratch,
+    curves: Vec<f64>,
+    adjoint: Vec<f64>,
+    along: Vec<f64>,
+    along_adjoint: Vec<f64>,
+    by_component: Vec<f64>,
+    row: Vec<f64>,
 }
 
 impl Weighted {
     /// For `outputs` outputs.
     pub fn new(layout: &Layout, features: &ModelFeatures, outputs: usize) -> Self {
-        let sizes = Sizes {
-            outputs,
-            features: features.len,
-            components: layout.components,
-            units: layout.units.len(),
-            pairs: features.pairs,
-            products: features.most_nodes,
-        };
-        let zeros = |len: usize| vec![0.0; len];
+        let (nodes, pairs) = (features.most_nodes, features.pairs);
         Self {
-            weights: zeros(outputs * features.len),
-            constants: zeros(outputs),
-            linear: zeros(outputs * sizes.components),
-            squares: zeros(outputs * sizes.units),
-            cosine_weights: zeros(outputs * sizes.pairs),
-            sine_weights: zeros(outputs * sizes.pairs),
-            product_weights: zeros(outputs * sizes.products),
-            units: Vec::with_capacity(sizes.units),
-            components: 0,
-            pairs: 0,
-            products: Vec::with_capacity(sizes.products),
-            waves: zeros(sizes.components * sizes.pairs),
-            first_phases: zeros(sizes.pairs),
-            values: zeros(sizes.components),
-            slopes: zeros(sizes.components),
-            phases: zeros(sizes.pairs),
-            cosines: zeros(sizes.pairs),
-            sines: zeros(sizes.pairs),
-            product_values: zeros(sizes.products),
-            folding: fold::Folding::new(&sizes),
-            scratch: curves::CurveScratch::new(&sizes, layout.width),
-            sizes,
+            outputs,
+            len: features.len,
+            weights: vec![0.0; outputs * features.len],
+            nodes: vec![0.0; outputs * nodes],
+            basis: BasisValues::new(layout, features),
+            projected: vec![0.0; layout.width * pairs],
+            slopes: vec![0.0; outputs * pairs],
+            curves: vec![0.0; pairs],
+            adjoint: vec![0.0; outputs * nodes],
+            along: vec![0.0; nodes],
+            along_adjoint: vec![0.0; nodes],
+            by_component: vec![0.0; outputs.max(2) * layout.components],
+            row: vec![0.0; pairs],
         }
     }
 
-    /// Components, pairs and products of the function, which decide what a value takes.
-    pub fn size(&self) -> [u64; 3] {
-        [self.components as u64, self.pairs as u64, self.products.len() as u64]
-    }
-
-    /// Computes components, pairs and products at `q`.
-    fn evaluate(&mut self, q: &[f64]) {
-        for unit in &self.units {
-            let (c, x) = (unit.component, q[unit.at]);
-            match unit.frequency {
-                Some(w) => {
-                    let (sin, cos) = sin_cos(w * x);
-                    (self.values[c], self.values[c + 1]) = (cos, sin);
-                    (self.slopes[c], self.slopes[c + 1]) = (-w * sin, w * cos);
-                }
-                None => (self.values[c], self.slopes[c]) = (x, 1.0),
+    /// Takes the weights `mean + part (sample - mean)` of a posterior.
+    pub fn take(&mut self, layout: &Layout, features: &ModelFeatures, posterior: &Regression, part: f64) {
+        for j in 0..self.outputs {
+            let at = j * self.len;
+            let part = part * posterior.scale(j).sqrt();
+            for k in 0..self.len {
+                let w = posterior.weights[at + k] + part * posterior.deviation[at + k];
+                self.weights[at + k] = w * features.amplitudes[k];
             }
         }
-        let m = self.pairs;
-        if m > 0 {
-            let phases = &mut self.phases[..m];
-            phases.copy_from_slice(&self.first_phases[..m]);
-            for (value, waves) in self.values[..self.components].iter().zip(self.waves.chunks_exact(m)) {
-                add_scaled(phases, *value, waves);
+        self.take_nodes(layout, features);
+    }
+
+    /// Takes how the samples but the first differ from the mean, each as an output. The posterior has one output.
+    pub fn take_spread(&mut self, layout: &Layout, features: &ModelFeatures, posterior: &Regression) {
+        let root = posterior.scale(0).sqrt();
+        let samples = posterior.deviation.chunks_exact(self.len).skip(1);
+        for (to, sample) in self.weights.chunks_exact_mut(self.len).zip(samples) {
+            for ((to, w), amplitude) in to.iter_mut().zip(sample).zip(&features.amplitudes) {
+                *to = root * w * amplitude;
             }
-            sines_and_cosines(phases, &mut self.sines[..m], &mut self.cosines[..m]);
         }
-        for (k, product) in self.products.iter().enumerate() {
-            let parent = product.parent().map_or(1.0, |p| self.product_values[p]);
-            self.product_values[k] = parent * self.values[product.component as usize];
+        self.take_nodes(layout, features);
+    }
+
+    fn take_nodes(&mut self, layout: &Layout, features: &ModelFeatures) {
+        let products = features.parts(layout).products;
+        for (k, node) in features.nodes.iter().enumerate() {
+            for j in 0..self.outputs {
+                let weight = has_feature(node).map_or(0.0, |f| self.weights[j * self.len + products + f]);
+                self.nodes[k * self.outputs + j] = weight;
+            }
         }
     }
 
-    /// The values of the first outputs at `q`.
-    pub fn value(&mut self, q: &[f64], out: &mut [f64]) {
-        self.evaluate(q);
-        self.outputs_at_point(0, out);
+    /// The values of all outputs at `q`.
+    pub fn value(&mut self, layout: &Layout, features: &ModelFeatures, q: &[f64], out: &mut [f64]) {
+        self.basis.evaluate(layout, features, q);
+        self.value_of(&self.basis, layout, features, out);
     }
 
-    /// The values of the outputs from `first` on, at the last point.
-    pub fn outputs_at_point(&self, first: usize, out: &mut [f64]) {
-        let (c, u, m, k) = (self.components, self.units.len(), self.pairs, self.products.len());
-        for (j, y) in (first..).zip(out) {
-            let mut sum = self.constants[j] + dot(&self.linear[j * self.sizes.components..][..c], &self.values[..c]);
-            for (square, unit) in self.squares[j * self.sizes.units..][..u].iter().zip(&self.units) {
-                sum += square * self.values[unit.component] * self.values[unit.component];
+    /// The values of all outputs, of these weights, at the last point of `other`, which has the same features.
+    pub fn value_beside(&self, other: &Self, layout: &Layout, features: &ModelFeatures, out: &mut [f64]) {
+        self.value_of(&other.basis, layout, features, out);
+    }
+
+    fn value_of(&self, basis: &BasisValues, layout: &Layout, features: &ModelFeatures, out: &mut [f64]) {
+        let parts = features.parts(layout);
+        let pairs = features.pairs;
+        for (j, y) in out.iter_mut().enumerate() {
+            let w = &self.weights[j * self.len..(j + 1) * self.len];
+            let mut sum = w[0] + dot(&w[1..parts.squares], &basis.e);
+            for (c, unit) in w[parts.squares..parts.waves].iter().zip(&layout.units) {
+                sum += c * basis.e[unit.component] * basis.e[unit.component];
             }
-            sum += dot(&self.cosine_weights[j * self.sizes.pairs..][..m], &self.cosines[..m]);
-            sum += dot(&self.sine_weights[j * self.sizes.pairs..][..m], &self.sines[..m]);
-            sum += dot(&self.product_weights[j * self.sizes.products..][..k], &self.product_values[..k]);
+            sum += dot(&w[parts.waves..parts.waves + pairs], &basis.cosines);
+            sum += dot(&w[parts.waves + pairs..parts.products], &basis.sines);
             *y = sum;
+        }
+        for k in 0..features.nodes.len() {
+            add_scaled(out, basis.nodes[k], &self.nodes[k * self.outputs..(k + 1) * self.outputs]);
+        }
+    }
+
+    /// Values and Jacobian (by output, then place of `q`) at `q`.
+    pub fn jacobian(
+        &mut self,
+        layout: &Layout,
+        features: &ModelFeatures,
+        q: &[f64],
+        out: &mut [f64],
+        jacobian: &mut [f64],
+    ) {
+        self.value(layout, features, q, out);
+        jacobian.fill(0.0);
+        self.project(layout, features);
+        self.wave_slopes(layout, features);
+        self.component_slopes(layout, features);
+        let (pairs, width) = (features.pairs, layout.width);
+        for j in 0..self.outputs {
+            let row = &mut jacobian[j * width..(j + 1) * width];
+            for unit in &layout.units {
+                for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
+                    row[unit.at] += self.by_component[j * layout.components + c] * self.basis.slopes[c];
+                }
+            }
+            let slopes = &self.slopes[j * pairs..(j + 1) * pairs];
+            for (to, projected) in row.iter_mut().zip(self.projected.chunks_exact(pairs)) {
+                *to += dot(slopes, projected);
+            }
+        }
+    }
+
+    /// For each place of `q`, the derivative of the phase of each wave.
+    fn project(&mut self, layout: &Layout, features: &ModelFeatures) {
+        let pairs = features.pairs;
+        self.projected.fill(0.0);
+        for unit in &layout.units {
+            let to = &mut self.projected[unit.at * pairs..(unit.at + 1) * pairs];
+            for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
+                add_scaled(to, self.basis.slopes[c], &features.waves[c * pairs..(c + 1) * pairs]);
+            }
+        }
+    }
+
+    /// The derivative of each output by the phase of each wave.
+    fn wave_slopes(&mut self, layout: &Layout, features: &ModelFeatures) {
+        let (parts, pairs) = (features.parts(layout), features.pairs);
+        for j in 0..self.outputs {
+            let w = &self.weights[j * self.len..(j + 1) * self.len];
+            let (cosines, sines) = (&w[parts.waves..parts.waves + pairs], &w[parts.waves + pairs..parts.products]);
+            for (k, to) in self.slopes[j * pairs..(j + 1) * pairs].iter_mut().enumerate() {
+                *to = sines[k] * self.basis.cosines[k] - cosines[k] * self.basis.sines[k];
+            }
+        }
+    }
+
+    /// The derivative of each output by each component, the waves left out.
+    fn component_slopes(&mut self, layout: &Layout, features: &ModelFeatures) {
+        let (parts, outputs, components) = (features.parts(layout), self.outputs, layout.components);
+        for j in 0..outputs {
+            let w = &self.weights[j * self.len..(j + 1) * self.len];
+            let to = &mut self.by_component[j * components..(j + 1) * components];
+            to.copy_from_slice(&w[1..parts.squares]);
+            for (c, unit) in w[parts.squares..parts.waves].iter().zip(&layout.units) {
+                to[unit.component] += 2.0 * c * self.basis.e[unit.component];
+            }
+        }
+        let used = features.nodes.len() * outputs;
+        self.adjoint[..used].copy_from_slice(&self.nodes[..used]);
+        for (k, node) in features.nodes.iter().enumerate().rev() {
+            let c = node.component as usize;
+            let e = self.basis.e[c];
+            let (before, rest) = self.adjoint.split_at_mut(k * outputs);
+            let adjoint = &rest[..outputs];
+            let above = parent(node);
+            let value = above.map_or(1.0, |p| self.basis.nodes[p]);
+            for (j, a) in adjoint.iter().enumerate() {
+                self.by_component[j * components + c] += a * value;
+            }
+            if let Some(p) = above {
+                add_scaled(&mut before[p * outputs..(p + 1) * outputs], e, adjoint);
+            }
+        }
+    }
+
+    /// Value, gradient (by place of `q`) and Hessian of the single output at `q`. The Hessian is full, over `places`,
+    /// in rows of `places.len()`.
+    pub fn hessian(
+        &mut self,
+        layout: &Layout,
+        features: &ModelFeatures,
+        q: &[f64],
+        places: &[usize],
+        gradient: &mut [f64],
+        hessian: &mut [f64],
+    ) -> f64 {
+        let mut value = [0.0];
+        self.jacobian(layout, features, q, &mut value, gradient);
+        hessian.fill(0.0);
+        self.wave_curves(layout, features, places, hessian);
+        self.unit_curves(layout, features, places, hessian);
+        let in_products = |at: usize| layout.units.iter().any(|unit| unit.at == at && unit.group.is_some());
+        for (row, &at) in places.iter().enumerate().filter(|(_, at)| in_products(**at)) {
+            self.product_curves(layout, features, at, places, &mut hessian[row * places.len()..][..places.len()]);
+        }
+        value[0]
+    }
+
+    /// Second derivatives of the waves by two places.
+    fn wave_curves(&mut self, layout: &Layout, features: &ModelFeatures, places: &[usize], hessian: &mut [f64]) {
+        let (parts, pairs, n) = (features.parts(layout), features.pairs, places.len());
+        let w = &self.weights;
+        for k in 0..pairs {
+            let (cosine, sine) = (w[parts.waves + k], w[parts.waves + pairs + k]);
+            self.curves[k] = -(cosine * self.basis.cosines[k] + sine * self.basis.sines[k]);
+        }
+        for (r, &at) in places.iter().enumerate() {
+            for (k, to) in self.row.iter_mut().enumerate() {
+                *to = self.curves[k] * self.projected[at * pairs + k];
+            }
+            for (c, &other) in places[..=r].iter().enumerate() {
+                let sum = dot(&self.row, &self.projected[other * pairs..(other + 1) * pairs]);
+                hessian[r * n + c] = sum;
+                hessian[c * n + r] = sum;
+            }
+        }
+    }
+
+    /// What the curvature of single units gives: squares, and that of cosines and sines.
+    fn unit_curves(&mut self, layout: &Layout, features: &ModelFeatures, places: &[usize], hessian: &mut [f64]) {
+        let (parts, pairs, n) = (features.parts(layout), features.pairs, places.len());
+        for (u, unit) in layout.units.iter().enumerate() {
+            let Some(r) = places.iter().position(|&at| at == unit.at) else { continue };
+            if unit.circle {
+                let w = features.frequencies[u];
+                for c in unit.component..unit.component + 2 {
+                    let slope =
+                        self.by_component[c] + dot(&self.slopes[..pairs], &features.waves[c * pairs..(c + 1) * pairs]);
+                    hessian[r * n + r] -= w * w * self.basis.e[c] * slope;
+                }
+            } else {
+                hessian[r * n + r] += 2.0 * self.weights[parts.squares + u];
+            }
+        }
+    }
+
+    /// Adds one row of the products' Hessian: the derivative along place `at`.
+    fn product_curves(
+        &mut self,
+        layout: &Layout,
+        features: &ModelFeatures,
+        at: usize,
+        places: &[usize],
+        row: &mut [f64],
+    ) {
+        let mut moved = [false; 256];
+        for unit in layout.units.iter().filter(|unit| unit.at == at) {
+            moved[unit.component..unit.component + if unit.circle { 2 } else { 1 }].fill(true);
+        }
+        let nodes = &features.nodes;
+        let basis = &self.basis;
+        for (k, node) in nodes.iter().enumerate() {
+            let c = node.component as usize;
+            let (value, along) = parent(node).map_or((1.0, 0.0), |p| (basis.nodes[p], self.along[p]));
+            self.along[k] = along * basis.e[c] + if moved[c] { value * basis.slopes[c] } else { 0.0 };
+        }
+        self.along_adjoint[..nodes.len()].fill(0.0);
+        let change = &mut self.by_component[layout.components..2 * layout.components];
+        change.fill(0.0);
+        for (k, node) in nodes.iter().enumerate().rev() {
+            let c = node.component as usize;
+            let (adjoint, turned) = (self.adjoint[k], self.along_adjoint[k]);
+            if let Some(p) = parent(node) {
+                change[c] += turned * basis.nodes[p] + adjoint * self.along[p];
+                self.along_adjoint[p] += turned * basis.e[c] + if moved[c] { adjoint * basis.slopes[c] } else { 0.0 };
+            } else {
+                change[c] += turned;
+            }
+        }
+        for unit in layout.units.iter().filter(|unit| unit.group.is_some()) {
+            let Some(to) = places.iter().position(|&p| p == unit.at) else { continue };
+            for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
+                row[to] += change[c] * basis.slopes[c];
+            }
         }
     }
 }

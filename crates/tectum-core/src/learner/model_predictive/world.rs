@@ -23,8 +23,6 @@ const PROMISED: f64 = 0.05;
 const DEVIATIONS: f64 = 3.0;
 /// Rewards beyond the best by so many standard deviations count no more than this.
 const BEYOND: f64 = 5.0;
-/// Standard deviations of rewards, in those of all rewards, below which a prediction is certain.
-const CERTAIN: f64 = 1e-3;
 
 /// A world with expansions of second order.
 pub trait World {
@@ -67,8 +65,6 @@ pub struct WorldScratch {
     /// Jacobian of the changes.
     pub dynamics: Vec<f64>,
     gradient: Vec<f64>,
-    by_sample: Vec<f64>,
-    by_deviation: Vec<f64>,
     small: Vec<f64>,
     copy: Vec<f64>,
     vectors: Vec<f64>,
@@ -86,8 +82,6 @@ impl WorldScratch {
             after: vec![0.0; width],
             dynamics: vec![0.0; places.inputs * width],
             gradient: vec![0.0; width],
-            by_sample: vec![0.0; width],
-            by_deviation: vec![0.0; width],
             small: vec![0.0; most * most],
             copy: vec![0.0; most * most],
             vectors: vec![0.0; most * most],
@@ -120,33 +114,26 @@ pub struct LearnedWorld<'a> {
     pub scratch: &'a mut WorldScratch,
 }
 
-/// A reward as it counts.
-#[derive(Debug, Clone, Copy)]
-struct Believed {
-    value: f64,
-    /// Its slope by the predicted reward.
-    slope: f64,
-    /// Its slope by the standard deviation of the prediction; never positive.
-    by_deviation: f64,
-    /// That standard deviation.
-    deviation: f64,
+/// A reward as it counts, and its slope, if the model predicts `reward` at the last point of its planner's function.
+/// Beyond the `best` reward that was seen, what is certain counts, less three standard deviations, and else a small
+/// part: it may be the promise of a model that knows nothing there.
+fn believed(model: &Model, reward: f64, best: f64, caution: f64) -> (f64, f64) {
+    let doubt = if caution > 0.0 { caution * model.variance().sqrt() } else { 0.0 };
+    let (value, slope) = promised(model, reward, best);
+    (value - doubt, slope)
 }
 
-/// How the `reward` counts that the model predicts at the last point of its planner's function: less `caution` standard
-/// deviations. Beyond the `best` reward that was seen, what is certain counts, less three standard deviations, and else
-/// a small part: it may be the promise of a model that knows nothing there.
-fn believed(model: &Model, reward: f64, best: f64, caution: f64) -> Believed {
-    let (apart, count) = model.apart();
-    let squares = apart[..count].iter().map(|x| x * x).sum::<f64>();
-    let deviation = (squares / count.max(1) as f64 + CERTAIN * CERTAIN).sqrt();
-    let beyond = (reward - best).clamp(0.0, BEYOND);
-    let certain = beyond - DEVIATIONS * deviation;
-    let (value, slope, by_deviation) = match () {
-        () if reward <= best => (reward, 1.0, 0.0),
-        () if certain < 0.0 => (best + PROMISED * beyond, PROMISED, 0.0),
-        () => (best + PROMISED * beyond + (1.0 - PROMISED) * certain, 1.0, -(1.0 - PROMISED) * DEVIATIONS),
-    };
-    Believed { value: value - caution * deviation, slope, by_deviation: by_deviation - caution, deviation }
+/// The same without caution.
+fn promised(model: &Model, reward: f64, best: f64) -> (f64, f64) {
+    if reward <= best {
+        return (reward, 1.0);
+    }
+    let beyond = (reward - best).min(BEYOND);
+    let certain = beyond - DEVIATIONS * model.variance().sqrt();
+    match certain {
+        ..0.0 => (best + PROMISED * beyond, PROMISED),
+        _ => (best + PROMISED * beyond + (1.0 - PROMISED) * certain, 1.0),
+    }
 }
 
 impl LearnedWorld<'_> {
@@ -155,8 +142,7 @@ impl LearnedWorld<'_> {
         let (n, m) = (self.places.inputs, self.places.commands);
         for i in 0..n {
             let free = q[i] + CHANGE * d[i];
-            // What nothing moves stays, wherever it is.
-            let z = if self.dynamics.moves(i) { self.ranges.bring_in(i, free) } else { q[i] };
+            let z = self.ranges.bring_in(i, free);
             next[i] = z;
             next[n + i] = if self.ranges.wraps[i] { d[i] } else { (z - q[i]) / CHANGE };
         }
@@ -172,9 +158,10 @@ impl LearnedWorld<'_> {
 
     /// The reward of a point, as if it were before or after the tick, whichever the model looks at.
     pub fn reward_of(&mut self, q: &[f64]) -> f64 {
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let mut reward = [0.0];
-        self.reward.weighted.value(q, &mut reward);
-        believed(self.reward, reward[0], self.best, self.caution).value
+        weighted.value(layout, &fit.features, q, &mut reward);
+        believed(self.reward, reward[0], self.best, self.caution).0
     }
 
     /// The point at which the reward model looks.
@@ -194,9 +181,10 @@ impl World for LearnedWorld<'_> {
         self.dynamics.value(q, &mut d[..n]);
         self.advance(q, &d[..n], next);
         self.look(q, next);
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let mut reward = [0.0];
-        self.reward.weighted.value(&self.scratch.after, &mut reward);
-        believed(self.reward, reward[0], self.best, self.caution).value
+        weighted.value(layout, &fit.features, &self.scratch.after, &mut reward);
+        believed(self.reward, reward[0], self.best, self.caution).0
     }
 
     fn expand(&mut self, q: &[f64], jacobian: &mut [f64], gradient: &mut [f64], hessian: &mut [f64]) {
@@ -235,12 +223,20 @@ impl LearnedWorld<'_> {
     /// Gradient and Hessian of the reward by `q`; the reward model's point is in `after`.
     fn expand_reward(&mut self, jacobian: &[f64], gradient: &mut [f64], hessian: &mut [f64]) {
         let (n, width) = (self.places.inputs, self.places.len());
-        self.expand_look();
-        let WorldScratch { gradient: by_look, small, chain, product, active, .. } = &mut *self.scratch;
+        let WorldScratch { after, gradient: by_look, small, copy, vectors, chain, product, active, .. } =
+            &mut *self.scratch;
         let order = active.len();
-        let small = &small[..order * order];
+        let small = &mut small[..order * order];
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
+        let value = weighted.hessian(layout, &fit.features, after, active, by_look, small);
+        let slope = believed(self.reward, value, self.best, self.caution).1;
         gradient.fill(0.0);
         hessian.fill(0.0);
+        if slope == 0.0 {
+            return;
+        }
+        clip_to_concave(small, order, copy, vectors);
+        small.iter_mut().chain(by_look.iter_mut()).for_each(|x| *x *= slope);
         if !self.after {
             gradient.copy_from_slice(by_look);
             for (r, &row) in active.iter().enumerate() {
@@ -281,46 +277,6 @@ impl LearnedWorld<'_> {
                     add_scaled(&mut hessian[at * width..(at + 1) * width], factor, &product[r * width..][..width]);
                 }
             }
-        }
-    }
-    /// Gradient and concave Hessian of the reward as it counts, by the point at which the reward model looks:
-    ///
-    /// ```text
-    /// f(r, s):   g = f_r g_r + f_s g_s,   H = f_r min(H_r, 0) + f_s H_s
-    /// s^2 = mean of d_k^2:   g_s = mean of d_k g_k / s,   H_s = (mean of g_k g_kᵀ - g_s g_sᵀ) / s
-    /// ```
-    ///
-    /// with the deviations `d_k` of the samples and their gradients `g_k`; `f_s` is never positive.
-    fn expand_look(&mut self) {
-        let WorldScratch { after, gradient, small, copy, vectors, active, by_sample, by_deviation, .. } =
-            &mut *self.scratch;
-        let order = active.len();
-        let small = &mut small[..order * order];
-        let value = self.reward.weighted.hessian(after, active, gradient, small);
-        clip_to_concave(small, order, copy, vectors);
-        let believed = believed(self.reward, value, self.best, self.caution);
-        small.iter_mut().chain(gradient.iter_mut()).for_each(|x| *x *= believed.slope);
-        if believed.by_deviation == 0.0 {
-            return;
-        }
-        let factor = believed.by_deviation / believed.deviation;
-        let (apart, count) = self.reward.apart();
-        by_deviation.fill(0.0);
-        for (k, apart) in apart[..count].iter().enumerate() {
-            self.reward.weighted.gradient_at_point(k + 1, by_sample);
-            add_scaled(by_deviation, apart / (count as f64 * believed.deviation), by_sample);
-            add_square(small, active, factor / count as f64, by_sample);
-        }
-        add_square(small, active, -factor, by_deviation);
-        add_scaled(gradient, believed.by_deviation, by_deviation);
-    }
-}
-
-/// Adds `factor` times `x xᵀ` at the `active` places to `matrix`.
-fn add_square(matrix: &mut [f64], active: &[usize], factor: f64, x: &[f64]) {
-    for (row, &r) in matrix.chunks_exact_mut(active.len()).zip(active) {
-        for (to, &c) in row.iter_mut().zip(active) {
-            *to += factor * x[r] * x[c];
         }
     }
 }

@@ -17,13 +17,11 @@ impl ModelPredictive {
     pub(super) fn make_plan(&mut self) {
         let (nx, m) = (self.places.state(), self.places.commands);
         let (better, moving) = (self.better(), self.dynamics.moving);
-        self.after[..nx].copy_from_slice(&self.state);
-        self.after[nx..].copy_from_slice(&self.command[..m]);
         self.find_active();
         let sampled = if self.frozen { 0.0 } else { self.config.sampled };
-        self.dynamics.take(sampled, &self.after);
+        self.dynamics.take(sampled);
         let reward = &mut self.rewards[better];
-        reward.take(sampled, (&self.after, self.dynamics.held()));
+        reward.take(sampled);
         let best = (self.best - reward.fit.center) / reward.fit.scale;
         let aim = (self.best - reward.fit.center) / reward.fit.scale * self.plan.horizon as f64;
         self.budget.cost = StepCost::of(self.places, &self.dynamics, reward, self.scratch.active.len());
@@ -38,6 +36,8 @@ impl ModelPredictive {
             scratch: &mut self.scratch,
         };
         // The state after the command that has just gone out.
+        self.after[..nx].copy_from_slice(&self.state);
+        self.after[nx..].copy_from_slice(&self.command[..m]);
         world.step(&self.after, &mut self.start);
         self.plan.shift();
         let began = self.planner.work;

@@ -1,7 +1,7 @@
 //! The kernel of one point with those before it, and the gradient of the evidence that these pairs give.
 
 use super::super::functions::exp;
-use super::super::layout::{LEAST_ORDER, Layout, MOST_ORDER, ScaleKind};
+use super::super::layout::{Layout, ScaleKind};
 
 /// Scratch memory of the kernel of one point with those before it.
 #[derive(Debug, Clone, Default)]
@@ -10,10 +10,10 @@ pub(super) struct Row {
     pub inner: Vec<f64>,
     /// `sin(w (x - x'))` of each angle.
     pub turned: Vec<f64>,
-    /// `z` of each group, and then the slope of the kernel by it.
+    /// Factor of each group.
     pub factors: Vec<f64>,
-    /// Elementary symmetric polynomials of the groups' `z`, by order, from 0 on.
-    pub orders: Vec<f64>,
+    /// The product of all factors.
+    pub product: Vec<f64>,
     /// The smooth part.
     pub smooth: Vec<f64>,
     /// The whole kernel.
@@ -22,40 +22,6 @@ pub(super) struct Row {
 }
 
 impl Row {
-    /// The elementary symmetric polynomials of the groups' `z`.
-    pub fn symmetric_polynomials(&mut self, groups: usize, n: usize) {
-        let capacity = self.scratch.len();
-        self.orders.fill(0.0);
-        self.orders[..n].fill(1.0);
-        for g in 0..groups {
-            let z = &self.factors[g * capacity..][..n];
-            for order in (1..=MOST_ORDER.min(g + 1)).rev() {
-                let (below, own) = self.orders.split_at_mut(order * capacity);
-                let below = &below[(order - 1) * capacity..][..n];
-                for ((own, below), z) in own.iter_mut().zip(below).zip(z) {
-                    *own += z * below;
-                }
-            }
-        }
-    }
-
-    /// Writes the slope of the products' part by the `z` of each group to `factors`: `sum_d amplitude_d e_{d-1}`, with
-    /// the polynomials of the other groups, `e'_d = e_d - z e'_{d-1}`.
-    pub fn slopes_by_group(&mut self, amplitudes: &[f64], groups: usize, n: usize) {
-        let capacity = self.scratch.len();
-        for g in 0..groups {
-            let factors = &mut self.factors[g * capacity..][..n];
-            for j in 0..n {
-                let (z, mut others, mut sum) = (factors[j], 1.0, 0.0);
-                for (k, amplitude) in amplitudes.iter().enumerate() {
-                    others = self.orders[(LEAST_ORDER - 1 + k) * capacity + j] - z * others;
-                    sum += amplitude * others;
-                }
-                factors[j] = sum;
-            }
-        }
-    }
-
     /// Gradient by the frequency and the inverse squared length of angle `u`; see `gradient_row` for the arguments.
     pub fn circle_gradient(
         &self,
@@ -65,7 +31,7 @@ impl Row {
         scales: &[f64],
         gradient: &mut [f64],
     ) {
-        let (n, from) = (x.len(), u * self.scratch.len());
+        let (n, from) = (x.len(), u * self.product.len());
         let (inner, turned) = (&self.inner[from..][..n], &self.turned[from..][..n]);
         let at = Layout::scale(u, ScaleKind::Frequency);
         let (mut smooth, mut frequency) = (0.0, 0.0);
@@ -86,7 +52,7 @@ impl Row {
         [_, square, _, rho]: [f64; 4],
         gradient: &mut [f64],
     ) {
-        let (n, from) = (x.len(), u * self.scratch.len());
+        let (n, from) = (x.len(), u * self.product.len());
         let inner = &self.inner[from..][..n];
         let (mut smooth, mut squares) = (0.0, 0.0);
         for j in 0..n {
