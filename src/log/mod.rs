@@ -48,6 +48,7 @@ mod repair;
 mod segments;
 mod writer;
 
+pub use crate::scenario::LogRotation;
 pub use csv::{CsvChannel, csv};
 pub use error::LogError;
 pub(crate) use header::flag_words;
@@ -58,8 +59,8 @@ pub use message_counts::{ChannelCounts, MessageCounts};
 pub use reader::LogReader;
 pub(crate) use recovery::LogRecovery;
 pub use repair::{Repair, TornContents, mend, repair};
-pub(crate) use segments::segment_path;
 pub use segments::{RunLog, SegmentEnd, find, segments};
+pub(crate) use segments::{segment_number_of, segment_path};
 pub use writer::{LogSummary, LogWriter};
 
 use crate::wire::{Command, Gap, Header, Learning, Observation};

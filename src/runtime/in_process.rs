@@ -44,10 +44,19 @@ pub fn in_process_with_agent<P: Plant, A: Agent>(
     plan: &Plan,
     body: P,
     agent: A,
+    observer: impl FnMut(&Observation, &Controller<A>) -> bool,
+) -> InProcess<A> {
+    in_process_with_controller(plan, body, Controller::with_agent(plan, agent), observer)
+}
+
+/// Like [`in_process_with_agent`], with a controller that need not begin anew.
+pub fn in_process_with_controller<P: Plant, A: Agent>(
+    plan: &Plan,
+    body: P,
+    mut controller: Controller<A>,
     mut observer: impl FnMut(&Observation, &Controller<A>) -> bool,
 ) -> InProcess<A> {
     let mut side = PlantSide::new(body, plan);
-    let mut controller = Controller::with_agent(plan, agent);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     for tick in 0..plan.scenario.ticks {
         side.observe(tick, 0, 0, &mut observation);

@@ -8,6 +8,7 @@ use crate::channel::RunServices;
 use crate::clock::monotonic_ns;
 use crate::process::print_error_line;
 use crate::runtime::Mode;
+use crate::scenario::limits::ENDLESS;
 use crate::text::thousands;
 use crate::wire::Role;
 
@@ -95,10 +96,10 @@ impl RunProgress {
             if x.is_finite() { format!("  {label} {x:.3}{unit}") } else { String::new() }
         };
         self.line.show(&format!(
-            "{}  {} of {} ticks  {} ticks/s{}{}{timing}",
+            "{}  {}{} ticks  {} ticks/s{}{}{timing}",
             self.name,
             thousands(tick),
-            thousands(self.ticks),
+            if self.ticks == ENDLESS { String::new() } else { format!(" of {}", thousands(self.ticks)) },
             thousands(rate as u64),
             value("loss", loss, ""),
             value("end error", end_error, " m"),
