@@ -34,6 +34,7 @@ fn header() -> LogHeader {
         channels: ChannelNames::default(),
         machine: BTreeMap::new(),
         realtime: Default::default(),
+        beginning: Default::default(),
         clock: LogClock::Virtual,
         t0_ns: 0,
         wall_at_t0_ns: 0,

@@ -96,6 +96,9 @@ pub fn main(arguments: &Arguments) -> Result<ExitCode, Problem> {
         print_error_line(&format!("tectum-bridge: joints of the leader that move nothing: {}", idle.join(", ")));
     }
     let launch = Launch {
+        started_from: None,
+        frozen: false,
+        keep_checkpoints: 0,
         plan,
         mode: Mode::Realtime,
         out: arguments.out.clone(),

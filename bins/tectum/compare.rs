@@ -5,11 +5,10 @@ use std::process::ExitCode;
 
 use clap::Args;
 use tectum::reference::STARTS;
-use tectum::study::StudyError;
-use tectum::study::compare::{
-    ArmChange, Changes, ComparedLearner, Comparison, ComparisonResult, LEARNERS, compare, learner,
-};
+use tectum::study::compare::{ArmChange, Changes, ComparedLearner, Comparison, LEARNERS, compare, learner};
+use tectum::study::{StudyEnd, StudyError, StudyPlace, continue_study};
 
+use super::seeds::SeedsArgument;
 use super::study_ended;
 use super::tick_count::tick_count;
 
@@ -31,16 +30,18 @@ Examples:
   tectum compare --learners learned-reward,mine.toml --ticks 6000
                                                        beside a controller of your own (docs/controllers.md)
   tectum compare --learners actor-critic --first-seed 1 --set learner.critic.step=0.1
-                                                       try a setting, on seeds to tune on")]
+                                                       try a setting, on seeds to tune on
+  tectum compare --seeds 1000..1010 --part a.jsonl     a part of a comparison; see tectum merge
+  tectum compare --continue runs/compare-1             go on with one that was interrupted")]
 pub struct Arguments {
     /// Learners to compare, separated by commas: paper, baseline, actor-critic, natural-actor-critic,
     /// learned-reward, model-predictive, or scenario files with a controller or settings of your own [default: the
     /// rules]
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     learners: Vec<String>,
-    /// Number of seeds
-    #[arg(long, value_name = "N", default_value_t = 5)]
-    seeds: u64,
+    /// Number of seeds, or a range A..B, in which B is not
+    #[arg(long, value_name = "N|A..B", default_value = "5")]
+    seeds: SeedsArgument,
     /// First seed; those below 1000 are for tuning
     #[arg(long, value_name = "S", default_value_t = 1000)]
     first_seed: u64,
@@ -63,14 +64,34 @@ pub struct Arguments {
     /// Folder for tables and figure [default: runs/compare-<n>]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Only keep the runs, in this file; the same command goes on with it, and `tectum merge` puts parts together
+    #[arg(long, value_name = "FILE", conflicts_with = "out")]
+    part: Option<PathBuf>,
+    /// Go on with a comparison that was interrupted, in its folder
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["learners", "seeds", "first_seed", "ticks", "block", "change",
+        "set", "starts", "out", "part"])]
+    r#continue: Option<PathBuf>,
     /// Print one JSON object instead of the tables
     #[arg(long)]
     json: bool,
 }
 
 pub fn main(arguments: &Arguments) -> ExitCode {
-    let text = |result: ComparisonResult| if arguments.json { result.to_json() + "\n" } else { result.to_text() };
-    study_ended(comparison(arguments).and_then(|comparison| compare(&comparison)).map(text))
+    study_ended(run(arguments))
+}
+
+fn run(arguments: &Arguments) -> Result<String, StudyError> {
+    let json = arguments.json;
+    if let Some(folder) = &arguments.r#continue {
+        let study = continue_study(folder, "compare", true)?;
+        return Ok(if json { study.json + "\n" } else { study.text });
+    }
+    Ok(match compare(&comparison(arguments)?)? {
+        StudyEnd::Whole(result) if json => result.to_json() + "\n",
+        StudyEnd::Whole(result) => result.to_text(),
+        StudyEnd::Part(part) if json => part.to_json() + "\n",
+        StudyEnd::Part(part) => part.to_text(),
+    })
 }
 
 /// The comparison for the arguments.
@@ -90,13 +111,13 @@ fn comparison(arguments: &Arguments) -> Result<Comparison, StudyError> {
     };
     Ok(Comparison {
         learners,
-        first_seed: arguments.first_seed,
-        seeds: arguments.seeds,
+        seeds: arguments.seeds.range(arguments.first_seed)?,
         ticks: arguments.ticks,
         changes,
         settings: arguments.set.clone(),
         starts: arguments.starts,
         out: arguments.out.clone(),
+        place: arguments.part.clone().map_or(StudyPlace::Folder, StudyPlace::Part),
         progress: true,
     })
 }

@@ -6,11 +6,15 @@ mod compare;
 mod doctor;
 mod film;
 mod log;
+mod merge;
 mod new;
+mod policy;
 mod replay;
 mod reproduce;
 mod run;
 mod scenario;
+mod seeds;
+mod sweep;
 mod tasks;
 mod tick_count;
 mod watch;
@@ -52,6 +56,8 @@ enum Command {
     Run(run::Arguments),
     /// Watch a run while it goes on, in this terminal or in a browser
     Watch(watch::Arguments),
+    /// Show what a run has learned, or write its policy into a file for others
+    Policy(policy::Arguments),
     /// List the built-in scenarios, or print one to copy and change
     Scenario(scenario::Arguments),
     /// Make a small project for a plant or a controller of your own, in Rust or in Python
@@ -64,6 +70,10 @@ enum Command {
     Film(film::Arguments),
     /// Compare the learners: how much experience each needs, and what one tick costs
     Compare(compare::Arguments),
+    /// Run a scenario with all combinations of some settings, over seeds
+    Sweep(sweep::Arguments),
+    /// Put the parts of a study together that many processes or machines have run
+    Merge(merge::Arguments),
     /// Measure the learners on many tasks, beside controllers that know the true plant
     Tasks(tasks::Arguments),
     /// Measure speed: latency, lockstep, encoder and learner, beside what the machine can do
@@ -80,12 +90,15 @@ fn main() -> ExitCode {
     match Arguments::parse().command {
         Command::Run(arguments) => run::main(&arguments),
         Command::Watch(arguments) => watch::main(&arguments),
+        Command::Policy(arguments) => policy::main(&arguments),
         Command::Scenario(arguments) => scenario::main(&arguments),
         Command::New(arguments) => new::main(&arguments),
         Command::Reproduce(arguments) => reproduce::main(&arguments),
         Command::Analyse(arguments) => analyse::main(&arguments),
         Command::Film(arguments) => film::main(&arguments),
         Command::Compare(arguments) => compare::main(&arguments),
+        Command::Sweep(arguments) => sweep::main(&arguments),
+        Command::Merge(arguments) => merge::main(&arguments),
         Command::Tasks(arguments) => tasks::main(&arguments),
         Command::Bench(arguments) => bench::main(&arguments),
         Command::Replay(arguments) => replay::main(&arguments),

@@ -5,20 +5,36 @@ use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 use tectum::study::reproduce::{ReproduceSettings, arm, eye, open_loop, outlook};
+use tectum::study::{StudyEnd, StudyError, StudyPlace, continue_study};
 
+use super::seeds::SeedsArgument;
 use super::study_ended;
 use super::tick_count::tick_count;
 
 #[derive(Debug, Args)]
-#[command(after_help = "\
+#[command(
+    after_help = "\
 Examples:
   tectum reproduce arm                      figure 4: 5 seeds of 12 million ticks, about a minute
   tectum reproduce arm --seeds 2 --ticks 1000000 --json
   tectum reproduce eye                      figure 2: four eyes, 3 million trials each
-  tectum reproduce open-loop --seeds 7      3 and 4 segments: how many ways there are")]
+  tectum reproduce open-loop --seeds 7      3 and 4 segments: how many ways there are
+  tectum reproduce arm --seeds 1..3 --part a.jsonl
+                                            a part of an experiment; see tectum merge
+  tectum reproduce --continue runs/reproduce-arm-1
+                                            go on with one that was interrupted",
+    args_conflicts_with_subcommands = true,
+    arg_required_else_help = true
+)]
 pub struct Arguments {
     #[command(subcommand)]
-    experiment: Experiment,
+    experiment: Option<Experiment>,
+    /// Go on with an experiment that was interrupted, in its folder
+    #[arg(long, value_name = "DIR")]
+    r#continue: Option<PathBuf>,
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -40,9 +56,9 @@ enum Experiment {
 
 #[derive(Debug, Args)]
 struct Options {
-    /// Number of seeds, run side by side on all cores
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=10_000))]
-    seeds: u64,
+    /// Number of seeds, run side by side on all cores, or a range A..B, in which B is not
+    #[arg(long, value_name = "N|A..B", default_value = "5")]
+    seeds: SeedsArgument,
     /// The first seed; the others follow
     #[arg(long, value_name = "S", default_value_t = 1)]
     first_seed: u64,
@@ -52,33 +68,47 @@ struct Options {
     /// Folder for figure and tables [default: runs/reproduce-<experiment>-<n>]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Only keep the runs, in this file; the same command goes on with it, and `tectum merge` puts parts together
+    #[arg(long, value_name = "FILE", conflicts_with = "out")]
+    part: Option<PathBuf>,
     /// Print one JSON object instead of the table
     #[arg(long)]
     json: bool,
 }
 
 pub fn main(arguments: &Arguments) -> ExitCode {
-    study_ended(match &arguments.experiment {
-        Experiment::Arm(options) => arm(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
-        Experiment::Eye(options) => eye(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
-        Experiment::OpenLoop(options) => open_loop(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
-        Experiment::Outlook(options) => outlook(&options.settings()).map(|r| options.text(r.to_json(), r.to_text())),
-    })
+    study_ended(run(arguments))
+}
+
+fn run(arguments: &Arguments) -> Result<String, StudyError> {
+    let Some(experiment) = &arguments.experiment else {
+        let none = || StudyError::Asked("name an experiment: arm, eye, open-loop or outlook".to_owned());
+        let study = continue_study(arguments.r#continue.as_deref().ok_or_else(none)?, "reproduce", true)?;
+        return Ok(if arguments.json { study.json + "\n" } else { study.text });
+    };
+    let (options, end) = match experiment {
+        Experiment::Arm(options) => (options, arm(&options.settings()?)?.map(|r| (r.to_json(), r.to_text()))),
+        Experiment::Eye(options) => (options, eye(&options.settings()?)?.map(|r| (r.to_json(), r.to_text()))),
+        Experiment::OpenLoop(options) => {
+            (options, open_loop(&options.settings()?)?.map(|r| (r.to_json(), r.to_text())))
+        }
+        Experiment::Outlook(options) => (options, outlook(&options.settings()?)?.map(|r| (r.to_json(), r.to_text()))),
+    };
+    let (json, text) = match end {
+        StudyEnd::Whole(both) => both,
+        StudyEnd::Part(part) => (part.to_json(), part.to_text()),
+    };
+    Ok(if options.json { json + "\n" } else { text })
 }
 
 impl Options {
-    fn settings(&self) -> ReproduceSettings {
-        ReproduceSettings {
-            seeds: self.seeds,
-            first_seed: self.first_seed,
+    fn settings(&self) -> Result<ReproduceSettings, StudyError> {
+        Ok(ReproduceSettings {
+            seeds: self.seeds.range(self.first_seed)?,
             ticks: self.ticks,
             out: self.out.clone(),
+            place: self.part.clone().map_or(StudyPlace::Folder, StudyPlace::Part),
             progress: true,
-        }
-    }
-
-    /// The text to print.
-    fn text(&self, json: String, text: String) -> String {
-        if self.json { json + "\n" } else { text }
+        })
     }
 }

@@ -6,9 +6,10 @@ use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 use tectum::process::print_error_line;
-use tectum::runtime::{Mode, exit};
-use tectum::scenario::Scenario;
-use tectum::supervise::{Launch, LaunchError, RunSummary, resume, run, run_in_process};
+use tectum::runtime::{Mode, ResumePoint, exit};
+use tectum::scenario::limits::ENDLESS;
+use tectum::scenario::{Plan, Scenario};
+use tectum::supervise::{Launch, LaunchError, LearnedState, ResumedRun, RunSummary, resume, run, run_in_process};
 use tectum::watch::{WatchError, WatchedRun, end_with_parent, launch_and_watch};
 use tectum::wire::Role;
 
@@ -23,16 +24,19 @@ Examples:
   tectum run --mode realtime --ticks 200       ten seconds on the real clock
   tectum run --watch                           see it while it goes on
   tectum run --name demo --by-hand controller  wait for a controller that you start yourself
-  tectum run --resume runs/arm-1               continue an interrupted run")]
+  tectum run --resume runs/arm-1               continue an interrupted run
+  tectum run --resume runs/arm-1 --ticks 7200  and one that came to its end, up to another tick
+  tectum run arm --seed 2 --from runs/arm-1    a new run that begins with what another one has learned
+  tectum run --from runs/arm-1 --freeze        run what was learned, without learning and exploring")]
 pub struct Arguments {
-    /// A scenario file, or the name of a built-in one (tectum scenario list)
-    #[arg(default_value = "scenarios/arm.toml")]
-    scenario: PathBuf,
+    /// A scenario file, or the name of a built-in one (tectum scenario list) [default: arm; with --from, that of the
+    /// other run]
+    scenario: Option<PathBuf>,
     /// How ticks follow each other [default: lockstep; realtime for servos]
     #[arg(long, value_enum)]
     mode: Option<ModeArgument>,
-    /// Number of ticks, such as 3600, 1_000_000 or 1e6, in place of the scenario's
-    #[arg(long, value_name = "N", value_parser = tick_count, allow_negative_numbers = true)]
+    /// Number of ticks, such as 3600, 1_000_000 or 1e6, or `endless`, in place of the scenario's
+    #[arg(long, value_name = "N", value_parser = run_length, allow_negative_numbers = true)]
     ticks: Option<u64>,
     /// Seed, in place of the scenario's
     #[arg(long, value_name = "S")]
@@ -49,12 +53,22 @@ pub struct Arguments {
     /// Write a checkpoint every N ticks; one is written at the end in any case, and on SIGUSR1
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = tick_count, allow_negative_numbers = true)]
     checkpoint_every: u64,
-    /// Continue a lockstep run from its last checkpoint, in a new folder
-    #[arg(long, value_name = "RUN", conflicts_with_all = ["scenario", "mode", "ticks", "seed"])]
+    /// Keep only the last N checkpoints of each process, at least 2; 0: all
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = kept_count)]
+    keep_checkpoints: u64,
+    /// Continue a lockstep run from its last checkpoint, in a new folder; with --ticks up to another tick
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["scenario", "mode", "seed"])]
     resume: Option<PathBuf>,
     /// Watch the run in this terminal while it goes on (tectum watch)
     #[arg(long)]
     watch: bool,
+    /// Begin with what another run has learned: its folder, its name, or a checkpoint of its controller. The plant, the
+    /// mode and the seed may be others; inputs, outputs and learner must be the same
+    #[arg(long, value_name = "RUN|CHECKPOINT", conflicts_with = "resume")]
+    from: Option<PathBuf>,
+    /// Neither learn nor explore: every command is the policy's mean
+    #[arg(long, requires = "from")]
+    freeze: bool,
     /// Print one JSON object instead of the table
     #[arg(long)]
     json: bool,
@@ -62,6 +76,9 @@ pub struct Arguments {
     #[arg(long, value_name = "PID", hide = true)]
     watched_by: Option<u32>,
 }
+
+/// The scenario of a run for which none is named.
+const DEFAULT_SCENARIO: &str = "scenarios/arm.toml";
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum ModeArgument {
@@ -78,6 +95,20 @@ enum RoleArgument {
     Plant,
     Controller,
     Logger,
+}
+
+/// A number of ticks, or `endless`.
+fn run_length(text: &str) -> Result<u64, String> {
+    if text == "endless" { Ok(ENDLESS) } else { tick_count(text) }
+}
+
+/// A number of checkpoints to keep. With one alone, plant and controller would have none of the same tick while one of
+/// them has written the next.
+fn kept_count(text: &str) -> Result<u64, String> {
+    match text.parse() {
+        Ok(1) | Err(_) => Err("give 2 or more, or 0 for all".to_owned()),
+        Ok(count) => Ok(count),
+    }
 }
 
 /// A run's name is a folder's name and nothing more.
@@ -144,18 +175,7 @@ fn launch(arguments: &Arguments) -> Result<RunSummary, LaunchError> {
 
 /// Turns the arguments into a launch. Every check that needs no started process happens here.
 fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
-    let (resumed, plan) = match &arguments.resume {
-        Some(run) => {
-            let (resumed, plan) = resume(run)?;
-            (Some(resumed), plan)
-        }
-        None => {
-            let mut scenario = Scenario::find(Path::new(&arguments.scenario))?;
-            scenario.ticks = arguments.ticks.unwrap_or(scenario.ticks);
-            scenario.seed = arguments.seed.unwrap_or(scenario.seed);
-            (None, scenario.plan()?)
-        }
-    };
+    let Beginning { plan, resumed, started_from, frozen } = beginning(arguments)?;
     let servos = plan.scenario.plant.servos.is_some();
     // Emulated servos can be part of the bridge's process, on a clock that the ticks step.
     let emulated = plan.scenario.plant.has_virtual_servos();
@@ -171,8 +191,11 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
     Ok(Launch {
         plan,
         checkpoint_every: arguments.checkpoint_every,
+        keep_checkpoints: arguments.keep_checkpoints,
         stopwatch: false,
         resumed,
+        started_from,
+        frozen,
         mode,
         out: arguments.out.clone(),
         name: arguments.name.clone(),
@@ -187,6 +210,34 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
             .collect(),
         progress: arguments.watched_by.is_none(),
     })
+}
+
+/// What a run begins with.
+struct Beginning {
+    plan: Plan,
+    resumed: Option<ResumePoint>,
+    started_from: Option<LearnedState>,
+    frozen: bool,
+}
+
+fn beginning(arguments: &Arguments) -> Result<Beginning, LaunchError> {
+    if let Some(run) = &arguments.resume {
+        let ResumedRun { point, plan, started_from, frozen } = resume(run, arguments.ticks)?;
+        return Ok(Beginning { plan, resumed: Some(point), started_from, frozen });
+    }
+    let started_from = arguments.from.as_deref().map(LearnedState::find).transpose()?;
+    let mut scenario = match (&arguments.scenario, &started_from) {
+        (Some(given), _) => Scenario::find(given)?,
+        (None, Some(learned)) => learned.plan().scenario.clone(),
+        (None, None) => Scenario::find(Path::new(DEFAULT_SCENARIO))?,
+    };
+    scenario.ticks = arguments.ticks.unwrap_or(scenario.ticks);
+    scenario.seed = arguments.seed.unwrap_or(scenario.seed);
+    let mut plan = scenario.plan()?;
+    if let Some(learned) = &started_from {
+        plan.warnings.extend(learned.check(&plan)?);
+    }
+    Ok(Beginning { plan, resumed: None, started_from, frozen: arguments.freeze })
 }
 
 fn show(summary: &RunSummary, json: bool) -> ExitCode {

@@ -15,7 +15,7 @@ use super::run_block::{self, RunBlock};
 use super::usage::{Usage, core_of, cores_text};
 use super::{BenchError, Machine, Transport};
 use crate::clock::{TerminationSignals, monotonic_ns};
-use crate::runtime::{Mode, simulate};
+use crate::runtime::{Controller, Mode, simulate};
 use crate::stats::Spread;
 use crate::supervise::simulated_plant;
 use crate::text::thousands;
@@ -141,7 +141,7 @@ fn one_process(block: &RunBlock, signals: &TerminationSignals) -> Result<f64, Be
     let plan = run_block::plan(block)?;
     let plant = simulated_plant(&plan)?;
     let began = monotonic_ns();
-    let _ = simulate(&plan, plant, &mut |observation, _| {
+    let _ = simulate(&plan, plant, Controller::new(&plan), &mut |observation, _| {
         !observation.header.tick.is_multiple_of(4096) || signals.received() == 0
     });
     let ns = monotonic_ns() - began;

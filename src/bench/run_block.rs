@@ -79,8 +79,11 @@ fn measure_in(block: &RunBlock, folder: &Path) -> Result<BlockOutcome, BenchErro
         name: None,
         by_hand: Vec::new(),
         checkpoint_every: 0,
+        keep_checkpoints: 0,
         stopwatch: block.timed,
         resumed: None,
+        started_from: None,
+        frozen: false,
         progress: false,
     };
     // Seldom in real time, where every sample of the usage wakes the processor up once more.

@@ -29,6 +29,14 @@ pub enum StudyError {
         /// What the program said, or how it ended.
         error: PipeError,
     },
+    /// A run with processes of its own failed.
+    #[error("{message}")]
+    Run {
+        /// The exit code.
+        code: u8,
+        /// Which run, and why.
+        message: String,
+    },
     /// The figure cannot be drawn or written.
     #[error(transparent)]
     Report(#[from] ReportError),
@@ -40,8 +48,33 @@ pub enum StudyError {
         /// The operating system's error.
         error: std::io::Error,
     },
+    /// Not all runs of a study are in the files from which it is to be put together.
+    #[error(
+        "{} of {of} runs are missing: {}; make them with --seeds and --part, and merge again",
+        missing.len(), some(missing)
+    )]
+    Missing {
+        /// Names of the runs.
+        missing: Vec<String>,
+        /// Number of runs that the study has.
+        of: usize,
+    },
+    /// A signal ended the study early. The runs that are done are kept.
+    #[error("ended by signal {signal}: {done} of {of} runs are done and kept in {}; {remedy}", path.display())]
+    Interrupted {
+        /// The signal.
+        signal: u32,
+        /// Number of runs that are kept.
+        done: usize,
+        /// Number of runs that the study, or this part of it, has.
+        of: usize,
+        /// The file of rows.
+        path: PathBuf,
+        /// How it goes on.
+        remedy: String,
+    },
     /// A signal ended the study early.
-    #[error("ended by signal {0}: a study writes its results at its end, so there are none")]
+    #[error("ended by signal {0}: no run was done, and results are written at the end, so there are none")]
     Signal(u32),
 }
 
@@ -51,10 +84,20 @@ impl StudyError {
         match self {
             Self::Launch(error) => error.exit_code(),
             Self::Controller { error, .. } => error.exit_code(),
-            Self::Signal(number) => exit::by_signal(*number),
-            Self::Scenario(_) | Self::Asked(_) | Self::Report(_) | Self::Write { .. } => exit::INPUT,
+            Self::Run { code, .. } => *code,
+            Self::Signal(number) | Self::Interrupted { signal: number, .. } => exit::by_signal(*number),
+            Self::Missing { .. } | Self::Scenario(_) | Self::Asked(_) | Self::Report(_) | Self::Write { .. } => {
+                exit::INPUT
+            }
         }
     }
+}
+
+/// The first few of some names.
+fn some(names: &[String]) -> String {
+    const SHOWN: usize = 8;
+    let more = if names.len() > SHOWN { ", ..." } else { "" };
+    names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ") + more
 }
 
 /// Writes one result file of a study.

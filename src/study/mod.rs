@@ -8,12 +8,19 @@
 pub mod analyse;
 pub mod compare;
 mod error;
+mod exact;
 pub mod film;
+mod merge;
+mod opened_study;
 pub mod replay;
 pub mod reproduce;
+mod study_rows;
+pub mod sweep;
 pub mod tasks;
 mod text;
 mod worker_pool;
 
 pub use error::StudyError;
-pub(crate) use worker_pool::{JobProgress, WorkerPool};
+pub use merge::{MergedStudy, continue_study, merge};
+pub use study_rows::{SeedRange, StudyEnd, StudyHead, StudyPart, StudyPlace};
+pub(crate) use worker_pool::{JobProgress, KeptJob, WorkerPool};

@@ -7,8 +7,12 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::thread;
 
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
 use super::StudyError;
-use crate::clock::{TerminationSignals, pause};
+use super::study_rows::{ROWS_FILE, StudyRows};
+use crate::clock::{TerminationSignals, monotonic_ns, pause};
 use crate::supervise::{LaunchError, RunProgress};
 
 /// How often the calling thread checks for signals and shows the progress, ns.
@@ -56,6 +60,11 @@ impl WorkerPool {
     pub fn new(progress: bool) -> Result<Self, StudyError> {
         let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
         Ok(Self { signals, progress })
+    }
+
+    /// The signals that end the study.
+    pub fn signals(&self) -> TerminationSignals {
+        self.signals.clone()
     }
 
     /// Runs `work` for all `jobs`, which have `ticks` ticks together. Gives the results in the order of the
@@ -110,6 +119,77 @@ impl WorkerPool {
             signal => Err(StudyError::Signal(signal)),
         }
     }
+}
+
+/// A run of a study whose result is kept as a row.
+#[derive(Debug, Clone)]
+pub(crate) struct KeptJob<J> {
+    /// Its name, unique in the study: learner or variant, and seed.
+    pub name: String,
+    /// Its number of ticks.
+    pub ticks: u64,
+    /// What to do.
+    pub job: J,
+}
+
+impl WorkerPool {
+    /// Like [`run`](Self::run), for jobs whose results are kept in `rows` as soon as they are done; those that are
+    /// there are not run again. `work` gives no result if it had to stop.
+    ///
+    /// # Errors
+    /// The first error of a job; [`StudyError::Interrupted`] if a signal ended the study early, and
+    /// [`StudyError::Missing`] if results are missing from rows to which none can be added.
+    pub fn run_kept<J: Sync, T: Serialize + DeserializeOwned + Send>(
+        &self,
+        name: &str,
+        rows: &StudyRows,
+        jobs: &[KeptJob<J>],
+        work: impl Fn(&J, &JobProgress) -> Result<Option<T>, StudyError> + Sync,
+    ) -> Result<Vec<T>, StudyError> {
+        let mut results: Vec<Option<T>> = jobs.iter().map(|job| rows.get(&job.name)).collect::<Result<_, _>>()?;
+        let open: Vec<usize> = (0..jobs.len()).filter(|&i| results[i].is_none()).collect();
+        if !open.is_empty() && !rows.is_open() {
+            let missing = open.iter().map(|&i| jobs[i].name.clone()).collect();
+            return Err(StudyError::Missing { missing, of: jobs.len() });
+        }
+        let ticks = open.iter().map(|&i| jobs[i].ticks).sum();
+        let one = |&i: &usize, progress: &JobProgress| {
+            let KeptJob { name, job, .. } = &jobs[i];
+            let began = monotonic_ns();
+            let result = work(job, progress).and_then(|result| {
+                let seconds = (monotonic_ns() - began) as f64 / 1e9;
+                result.as_ref().map_or(Ok(()), |result| rows.put(name, seconds, result)).map(|()| result)
+            });
+            result.inspect_err(|_| progress.stop_all())
+        };
+        match self.run(name, ticks, &open, one) {
+            Ok(done) => {
+                for (i, result) in open.into_iter().zip(done) {
+                    results[i] = result?;
+                }
+                Ok(results.into_iter().flatten().collect())
+            }
+            Err(StudyError::Signal(signal)) => Err(interrupted(rows, signal, jobs.len())),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+/// The error for a study that a signal ended.
+pub(super) fn interrupted(rows: &StudyRows, signal: u32, of: usize) -> StudyError {
+    if rows.count() == 0 {
+        return StudyError::Signal(signal);
+    }
+    let path = rows.path().to_owned();
+    let folder = path.parent().filter(|_| path.file_name().is_some_and(|name| name == ROWS_FILE));
+    let remedy = match folder {
+        Some(folder) if rows.is_open() => {
+            let command = rows.head.study.split(' ').next().unwrap_or_default();
+            format!("`tectum {command} --continue {}` goes on", folder.display())
+        }
+        _ => "the same command goes on".to_owned(),
+    };
+    StudyError::Interrupted { signal, done: rows.count(), of, path, remedy }
 }
 
 #[cfg(test)]

@@ -14,6 +14,25 @@ pub enum LaunchError {
     /// The checkpoint to resume from cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
+    /// What another run has learned does not fit this one.
+    #[error(
+        "{path}: what was learned there does not fit this run: {difference}; run a scenario with the same inputs, \
+         outputs and learner"
+    )]
+    OtherLearner {
+        /// The checkpoint.
+        path: String,
+        /// The first difference.
+        difference: String,
+    },
+    /// A policy cannot be written.
+    #[error("{path} cannot be written: {cause}; choose another file with --out")]
+    Export {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        cause: String,
+    },
     /// Shared memory cannot be set up.
     #[error(transparent)]
     Channel(#[from] ChannelError),
@@ -49,7 +68,10 @@ pub enum LaunchError {
         cause: String,
     },
     /// A process does not become ready in time.
-    #[error("the {role} did not get ready within {seconds} s; start it by hand with --by-hand to see why")]
+    #[error(
+        "the {role} did not get ready within {seconds} s; start it by hand with --by-hand to see why, or allow more \
+         with [restart] set_up_s"
+    )]
     NotReady {
         /// Which process.
         role: &'static str,
@@ -87,6 +109,8 @@ impl LaunchError {
         match self {
             Self::Scenario(_)
             | Self::Checkpoint(_)
+            | Self::OtherLearner { .. }
+            | Self::Export { .. }
             | Self::Folder { .. }
             | Self::NoRoom { .. }
             | Self::OnlyRealtime(_)

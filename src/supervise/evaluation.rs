@@ -8,6 +8,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
+use crate::policy::LinearPolicy;
 use crate::reference::{FixedArm, Score, TARGETS, TestSet};
 use crate::runtime::{FIRST_LOOK_S, PolicySnapshot, change_ticks, ticks_in};
 use crate::scenario::{Angles, ArmConfig, Plan};
@@ -52,8 +53,14 @@ enum TestJob<'a> {
 
 /// Tests the policies of a run of `done` ticks, phase by phase. `None` where the controller is another
 /// program, where its learner has no policy, where the plant is not the simulator's arm, or where the test would take
-/// too long. `snapshots` are in the order of ticks.
-pub(super) fn evaluate(plan: &Plan, done: u64, snapshots: &[PolicySnapshot]) -> Option<Vec<PhaseTests>> {
+/// too long. `snapshots` are in the order of ticks. `start` is the policy with
+/// which the run began; without one, its weights were 0.
+pub(super) fn evaluate(
+    plan: &Plan,
+    done: u64,
+    snapshots: &[PolicySnapshot],
+    start: Option<&LinearPolicy>,
+) -> Option<Vec<PhaseTests>> {
     // The test set has no delays, so that it does not test what a late plant was learned with.
     let linear = plan.scenario.controller.is_shipped() && plan.scenario.learner.rule.is_linear();
     let testable = linear && plan.scenario.plant.timing.is_nothing();
@@ -71,7 +78,10 @@ pub(super) fn evaluate(plan: &Plan, done: u64, snapshots: &[PolicySnapshot]) -> 
     let jobs = jobs(&phases, snapshots, known_to_reference(arm), (MOST_WORK / work.max(1), first_look));
     let results = in_parallel(&jobs, |job| match *job {
         TestJob::Optimum(phase) => sets[phase].optimum_targets(STARTS),
-        TestJob::Untrained(phase) => Some(sets[phase].zero_targets()),
+        TestJob::Untrained(phase) => Some(match start {
+            Some(policy) => sets[phase].score_targets(policy),
+            None => sets[phase].zero_targets(),
+        }),
         TestJob::Policy(phase, snapshot) => Some(sets[phase].score_targets(&snapshot.policy)),
     });
     for (job, scores) in jobs.iter().zip(results) {
@@ -188,22 +198,22 @@ mod tests {
 
     #[test]
     fn a_run_is_tested_in_the_arm_of_each_phase() {
-        let phases = evaluate(&plan("arm"), 3600, &[]).unwrap();
+        let phases = evaluate(&plan("arm"), 3600, &[], None).unwrap();
         assert_eq!(phases.iter().map(|p| (p.from, p.until)).collect::<Vec<_>>(), [(0, 2400), (2400, 3600)]);
         let untrained = phases[0].tests[0];
         assert!(untrained.0 == 0 && untrained.1.error_m > 1.0, "{untrained:?}");
         let optima: Vec<_> = phases.iter().map(|p| p.optimum.unwrap()).collect();
         assert!(optima.iter().all(|o| o.error_m < 0.1 && o.loss < 0.03), "{optima:?}");
         assert!(phases[1].tests.is_empty(), "no policy was left");
-        assert_eq!(evaluate(&plan("arm"), 2400, &[]).unwrap().len(), 1, "the block did not come");
+        assert_eq!(evaluate(&plan("arm"), 2400, &[], None).unwrap().len(), 1, "the block did not come");
     }
 
     #[test]
     fn other_plants_have_no_test() {
         for name in ["eye", "open-loop-3", "servo-emulated"] {
-            assert_eq!(evaluate(&plan(name), 1000, &[]), None, "{name}");
+            assert_eq!(evaluate(&plan(name), 1000, &[], None), None, "{name}");
         }
-        let relative = evaluate(&plan("relative"), 1000, &[]).unwrap();
+        let relative = evaluate(&plan("relative"), 1000, &[], None).unwrap();
         assert_eq!(relative[0].optimum, None, "the reference does not know relative angles");
         assert_eq!(relative[0].tests.len(), 1);
     }

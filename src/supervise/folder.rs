@@ -78,7 +78,13 @@ impl RunFolder {
     pub fn check_room(&self, plan: &Plan) -> Result<(), LaunchError> {
         let Ok(disk) = rustix::fs::statvfs(&self.path) else { return Ok(()) };
         let free = disk.f_bavail * disk.f_frsize;
-        let log = bytes_per_tick(plan.scenario.log.every) * plan.scenario.ticks as f64;
+        let whole = bytes_per_tick(plan.scenario.log.every) * plan.scenario.ticks as f64;
+        // What is removed on the way needs no room. An endless run without a limit has whatever room there is.
+        let log = match plan.scenario.log.limit_mb {
+            Some(limit) => whole.min(1e6 * limit),
+            None if plan.scenario.is_endless() => 0.0,
+            None => whole,
+        };
         let needed = log as u64 + FIXED_BYTES + SPARE_BYTES;
         if needed > free {
             let path = self.path.display().to_string();
@@ -130,7 +136,9 @@ impl Drop for RunFolder {
             return;
         }
         let reports = Role::ALL.map(|role| realtime_path(&self.path, role));
-        for path in [RunManifest::path(&self.path), RunManifest::scenario_path(&self.path)].into_iter().chain(reports) {
+        let start = RunManifest::start_path(&self.path);
+        let own = [RunManifest::path(&self.path), RunManifest::scenario_path(&self.path), start];
+        for path in own.into_iter().chain(reports) {
             let _ = fs::remove_file(path);
         }
         if self.created {

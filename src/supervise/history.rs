@@ -11,7 +11,7 @@ use crate::stats::Window;
 const SHARE: u64 = 20;
 
 /// The first and the last twentieth of a run, or as much more as it takes to see a target end.
-pub(super) fn ends(windows: &[Window]) -> Option<[Window; 2]> {
+pub(crate) fn ends(windows: &[Window]) -> Option<[Window; 2]> {
     let total = windows.iter().map(|w| w.ticks).sum();
     Some([merge(windows.iter(), total)?, merge(windows.iter().rev(), total)?])
 }

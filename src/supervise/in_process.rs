@@ -8,7 +8,8 @@ use crate::agent::Agent as _;
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::plant::SimulatedPlant;
 use crate::runtime::{
-    ControllerReport, PipedController, PlantReport, PolicySnapshot, SnapshotSchedule, in_process_over_pipe, simulate,
+    Controller, ControllerReport, PipedController, PipedStart, PlantReport, PolicySnapshot, SnapshotSchedule,
+    in_process_over_pipe, simulate,
 };
 use crate::scenario::Plan;
 
@@ -23,10 +24,11 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
     let plan = &launch.plan;
     let plant = simulated_plant(plan)?;
+    let controller = beginning(launch)?;
     // Started before the folder exists, so that a program that refuses the scenario leaves nothing behind.
     let piped = match plan.scenario.controller.is_shipped() {
         true => None,
-        false => Some(PipedController::start_until(plan, Some(signals.clone()))?),
+        false => Some(PipedController::start_with(plan, piped_start(launch, &signals))?),
     };
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.write_scenario(plan)?;
@@ -45,7 +47,7 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     }
     let due = SnapshotSchedule::of(plan).map_or_else(Vec::new, |schedule| schedule.due().to_vec());
     let mut snapshots: Vec<PolicySnapshot> = Vec::new();
-    let result = simulate(plan, plant, &mut |observation, controller| {
+    let result = simulate(plan, plant, controller, &mut |observation, controller| {
         let tick = observation.header.tick;
         if due.get(snapshots.len()) == Some(&tick) {
             snapshots.extend(controller.policy().map(|policy| PolicySnapshot { tick, policy: policy.clone() }));
@@ -64,6 +66,27 @@ pub fn run_in_process(launch: &Launch) -> Result<RunSummary, LaunchError> {
     progress.clear();
     let result = StudyResult { plant: result.plant, controller: result.controller, snapshots };
     Ok(RunSummary::of_study(launch, folder.path(), outcome(&signals), result, seconds))
+}
+
+/// What a controller's program begins with.
+fn piped_start(launch: &Launch, signals: &TerminationSignals) -> PipedStart {
+    let checkpoint = launch.started_from.as_ref().map(|learned| learned.file().to_owned());
+    PipedStart { signals: Some(signals.clone()), checkpoint, frozen: launch.frozen }
+}
+
+/// The controller with which the run begins; of no use where that is a program of its own.
+fn beginning(launch: &Launch) -> Result<Controller, LaunchError> {
+    let mut controller = Controller::new(&launch.plan);
+    if !launch.plan.scenario.controller.is_shipped() {
+        return Ok(controller);
+    }
+    if launch.frozen {
+        controller.freeze();
+    }
+    if let Some(learned) = &launch.started_from {
+        controller.start_from(learned.checkpoint())?;
+    }
+    Ok(controller)
 }
 
 /// What a run in one process leaves.

@@ -9,11 +9,11 @@ use crate::scenario::Plan;
 /// Changes of the arm that get rows of their own; later ones are in the figure and in the sentence.
 const CHANGES_IN_ROWS: usize = 3;
 
-/// The rows of a run that was tested.
-pub(super) fn rows(plan: &Plan, phases: &[PhaseTests], observed: &[TargetsAround]) -> Vec<ProgressRow> {
+/// The rows of a run that was tested; `first` names the first, before anything was learned in this run.
+pub(super) fn rows(plan: &Plan, phases: &[PhaseTests], observed: &[TargetsAround], first: &str) -> Vec<ProgressRow> {
     let table = RowMaker { phases, observed, delay: ticks_in(plan, 1) - 1 };
     let Some(last) = phases.last() else { return Vec::new() };
-    let mut rows = vec![ProgressRow { loss: None, targets: 0, ..table.row("untrained".into(), 0, 0, Side::After) }];
+    let mut rows = vec![ProgressRow { loss: None, targets: 0, ..table.row(first.into(), 0, 0, Side::After) }];
     let first_look = ticks_in(plan, FIRST_LOOK_S);
     if first_look < phases[0].until {
         rows.push(table.row(format!("after {FIRST_LOOK_S} s"), first_look, 0, Side::After));
@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_row_holds_what_was_measured_at_its_tick() {
-        let rows = rows(&plan(), &phases(), &observed());
+        let rows = rows(&plan(), &phases(), &observed(), "untrained");
         let told: Vec<_> = rows.iter().map(|r| (r.when.as_str(), r.tick, r.test_error_m, r.loss, r.targets)).collect();
         assert_eq!(
             told,
@@ -161,7 +161,7 @@ mod tests {
     fn runs_that_ended_early_have_fewer_rows() {
         let mut short = phases()[..1].to_vec();
         (short[0].until, short[0].tests) = (150, Vec::new());
-        let rows = rows(&plan(), &short, &[]);
+        let rows = rows(&plan(), &short, &[], "untrained");
         assert_eq!(rows.iter().map(|r| r.when.as_str()).collect::<Vec<_>>(), ["untrained", "at the end"]);
         assert_eq!((rows[1].test_error_m, rows[1].loss, rows[1].targets), (None, None, 0));
         assert!(reached(&plan(), &short).is_empty());

@@ -15,7 +15,9 @@ mod folder;
 mod folder_watch;
 mod history;
 mod in_process;
+mod learned_state;
 mod learning_progress;
+mod policy_file;
 mod progress;
 mod progress_line;
 mod restarts;
@@ -27,13 +29,15 @@ mod supervisor;
 
 pub use error::LaunchError;
 pub(crate) use folder::RunFolder;
-pub(crate) use history::{body_changes, reach};
+pub(crate) use history::{body_changes, ends as window_ends, reach};
 pub use in_process::run_in_process;
 pub(crate) use in_process::simulated_plant;
+pub use learned_state::LearnedState;
+pub use policy_file::{PolicyAxis, PolicyFacts, export_policy};
 pub(crate) use progress::RunProgress;
 pub(crate) use progress_line::ProgressLine;
 pub use restarts::RestartIncident;
-pub use resume::resume;
+pub use resume::{ResumedRun, resume};
 pub use summary::{ProcessRealtime, RunOutcome, RunSummary, WindowSummary};
 
 use std::path::{Path, PathBuf};
@@ -65,10 +69,16 @@ pub struct Launch {
     pub by_hand: Vec<Role>,
     /// Number of ticks from one checkpoint to the next; 0: only one at the end.
     pub checkpoint_every: u64,
+    /// Number of checkpoints of each process that are kept, the newest ones; 0: all.
+    pub keep_checkpoints: u64,
     /// In lockstep: write the real instants of each tick to the run's folder, for `tectum bench`.
     pub stopwatch: bool,
     /// Where the run starts, if it resumes another one ([`resume()`]).
     pub resumed: Option<ResumePoint>,
+    /// The learner with which the run begins, in place of a fresh one. [`LearnedState::check`] has accepted it.
+    pub started_from: Option<LearnedState>,
+    /// Whether the learner is frozen: it neither learns nor explores.
+    pub frozen: bool,
     /// Show a progress line on standard error.
     pub progress: bool,
 }
@@ -99,6 +109,9 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
     let services = RunServices::create(&domain, &identity(plan), &plan.scenario.channels, plan.scenario.vision())?;
     // Before the manifest, by which watchers know a run.
     let watch_files = Arc::new(WatchFiles::create(&domain, folder.path()));
+    if let Some(learned) = launch.started_from.as_ref().filter(|_| launch.resumed.is_none()) {
+        learned.copy_to(folder.path())?;
+    }
     folder.write_manifest(&manifest(launch, run_id, &domain), plan)?;
 
     services.control.put(Control::default());
@@ -114,8 +127,11 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
     }
     folder.keep();
     if let Some(resumed) = &launch.resumed {
-        // The policies of the part before. Best effort: without them the summary knows less.
-        let _ = std::fs::copy(snapshot_path(&resumed.from), snapshot_path(folder.path()));
+        // The policies of the part before. Best effort: without them the summary knows less. Their checksums hold the
+        // scenario's hash, which another number of ticks changes.
+        if resumed.scenario.is_none() {
+            let _ = std::fs::copy(snapshot_path(&resumed.from), snapshot_path(folder.path()));
+        }
     }
     if launch.mode == Mode::Realtime {
         warn_of_refusals(folder.path());
@@ -145,8 +161,11 @@ fn manifest(launch: &Launch, run_id: u64, domain: &DomainName) -> RunManifest {
         domain: domain.clone(),
         launcher: std::process::id(),
         checkpoint_every: launch.checkpoint_every,
+        keep_checkpoints: launch.keep_checkpoints,
         stopwatch: launch.stopwatch,
         resumed: launch.resumed.clone(),
+        started_from: launch.started_from.as_ref().filter(|_| launch.resumed.is_none()).map(LearnedState::point),
+        frozen: launch.frozen,
     }
 }
 

@@ -9,6 +9,7 @@ use crate::channel::RunServices;
 use crate::clock::monotonic_ns;
 use crate::process::print_error_line;
 use crate::runtime::Mode;
+use crate::scenario::limits::ENDLESS;
 use crate::text::thousands;
 use crate::wire::Role;
 use tectum_view::duration;
@@ -106,11 +107,17 @@ impl RunProgress {
             if x.is_finite() { format!("{label} {x:.3}{unit}") } else { String::new() }
         };
         let left = self.ticks.saturating_sub(tick) as f64 / rate;
+        // A run without an end has no share of it.
+        let planned = self.ticks != ENDLESS;
         let parts = [
             self.name.clone(),
-            format!("{} %", 100 * tick / self.ticks.max(1)),
-            if rate > 0.0 { format!("{} left", duration(left)) } else { String::new() },
-            format!("{} of {} ticks", thousands(tick), thousands(self.ticks)),
+            if planned { format!("{} %", 100 * tick / self.ticks.max(1)) } else { String::new() },
+            if planned && rate > 0.0 { format!("{} left", duration(left)) } else { String::new() },
+            if planned {
+                format!("{} of {} ticks", thousands(tick), thousands(self.ticks))
+            } else {
+                format!("{} ticks", thousands(tick))
+            },
             format!("{} ticks/s", thousands(rate as u64)),
             value("loss", loss, ""),
             value("end error", end_error, " m"),

@@ -9,7 +9,6 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::children::{DeathKind, ProcessDeath};
-use crate::channel::INCARNATIONS;
 use crate::scenario::{RestartConfig, RestartPolicy};
 use crate::wire::Role;
 
@@ -90,9 +89,8 @@ impl RestartTracker {
         if healthy_ns as f64 > self.config.healthy_s * 1e9 {
             record.restarts_in_a_row = 0;
         }
-        let incarnations_left = record.incarnation + 1 < INCARNATIONS;
         let given_up = record.restarts_in_a_row >= self.config.give_up_after;
-        if !incarnations_left || !requested && (!allowed || given_up) {
+        if !requested && (!allowed || given_up) {
             return false;
         }
         let doubled = self.config.backoff_ms * 2_f64.powi(record.restarts_in_a_row.min(64) as i32);

@@ -10,14 +10,16 @@ use super::children::ProcessFailure;
 use super::evaluation::evaluate;
 use super::history::{ends, history};
 use super::in_process::StudyResult;
+use super::learned_state::LearnedState;
 use super::learning_progress::{reached, rows};
 use super::restarts::RestartIncident;
 use super::supervisor::RunEnd;
+use crate::agent::Agent as _;
 use crate::clock::RealtimeReport;
 use crate::log;
 use crate::report::{self, ProgressRow, Reached, RunHistory};
 use crate::runtime::{
-    ControllerReport, LoggerReport, Mode, PlantReport, PolicySnapshot, RunWarning, TickBudget, exit, judge,
+    ControllerReport, LoggerReport, Mode, PlantReport, PolicySnapshot, RunWarning, StartPoint, TickBudget, exit, judge,
     read_realtime, read_report, read_snapshots, remove_unwritten_reports,
 };
 use crate::stats::{Percentiles, Window};
@@ -77,10 +79,14 @@ pub struct RunSummary {
     pub ended: RunOutcome,
     /// Ticks done.
     pub ticks: u64,
-    /// Ticks planned.
-    pub ticks_planned: u64,
+    /// Ticks planned; null for an endless run.
+    pub ticks_planned: Option<u64>,
     /// The tick with which this part of the run began, if it goes on with another one.
     pub resumed_at: Option<u64>,
+    /// What another run had learned, with which this one began; null where it began with a fresh learner.
+    pub started_from: Option<StartPoint>,
+    /// Whether the learner was frozen: nothing was learned, and nothing explored.
+    pub frozen: bool,
     /// Seconds that they took.
     pub seconds: f64,
     /// Ticks a second.
@@ -152,8 +158,10 @@ pub struct RunSummary {
     pub folder: PathBuf,
     /// The log; null where there is none. Its folder, if it has several segments.
     pub log: Option<PathBuf>,
-    /// Its segments: one, and one more for each logger that was started anew.
+    /// Its segments: one, and one more for each logger that was started anew, and each `[log] rotate`.
     pub log_segments: usize,
+    /// Older segments that were removed because the log had reached `[log] limit_mb`.
+    pub log_removed_segments: u64,
     /// The tick from which on samples are missing because the log did not take them; null where it did.
     pub log_missing_from: Option<u64>,
     /// Its size, all segments, bytes.
@@ -277,8 +285,10 @@ impl RunSummary {
             mode: launch.mode,
             seed: scenario.seed,
             ended,
-            ticks_planned: scenario.ticks,
+            ticks_planned: (!scenario.is_endless()).then_some(scenario.ticks),
             resumed_at: launch.resumed.as_ref().map(|resumed| resumed.tick),
+            started_from: launch.started_from.as_ref().map(LearnedState::point),
+            frozen: launch.frozen,
             seconds,
             folder: folder.to_owned(),
             log_every: scenario.log.every,
@@ -331,6 +341,7 @@ impl RunSummary {
     /// where the two count the same, the controller's number is the run's.
     fn add_controller(&mut self, launch: &Launch, report: Option<ControllerReport>, snapshots: &[PolicySnapshot]) {
         if let Some(controller) = report {
+            self.check_beginning(launch, &controller);
             self.ticks = controller.ticks + controller.unseen;
             self.unheard = Some(controller.unheard);
             self.stale = Some(controller.stale);
@@ -349,14 +360,32 @@ impl RunSummary {
             }
             // In real time, ticks that the plant passed over are not among those that the controller counts.
             let done = self.ticks.max(snapshots.last().map_or(0, |snapshot| snapshot.tick));
-            let phases = evaluate(&launch.plan, done, snapshots).unwrap_or_default();
-            self.progress = rows(&launch.plan, &phases, &controller.targets);
+            let begun = launch.started_from.as_ref().and_then(|learned| learned.agent(&launch.plan).ok());
+            let start = begun.as_ref().and_then(|agent| agent.policy());
+            let phases = evaluate(&launch.plan, done, snapshots, start).unwrap_or_default();
+            let first = if start.is_some() { "at the start" } else { "untrained" };
+            self.progress = rows(&launch.plan, &phases, &controller.targets, first);
             self.reached = reached(&launch.plan, &phases);
             self.reached_text = report::sentence(&self.reached);
             self.history = Some(history(&launch.plan, launch.mode, controller, &phases));
         }
         let begun = self.ticks.saturating_sub(self.resumed_at.unwrap_or(0));
         self.ticks_per_second = begun as f64 / self.seconds.max(1e-9);
+    }
+
+    /// A controller's program of one's own may know neither `--from` nor `--freeze`: then it did something else than it
+    /// was started for.
+    fn check_beginning(&mut self, launch: &Launch, controller: &ControllerReport) {
+        let begins = launch.started_from.is_some() && launch.resumed.is_none();
+        let program = &launch.plan.scenario.controller.program;
+        if begins && controller.started_from.is_none() {
+            let message = format!("{program} began with a fresh learner: it does not know --from; build it anew");
+            self.complain(exit::PROCESS, message);
+        }
+        if launch.frozen && !controller.frozen {
+            let message = format!("{program} was not frozen: it does not know --freeze; build it anew");
+            self.complain(exit::PROCESS, message);
+        }
     }
 
     /// What the log is, and the logger's report of it, if there is one. Returns the report, or an empty one.
@@ -368,6 +397,7 @@ impl RunSummary {
         let known = report.is_some();
         let logger = report.unwrap_or_default();
         self.log_missing_from = logger.missing_from;
+        self.log_removed_segments = logger.removed_segments;
         // The logger's report outlives plants and controllers.
         for (shown, counted) in [
             (&mut self.wake_up_lateness_us, logger.wake_up_lateness),

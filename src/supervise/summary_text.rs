@@ -25,16 +25,21 @@ impl RunSummary {
 
     /// Which run it was, how it ended and how long it took.
     fn headline(&self) -> String {
-        let planned = thousands(self.ticks_planned);
+        let planned = self.ticks_planned.map_or(String::new(), |ticks| format!(" of {}", thousands(ticks)));
         let how = match self.ended {
             RunOutcome::Complete => String::new(),
-            RunOutcome::Signal(2) => format!(" of {planned} (interrupted)"),
-            RunOutcome::Signal(number) => format!(" of {planned} (ended by signal {number})"),
-            RunOutcome::Failed => format!(" of {planned} (failed)"),
+            RunOutcome::Signal(2) => format!("{planned} (interrupted)"),
+            RunOutcome::Signal(number) => format!("{planned} (ended by signal {number})"),
+            RunOutcome::Failed => format!("{planned} (failed)"),
         };
+        let began = self
+            .started_from
+            .as_ref()
+            .map_or(String::new(), |start| format!(", from {} at tick {}", start.source, thousands(start.tick)));
+        let frozen = if self.frozen { ", frozen" } else { "" };
         let from = self.resumed_at.map_or(String::new(), |tick| format!(", the last from {} on,", thousands(tick)));
         format!(
-            "{}, {}, seed {}: {} ticks{how}{from} in {:.1} s, {} ticks/s\n",
+            "{}, {}, seed {}{began}{frozen}: {} ticks{how}{from} in {:.1} s, {} ticks/s\n",
             self.scenario,
             self.mode.name(),
             self.seed,
@@ -144,8 +149,16 @@ impl RunSummary {
             };
             let segments =
                 if self.log_segments > 1 { format!(", {} segments", self.log_segments) } else { String::new() };
-            let _ =
-                writeln!(text, "log     {} ({:.1} MB{segments}{every})", log.display(), self.log_bytes as f64 / 1e6);
+            let removed = match self.log_removed_segments {
+                0 => String::new(),
+                n => format!(", the oldest {} removed at the limit", thousands(n)),
+            };
+            let _ = writeln!(
+                text,
+                "log     {} ({:.1} MB{segments}{removed}{every})",
+                log.display(),
+                self.log_bytes as f64 / 1e6
+            );
         }
         if let Some(figure) = &self.figure {
             let _ = writeln!(text, "figure  {}", figure.display());

@@ -15,8 +15,6 @@ use crate::process::print_error_line;
 use crate::runtime::Mode;
 use crate::wire::{Control, Phase, ProcessState, Role, Status};
 
-/// How long processes that the launcher starts may take to get ready or to connect.
-const SET_UP_LIMIT: Duration = Duration::from_secs(20);
 /// After a signal: how long the processes have to end in good order, and then to end at once. The
 /// sum is below the second that a user waits after Ctrl-C.
 const STOP_LIMIT: Duration = Duration::from_millis(600);
@@ -50,6 +48,8 @@ pub(super) struct Supervisor {
     /// In lockstep only.
     stall: Option<StallWatch>,
     poll_ns: u64,
+    /// How long a process may take to get ready, or to connect.
+    set_up_limit: Duration,
     /// Why the run ends before its last tick, if it does.
     ended: Option<RunOutcome>,
     /// The first failure that no restart repaired.
@@ -94,6 +94,7 @@ impl Supervisor {
             stall: (launch.mode == Mode::Lockstep)
                 .then(|| StallWatch::new(launch.plan.scenario.restart.hang_s, monotonic_ns())),
             poll_ns: if launch.mode == Mode::Realtime { POLL_REALTIME_NS } else { POLL_NS },
+            set_up_limit: Duration::from_secs_f64(launch.plan.scenario.restart.set_up_s),
             ended: None,
             failure: None,
             deaths: Vec::new(),
@@ -117,7 +118,7 @@ impl Supervisor {
 
     /// Leads the processes through set-up. Returns early, without an error, when a signal comes.
     pub fn set_up(&mut self, launch: &Launch) -> Result<(), LaunchError> {
-        let limit = launch.by_hand.is_empty().then_some(SET_UP_LIMIT);
+        let limit = launch.by_hand.is_empty().then_some(self.set_up_limit);
         if self.await_state(ProcessState::Ready, limit)? {
             self.enter(Phase::Connect);
             if self.await_state(ProcessState::Connected, limit)? {
@@ -244,7 +245,7 @@ impl Supervisor {
                 // It waits for the disk. The end of the run has a limit of its own.
                 ProcessState::Closing => self.restarts.closes_too_long(role, board.beat, now, CLOSE_LIMIT),
                 ProcessState::Finished | ProcessState::Failed => false,
-                _ => self.restarts.since_start(role, now) > SET_UP_LIMIT.as_nanos() as u64,
+                _ => self.restarts.since_start(role, now) > self.set_up_limit.as_nanos() as u64,
             };
             if hangs {
                 self.say(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));

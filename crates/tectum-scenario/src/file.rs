@@ -10,6 +10,7 @@ use super::{
     RealtimeConfig, RestartConfig, ScenarioSource,
 };
 use crate::ChannelNames;
+use crate::rotation::LogRotation;
 
 /// A whole scenario file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -23,7 +24,8 @@ pub struct Scenario {
     /// Period of the tick, ms; 1 to 1000.
     #[serde(default = "default_period_ms")]
     pub period_ms: f64,
-    /// Ticks of a run; at least 2.
+    /// Ticks of a run; at least 2, or [`limits::ENDLESS`](crate::limits::ENDLESS), in the file `"endless"`.
+    #[serde(with = "crate::run_length")]
     pub ticks: u64,
     /// The plant.
     pub plant: PlantConfig,
@@ -88,9 +90,23 @@ pub struct LogConfig {
     pub every: u64,
     /// The learning record of every N-th tick contains a hash of the weights.
     pub hash_every: u64,
+    /// When the log goes on in another file, a segment: at a size or after a time, such as `64 MB` or `10 min`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rotate: Option<LogRotation>,
+    /// Size of all segments, MB, beyond which the oldest one is removed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limit_mb: Option<f64>,
+    /// After how many seconds what was written is synced to the disk; without it only when a segment ends.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sync_s: Option<f64>,
 }
 
 impl Scenario {
+    /// Whether the run has no planned end.
+    pub fn is_endless(&self) -> bool {
+        self.ticks == crate::limits::ENDLESS
+    }
+
     /// The name of the channel on which trackers publish, if this scenario has one.
     pub fn vision(&self) -> Option<&str> {
         let has_tracker = self.plant.servos.as_ref().is_some_and(|servos| !servos.sight.is_model());
@@ -114,6 +130,6 @@ impl Default for PolicyConfig {
 
 impl Default for LogConfig {
     fn default() -> Self {
-        Self { every: 1, hash_every: 1000 }
+        Self { every: 1, hash_every: 1000, rotate: None, limit_mb: None, sync_s: None }
     }
 }

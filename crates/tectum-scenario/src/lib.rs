@@ -51,6 +51,8 @@ pub mod programs;
 mod realtime;
 mod restart;
 mod role;
+mod rotation;
+mod run_length;
 mod servos;
 mod source;
 mod steps;
@@ -78,6 +80,7 @@ pub use presets::{Preset, presets};
 pub use realtime::{RealtimeConfig, RealtimeProcess};
 pub use restart::{RestartConfig, RestartPolicy};
 pub use role::Role;
+pub use rotation::LogRotation;
 pub use servos::{JointConfig, PoseSource, Rearm, ServoGoal, ServosConfig, check_joints};
 pub use source::ScenarioSource;
 pub use tectum_core::SignalConfig;
@@ -317,7 +320,11 @@ impl Scenario {
     /// The scenario as a JSON object, for programs in other languages.
     pub fn to_json(&self) -> serde_json::Value {
         let tables = if self.controller.is_shipped() { None } else { self.with_own_learner().ok() };
-        tables.map_or_else(|| serde_json::to_value(self), serde_json::to_value).unwrap_or_default()
+        let json = tables.map_or_else(|| serde_json::to_value(self), serde_json::to_value);
+        let mut json = json.unwrap_or_default();
+        // Other languages need no word for it.
+        json["ticks"] = self.ticks.into();
+        json
     }
 
     /// The same scenario with all defaults of the learner, and with the units and ranges of maps that the file

@@ -25,6 +25,9 @@ pub const MAX_SEED: u64 = i64::MAX as u64;
 pub const PERIOD_MS: RangeInclusive<f64> = 1.0..=1000.0;
 /// Ticks of a run.
 pub const TICKS: RangeInclusive<u64> = 2..=1_000_000_000_000;
+/// A run of so many ticks is endless, `ticks = "endless"`: 30 years at 1 kHz. A number, so that no arithmetic with it
+/// can overflow.
+pub const ENDLESS: u64 = *TICKS.end();
 /// Largest number of ticks in any other key (`target_every`, `every`, `hash_every`, a block's `tick`).
 pub const MAX_TICK: u64 = *TICKS.end();
 /// Number of an arm's joints.

@@ -40,6 +40,17 @@ pub struct RestartConfig {
     pub give_up_after: u32,
     /// A process without a heartbeat for this long, s, counts as hanging and is killed. 0: never.
     pub hang_s: f64,
+    /// How long a process may take to get ready, and then to connect, s: homing takes longer than setting up channels.
+    #[serde(skip_serializing_if = "is_usual_set_up")]
+    pub set_up_s: f64,
+}
+
+/// The usual limit of `set_up_s`, s.
+const SET_UP_S: f64 = 20.0;
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+fn is_usual_set_up(seconds: &f64) -> bool {
+    *seconds == SET_UP_S
 }
 
 impl Default for RestartConfig {
@@ -53,6 +64,7 @@ impl Default for RestartConfig {
             healthy_s: 10.0,
             give_up_after: 10,
             hang_s: 10.0,
+            set_up_s: SET_UP_S,
         }
     }
 }
@@ -83,6 +95,7 @@ pub(super) fn check(table: &RestartConfig) -> Result<(), Violation> {
     if table.give_up_after > 255 {
         return Err(Violation::value("restart.give_up_after", table.give_up_after, "give 0 to 255 starts"));
     }
+    number("restart.set_up_s", table.set_up_s, 1.0..=86400.0, "give 1 to 86400 s")?;
     if table.hang_s != 0.0 {
         number("restart.hang_s", table.hang_s, 0.5..=86400.0, "give 0.5 to 86400 s, or 0 to wait for ever")?;
     }

@@ -27,6 +27,12 @@ impl ScenarioSource {
         self.folder.as_deref()
     }
 
+    /// The same origin with another folder.
+    pub fn in_folder(mut self, folder: Option<&Path>) -> Self {
+        self.set_folder(folder);
+        self
+    }
+
     pub(super) fn set_folder(&mut self, folder: Option<&Path>) {
         self.folder = folder.map(Into::into);
     }

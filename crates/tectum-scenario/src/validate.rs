@@ -95,7 +95,18 @@ fn check_policy(sigma: f64, max_command: f64) -> Result<(), Violation> {
 
 fn check_log(log: &LogConfig) -> Result<(), Violation> {
     ticks("log.every", log.every, 1)?;
-    ticks("log.hash_every", log.hash_every, 1)
+    ticks("log.hash_every", log.hash_every, 1)?;
+    if let Some(limit) = log.limit_mb {
+        number("log.limit_mb", limit, 1.0..=1e9, "give 1 to 1000000000 MB")?;
+        if log.rotate.is_none() {
+            let text = "limits a log of one segment, and only whole segments are removed; give log.rotate, too";
+            return Err(Violation::new("log.limit_mb", text));
+        }
+    }
+    match log.sync_s {
+        Some(sync) => number("log.sync_s", sync, 0.1..=86400.0, "give 0.1 to 86400 s"),
+        None => Ok(()),
+    }
 }
 
 fn check_channels(scenario: &Scenario) -> Result<(), Violation> {

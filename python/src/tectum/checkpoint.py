@@ -92,6 +92,8 @@ class Checkpoints:
         self.begin: int = resumed.get("tick", 0)
         """The tick with which the run begins."""
         self.source = Path(resumed["from"]) if resumed else None
+        self.scenario: str | None = resumed.get("scenario")
+        """Hash of the scenario of the part before, where this part has more ticks."""
 
     def resumed(self) -> tuple[int, bytes] | None:
         """The number of the next sample, and the state from which the run goes on; None if it begins anew."""
@@ -100,6 +102,7 @@ class Checkpoints:
         file = path(self.source, self.begin, self.role)
         facts, state = decode(file)
         ours = self.facts(self.begin, facts["sequence"])
+        ours["scenario"] = self.scenario or ours["scenario"]
         for what in ("role", "scenario", "schema", "build"):
             if facts[what] != ours[what]:
                 raise Refused(f"{file} is of another {what}: {facts[what]}, and the run's is {ours[what]}", 3)

@@ -2,10 +2,12 @@
 
 import hashlib
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .checkpoint import decode
 from .checks import Author
 from .controller import WITHHELD, Answer, Controller, Experience, Percept, boundary
 from .counts import Counts
@@ -49,6 +51,10 @@ class ControllerCore:
         self.kept = b""
         self.failure: str | None = None
         """Why not all checkpoints were written."""
+        self.started_from: int | None = None
+        """The tick of the checkpoint with whose learner it began."""
+        self.frozen = False
+        """Whether the author is only asked to act, and the mean is sent."""
 
     def _refuse_what_cannot_be(self) -> None:
         faults = self.run.settings.get("faults", {}).get("channel", [])
@@ -60,6 +66,18 @@ class ControllerCore:
         if own[0] != own[1]:
             given, missing = ("state", "restore") if own[0] else ("restore", "state")
             raise Refused(f"{self.author.name} has {given}() and no {missing}(); give both, or neither")
+
+    def start_from(self, file: Path) -> None:
+        """Begins with what the author had learned in another run. Nothing is learned from the step between the two."""
+        facts, state = decode(file)
+        if not self.keeps:
+            raise Refused(f"{self.author.name} has no state() and restore(), so it cannot begin with what it learned")
+        size = int.from_bytes(state[:8], "little")
+        self.call("restore", 0, unpack(state[8 + size :]))
+        self.started_from = facts["tick"]
+        if self.learns:
+            inputs, outputs = (np.zeros(len(names), dtype=np.float32) for names in (self.run.inputs, self.run.outputs))
+            self.call("learn", 0, Experience(0, inputs, outputs, outputs, False, 0.0, inputs, "truncated", "first"))
 
     def call(self, method: str, tick: int, *arguments: Any) -> Any:
         """Calls a method of the author's."""
@@ -84,6 +102,7 @@ class ControllerCore:
         command.header.flags = 0 if valid else INVALID
         if valid:
             outputs, means = self.act(Percept(tick, inputs, self.age, header.flags))
+            outputs = means if self.frozen else outputs
         else:  # a plant in another language sent a number that is none
             outputs = means = [0.0] * m
             self.report["invalid"] += 1
@@ -101,7 +120,7 @@ class ControllerCore:
 
     def learn(self, observation: Observation, inputs: np.ndarray, withheld: str | None) -> int:
         """Hands over what became of the last command. Returns the flags of the learning record."""
-        if not self.learns or self.answered is None:
+        if not self.learns or self.frozen or self.answered is None:
             return 0
         answered, n, m = self.answered, len(self.run.inputs), len(self.run.outputs)
         experience = Experience(
@@ -161,7 +180,7 @@ class ControllerCore:
 
     def after_command(self, observation: Observation) -> None:
         """The work for which the plant does not wait."""
-        for _ in range(self.updates if self.improves else 0):
+        for _ in range(self.updates if self.improves and not self.frozen else 0):
             self.call("improve", observation.header.tick)
         flags = observation.header.flags
         if not flags & FIRST:
@@ -223,6 +242,8 @@ class ControllerCore:
             hashed = ""
         nothing: dict[str, Any] = {name: [] for name in ("first_switch", "last_switch", "targets")}
         return self.report | nothing | {
+            "started_from": self.started_from,
+            "frozen": self.frozen,
             "diverged_at": None,
             "checkpoint_failure": self.failure,
             "tick_budget": budget,

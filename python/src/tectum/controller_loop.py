@@ -147,6 +147,11 @@ class ControllerLoop(ControllerCore, TickLoop):
         begin = record or self.checkpoints.resumed()
         if begin is not None:
             self.restore_whole(*begin)
+        start = self.run.manifest.get("started_from")
+        if begin is None and start is not None:
+            self.start_from(self.run.folder / "start.controller.safetensors")
+        self.started_from = start["tick"] if start is not None else None
+        self.frozen = bool(self.run.manifest.get("frozen", False))
         first = self.count
         differs = None
         while (entry := self.observed.entry(self.count)) is not None:

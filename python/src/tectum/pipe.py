@@ -8,6 +8,7 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, BinaryIO
 
 from .controller_core import ControllerCore
@@ -65,6 +66,9 @@ def answer_all(pipe: Pipe, make: Callable[[RunFacts], Any], arguments: Any) -> N
     run = RunFacts(start["run"], "in-process", None)
     run.arguments = arguments
     core = ControllerCore(run, make(run))
+    core.frozen = bool(start.get("frozen", False))
+    if "start" in start:
+        core.start_from(Path(start["start"]))
     pipe.write_json(READY, {"version": VERSION, "schema": SCHEMA, "columns": core.columns})
     testing = False
     while (frame := pipe.read()) is not None:

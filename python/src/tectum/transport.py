@@ -10,6 +10,7 @@ import json
 import os
 import select
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -34,11 +35,20 @@ def load_iceoryx2(wanted: str = ICEORYX2) -> Any:
     return iceoryx2
 
 
+BOARD_PAGES = 256
+"""Starts of a process that have their pages on one board; those after them are on another one."""
+
+
+def board_of(name: str, start: int) -> str:
+    """The board on which a start of the process with the board `name` has its page."""
+    return name if start < BOARD_PAGES else f"{name}-{start // BOARD_PAGES}"
+
+
 class Board(Generic[Kind]):
     """A status board to read from; `page` is the start number of the process that writes it."""
 
-    def __init__(self, factory: Any, kind: type[Kind], page: int = 0) -> None:
-        self.reader, self.kind = factory.reader_builder().create(), kind
+    def __init__(self, opened: Callable[[int], Any], kind: type[Kind], page: int = 0) -> None:
+        self.opened, self.kind = opened, kind
         self.page: int | None = None
         self.awaited = False
         self.turn_to(page)
@@ -47,7 +57,9 @@ class Board(Generic[Kind]):
         """Changes to another page. True if that was another one before."""
         if page == self.page:
             return False
-        self.page, self.entry = page, self.reader.entry(ctypes.c_uint64(page), self.kind)
+        if self.page is None or page // BOARD_PAGES != self.page // BOARD_PAGES:
+            self.reader = self.opened(page).reader_builder().create()
+        self.page, self.entry = page, self.reader.entry(ctypes.c_uint64(page % BOARD_PAGES), self.kind)
         return True
 
     def get(self) -> Kind:
@@ -171,7 +183,11 @@ class JoinedRun(RunFacts):
 
     def board(self, name: str, kind: type[Kind], page: int = 0) -> Board[Kind]:
         """A board to read from."""
-        return Board(self.service(name).blackboard_opener(ctypes.c_uint64).open(), kind, page)
+        return Board(lambda start: self.opened_board(name, start), kind, page)
+
+    def opened_board(self, name: str, start: int) -> Any:
+        """The board on which a start of a process has its page."""
+        return self.service(board_of(name, start)).blackboard_opener(ctypes.c_uint64).open()
 
     def peer(self, role: Role) -> Board[Status]:
         """The board of a process, at the page of its current start."""
@@ -179,10 +195,9 @@ class JoinedRun(RunFacts):
 
     def board_writer(self, role: Role, page: int) -> tuple[Any, Any]:
         """The writer of the board of `role`."""
-        factory = self.service(self.wire["services"]["boards"][role]).blackboard_opener(ctypes.c_uint64).open()
-        writer = factory.writer_builder().create()
+        writer = self.opened_board(self.wire["services"]["boards"][role], page).writer_builder().create()
         # The port is kept: the launcher uses it to find and free the place of a dead process.
-        return writer, writer.entry(ctypes.c_uint64(page), Status)
+        return writer, writer.entry(ctypes.c_uint64(page % BOARD_PAGES), Status)
 
     def channel(self, name: str, kind: type[Kind]) -> Any:
         """An opened channel."""

@@ -36,6 +36,17 @@ impl ArmChange {
         Self { what: ArmChangeKind::Block(3, 0.0), tick }
     }
 
+    /// The change as on the command line.
+    pub(super) fn form(&self) -> String {
+        let what = match self.what {
+            ArmChangeKind::Block(joint, angle) => format!("block:{joint}:{angle}"),
+            ArmChangeKind::Shorten(segment, length) => format!("shorten:{segment}:{length}"),
+            ArmChangeKind::Mirror(MirrorAxis::X) => "mirror:x".to_owned(),
+            ArmChangeKind::Mirror(MirrorAxis::Y) => "mirror:y".to_owned(),
+        };
+        format!("{what}@{}", self.tick)
+    }
+
     /// Adds the change to the settings of an arm.
     pub(super) fn apply(&self, arm: &mut ArmConfig) {
         let tick = self.tick;

@@ -149,6 +149,10 @@ impl LearnerEntry {
         }
         let mut scenario = arm()?;
         scenario.ticks = ticks.unwrap_or(own.ticks);
+        if scenario.is_endless() {
+            let file = own.source.name();
+            return Err(StudyError::Asked(format!("{file} is endless, and a comparison is not; give --ticks")));
+        }
         scenario.controller = own.controller.clone();
         (scenario.learner, scenario.own_learner) = (own.learner.clone(), own.own_learner.clone());
         (scenario.encoder, scenario.policy) = (own.encoder.clone(), own.policy.clone());
@@ -252,7 +256,7 @@ fn with_settings(scenario: Scenario, settings: &[String], learner: &str) -> Resu
 }
 
 /// The scenario's error without its line number: the line is of a text that is in no file.
-fn without_line(mut error: ScenarioError, learner: &str) -> StudyError {
+pub(in crate::study) fn without_line(mut error: ScenarioError, learner: &str) -> StudyError {
     match &mut error {
         ScenarioError::UnknownKey { place, .. }
         | ScenarioError::MissingKey { place, .. }

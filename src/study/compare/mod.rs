@@ -9,6 +9,7 @@
 //! except times is a function of learners and seeds.
 
 mod change;
+mod definition;
 mod files;
 mod jobs;
 mod learner_entry;
@@ -19,6 +20,7 @@ mod subject;
 mod table;
 
 pub use change::{ArmChange, ArmChangeKind};
+pub(super) use learner_entry::without_line;
 pub use learner_entry::{Changes, ComparedLearner, LEARNERS, learner};
 pub(crate) use learner_entry::{LearnerEntry, name_of};
 use outcome::{DECADES, LearnerOutcome, SeedRow};
@@ -31,20 +33,21 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::{StudyError, WorkerPool};
+use super::opened_study::OpenedStudy;
+use super::{SeedRange, StudyEnd, StudyError, StudyHead, StudyPart, StudyPlace, WorkerPool};
 use crate::clock::{machine_facts, monotonic_ns};
 use crate::reference::{LEVEL, TARGETS, TEST_SEED};
-use crate::supervise::RunFolder;
+
+/// The name of this study in its rows.
+pub(super) const STUDY: &str = "compare";
 
 /// What to compare.
 #[derive(Debug, Clone)]
 pub struct Comparison {
     /// The learners, each once.
     pub learners: Vec<ComparedLearner>,
-    /// First seed.
-    pub first_seed: u64,
-    /// Number of seeds.
-    pub seeds: u64,
+    /// The seeds.
+    pub seeds: SeedRange,
     /// Length of every run, ticks; `None` for each learner's usual length.
     pub ticks: Option<u64>,
     /// The changes of the arm.
@@ -55,6 +58,8 @@ pub struct Comparison {
     pub starts: usize,
     /// The folder; `None` for `runs/compare-<n>`.
     pub out: Option<PathBuf>,
+    /// Where the runs are kept.
+    pub place: StudyPlace,
     /// Show a progress line on standard error, if that is a terminal.
     pub progress: bool,
 }
@@ -103,16 +108,19 @@ struct TestFacts {
 ///
 /// # Errors
 /// When an argument is invalid, the folder cannot be used, or a signal ends the comparison.
-pub fn compare(comparison: &Comparison) -> Result<ComparisonResult, StudyError> {
+pub fn compare(comparison: &Comparison) -> Result<StudyEnd<ComparisonResult>, StudyError> {
     let entries = entries(comparison)?;
     let pool = WorkerPool::new(comparison.progress)?;
-    let folder = RunFolder::create(comparison.out.as_deref(), None, "compare")?;
+    let head = StudyHead::new(STUDY, definition::of(comparison), definition::origin(comparison), comparison.seeds);
+    let study = OpenedStudy::open(&comparison.place, comparison.out.as_deref(), "compare", head)?;
     let began = monotonic_ns();
     // All learners meet the same changes, but maybe at different ticks, and a short run may have none.
     let most_changes = entries.iter().max_by_key(|entry| entry.changes.len());
     let conditions = most_changes.map_or_else(|| Ok(Vec::new()), conditions)?;
-    let seeds: Vec<u64> = (0..comparison.seeds).map(|i| comparison.first_seed.saturating_add(i)).collect();
-    let (references, runs) = jobs::run(&pool, &entries, &seeds, &conditions, comparison.starts)?;
+    let seeds = comparison.seeds.seeds();
+    let runs = jobs::runs(&pool, &study.rows, &entries, &seeds, &conditions)?;
+    let Some(folder) = &study.folder else { return Ok(StudyEnd::Part(StudyPart::of(&study.rows))) };
+    let references = jobs::references(&pool, &study.rows, &conditions, comparison.starts)?;
     let rows = rows(&entries, &seeds, &runs, &references);
     let result = ComparisonResult {
         level: LEVEL,
@@ -133,22 +141,13 @@ pub fn compare(comparison: &Comparison) -> Result<ComparisonResult, StudyError> 
     };
     folder.keep();
     files::write(&result)?;
-    Ok(result)
+    Ok(StudyEnd::Whole(result))
 }
 
 /// The learners, after a check of the arguments.
 fn entries(comparison: &Comparison) -> Result<Vec<LearnerEntry>, StudyError> {
-    let Comparison { learners, seeds, first_seed, .. } = comparison;
-    if *seeds == 0 {
-        return Err(StudyError::Asked("--seeds is 0; give at least 1".to_owned()));
-    }
-    if first_seed.checked_add(seeds - 1).is_none() {
-        return Err(StudyError::Asked(
-            "--first-seed and --seeds go beyond the largest seed; give smaller ones".to_owned(),
-        ));
-    }
     let entry = |one| LearnerEntry::of(one, comparison.ticks, &comparison.changes, &comparison.settings);
-    let entries: Vec<LearnerEntry> = learners.iter().map(entry).collect::<Result<_, _>>()?;
+    let entries: Vec<LearnerEntry> = comparison.learners.iter().map(entry).collect::<Result<_, _>>()?;
     for (i, LearnerEntry { name, .. }) in entries.iter().enumerate() {
         if entries[..i].iter().any(|before| before.name == *name) {
             let remedy = "name each learner once, and give each scenario a name of its own";

@@ -1,25 +1,44 @@
 //! The run of one learner with one seed: its noiseless tests, and the cost of its ticks.
 
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
 use super::subject::{ClockCost, Subject, TickCost};
 use super::{Condition, LearnerEntry};
 use crate::reference::Score;
 use crate::runtime::{PipeError, PlantSide};
-use crate::study::{JobProgress, StudyError};
+use crate::study::{JobProgress, StudyError, exact};
 use crate::wire::{Command, Observation};
 
 /// One test of the policy.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct PolicyTest {
     /// Ticks done before the test.
     pub tick: u64,
     /// Number of changes of the arm before the test. The test is the one of the condition with this number.
     pub condition: usize,
     /// The result.
+    #[serde(with = "exact_score")]
     pub score: Score,
 }
 
+/// A score as two numbers that are read back bit by bit.
+mod exact_score {
+    use super::*;
+
+    #[derive(Serialize, Deserialize)]
+    struct ScoreRow(#[serde(with = "exact")] f64, #[serde(with = "exact")] f64);
+
+    pub fn serialize<S: Serializer>(score: &Score, to: S) -> Result<S::Ok, S::Error> {
+        ScoreRow(score.loss, score.miss_m).serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Score, D::Error> {
+        ScoreRow::deserialize(from).map(|ScoreRow(loss, miss_m)| Score { loss, miss_m })
+    }
+}
+
 /// The result of a run.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct LearnerRun {
     /// The tests, in the order of ticks.
     pub tests: Vec<PolicyTest>,

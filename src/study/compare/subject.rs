@@ -3,16 +3,18 @@
 
 use std::time::Instant;
 
+use serde::{Deserialize, Serialize};
+
 use super::Condition;
 use crate::policy::Outputs;
 use crate::reference::{Score, TestPercept};
-use crate::runtime::{Controller, ControllerReport, PipeError, PipedController};
+use crate::runtime::{Controller, ControllerReport, PipeError, PipedController, PipedStart};
 use crate::scenario::Plan;
 use crate::study::JobProgress;
 use crate::wire::{Command, Learning, Observation, flag};
 
 /// The cost of one tick, ns.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct TickCost {
     /// From the observation to the command: learning, encoding, drawing.
     pub before: f64,
@@ -37,7 +39,10 @@ impl Subject {
         if plan.scenario.controller.is_shipped() {
             return Ok(Self::Shipped(Box::new(Controller::new(plan))));
         }
-        let controller = PipedController::start_until(plan, Some(progress.signals()))?;
+        let controller = PipedController::start_with(
+            plan,
+            PipedStart { signals: Some(progress.signals()), ..PipedStart::default() },
+        )?;
         Ok(Self::Piped(Box::new(controller), Box::default()))
     }
 

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::checkpoint::CheckpointError;
 use crate::log::LogError;
 use crate::runtime::{PipeError, exit};
 use crate::scenario::{Rule, ScenarioError};
@@ -29,6 +30,22 @@ pub enum ReplayError {
     /// The controller's program of the run cannot be used.
     #[error(transparent)]
     Pipe(#[from] PipeError),
+    /// What the run began with cannot be used.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The run began with what another one had learned, and that is not there.
+    #[error(
+        "the log {} is of a run that began with what another run had learned; {} should hold that, and does not: \
+         {cause}; put the file back", path.display(), file.display()
+    )]
+    Start {
+        /// The log.
+        path: PathBuf,
+        /// The file.
+        file: PathBuf,
+        /// What is wrong.
+        cause: String,
+    },
     /// The log was written with `every` above 1.
     #[error(
         "the log {} holds every {every}th tick only, and a replay needs all that was learned from; run the \

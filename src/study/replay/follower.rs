@@ -75,14 +75,16 @@ pub(super) struct ReplayFollower {
 
 impl ReplayFollower {
     /// The beginning of a run of `plan`.
-    ///
-    /// # Errors
-    /// When the controller's program cannot be started, or refuses the scenario.
-    pub fn new(plan: &Plan, stamps: StampChecker, other: Option<OffPolicyLearner>) -> Result<Self, PipeError> {
-        Ok(Self {
+    pub fn new(
+        plan: &Plan,
+        stamps: StampChecker,
+        controller: ReplayedController,
+        other: Option<OffPolicyLearner>,
+    ) -> Self {
+        Self {
             stamps,
             plant: PlantReplay::new(plan),
-            controller: ReplayedController::new(plan)?,
+            controller,
             other,
             observations: VecDeque::new(),
             commands: VecDeque::new(),
@@ -91,7 +93,7 @@ impl ReplayFollower {
             answer: None,
             incarnations: [0; 2],
             counts: CheckCounts::default(),
-        })
+        }
     }
 
     /// The replayed plant.

@@ -40,6 +40,7 @@ use crate::reference::{FixedArm, Score, TestSet};
 use crate::scenario::{ControllerConfig, LearnerConfig, Plan, Rule, Scenario};
 use crate::supervise::RunProgress;
 use crate::wire::Gap;
+use controller::{ReplayStart, ReplayedController};
 use follower::{Parted, ReplayFollower};
 use off_policy::OffPolicyLearner;
 use plant_replay::PlantReplay;
@@ -109,7 +110,8 @@ pub fn over(mut log: RunLog, learner: Option<Rule>, progress: bool) -> Result<Re
         .map_err(|error| ReplayError::Scenario { path: path.clone(), error: Box::new(error), build: build.clone() })?;
     check_complete(&log, &path)?;
     let other = learner.map(|rule| other(&plan, rule, &path)).transpose()?;
-    let mut run = ReplayFollower::new(&plan, StampChecker::of(&log, &plan), other)?;
+    let controller = ReplayedController::new(&plan, &ReplayStart::of(&log)?)?;
+    let mut run = ReplayFollower::new(&plan, StampChecker::of(&log, &plan), controller, other);
     let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, progress);
     let mut difference = None;
     for record in log.by_ref() {
@@ -160,7 +162,10 @@ fn check_complete(log: &RunLog, path: &Path) -> Result<(), ReplayError> {
     if log.log_segment().begins != [0; 3] {
         let remedy = match log.log_segment().number {
             0 => "its run goes on with another one, whose log it would need",
-            _ => "it is a later segment: give the run's folder, with all of them",
+            _ => {
+                "it is a later segment: give the run's folder, with all of them, unless `[log] limit_mb` has removed \
+                  the first"
+            }
         };
         return Err(ReplayError::Middle { path: path.to_owned(), remedy });
     }

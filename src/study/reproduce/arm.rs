@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::ReproduceSettings;
 use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
@@ -13,7 +13,7 @@ use crate::runtime::{RunStatistics, Snapshot, Switch};
 use crate::scenario::{ArmConfig, Plan};
 use crate::stats::{Spread, Window};
 use crate::study::text::{cells, csv_cell, push_divergences, push_files, spread_in_words, write_lines};
-use crate::study::{JobProgress, StudyError};
+use crate::study::{JobProgress, StudyEnd, StudyError, exact};
 use crate::supervise::reach;
 use crate::text::{columns, thousands};
 
@@ -65,7 +65,9 @@ pub struct ArmResult {
 }
 
 /// The run of one seed.
+#[derive(Serialize, Deserialize)]
 struct ArmRun {
+    #[serde(with = "exact::windows")]
     windows: Vec<Window>,
     switches: FigureSwitches,
     end: LearnerEnd,
@@ -78,14 +80,17 @@ type FigureSwitches = [Vec<Snapshot>; 4];
 ///
 /// # Errors
 /// When the folder or a file cannot be written, or a signal ended the study.
-pub fn arm(settings: &ReproduceSettings) -> Result<ArmResult, StudyError> {
-    let experiment = settings.run("arm", settings.plans("paper", |_| {})?, run_arm)?;
+pub fn arm(settings: &ReproduceSettings) -> Result<StudyEnd<ArmResult>, StudyError> {
+    let experiment = match settings.run("arm", settings.plans("paper", |_| {})?, run_arm)? {
+        StudyEnd::Whole(experiment) => experiment,
+        StudyEnd::Part(part) => return Ok(StudyEnd::Part(part)),
+    };
     let shown = median_run(&experiment.runs);
     let result = result(settings, &experiment, experiment.plans[shown].scenario.seed);
     draw_loss(&figure(&result, &experiment, shown), &result.figure)?;
     write_tables(&result, &experiment.runs)?;
     result.facts.write_json(&result.to_json())?;
-    Ok(result)
+    Ok(StudyEnd::Whole(result))
 }
 
 fn result(settings: &ReproduceSettings, experiment: &Experiment<ArmRun>, shown_seed: u64) -> ArmResult {

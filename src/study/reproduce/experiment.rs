@@ -4,15 +4,17 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
 
 use super::ReproduceSettings;
 use crate::clock::{machine_facts, monotonic_ns};
 use crate::runtime::{Controller, simulate};
 use crate::scenario::{Plan, Scenario};
 use crate::study::error::write_file;
-use crate::study::{JobProgress, StudyError, WorkerPool};
-use crate::supervise::RunFolder;
+use crate::study::opened_study::OpenedStudy;
+use crate::study::{JobProgress, KeptJob, StudyEnd, StudyError, StudyHead, StudyPart, WorkerPool};
 use crate::wire::Observation;
 
 /// Ticks between two reports of progress; a power of two that the slowest learner passes within seconds.
@@ -21,7 +23,7 @@ const REPORT: u64 = 256;
 impl ReproduceSettings {
     /// The seeds, in the order of all lists of a result.
     pub(super) fn seeds(&self) -> Vec<u64> {
-        (self.first_seed..self.first_seed.saturating_add(self.seeds)).collect()
+        self.seeds.seeds()
     }
 
     /// One plan per seed of the built-in scenario `name`, changed by `change`. The plans have the scenario's
@@ -40,21 +42,36 @@ impl ReproduceSettings {
     /// Runs `work` for all `plans` and gives the results in their order. `name` is the experiment's name.
     ///
     /// The folder is made before the first run, so that a place that cannot be written is reported at once.
-    pub(super) fn run<T: Send>(
+    pub(super) fn run<T: Serialize + DeserializeOwned + Send>(
         &self,
         name: &str,
         plans: Vec<Plan>,
         work: impl Fn(&Plan, &JobProgress) -> T + Sync,
-    ) -> Result<Experiment<T>, StudyError> {
+    ) -> Result<StudyEnd<Experiment<T>>, StudyError> {
         let pool = WorkerPool::new(self.progress)?;
-        let folder = RunFolder::create(self.out.as_deref(), None, &format!("reproduce-{}", name.replace(' ', "-")))?;
+        let name = name.replace(' ', "-");
+        let head =
+            StudyHead::new(&format!("reproduce {name}"), json!({ "ticks": self.ticks }), json!(null), self.seeds);
+        let study = OpenedStudy::open(&self.place, self.out.as_deref(), &format!("reproduce-{name}"), head)?;
         let began = monotonic_ns();
-        let ticks = plans.iter().map(|plan| plan.scenario.ticks).sum();
-        let runs = pool.run(name, ticks, &plans, work)?;
+        let per_variant = self.seeds().len();
+        let job = |(i, plan): (usize, &Plan)| KeptJob {
+            name: format!("{} {} seed {}", i / per_variant, plan.scenario.name, plan.scenario.seed),
+            ticks: plan.scenario.ticks,
+            job: plan.clone(),
+        };
+        let jobs: Vec<_> = plans.iter().enumerate().map(job).collect();
+        let whole = |plan: &Plan, progress: &JobProgress| {
+            let run = work(plan, progress);
+            // One that had to stop is not whole.
+            Ok(progress.report(0).then_some(run))
+        };
+        let runs = pool.run_kept(&name, &study.rows, &jobs, whole)?;
+        let Some(folder) = &study.folder else { return Ok(StudyEnd::Part(StudyPart::of(&study.rows))) };
         let seconds = (monotonic_ns() - began) as f64 / 1e9;
         folder.keep();
         let facts = ExperimentFacts { seconds, machine: machine_facts(), folder: folder.path().to_owned() };
-        Ok(Experiment { plans, runs, per_variant: self.seeds as usize, facts })
+        Ok(StudyEnd::Whole(Experiment { plans, runs, per_variant, facts }))
     }
 }
 
@@ -98,6 +115,7 @@ impl ExperimentFacts {
 }
 
 /// How the learner of one run ended.
+#[derive(Serialize, Deserialize)]
 pub(super) struct LearnerEnd {
     /// XXH3-64 of the final weights, hexadecimal.
     pub weights_hash: String,
@@ -119,7 +137,7 @@ pub(super) fn run(
     mut observe: impl FnMut(&Observation, &Controller),
 ) -> LearnerEnd {
     let Some(body) = plan.simulated_plant() else { unreachable!("the built-in scenarios use simulated plants") };
-    let result = simulate(plan, body, &mut |observation, controller| {
+    let result = simulate(plan, body, Controller::new(plan), &mut |observation, controller| {
         observe(observation, controller);
         !observation.header.tick.is_multiple_of(REPORT) || progress.report(REPORT)
     });
@@ -127,7 +145,7 @@ pub(super) fn run(
 }
 
 /// `5 seeds from 1`, or `seed 1`.
-pub(super) fn seeds_in_words(seeds: &[u64]) -> String {
+pub(in crate::study) fn seeds_in_words(seeds: &[u64]) -> String {
     match seeds {
         [seed] => format!("seed {seed}"),
         seeds => format!("{} seeds from {}", seeds.len(), seeds.first().unwrap_or(&0)),

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::ReproduceSettings;
 use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
@@ -14,7 +14,7 @@ use crate::report::figure::{ErrorFigure, ErrorPanel, draw_miss};
 use crate::scenario::{MapConfig, PerAxis, Plan, Retina, Scenario};
 use crate::stats::Spread;
 use crate::study::text::{push_divergences, push_files, spread_in_words, write_lines};
-use crate::study::{JobProgress, StudyError};
+use crate::study::{JobProgress, StudyEnd, StudyError};
 use crate::text::{columns, figures, thousands};
 
 /// Points of a curve.
@@ -78,6 +78,7 @@ const RETINAS: [(Retina, &str); 2] = [(Retina::Linear, "linear"), (Retina::LogPo
 const CODINGS: [&str; 2] = ["scalar", "topographic"];
 
 /// The run of one seed of one eye.
+#[derive(Serialize, Deserialize)]
 struct EyeRun {
     windows: TrialWindows,
     end: LearnerEnd,
@@ -87,19 +88,22 @@ struct EyeRun {
 ///
 /// # Errors
 /// When the folder or a file cannot be written, or a signal ended the study.
-pub fn eye(settings: &ReproduceSettings) -> Result<EyeResult, StudyError> {
+pub fn eye(settings: &ReproduceSettings) -> Result<StudyEnd<EyeResult>, StudyError> {
     let mut plans = Vec::new();
     for (retina, _) in RETINAS {
         for coding in CODINGS {
             plans.extend(settings.plans("eye", |scenario| change(scenario, retina, coding == "scalar"))?);
         }
     }
-    let experiment = settings.run("eye", plans, run_eye)?;
+    let experiment = match settings.run("eye", plans, run_eye)? {
+        StudyEnd::Whole(experiment) => experiment,
+        StudyEnd::Part(part) => return Ok(StudyEnd::Part(part)),
+    };
     let result = result(settings, &experiment);
     draw_miss(&figure(&result, &experiment), &result.figure)?;
     write_table(&result, &experiment)?;
     result.facts.write_json(&result.to_json())?;
-    Ok(result)
+    Ok(StudyEnd::Whole(result))
 }
 
 /// Changes the scenario `eye` to another retina, with or without topographic maps.

@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::ReproduceSettings;
 use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
@@ -22,7 +22,7 @@ use crate::report::figure::{PosturesFigure, PosturesRow, SeedPostures, draw_ways
 use crate::scenario::Plan;
 use crate::stats::Spread;
 use crate::study::text::{cells, push_divergences, push_files, spread_in_words, write_lines};
-use crate::study::{JobProgress, StudyError};
+use crate::study::{JobProgress, StudyEnd, StudyError, exact};
 use crate::text::{columns, figures, thousands};
 use crate::wire::MAX_INPUTS;
 
@@ -79,6 +79,7 @@ pub struct OpenLoopResult {
 }
 
 /// The run of one seed.
+#[derive(Serialize, Deserialize)]
 struct OpenLoopRun {
     windows: TrialWindows,
     /// One posture per target of the test.
@@ -87,11 +88,12 @@ struct OpenLoopRun {
 }
 
 /// The noiseless posture for one target.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 struct TestPosture {
     /// Directions of the segments, rad.
     directions: Vec<f32>,
     /// Distance between end-effector and target, m.
+    #[serde(with = "exact")]
     error: f64,
 }
 
@@ -99,12 +101,15 @@ struct TestPosture {
 ///
 /// # Errors
 /// When the folder or a file cannot be written, or a signal ended the study.
-pub fn open_loop(settings: &ReproduceSettings) -> Result<OpenLoopResult, StudyError> {
+pub fn open_loop(settings: &ReproduceSettings) -> Result<StudyEnd<OpenLoopResult>, StudyError> {
     let mut plans = Vec::new();
     for (name, _) in SCENARIOS {
         plans.extend(settings.plans(name, |_| {})?);
     }
-    let experiment = settings.run("open loop", plans, run_open_loop)?;
+    let experiment = match settings.run("open loop", plans, run_open_loop)? {
+        StudyEnd::Whole(experiment) => experiment,
+        StudyEnd::Part(part) => return Ok(StudyEnd::Part(part)),
+    };
     let facts = &experiment.facts;
     let arms = SCENARIOS.iter().zip(experiment.variants());
     let result = OpenLoopResult {
@@ -117,7 +122,7 @@ pub fn open_loop(settings: &ReproduceSettings) -> Result<OpenLoopResult, StudyEr
     draw_ways(&figure(&result, &experiment), &result.figure)?;
     write_tables(&result, &experiment)?;
     result.facts.write_json(&result.to_json())?;
-    Ok(result)
+    Ok(StudyEnd::Whole(result))
 }
 
 fn run_open_loop(plan: &Plan, progress: &JobProgress) -> OpenLoopRun {

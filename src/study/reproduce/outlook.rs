@@ -9,7 +9,7 @@
 
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::ReproduceSettings;
 use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_words};
@@ -21,7 +21,7 @@ use crate::stats::{Fit, Quartiles, Spread};
 use crate::study::analyse::movement::{Definitions, Measures, RecordedMovement, measure};
 use crate::study::compare::name_of;
 use crate::study::text::{cells, csv_cell, push_divergences, push_files, spread_in_words, write_lines};
-use crate::study::{JobProgress, StudyError};
+use crate::study::{JobProgress, StudyEnd, StudyError, exact};
 use crate::text::{columns, thousands};
 use crate::wire::{Observation, flag};
 
@@ -98,19 +98,26 @@ pub struct OutlookResult {
     csv: PathBuf,
 }
 
-/// The run of one seed. The names are those of the row.
-struct OutlookRun {
+/// What was measured in the run of one seed. The names are those of the row.
+struct OutlookMeasured {
     loss: f64,
     end_error: Option<f64>,
     reached: Option<f64>,
     crossed: Option<f64>,
     stopped: Option<f64>,
     test: Vec<Measures>,
+}
+
+/// The run of one seed: its [`VALUES`].
+#[derive(Serialize, Deserialize)]
+struct OutlookRun {
+    #[serde(with = "exact::list")]
+    values: Vec<Option<f64>>,
     end: LearnerEnd,
 }
 
 /// A value of a run, with its name in the CSV.
-type OutlookValue = (&'static str, fn(&OutlookRun) -> Option<f64>);
+type OutlookValue = (&'static str, fn(&OutlookMeasured) -> Option<f64>);
 
 const VALUES: [OutlookValue; 11] = [
     ("loss_without_noise", |r| Some(r.loss)),
@@ -131,11 +138,11 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (n > 0.0).then_some(sum / n)
 }
 
-fn median(run: &OutlookRun, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
+fn median(run: &OutlookMeasured, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
     Quartiles::of(run.test.iter().filter_map(value)).map(|q| q.median)
 }
 
-fn slope(run: &OutlookRun, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
+fn slope(run: &OutlookMeasured, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
     let points: Vec<_> = run.test.iter().filter_map(|m| Some((m.distance_m, value(m)?))).collect();
     Fit::of(&points).map(|fit| fit.slope)
 }
@@ -144,14 +151,17 @@ fn slope(run: &OutlookRun, value: fn(&Measures) -> Option<f64>) -> Option<f64> {
 ///
 /// # Errors
 /// When the folder or a file cannot be written, or a signal ended the study.
-pub fn outlook(settings: &ReproduceSettings) -> Result<OutlookResult, StudyError> {
+pub fn outlook(settings: &ReproduceSettings) -> Result<StudyEnd<OutlookResult>, StudyError> {
     let mut plans = Vec::new();
     for (_, name, change) in VARIANTS {
         plans.extend(settings.plans(name, |scenario| {
             scenario.plant.arm.as_mut().map(change);
         })?);
     }
-    let experiment = settings.run("outlook", plans, run_variant)?;
+    let experiment = match settings.run("outlook", plans, run_variant)? {
+        StudyEnd::Whole(experiment) => experiment,
+        StudyEnd::Part(part) => return Ok(StudyEnd::Part(part)),
+    };
     let rows = VARIANTS.iter().zip(experiment.variants());
     let result = OutlookResult {
         seeds: settings.seeds(),
@@ -161,11 +171,11 @@ pub fn outlook(settings: &ReproduceSettings) -> Result<OutlookResult, StudyError
     };
     write_table(&result, &experiment)?;
     result.facts.write_json(&result.to_json())?;
-    Ok(result)
+    Ok(StudyEnd::Whole(result))
 }
 
 fn row((name, scenario, _): &Variant, plan: &Plan, runs: &[OutlookRun]) -> Option<OutlookRow> {
-    let spread = |i: usize| Spread::of(runs.iter().filter_map(VALUES[i].1));
+    let spread = |i: usize| Spread::of(runs.iter().filter_map(|run| run.values.get(i).copied().flatten()));
     Some(OutlookRow {
         name,
         scenario,
@@ -190,7 +200,10 @@ fn write_table(result: &OutlookResult, experiment: &Experiment<OutlookRun>) -> R
     let mut lines = vec![format!("name,scenario,seed,{}", VALUES.map(|v| v.0).join(","))];
     for ((name, scenario, _), (_, runs)) in VARIANTS.iter().zip(experiment.variants()) {
         for (run, seed) in runs.iter().zip(&result.seeds) {
-            lines.push(format!("{name},{scenario},{seed},{}", VALUES.map(|v| csv_cell(v.1(run))).join(",")));
+            lines.push(format!(
+                "{name},{scenario},{seed},{}",
+                run.values.iter().map(|value| csv_cell(*value)).collect::<Vec<_>>().join(",")
+            ));
         }
     }
     write_lines(&result.csv, &lines)
@@ -243,15 +256,15 @@ fn run_variant(plan: &Plan, progress: &JobProgress) -> OutlookRun {
         }
     });
     let share = |sum: f64, of: f64| (of > 0.0).then_some(sum / of);
-    OutlookRun {
+    let measured = OutlookMeasured {
         loss: sums.loss / sums.ticks,
         end_error: share(sums.end_error, sums.ends),
         reached: share(sums.reached, sums.ends),
         crossed: share(sums.crossed, sums.ticks).filter(|_| plan.measures.len() > 3),
         stopped: share(sums.stopped, sums.ticks).filter(|_| !config.limits.is_empty()),
         test,
-        end,
-    }
+    };
+    OutlookRun { values: VALUES.iter().map(|value| value.1(&measured)).collect(), end }
 }
 
 /// The measures of the policy's movements to the test's targets, without exploration noise.

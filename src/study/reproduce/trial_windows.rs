@@ -1,21 +1,26 @@
 //! Sums over windows of trials, for the experiments in which every tick is a trial of its own.
 
+use serde::{Deserialize, Serialize};
+
 use crate::report::figure::Polyline;
+use crate::study::exact;
 use crate::wire::Observation;
 
 /// Sums over some trials in a row.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(super) struct TrialWindow {
     /// Number of trials.
     pub trials: u64,
     /// Sum of the errors, in the plant's unit.
+    #[serde(with = "exact")]
     pub error: f64,
     /// Sum of the losses (reward with its sign turned).
+    #[serde(with = "exact")]
     pub loss: f64,
 }
 
 /// The windows of one run, all of the same length except the last.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct TrialWindows {
     /// Trials of a window.
     length: u64,

@@ -184,6 +184,13 @@ pub trait Agent: Persist {
     /// ticks alone, never from the time that is left, so that a replay makes the same ones.
     fn improve(&mut self, _updates: u32) {}
 
+    /// From now on the agent neither learns nor explores. Returns whether it looks after that by itself, as a planner
+    /// does that goes on planning: it is then told what became of its commands, and improves, as before. Any other
+    /// agent is only asked to act, and its mean is sent.
+    fn freeze(&mut self) -> bool {
+        false
+    }
+
     /// Names of the agent's own columns in the learning record, at most [`MAX_COLUMNS`].
     fn columns(&self) -> &'static [&'static str] {
         &[]
@@ -246,6 +253,10 @@ impl<A: Agent + ?Sized> Agent for Box<A> {
 
     fn improve(&mut self, updates: u32) {
         (**self).improve(updates);
+    }
+
+    fn freeze(&mut self) -> bool {
+        (**self).freeze()
     }
 
     fn columns(&self) -> &'static [&'static str] {

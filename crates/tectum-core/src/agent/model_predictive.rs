@@ -117,6 +117,12 @@ impl Agent for ModelPredictiveAgent {
         }
     }
 
+    /// It goes on planning, with the models that it has.
+    fn freeze(&mut self) -> bool {
+        self.learner.freeze();
+        true
+    }
+
     fn columns(&self) -> &'static [&'static str] {
         &["plan_value", "dynamics_noise", "reward_noise", "outliers", "alarms", "rivals", "clipped", "operations"]
     }

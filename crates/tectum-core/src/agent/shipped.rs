@@ -73,6 +73,13 @@ impl Agent for ShippedAgent {
         }
     }
 
+    fn freeze(&mut self) -> bool {
+        match self {
+            Self::Linear(agent) => agent.freeze(),
+            Self::ModelPredictive(agent) => agent.freeze(),
+        }
+    }
+
     fn columns(&self) -> &'static [&'static str] {
         self.agent().columns()
     }

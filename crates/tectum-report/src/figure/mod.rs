@@ -15,12 +15,14 @@ mod panel;
 mod postures;
 mod scales;
 mod seed_postures;
+mod sweep;
 
 pub use errors::{ErrorFigure, ErrorPanel, draw_miss};
 pub use loss::{LossFigure, draw_loss};
 pub use movements::{MovementDots, MovementsFigure, SpeedProfile, draw as draw_movements};
 pub use scales::{AxisScales, draw_scales};
 pub use seed_postures::{PosturesFigure, PosturesRow, SeedPostures, draw_ways};
+pub use sweep::{SweepFigureRow, draw_sweep};
 
 use super::{OptimumSpan, ReportError, RunHistory};
 use plotters::coord::Shift;

@@ -8,7 +8,7 @@ use iceoryx2::service::port_factory::blackboard;
 
 use super::domain::Domain;
 use super::ports::Payload;
-use super::{CONTROL, ChannelError, board_name, service_name};
+use super::{BOARD_PAGES, CONTROL, ChannelError, board_name, service_name};
 use crate::wire::{Control, Role, Status};
 
 pub(super) type Board = blackboard::PortFactory<ipc::Service, u64>;
@@ -54,13 +54,22 @@ impl<T: Payload> BoardWriter<T> {
 pub struct BoardReader<T: Payload> {
     reader: Reader<ipc::Service, u64>,
     entry: EntryHandle<ipc::Service, u64, T>,
-    page: u32,
+    incarnation: u32,
+    /// Whose board it is; `None` for the launcher's, which has one page.
+    process: Option<(Domain, Role)>,
 }
 
 impl<T: Payload> BoardReader<T> {
     pub(super) fn new(reader: Reader<ipc::Service, u64>, page: u32) -> Result<Self, ChannelError> {
         let entry = entry(&reader, page)?;
-        Ok(Self { reader, entry, page })
+        Ok(Self { reader, entry, incarnation: page, process: None })
+    }
+
+    /// The board of the process in `role`, at the page of its start `incarnation`.
+    pub(super) fn of_process(domain: &Domain, role: Role, incarnation: u32) -> Result<Self, ChannelError> {
+        let reader = process_reader(domain, role, incarnation)?;
+        let entry = entry(&reader, incarnation % BOARD_PAGES)?;
+        Ok(Self { reader, entry, incarnation, process: Some((domain.clone(), role)) })
     }
 
     /// The value on the board.
@@ -74,13 +83,41 @@ impl<T: Payload> BoardReader<T> {
     /// # Errors
     /// [`ChannelError::SetUp`] when there is no such page.
     pub fn set_incarnation(&mut self, incarnation: u32) -> Result<bool, ChannelError> {
-        if incarnation == self.page {
+        if incarnation == self.incarnation {
             return Ok(false);
         }
-        self.entry = entry(&self.reader, incarnation)?;
-        self.page = incarnation;
+        if let Some((domain, role)) = &self.process
+            && incarnation / BOARD_PAGES != self.incarnation / BOARD_PAGES
+        {
+            self.reader = process_reader(domain, *role, incarnation)?;
+        }
+        self.entry = entry(&self.reader, incarnation % BOARD_PAGES)?;
+        self.incarnation = incarnation;
         Ok(true)
     }
+}
+
+/// Name of the board on which the start `incarnation` of the process in `role` has its page.
+pub(super) fn process_board(role: Role, incarnation: u32) -> String {
+    match incarnation / BOARD_PAGES {
+        0 => role.name().to_owned(),
+        number => format!("{}-{number}", role.name()),
+    }
+}
+
+/// Creates the board on which the start `incarnation` of the process in `role` has its page, and those after it.
+pub(super) fn create_process_board(
+    domain: &Domain,
+    role: Role,
+    incarnation: u32,
+    nodes: usize,
+) -> Result<Board, ChannelError> {
+    create_board::<Status>(domain, &process_board(role, incarnation), BOARD_PAGES, nodes)
+}
+
+fn process_reader(domain: &Domain, role: Role, incarnation: u32) -> Result<Reader<ipc::Service, u64>, ChannelError> {
+    let board = open_board(domain, &process_board(role, incarnation))?;
+    board.reader_builder().create().map_err(|e| ChannelError::set_up("a board's reader", e))
 }
 
 fn entry<T: Payload>(
@@ -134,22 +171,22 @@ pub(super) fn read_peer(
     role: Role,
     status_board: &StatusBoard,
 ) -> Result<BoardReader<Status>, ChannelError> {
-    read_board(&open_board(domain, role.name())?, status_board.control.get().incarnations[role as usize])
+    BoardReader::of_process(domain, role, status_board.control.get().incarnations[role as usize])
 }
 
 /// Opens the boards of the process in `role`.
 pub(super) fn open_status_board(domain: &Domain, role: Role) -> Result<StatusBoard, ChannelError> {
     let control = read_board::<Control>(&open_board(domain, CONTROL)?, CONTROL_PAGE)?;
     let incarnation = control.get().incarnations[role as usize];
-    let board = open_board(domain, role.name())?;
-    let before = last_of_predecessors(&board, incarnation)?;
-    Ok(StatusBoard { control, status: write_board(&board, incarnation)?, incarnation, before })
+    let board = open_board(domain, &process_board(role, incarnation))?;
+    let before = last_of_predecessors(domain, role, incarnation)?;
+    Ok(StatusBoard { control, status: write_board(&board, incarnation % BOARD_PAGES)?, incarnation, before })
 }
 
 /// The last page before `incarnation` that shows a sample.
-fn last_of_predecessors(board: &Board, incarnation: u32) -> Result<Status, ChannelError> {
+fn last_of_predecessors(domain: &Domain, role: Role, incarnation: u32) -> Result<Status, ChannelError> {
     let Some(newest) = incarnation.checked_sub(1) else { return Ok(Status::default()) };
-    let mut pages = read_board::<Status>(board, newest)?;
+    let mut pages = BoardReader::<Status>::of_process(domain, role, newest)?;
     for page in (0..incarnation).rev() {
         pages.set_incarnation(page)?;
         if pages.get().sent > 0 {

@@ -1,7 +1,7 @@
 //! A domain: the part of shared memory that belongs to one run. Names of its files, joining it, and removing it.
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use iceoryx2::prelude::*;
@@ -76,9 +76,9 @@ impl DomainName {
 }
 
 /// A process's membership in a domain: the iceoryx2 node.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Domain {
-    pub(super) node: Node<ipc::Service>,
+    pub(super) node: Arc<Node<ipc::Service>>,
 }
 
 impl Domain {
@@ -94,7 +94,7 @@ impl Domain {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|e| ChannelError::set_up("a node", e))?;
-        Ok(Self { node })
+        Ok(Self { node: Arc::new(node) })
     }
 }
 

@@ -63,8 +63,8 @@ const LOOP_BUFFER: usize = 2;
 /// Samples of each tracker that the bridge can be behind: it takes the newest at every tick.
 const VISION_BUFFER: usize = 4;
 
-/// How often a process can be started within a run: each start has a page of its own on its board.
-pub const INCARNATIONS: u32 = 256;
+/// Pages of a process's board: each of its starts has a page of its own. After so many starts there is another board.
+const BOARD_PAGES: u32 = 256;
 
 /// The service whose attributes identify the run. It is created before all others.
 pub(crate) const IDENTITY: &str = "identity";

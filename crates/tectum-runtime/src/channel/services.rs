@@ -3,13 +3,13 @@
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::event;
 
-use super::boards::{Board, BoardReader, BoardWriter, CONTROL_PAGE, create_board, read_board, write_board};
+use super::boards::{Board, BoardReader, BoardWriter, CONTROL_PAGE, create_board, create_process_board, write_board};
 use super::domain::{Domain, DomainName, close_domain_to_others};
 use super::domain_lock::DomainGuard;
 use super::log_ring::create_rings;
 use super::ports::{Factory, Payload};
 use super::wake::WakeWord;
-use super::{CONTROL, ChannelError, IDENTITY, INCARNATIONS, Identity, LOG_BUFFER, VISION_BUFFER, service_name};
+use super::{BOARD_PAGES, CONTROL, ChannelError, IDENTITY, Identity, LOG_BUFFER, VISION_BUFFER, service_name};
 use crate::wire::{ChannelNames, Command, Control, Learning, Observation, Role, Status, Vision};
 
 /// Readers of a channel: the loop's peer and some viewers. None of them can hold up the writer.
@@ -30,12 +30,14 @@ pub struct RunServices {
     /// The boards of the processes, by [`Role`].
     status: [BoardReader<Status>; 3],
     // Fields drop in this order: services before the node, the domain's files after all of them.
-    _boards: Vec<Board>,
+    boards: Vec<Board>,
+    /// Most processes on a board.
+    nodes: usize,
     _channels: (Factory<Observation>, Factory<Command>, Factory<Learning>),
     _vision: Option<Factory<Vision>>,
     _identity: event::PortFactory<ipc::Service>,
     _wake: WakeWord,
-    _domain: Domain,
+    domain: Domain,
     guard: DomainGuard,
 }
 
@@ -74,20 +76,22 @@ impl RunServices {
         let control = create_board::<Control>(&domain, CONTROL, 1, nodes)?;
         let mut boards = Vec::new();
         for role in Role::ALL {
-            boards.push(create_board::<Status>(&domain, role.name(), INCARNATIONS, nodes)?);
+            boards.push(create_process_board(&domain, role, 0, nodes)?);
         }
-        let status = [read_board(&boards[0], 0)?, read_board(&boards[1], 0)?, read_board(&boards[2], 0)?];
+        let [plant, controller, logger] = Role::ALL.map(|role| BoardReader::of_process(&domain, role, 0));
+        let status = [plant?, controller?, logger?];
         let writer = write_board(&control, CONTROL_PAGE)?;
         boards.push(control);
         Ok(Self {
             control: writer,
             status,
-            _boards: boards,
+            boards,
+            nodes,
             _channels: channels,
             _vision: vision,
             _identity: service,
             _wake: wake,
-            _domain: domain,
+            domain,
             guard,
         })
     }
@@ -102,11 +106,14 @@ impl RunServices {
         self.status[role as usize].get()
     }
 
-    /// Switches to the page of `incarnation` on the board of `role`.
+    /// Switches to the page of `incarnation` on the board of `role`. Creates another board when all pages are used.
     ///
     /// # Errors
-    /// [`ChannelError::SetUp`] when the board has no such page.
+    /// [`ChannelError::SetUp`] when shared memory has no room for another board.
     pub fn set_incarnation(&mut self, role: Role, incarnation: u32) -> Result<(), ChannelError> {
+        if incarnation > 0 && incarnation.is_multiple_of(BOARD_PAGES) {
+            self.boards.push(create_process_board(&self.domain, role, incarnation, self.nodes)?);
+        }
         self.status[role as usize].set_incarnation(incarnation).map(|_| ())
     }
 }
@@ -142,4 +149,36 @@ fn create_vision(domain: &Domain, name: &str, nodes: usize) -> Result<Factory<Vi
         .enable_safe_overflow(true)
         .create()
         .map_err(|e| ChannelError::set_up(format!("channel {name}"), e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::boards::open_status_board;
+    use super::*;
+    use crate::wire::ProcessState;
+
+    /// A process can be started more often than a board has pages; its peers and the launcher follow it.
+    #[test]
+    fn starts_have_no_bound() {
+        let name = DomainName::of(0x7e57_b0a2_0000_0000 | u64::from(std::process::id()));
+        let identity = Identity { schema: 1, scenario: 2, build: "test".to_owned() };
+        let mut services = RunServices::create(&name, &identity, &ChannelNames::default(), None).unwrap();
+        let domain = Domain::join(&name).unwrap();
+        let mut peer = BoardReader::<Status>::of_process(&domain, Role::Plant, 0).unwrap();
+        for incarnation in 1..=2 * BOARD_PAGES + 1 {
+            services.set_incarnation(Role::Plant, incarnation).unwrap();
+            let mut control = Control::default();
+            control.incarnations[Role::Plant as usize] = incarnation;
+            services.control.put(control);
+            if incarnation % 100 > 1 && incarnation % BOARD_PAGES > 1 {
+                continue;
+            }
+            let own = open_status_board(&domain, Role::Plant).unwrap();
+            assert_eq!(own.incarnation, incarnation);
+            let state = ProcessState::Running as u32;
+            own.status.put(Status { state, sent: u64::from(incarnation), ..Status::default() });
+            assert!(peer.set_incarnation(incarnation).unwrap());
+            assert_eq!((peer.get().sent, services.status(Role::Plant).sent), (incarnation.into(), incarnation.into()));
+        }
+    }
 }

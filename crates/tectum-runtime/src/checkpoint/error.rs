@@ -46,6 +46,15 @@ pub enum CheckpointError {
         /// The checkpoint's value.
         theirs: String,
     },
+    /// It holds the state of another agent than the run's.
+    #[error("{}: what was learned there does not fit this learner: {what}; give it the settings under [learner] that \
+             it was learned with", path.display())]
+    OtherAgent {
+        /// The file.
+        path: PathBuf,
+        /// The first row that does not fit.
+        what: String,
+    },
     /// There is no checkpoint to continue from.
     #[error("{}: {what}", folder.display())]
     None {

@@ -27,8 +27,9 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
+use crate::agent::Agent;
 use crate::policy::LinearPolicy;
-use crate::state::{NumberKind, Persist};
+use crate::state::{NumberKind, Persist, StateVisitor as _};
 use crate::wire::Role;
 use tensors::{Tensor, TensorCollector, TensorRestorer};
 
@@ -61,6 +62,10 @@ pub struct CheckpointFacts {
     pub schema: String,
     /// Package version and commit.
     pub build: String,
+    /// The controller's: the scenario as TOML, by which another run knows whether what was learned fits it. A process
+    /// in another language may leave it out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scenario_text: Option<String>,
 }
 
 impl CheckpointFacts {
@@ -75,6 +80,7 @@ impl CheckpointFacts {
             scenario: format!("{scenario:016x}"),
             schema: format!("{:016x}", crate::wire::schema_hash()),
             build: crate::BUILD.to_owned(),
+            scenario_text: None,
         }
     }
 }
@@ -101,12 +107,25 @@ pub fn path(folder: &Path, tick: u64, role: Role) -> PathBuf {
     folder.join(FOLDER).join(format!("{tick}.{}.safetensors", role.name()))
 }
 
+/// The newest checkpoint of the controller of the run in `folder`, if there is one.
+pub fn newest_of_controller(folder: &Path) -> Option<PathBuf> {
+    let tick = ticks_of(folder, Role::Controller).pop()?;
+    Some(path(folder, tick, Role::Controller))
+}
+
 /// The ticks at which both plant and controller of the run in `folder` have written a checkpoint, in order.
 pub fn ticks(folder: &Path) -> Vec<u64> {
+    let mut ticks = ticks_of(folder, Role::Plant);
+    ticks.retain(|&tick| path(folder, tick, Role::Controller).exists());
+    ticks
+}
+
+/// The ticks at which the process in `role` has written a checkpoint, in order.
+fn ticks_of(folder: &Path, role: Role) -> Vec<u64> {
     let entries = std::fs::read_dir(folder.join(FOLDER)).into_iter().flatten().flatten();
     let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
-    let plant_ticks = names.filter_map(|name| name.strip_suffix(".plant.safetensors")?.parse().ok());
-    let mut ticks: Vec<u64> = plant_ticks.filter(|&tick| path(folder, tick, Role::Controller).exists()).collect();
+    let end = format!(".{}.safetensors", role.name());
+    let mut ticks: Vec<u64> = names.filter_map(|name| name.strip_suffix(&end)?.parse().ok()).collect();
     ticks.sort_unstable();
     ticks
 }
@@ -223,6 +242,38 @@ impl Checkpoint {
             }
         }
         Ok(())
+    }
+
+    /// Restores what an agent has learned, and nothing else of a controller's checkpoint. Random streams stay those of
+    /// the agent, so that a run's seed decides on its exploration. After an error the agent must not be used.
+    ///
+    /// # Errors
+    /// [`CheckpointError::OtherAgent`] when a row is missing, superfluous, or of another size.
+    pub fn restore_agent<A: Agent>(&self, agent: &mut A) -> Result<(), CheckpointError> {
+        let mut restorer = TensorRestorer::new(&self.tensors, &[WEIGHTS]).keeping_streams();
+        restorer.enter("controller");
+        // The rows of a learning rule stand beside those of the controller.
+        let own = agent.policy().is_none();
+        if own {
+            restorer.enter("agent");
+        }
+        agent.visit_state(&mut restorer);
+        restorer
+            .finish_part(if own { "controller.agent." } else { "controller.learner." })
+            .map_err(|what| CheckpointError::OtherAgent { path: self.path.clone(), what })
+    }
+
+    /// The policy as it answers the next tick: outputs, features, and the weights row by row. `None` where the learner
+    /// has no linear policy.
+    pub fn weights(&self) -> Option<(usize, usize, Vec<f32>)> {
+        let tensor = self.tensors.get(WEIGHTS).filter(|tensor| tensor.kind == NumberKind::F32)?;
+        let &[outputs, features] = &tensor.shape[..] else { return None };
+        Some((outputs, features, tensor.bytes.chunks_exact(4).map(bytemuck::pod_read_unaligned).collect()))
+    }
+
+    /// The checksum over facts and tensors, hexadecimal.
+    pub fn check(&self) -> String {
+        checksum(&self.facts, &self.tensors)
     }
 
     /// Restores the state of `part`. After an error `part` is only partly restored and must not be used.

@@ -4,6 +4,9 @@ use std::collections::BTreeMap;
 
 use crate::state::{NumberKind, StateVisitor};
 
+/// The name of every random stream in a part's list.
+const STREAM: &str = "rng";
+
 /// Numbers of one type, in rows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Tensor {
@@ -72,6 +75,8 @@ pub(super) struct TensorRestorer<'a> {
     path: TensorPath,
     /// The tensors, each with its bytes that have not been used yet.
     unused: BTreeMap<&'a str, (NumberKind, &'a [u8])>,
+    /// Whether random streams are left as they are.
+    keeps_streams: bool,
     /// The first error.
     error: Option<String>,
 }
@@ -81,7 +86,19 @@ impl<'a> TensorRestorer<'a> {
     pub fn new(tensors: &'a BTreeMap<String, Tensor>, ignored: &[&str]) -> Self {
         let state = tensors.iter().filter(|(name, _)| !ignored.contains(&name.as_str()));
         let unused = state.map(|(name, t)| (name.as_str(), (t.kind, t.bytes.as_slice()))).collect();
-        Self { path: TensorPath::default(), unused, error: None }
+        Self { path: TensorPath::default(), unused, keeps_streams: false, error: None }
+    }
+
+    /// The same restorer, which leaves random streams ([`crate::seed::Rng`], called `rng` everywhere) as they are.
+    pub fn keeping_streams(self) -> Self {
+        Self { keeps_streams: true, ..self }
+    }
+
+    /// Like [`finish`](Self::finish), where only a part of what was written is restored: rows below `part` must all
+    /// have been used, and any other row that was used must have been used up.
+    pub fn finish_part(mut self, part: &str) -> Result<(), String> {
+        self.unused.retain(|name, _| name.starts_with(part));
+        self.finish()
     }
 
     fn take(&mut self, name: &str, kind: NumberKind, bytes: &mut [u8]) {
@@ -91,7 +108,9 @@ impl<'a> TensorRestorer<'a> {
             Some((_, unused)) => match unused.split_at_checked(bytes.len()) {
                 None => format!("{name} is too short"),
                 Some((row, rest)) => {
-                    bytes.copy_from_slice(row);
+                    if !(self.keeps_streams && self.path.0.last() == Some(&STREAM)) {
+                        bytes.copy_from_slice(row);
+                    }
                     *unused = rest;
                     return;
                 }

@@ -28,18 +28,23 @@ pub struct CheckpointWriter {
 }
 
 impl CheckpointWriter {
-    /// Starts the writer for the process in `role` of the run in `folder`.
+    /// Starts the writer for the process in `role` of the run in `folder`. It keeps the newest `keep` checkpoints of
+    /// this process and removes the others; 0: it keeps all.
     ///
     /// # Errors
     /// When no more threads can be started.
-    pub(crate) fn new(folder: &Path, role: Role) -> io::Result<Self> {
+    pub(crate) fn new(folder: &Path, role: Role, keep: u64) -> io::Result<Self> {
+        let own = folder.to_owned();
         let (sender, receiver) = channel::<WriteJob>();
         let thread = std::thread::Builder::new().name("checkpoints".to_owned()).spawn(move || {
             let (mut written, mut failed) = (0, None);
             for job in receiver {
                 match job {
                     WriteJob::Checkpoint { path, bytes, sync } => match write_file(&path, &bytes, sync) {
-                        Ok(()) => written += 1,
+                        Ok(()) => {
+                            written += 1;
+                            remove_all_but(&own, role, keep);
+                        }
                         Err(cause) => failed = Some(format!("{} cannot be written: {cause}", path.display())),
                     },
                     // The reader of the file sees that a record is missing. Nothing else depends on it.
@@ -81,6 +86,16 @@ impl CheckpointWriter {
     pub(crate) fn finish(self) -> Result<u64, String> {
         drop(self.sender);
         self.thread.join().unwrap_or_else(|_| Err("the writer of checkpoints has panicked".to_owned()))
+    }
+}
+
+/// Removes all checkpoints of `role` but the newest `keep`. Best effort: one that stays does no harm.
+fn remove_all_but(folder: &Path, role: Role, keep: u64) {
+    if keep == 0 {
+        return;
+    }
+    for tick in super::ticks_of(folder, role).into_iter().rev().skip(keep as usize) {
+        let _ = std::fs::remove_file(super::path(folder, tick, role));
     }
 }
 

@@ -71,6 +71,11 @@ impl DiskReserve {
         Ok(self.file.metadata()?.len())
     }
 
+    /// Syncs the file's content to the disk.
+    pub fn sync(&self) -> io::Result<()> {
+        self.file.sync_data()
+    }
+
     /// Whether `path` leads to this file.
     pub fn is_file_at(&self, path: &Path) -> bool {
         match (std::fs::metadata(path), self.file.metadata()) {

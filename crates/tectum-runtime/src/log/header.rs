@@ -75,6 +75,10 @@ pub struct LogHeader {
     pub t0_ns: u64,
     /// Wall time at that instant, ns since 1970; 0 on the virtual clock.
     pub wall_at_t0_ns: u64,
+    /// What the run began with, if not with a fresh learner, and whether the learner is frozen: the record then has the
+    /// keys `started_from` (the other run, as the user named it), `started_from.tick`, `started_from.check` (checksum
+    /// of the checkpoint) and `frozen`.
+    pub beginning: BTreeMap<String, String>,
     /// Which segment of the run's log the file is, and what the earlier segments hold.
     pub segment: LogSegment,
 }
@@ -164,6 +168,7 @@ impl LogHeader {
             clock: LogClock::Virtual,
             t0_ns: 0,
             wall_at_t0_ns: 0,
+            beginning: BTreeMap::new(),
             segment: LogSegment::default(),
         }
     }
@@ -210,6 +215,7 @@ impl LogHeader {
         put("wire.command", Command::NAME.to_owned());
         put("wire.learning", Learning::NAME.to_owned());
         put("wire.gap", Gap::NAME.to_owned());
+        map.extend(self.beginning.clone());
         self.segment.add_to_map(&mut map);
         Ok(map)
     }
@@ -259,6 +265,7 @@ pub(super) mod tests {
             clock: LogClock::Virtual,
             t0_ns: 0,
             wall_at_t0_ns: 0,
+            beginning: BTreeMap::new(),
             segment: LogSegment::default(),
         }
     }

@@ -52,6 +52,7 @@ mod segments;
 mod views;
 mod writer;
 
+pub use crate::scenario::LogRotation;
 pub use csv::{CsvChannel, csv};
 pub use error::LogError;
 pub use header::flag_words;
@@ -63,8 +64,8 @@ pub use pack::{PackedLog, pack};
 pub use reader::LogReader;
 pub use recovery::LogRecovery;
 pub use repair::{Repair, TornContents, mend, repair};
-pub use segments::segment_path;
 pub use segments::{RunLog, SegmentEnd, find, segments};
+pub(crate) use segments::{segment_number_of, segment_path};
 pub use writer::{LogSummary, LogWriter};
 
 use crate::wire::{Command, Gap, Header, Learning, Observation};

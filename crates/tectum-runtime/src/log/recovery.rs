@@ -19,6 +19,8 @@ pub struct LogRecovery {
     pub timings: LatencyHistograms,
     /// Size of all files, bytes.
     pub bytes: u64,
+    /// Messages of segments before the first that is there: of a log whose oldest segments were removed.
+    removed: [u64; 4],
 }
 
 /// Messages between two calls of the heartbeat.
@@ -34,6 +36,7 @@ impl LogRecovery {
             missing_from: None,
             timings: LatencyHistograms::new(period_ns),
             bytes: 0,
+            removed: [0; 4],
         }
     }
 
@@ -44,7 +47,10 @@ impl LogRecovery {
         for path in segments(folder) {
             self.bytes += std::fs::metadata(&path).map_or(0, |file| file.len());
             if let Ok(log) = LogReader::open(&path) {
-                let counts = counts.get_or_insert_with(|| log.message_counts());
+                let counts = counts.get_or_insert_with(|| {
+                    self.removed = log.log_segment().written;
+                    log.message_counts()
+                });
                 self.add_segment(log, counts, &mut heartbeat);
             }
         }
@@ -82,9 +88,9 @@ impl LogRecovery {
                 heartbeat();
             }
         }
-        self.segment.written[3] = counts.gaps;
+        self.segment.written[3] = self.removed[3] + counts.gaps;
         for (i, channel) in counts.channels.iter().enumerate() {
-            self.segment.written[i] = channel.messages;
+            self.segment.written[i] = self.removed[i] + channel.messages;
             self.last_ticks[i] = channel.ticks.map_or(self.last_ticks[i], |(_, last)| Some(last));
         }
         let start = log.log_segment();

@@ -21,9 +21,10 @@ pub fn find(given: &Path) -> Result<Vec<PathBuf>, LogError> {
     Err(LogError::NoLog { path, why: why.to_owned() })
 }
 
-/// The file that the logger of `incarnation` writes in its run's folder: `log.mcap`, `log-1.mcap` and so on.
-pub fn segment_path(folder: &Path, incarnation: u32) -> PathBuf {
-    folder.join(match incarnation {
+/// The file of the segment `number` in a run's folder: `log.mcap`, `log-1.mcap` and so on. A logger begins with that of
+/// its incarnation, or with the next that is free.
+pub fn segment_path(folder: &Path, number: u32) -> PathBuf {
+    folder.join(match number {
         0 => LOG_FILE.to_owned(),
         n => format!("log-{n}.mcap"),
     })
@@ -37,7 +38,12 @@ pub fn segments(folder: &Path) -> Vec<PathBuf> {
     found.into_iter().map(|n| segment_path(folder, n)).collect()
 }
 
-/// The logger's incarnation in a segment's file name.
+/// The number of the segment at `path`.
+pub(crate) fn segment_number_of(path: &Path) -> Option<u32> {
+    segment_number(path.file_name()?.to_str()?)
+}
+
+/// The number in a segment's file name.
 fn segment_number(name: &str) -> Option<u32> {
     if name == LOG_FILE {
         return Some(0);

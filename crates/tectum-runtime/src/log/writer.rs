@@ -244,6 +244,20 @@ impl LogWriter {
         self.file.reserve.is_file_at(&self.file.path)
     }
 
+    /// Bytes written so far.
+    pub fn bytes(&self) -> u64 {
+        self.file.position
+    }
+
+    /// Syncs what was flushed to the disk.
+    ///
+    /// # Errors
+    ///
+    /// As [`observation`](Self::observation); the log can still be written.
+    pub fn sync(&self) -> Result<(), LogError> {
+        self.file.reserve.sync().map_err(|e| LogError::write(&self.file.path, e))
+    }
+
     /// Whether writing has failed: the file is then torn, and accepts nothing more.
     pub fn broken(&self) -> bool {
         self.file.failed

@@ -6,6 +6,7 @@ use super::{ControllerReport, FaultyChannel, RunStatistics};
 use crate::agent::{
     Agent, AgentRecord, Answer, Boundary, Experience, MAX_COLUMNS, Percept, ShippedAgent, Withheld, learned_hash,
 };
+use crate::checkpoint::{Checkpoint, CheckpointError};
 use crate::policy::LinearPolicy;
 use crate::scenario::{Plan, limits::RANGE};
 use crate::simd::SimdPath;
@@ -39,6 +40,7 @@ pub struct Controller<A = ShippedAgent> {
     applied_before: [f32; MAX_OUTPUTS],
     /// Whether every applied command is credited, also those of another policy.
     off_policy: bool,
+    freeze: Freeze,
     /// Flags of the learner in this tick, and whether its command is the agent's.
     flags: u32,
     acted: bool,
@@ -47,6 +49,17 @@ pub struct Controller<A = ShippedAgent> {
     statistics: RunStatistics,
     counter: RunCounter,
     pub(super) report: ControllerReport,
+}
+
+/// Whether the agent learns and explores.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Freeze {
+    /// It does both.
+    None,
+    /// It does neither, and goes on planning.
+    PlansOn,
+    /// It is only asked to act.
+    Whole,
 }
 
 /// Whether all values are finite. There is no branch per value, because they nearly always are.
@@ -99,6 +112,7 @@ impl<A: Agent> Controller<A> {
             asked: [0.0; MAX_OUTPUTS],
             applied_before: [0.0; MAX_OUTPUTS],
             off_policy: false,
+            freeze: Freeze::None,
             flags: 0,
             acted: false,
             age: 0,
@@ -106,6 +120,34 @@ impl<A: Agent> Controller<A> {
             counter: RunCounter::new(plan),
             report: ControllerReport::default(),
         }
+    }
+
+    /// From now on the agent neither learns nor explores: its mean is the command ([`Agent::freeze`]).
+    pub fn freeze(&mut self) {
+        self.freeze = if self.agent.freeze() { Freeze::PlansOn } else { Freeze::Whole };
+        self.report.frozen = true;
+    }
+
+    /// Restores what an agent has learned in another run, up to the tick of `checkpoint`. It learns nothing from the
+    /// step from that run to this one: its eligibility trace is cut.
+    ///
+    /// # Errors
+    /// When the checkpoint holds the state of another agent; this one must then not be used.
+    pub fn start_from(&mut self, checkpoint: &Checkpoint) -> Result<(), CheckpointError> {
+        checkpoint.restore_agent(&mut self.agent)?;
+        self.agent.learn(&Experience {
+            tick: 0,
+            inputs: &self.answered_inputs[..self.inputs],
+            asked: &self.asked[..self.outputs],
+            applied: &self.applied_before[..self.outputs],
+            limited: false,
+            reward: 0.0,
+            next_inputs: &self.answered_inputs[..self.inputs],
+            boundary: Boundary::Truncated,
+            withheld: Some(Withheld::First),
+        });
+        self.report.started_from = Some(checkpoint.facts.tick);
+        Ok(())
     }
 
     /// Learns from the observation's reward and computes the command for its inputs: mean, drawn output, tick
@@ -176,6 +218,9 @@ impl<A: Agent> Controller<A> {
             command.header.flags = flag::DIVERGED;
             self.report.diverged_at.get_or_insert(tick);
         }
+        if self.freeze != Freeze::None {
+            command.drawn = command.mean;
+        }
         self.asked = command.drawn;
     }
 
@@ -225,7 +270,7 @@ impl<A: Agent> Controller<A> {
     /// Hands the result of the last command to the agent.
     fn learn(&mut self, observation: &Observation, invalid: bool) {
         self.flags = 0;
-        let Some(answered) = self.answered else { return };
+        let Some(answered) = self.answered.filter(|_| self.freeze != Freeze::Whole) else { return };
         let flags = observation.header.flags;
         let experience = Experience {
             tick: answered,
@@ -238,7 +283,11 @@ impl<A: Agent> Controller<A> {
             boundary: Boundary::of(flags),
             withheld: self.withheld(observation, answered, invalid),
         };
-        if self.agent.learn(&experience) {
+        let learned = self.agent.learn(&experience);
+        if self.freeze != Freeze::None {
+            return;
+        }
+        if learned {
             self.flags = flag::LEARNED;
             self.report.learned += 1;
         } else if experience.withheld.is_some() || experience.boundary.ends_episode() {
@@ -250,7 +299,9 @@ impl<A: Agent> Controller<A> {
     /// The work after the command has been sent: improves the agent, and adds the observation to the
     /// statistics.
     pub fn after_command(&mut self, observation: &Observation) {
-        self.agent.improve(self.updates);
+        if self.freeze != Freeze::Whole {
+            self.agent.improve(self.updates);
+        }
         if self.agent.halted() {
             self.report.diverged_at.get_or_insert(observation.header.tick);
         }
@@ -272,7 +323,7 @@ impl<A: Agent> Controller<A> {
         let mut record =
             AgentRecord { noise, step: 0.0, weights_norm: 0.0, trace_norm: 0.0, columns: [0.0; MAX_COLUMNS] };
         self.agent.record(&mut record);
-        if !self.acted {
+        if !self.acted || self.freeze != Freeze::None {
             record.noise.fill(0.0);
         }
         learning.step = if learned { record.step } else { 0.0 };

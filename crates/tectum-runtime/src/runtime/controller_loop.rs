@@ -105,9 +105,10 @@ impl<A: Agent> ControllerLoopState<A> {
                 return Err(RuntimeError::Memory(Role::Controller.name()));
             }
         } else if before.sent > first && crash_store.entry(first).is_none() {
+            self.start(participant)?;
             self.forget(participant, before)?;
-        } else {
-            participant.resume(self)?;
+        } else if !participant.resume(self)? {
+            self.start(participant)?;
         }
         let (stored, count) = (crash_store.newest().is_some(), self.count);
         crash_store.reopen();
@@ -124,6 +125,14 @@ impl<A: Agent> ControllerLoopState<A> {
             }
         }
         Ok(stored || self.count > count)
+    }
+
+    /// Begins with what another run has learned, if this run is to.
+    fn start(&mut self, participant: &Participant) -> Result<(), RuntimeError> {
+        if let Some(checkpoint) = participant.start()? {
+            self.controller.start_from(&checkpoint)?;
+        }
+        Ok(())
     }
 
     /// Goes on without what the predecessor remembered, which is gone, and learns anew. Sequence numbers and counts
@@ -261,9 +270,14 @@ impl<A: Agent> ControllerLoop<A> {
         let save_every = agent.save_every().clamp(1, MOST_UNSAVED);
         let mut state = ControllerLoopState::new(&participant.plan, agent);
         let (ports, status_board) = participant.open(ControllerPorts::open)?;
+        if participant.manifest.frozen {
+            state.controller.freeze();
+        }
         let mut crash_store = participant.crash_store(state::size(&mut state), [JOURNAL, size_of::<Observation>()])?;
         let mut snapshots = SnapshotRecorder::new(&participant.folder, &participant.plan);
         let restarted = state.restore(&mut crash_store, &participant, &status_board.before, &mut snapshots)?;
+        let begun = participant.manifest.started_from.as_ref().map(|start| start.tick);
+        state.controller.report.started_from = begun;
         let writer = participant.checkpoint_writer()?;
         // The plant writes the observations and reads the commands.
         let (session, time) = participant

@@ -37,9 +37,14 @@ pub struct Simulation {
 impl Simulation {
     /// `plan` with the plant `body` and the controller that `plan` describes.
     pub fn new(plan: &Plan, body: SimulatedPlant) -> Self {
+        Self::with_controller(plan, body, Controller::new(plan))
+    }
+
+    /// `plan` with the plant `body` and a controller that need not begin anew.
+    pub fn with_controller(plan: &Plan, body: SimulatedPlant, controller: Controller) -> Self {
         Self {
             side: PlantSide::new(body, plan),
-            controller: Controller::new(plan),
+            controller,
             tick: 0,
             observation: Observation::default(),
             command: Command::default(),
@@ -131,14 +136,15 @@ impl Simulation {
     }
 }
 
-/// Runs the simulated plant `body` and the learner of `plan`, like [`in_process_with_observer`]. This one is compiled
-/// with full optimisation wherever it is called from.
+/// Runs the simulated plant `body` and `controller`, which need not begin anew, like [`in_process_with_observer`]. This
+/// one is compiled with full optimisation wherever it is called from.
 pub fn simulate(
     plan: &Plan,
     body: SimulatedPlant,
+    controller: Controller,
     observer: &mut dyn FnMut(&Observation, &Controller) -> bool,
 ) -> InProcess {
-    Simulation::new(plan, body).run(plan.scenario.ticks, observer)
+    Simulation::with_controller(plan, body, controller).run(plan.scenario.ticks, observer)
 }
 
 /// Runs `plan` with the plant `body`: the same ticks in the same order as three processes in lockstep.

@@ -8,14 +8,17 @@
 use std::collections::BTreeMap;
 
 use super::faults::FaultyChannel;
+use super::log_rotator::LogRotator;
 use super::merge::{LogMerger, MergeOutcome};
 use super::{
-    ControllerReport, LoggerReport, Mode, Participant, PlantReport, ResumePoint, RuntimeError, Session, judge,
-    read_columns, read_realtime, read_report,
+    ControllerReport, LoggerReport, Mode, Participant, PlantReport, ResumePoint, RuntimeError, Session, StartPoint,
+    judge, read_columns, read_realtime, read_report,
 };
 use crate::channel::{LogTail, LoggerPorts};
 use crate::clock::{TimeSource, machine_facts, monotonic_ns, pause, wall_ns};
-use crate::log::{LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWriter, segment_path};
+use crate::log::{
+    LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWriter, segment_number_of, segment_path, segments,
+};
 use crate::scenario::FaultChannel;
 use crate::wire::{Learning, ProcessState, Role, Status};
 
@@ -61,7 +64,6 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
     let (mut ports, status_board) = participant.open(LoggerPorts::open)?;
     let (mut session, time) = participant.begin(status_board, || Ok(true))?;
     let folder = session.participant.folder.clone();
-    let incarnation = session.incarnation();
     let recovered = recover(&session);
     // What the log has already is still in the rings.
     let begins = recovered.segment.begins;
@@ -73,8 +75,9 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
 
     let ended = follow(&mut merger, &mut ports, &mut senders, &mut session, &time);
     session.enter(ProcessState::Closing);
+    let last = merger.path().unwrap_or_else(|| segment_path(&folder, session.incarnation()));
     let complete = senders.boards[Role::Plant as usize].ticks >= session.participant.plan.scenario.ticks;
-    let MergeOutcome { totals, written, failure, timings, bytes } =
+    let MergeOutcome { totals, written, failure, timings, bytes, removed, closed } =
         merger.close(senders.sent, complete, warnings(&session, &senders));
     ended?;
     let [wake_up_lateness, observation_to_command, command_to_applied] =
@@ -87,9 +90,9 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
         missing_from: totals.missing_from,
         failure,
         // Of a segment that could not be closed, what is there.
-        bytes: recovered.bytes
-            + bytes
-                .unwrap_or_else(|| std::fs::metadata(segment_path(&folder, incarnation)).map_or(0, |file| file.len())),
+        bytes: if session.participant.plan.scenario.log.rotate.is_some() { closed } else { recovered.bytes }
+            + bytes.unwrap_or_else(|| std::fs::metadata(&last).map_or(0, |file| file.len())),
+        removed_segments: removed,
         wake_up_lateness,
         observation_to_command,
         command_to_applied,
@@ -131,14 +134,17 @@ fn recover(session: &Session) -> LogRecovery {
 /// Creates this incarnation's segment of the log.
 fn open_log(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> Result<LogMerger, RuntimeError> {
     let header = header(session, time, recovered);
-    let log = LogWriter::create(&segment_path(&session.participant.folder, session.incarnation()), &header);
+    let participant = &session.participant;
+    let first_tick = recovered.last_ticks.into_iter().flatten().max().map_or(0, |tick| tick + 1);
+    let rotator = LogRotator::of(&participant.plan, &participant.folder, &header, first_tick);
+    let log = LogWriter::create(&segment_path(&participant.folder, header.segment.number), &header);
     match log {
         // A log exists already. Without room for another segment, the run goes on, so that nothing waits for
         // the logger.
         Err(error) if session.incarnation() > 0 && error.is_full() => {
             Ok(LogMerger::new(Err(error), recovered, header.every, time.is_real()))
         }
-        log => Ok(LogMerger::new(Ok(log?), recovered, header.every, time.is_real())),
+        log => Ok(LogMerger::new(Ok(log?), recovered, header.every, time.is_real()).rotating(rotator)),
     }
 }
 
@@ -172,6 +178,8 @@ fn follow(
     let max_idle_polls = (2 * session.participant.plan.period_ns / poll_ns).max(8);
     let mut idle_polls = 0;
     let mut learning = FaultyChannel::of(&session.participant.plan);
+    let sync_ns = session.participant.plan.scenario.log.sync_s.map(|seconds| (1e9 * seconds) as u64);
+    let mut synced = monotonic_ns();
     loop {
         senders.update(ports, session)?;
         let ended = session.check();
@@ -180,6 +188,10 @@ fn follow(
         // In lockstep a sample's sequence number is its tick.
         let known = if real { [0; 3] } else { senders.sent };
         let any = drain(merger, ports, &mut learning, known, force);
+        if sync_ns.is_some_and(|every| monotonic_ns() - synced >= every) {
+            merger.sync();
+            synced = monotonic_ns();
+        }
         session.status.consumed = merger.consumed();
         session.status.ticks = session.status.consumed;
         session.status.lost = merger.inputs.iter().map(|input| input.lost).sum();
@@ -239,7 +251,17 @@ fn header(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> LogH
     let mut header = LogHeader::new(plan, manifest.run_id(), manifest.mode.name(), machine_facts());
     // The controller has written them before it was ready.
     header.columns = read_columns(&participant.folder);
-    header.segment = LogSegment { number: session.incarnation(), ..recovered.segment };
+    if let Some(StartPoint { source, tick, check }) = &manifest.started_from {
+        let facts = [("", source.clone()), (".tick", tick.to_string()), (".check", check.clone())];
+        header.beginning = facts.into_iter().map(|(key, value)| (format!("started_from{key}"), value)).collect();
+    }
+    if manifest.frozen {
+        header.beginning.insert("frozen".to_owned(), "true".to_owned());
+    }
+    // Where the log is rotated, more segments than loggers may be there.
+    let newest = segments(&participant.folder).last().and_then(|path| segment_number_of(path));
+    let number = newest.map_or(0, |number| number + 1).max(session.incarnation());
+    header.segment = LogSegment { number, ..recovered.segment };
     if manifest.mode == Mode::Realtime {
         header.clock = LogClock::Monotonic;
         header.t0_ns = time.scheduled(0);

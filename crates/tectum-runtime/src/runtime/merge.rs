@@ -6,7 +6,9 @@
 //! is full), the merger still consumes samples, so that no process waits for the logger.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
+use super::log_rotator::LogRotator;
 use crate::log::{LatencyHistograms, LogError, LogRecord, LogRecovery, LogSegment, LogTotals, LogWriter};
 use crate::wire::{Gap, Header};
 
@@ -139,6 +141,10 @@ pub(super) struct LogMerger {
     first_tick: u64,
     /// Flushes since the log was last compared with what was written.
     unchecked: u32,
+    /// The newest tick of which a sample was written or left out.
+    written_tick: Option<u64>,
+    /// Where the log is to have several segments.
+    rotator: Option<LogRotator>,
 }
 
 /// Flushes between two comparisons of the log's file with what was written to it.
@@ -155,8 +161,12 @@ pub(super) struct MergeOutcome {
     pub failure: Option<String>,
     /// In real time: histograms of the ticks' durations.
     pub timings: Option<LatencyHistograms>,
-    /// Size of the segment, if it was closed, bytes.
+    /// Size of the last segment, if it was closed, bytes.
     pub bytes: Option<u64>,
+    /// Number of segments that were removed.
+    pub removed: u64,
+    /// Size of the segments before the last, where the log is to have several, bytes.
+    pub closed: u64,
 }
 
 impl LogMerger {
@@ -172,12 +182,19 @@ impl LogMerger {
             before: recovered.segment,
             first_tick: recovered.last_ticks.into_iter().min().flatten().map_or(0, |tick| tick + 1),
             unchecked: 0,
+            written_tick: None,
+            rotator: None,
         };
         match log {
             Ok(log) => merger.log = Some(log),
             Err(error) => merger.give_up(merger.consumed(), &error),
         }
         merger
+    }
+
+    /// The same merger, whose log goes on in another segment when `rotator` says so.
+    pub fn rotating(self, rotator: Option<LogRotator>) -> Self {
+        Self { rotator, ..self }
     }
 
     /// Fills the head of input `i`, if it is empty, with the next sample from `receive`. In lockstep, all
@@ -208,6 +225,10 @@ impl LogMerger {
         if !settled && !force {
             return false;
         }
+        if self.rotates_before(tick) {
+            self.rotate(tick);
+        }
+        self.written_tick = self.written_tick.max(Some(tick));
         let input = &mut self.inputs[first];
         let Some(record) = &input.head else { return false };
         if let Some(timings) = &mut self.timings {
@@ -232,6 +253,66 @@ impl LogMerger {
         let Some(log) = &mut self.log else { return };
         if let Err(error) = log.flush().and_then(|()| if check { log.check_in_place() } else { Ok(()) }) {
             self.give_up(self.consumed(), &error);
+        }
+    }
+
+    /// Syncs what was written to the disk.
+    pub fn sync(&mut self) {
+        if let Some(Err(error)) = self.log.as_ref().map(LogWriter::sync) {
+            self.give_up(self.consumed(), &error);
+        }
+    }
+
+    /// Whether the log goes on in another segment before `tick`. The samples of a tick stay together.
+    fn rotates_before(&self, tick: u64) -> bool {
+        let (Some(log), Some(rotator)) = (&self.log, &self.rotator) else { return false };
+        let begins = self.written_tick.is_some_and(|written| tick > written);
+        begins && self.missing_from.is_none() && rotator.is_due(log.bytes(), tick)
+    }
+
+    /// Closes the segment, and goes on in another one, which begins with `tick`.
+    fn rotate(&mut self, tick: u64) {
+        let (totals, segment) = (self.totals(false), self.next_segment());
+        let (Some(mut log), Some(rotator)) = (self.log.take(), &mut self.rotator) else { return };
+        let path = log.path().to_owned();
+        let timings = self.timings.as_ref().map_or(Ok(()), |timings| log.timings(timings));
+        let next = timings.and_then(|()| log.finish(&totals)).and_then(|closed| {
+            let (path, header) = rotator.next(&path, closed.bytes, tick, segment);
+            let next = LogWriter::create(&path, header)?;
+            rotator.remove_oldest(next.bytes());
+            Ok(next)
+        });
+        match next {
+            Ok(next) => (self.log, self.before, self.first_tick) = (Some(next), segment, tick),
+            Err(error) => self.give_up(tick, &error),
+        }
+    }
+
+    /// What the next segment says of those before it. A sample that waits to be written belongs to the next.
+    fn next_segment(&self) -> LogSegment {
+        let inputs = &self.inputs;
+        let waits = |input: &MergeInput| input.head.as_ref().and_then(LogRecord::header).map(|header| header.sequence);
+        let written = self.log.as_ref().map_or([0; 4], LogWriter::written);
+        LogSegment {
+            number: 0,
+            begins: inputs.each_ref().map(|input| waits(input).unwrap_or(input.expected)),
+            written: std::array::from_fn(|i| self.before.written[i] + written[i]),
+            lost: inputs.each_ref().map(|input| input.lost),
+            thinned: inputs.each_ref().map(|input| input.thinned),
+            duplicates: inputs.each_ref().map(|input| input.duplicates),
+        }
+    }
+
+    /// The totals of the run so far.
+    fn totals(&self, complete: bool) -> LogTotals {
+        let inputs = &self.inputs;
+        LogTotals {
+            lost: inputs.each_ref().map(|input| input.lost),
+            thinned: inputs.each_ref().map(|input| input.thinned),
+            duplicates: inputs.each_ref().map(|input| input.duplicates),
+            missing_from: self.missing_from,
+            last_tick: inputs.iter().filter_map(|input| input.last).max(),
+            complete,
         }
     }
 
@@ -271,24 +352,23 @@ impl LogMerger {
         self.inputs.iter().map(MergeInput::consumed).min().unwrap_or(0)
     }
 
+    /// The file of the segment that is being written.
+    pub fn path(&self) -> Option<PathBuf> {
+        self.log.as_ref().map(|log| log.path().to_owned())
+    }
+
     /// States the samples that were sent, by the senders' own counts, and never arrived, and the run's `warnings` by
     /// name. Then closes the log.
     pub fn close(mut self, sent: [u64; 3], complete: bool, warnings: BTreeMap<String, String>) -> MergeOutcome {
         self.unchecked = CHECK_EVERY;
         self.flush();
         let gaps: Vec<Gap> = self.inputs.iter_mut().zip(sent).filter_map(|(input, sent)| input.end(sent)).collect();
-        let inputs = &self.inputs;
-        let totals = LogTotals {
-            lost: inputs.each_ref().map(|input| input.lost),
-            thinned: inputs.each_ref().map(|input| input.thinned),
-            duplicates: inputs.each_ref().map(|input| input.duplicates),
-            missing_from: self.missing_from,
-            last_tick: inputs.iter().filter_map(|input| input.last).max(),
-            complete,
-        };
+        let totals = self.totals(complete);
         let written =
-            inputs.each_ref().map(|input| input.expected.saturating_sub(input.first + input.lost + input.thinned));
-        let mut outcome = MergeOutcome { totals, written, failure: self.failure, timings: self.timings, bytes: None };
+            self.inputs.each_ref().map(|input| input.expected.saturating_sub(input.first + input.lost + input.thinned));
+        let (removed, closed) = self.rotator.as_ref().map_or((0, 0), |r| (r.removed, r.closed_bytes()));
+        let (failure, timings) = (self.failure, self.timings);
+        let mut outcome = MergeOutcome { totals, written, failure, timings, bytes: None, removed, closed };
         let Some(mut log) = self.log else { return outcome };
         let ended = gaps
             .iter()

@@ -18,6 +18,7 @@ mod error;
 mod faults;
 mod gate;
 mod in_process;
+mod log_rotator;
 mod logger;
 mod merge;
 mod participant;
@@ -48,8 +49,8 @@ pub use in_process::{
     InProcess, Simulation, in_process, in_process_over_pipe, in_process_with_agent, in_process_with_observer, simulate,
 };
 pub use logger::run_logger;
-pub use participant::{EndReason, Mode, Participant, ResumePoint, RunManifest, Session, identity};
-pub use pipe::{PIPE_OPTION, PipeError, PipedController, serve_controller};
+pub use participant::{EndReason, Mode, Participant, ResumePoint, RunManifest, Session, StartPoint, identity};
+pub use pipe::{PIPE_OPTION, PipeError, PipedController, PipedStart, serve_controller};
 pub use plant::PlantSide;
 pub use plant_loop::{run_plant, run_simulator};
 pub use policy_snapshots::{

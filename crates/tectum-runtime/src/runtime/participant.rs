@@ -58,12 +58,21 @@ pub struct RunManifest {
     /// Ticks between checkpoints; 0: only at the end, and when one is requested.
     #[serde(default)]
     pub checkpoint_every: u64,
+    /// Number of checkpoints of each process that are kept, the newest ones; 0: all.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub keep_checkpoints: u64,
     /// In lockstep: whether to write the real instants of each tick into the run's folder, for `tectum bench`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stopwatch: bool,
     /// The checkpoint from which this run resumes another one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resumed: Option<ResumePoint>,
+    /// The learner's state with which this run begins: what another run has learned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub started_from: Option<StartPoint>,
+    /// Whether the learner is frozen: it neither learns nor explores.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub frozen: bool,
     /// The scenario's file, as the user named it, for messages.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub source: String,
@@ -73,6 +82,11 @@ pub struct RunManifest {
     /// The facts that programs in other languages need.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wire: Option<WireManifest>,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }
 
 /// A run's id from a manifest.
@@ -94,6 +108,22 @@ pub struct ResumePoint {
     pub tick: u64,
     /// Sequence numbers of the next observation, and of the next command and learning record.
     pub sequences: [u64; 2],
+    /// Hash of the other run's scenario, hexadecimal. That of this run has another number of ticks if it goes on beyond
+    /// the other's end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scenario: Option<String>,
+}
+
+/// The learner's state with which a run begins. The run's folder has a copy of it
+/// ([`RunManifest::start_path`]).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StartPoint {
+    /// The other run's folder, or its checkpoint, as the user named it.
+    pub source: String,
+    /// The tick at which it was learned.
+    pub tick: u64,
+    /// The checkpoint's checksum, hexadecimal.
+    pub check: String,
 }
 
 impl RunManifest {
@@ -105,6 +135,11 @@ impl RunManifest {
     /// The file of the run's scenario, with every default filled in.
     pub fn scenario_path(folder: &Path) -> PathBuf {
         folder.join("scenario.toml")
+    }
+
+    /// The copy of the checkpoint whose learner the run begins with.
+    pub fn start_path(folder: &Path) -> PathBuf {
+        folder.join("start.controller.safetensors")
     }
 
     /// The file of the run's log.
@@ -196,9 +231,19 @@ impl Participant {
     pub(super) fn resume(&self, part: &mut dyn Persist) -> Result<bool, RuntimeError> {
         let Some(resumed) = &self.manifest.resumed else { return Ok(false) };
         let checkpoint = Checkpoint::read(&checkpoint::path(&resumed.from, resumed.tick, self.role))?;
-        checkpoint.fits(self.role, self.plan.hash)?;
+        let scenario = resumed.scenario.as_ref().and_then(|hash| u64::from_str_radix(hash, 16).ok());
+        checkpoint.fits(self.role, scenario.unwrap_or(self.plan.hash))?;
         checkpoint.restore(part)?;
         Ok(true)
+    }
+
+    /// The checkpoint whose learner the run begins with, if it begins with one.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub(super) fn start(&self) -> Result<Option<Checkpoint>, RuntimeError> {
+        let begins = self.manifest.started_from.is_some();
+        Ok(begins.then(|| Checkpoint::read(&RunManifest::start_path(&self.folder))).transpose()?)
     }
 
     /// Refuses to go on without what the process's predecessor remembered, in a run whose result would depend on it.
@@ -211,7 +256,9 @@ impl Participant {
 
     /// The facts of a checkpoint of this process, whose next sample has the number `sequence`.
     pub(super) fn facts(&self, tick: u64, sequence: u64) -> CheckpointFacts {
-        CheckpointFacts::new(self.role, self.manifest.run_id(), tick, sequence, self.plan.hash)
+        let mut facts = CheckpointFacts::new(self.role, self.manifest.run_id(), tick, sequence, self.plan.hash);
+        facts.scenario_text = (self.role == Role::Controller).then(|| self.plan.scenario.to_toml());
+        facts
     }
 
     /// Starts the writer of this process's checkpoints.
@@ -219,7 +266,7 @@ impl Participant {
     /// # Errors
     /// When its thread cannot be started.
     pub(super) fn checkpoint_writer(&self) -> Result<CheckpointWriter, RuntimeError> {
-        CheckpointWriter::new(&self.folder, self.role).map_err(RuntimeError::Thread)
+        CheckpointWriter::new(&self.folder, self.role, self.manifest.keep_checkpoints).map_err(RuntimeError::Thread)
     }
 
     /// In real time, requests the scenario's settings from the operating system. Then goes through the phases

@@ -265,7 +265,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let plan = plan("arm", 3600);
         let mut recorder = SnapshotRecorder::new(folder.path(), &plan).unwrap();
-        let writer = CheckpointWriter::new(folder.path(), Role::Controller).unwrap();
+        let writer = CheckpointWriter::new(folder.path(), Role::Controller, 0).unwrap();
         for done in [19, 20, 21, 41, 150, 165] {
             // 41: a tick late. 150: due was 140. 165: due was 160.
             recorder.observe(done, &policy(&plan, done as f32));

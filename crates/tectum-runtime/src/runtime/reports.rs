@@ -95,6 +95,10 @@ pub struct ControllerReport {
     /// The tick at which the controller came back without what it had remembered and learned; null where it never
     /// did.
     pub forgot_at: Option<u64>,
+    /// The tick of the checkpoint whose learner it began with; null where it began with a fresh one.
+    pub started_from: Option<u64>,
+    /// Whether the learner was frozen: nothing was learned, and nothing explored.
+    pub frozen: bool,
     /// Counts from which the run is judged.
     pub counts: RunCounts,
     /// What the learner counted, by name.
@@ -152,8 +156,11 @@ pub struct LoggerReport {
     pub missing_from: Option<u64>,
     /// Why the log could not be written or closed.
     pub failure: Option<String>,
-    /// Size of the log, all segments, bytes.
+    /// Size of the log, all segments that are there, bytes.
     pub bytes: u64,
+    /// Segments that were removed because the log had reached its limit.
+    #[serde(default)]
+    pub removed_segments: u64,
     /// Real time: from a tick's scheduled instant to its sensing; see
     /// [`LatencyHistograms`](crate::log::LatencyHistograms).
     pub wake_up_lateness: Option<Percentiles>,

@@ -71,8 +71,10 @@ pub fn judge(plan: &Plan, plant: &PlantReport, controller: Option<&ControllerRep
     if let Some(report) = controller {
         let counts = &report.counts;
         warnings.extend(rewards(counts, !plan.scenario.learner.rule.is_linear()));
-        warnings.extend(little_learned(report));
-        warnings.extend(weights(report));
+        if !report.frozen {
+            warnings.extend(little_learned(report));
+            warnings.extend(weights(report));
+        }
         warnings.extend(planner(report));
         warnings.extend(limited(plan, counts));
         warnings.extend(inputs(plan, counts));

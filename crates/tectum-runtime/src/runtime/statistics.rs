@@ -3,6 +3,7 @@
 //! The controller collects them, because it receives every observation of any plant. They are for reports only
 //! and do not influence learning. All memory is allocated at the start.
 
+use super::policy_snapshots::ticks_in;
 use super::target_statistics::{TargetStatistics, TargetsAround};
 use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor};
@@ -11,6 +12,8 @@ use crate::wire::{MAX_INPUTS, Observation, flag};
 
 /// Number of windows of a run: as many as a figure can show.
 const WINDOWS: u64 = 200;
+/// Most windows of a run whose end is not known. Beyond, every two become one, twice as long.
+const MOST_WINDOWS: usize = 2 * WINDOWS as usize;
 /// Ticks recorded from a target switch on: the switch and 30 movements.
 const SWITCH_TICKS: usize = 31;
 
@@ -90,6 +93,11 @@ pub struct RunStatistics {
 impl RunStatistics {
     /// The statistics of a run of `plan`, in as many windows as a figure can show.
     pub fn new(plan: &Plan) -> Self {
+        if plan.scenario.is_endless() {
+            // One a second at first.
+            let length = ticks_in(plan, 1);
+            return Self { windows: Vec::with_capacity(MOST_WINDOWS), ..Self::with_windows(plan, length) };
+        }
         Self::with_windows(plan, plan.scenario.ticks.div_ceil(WINDOWS))
     }
 
@@ -98,7 +106,7 @@ impl RunStatistics {
         Self {
             length,
             error: plan.error,
-            windows: Vec::with_capacity(plan.scenario.ticks.div_ceil(length) as usize + 1),
+            windows: Vec::with_capacity((plan.scenario.ticks.div_ceil(length) as usize + 1).min(MAX_WINDOWS)),
             current: WindowSums::default(),
             from: 0,
             until: length,
@@ -176,8 +184,11 @@ impl RunStatistics {
     /// Closes the current window.
     fn close(&mut self) {
         let sums = std::mem::take(&mut self.current);
-        if sums.ticks == 0 || self.windows.len() == self.windows.capacity() {
+        if sums.ticks == 0 {
             return;
+        }
+        if self.windows.len() == self.windows.capacity() {
+            self.halve();
         }
         let n = sums.ticks as f64;
         self.windows.push(Window {
@@ -189,6 +200,19 @@ impl RunStatistics {
             end_error: (sums.ends > 0).then(|| sums.end_error / sums.ends as f64),
             ends: sums.ends,
         });
+    }
+
+    /// Makes one window of every two, and the next ones twice as long. Takes no memory.
+    fn halve(&mut self) {
+        let pairs = self.windows.len().div_ceil(2);
+        for i in 0..pairs {
+            let [a, b] = [2 * i, 2 * i + 1].map(|at| self.windows.get(at).cloned());
+            if let Some(a) = a {
+                self.windows[i] = b.map_or(a.clone(), |b| a.and(&b));
+            }
+        }
+        self.windows.truncate(pairs);
+        self.length = self.length.saturating_mul(2);
     }
 
     /// The loss that exploration alone causes in `tick`; 0 where it is not known.
@@ -275,6 +299,7 @@ fn visit_snapshots(visitor: &mut dyn StateVisitor, [name, inputs]: [&'static str
 
 impl Persist for RunStatistics {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.number("window_length", &mut self.length);
         visit_windows(visitor, &mut self.windows);
         let sums = &mut self.current;
         let mut counts = [sums.ticks, sums.ends, self.from];

@@ -117,7 +117,8 @@ impl TargetStatistics {
     pub fn new(plan: &Plan) -> Option<Self> {
         let arm = plan.scenario.plant.arm.as_ref().filter(|arm| !arm.open_loop)?;
         let mut ticks = vec![ticks_in(plan, FIRST_LOOK_S)];
-        ticks.extend(change_ticks(arm, plan.scenario.ticks).into_iter().take(MOST_CHANGES));
+        // Those beyond the run's end, too: a run that is resumed may have more ticks than the part before.
+        ticks.extend(change_ticks(arm, u64::MAX).into_iter().take(MOST_CHANGES));
         ticks.sort_unstable();
         ticks.dedup();
         let none = Results::default();

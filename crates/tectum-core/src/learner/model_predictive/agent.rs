@@ -204,7 +204,14 @@ impl ModelPredictive {
     /// A copy that answers and plans as the learner would now, without exploration noise and by the mean of what it
     /// knows, and learns nothing any more.
     pub fn frozen(&self) -> Self {
-        Self { frozen: true, ..self.clone() }
+        let mut copy = self.clone();
+        copy.freeze();
+        copy
+    }
+
+    /// From now on it explores and learns nothing, and goes on planning.
+    pub fn freeze(&mut self) {
+        self.frozen = true;
     }
 
     /// Answers an observation with a command, in its unit: `u* + K (x - x*)` and noise, within the limits.

@@ -5,6 +5,7 @@ use std::io::{BufReader, BufWriter, Read, Write};
 use super::frame::{read_frame, write_frame};
 use super::{Failed, Ready, Start, VERSION, json, kind, schema_text};
 use crate::agent::Agent;
+use crate::checkpoint::Checkpoint;
 use crate::runtime::{Controller, RuntimeError, exit};
 use crate::scenario::{Plan, Scenario, ScenarioError};
 use crate::state;
@@ -40,6 +41,12 @@ fn serve<A: Agent>(
     let agent = build(&plan)?;
     let columns = agent.columns().iter().map(|&name| name.to_owned()).collect();
     let mut controller = Controller::with_agent(&plan, agent);
+    if start.frozen {
+        controller.freeze();
+    }
+    if let Some(path) = &start.start {
+        controller.start_from(&Checkpoint::read(path)?)?;
+    }
     let mut send = |kind, bytes: &[u8]| write_frame(to, kind, bytes).map_err(RuntimeError::Pipe);
     send(kind::READY, &json(&Ready { version: VERSION, schema: schema_text(), columns }))?;
     let (mut command, mut learning) = (Command::default(), Learning::default());

@@ -17,7 +17,7 @@ mod program;
 
 pub use child::serve_controller;
 pub use error::PipeError;
-pub use parent::PipedController;
+pub use parent::{PipedController, PipedStart};
 
 use std::path::PathBuf;
 
@@ -56,6 +56,12 @@ struct Start {
     /// The folder at which the scenario's paths begin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     folder: Option<PathBuf>,
+    /// The checkpoint whose learner the controller is to begin with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    start: Option<PathBuf>,
+    /// Whether the learner is frozen.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    frozen: bool,
     /// For controllers in other languages: the scenario as JSON, names and ranges
     /// ([`wire_manifest::facts`](super::wire_manifest::facts)).
     #[serde(default)]

@@ -1,11 +1,24 @@
 //! The parent's half: a controller's program, asked for commands and learning records, and tested.
 
+use std::path::PathBuf;
+
 use super::program::PipedProgram;
 use super::{PipeError, Ready, Start, VERSION, json, kind, schema_text};
 use crate::clock::TerminationSignals;
 use crate::runtime::{ControllerReport, wire_manifest};
 use crate::scenario::Plan;
 use crate::wire::{Command, Learning, Observation};
+
+/// What a controller's program is to begin with, and until when it is waited for.
+#[derive(Debug, Clone, Default)]
+pub struct PipedStart {
+    /// No wait for an answer lasts for long once one of these signals has come.
+    pub signals: Option<TerminationSignals>,
+    /// The checkpoint whose learner it begins with; without one, with a fresh learner.
+    pub checkpoint: Option<PathBuf>,
+    /// Whether the learner is frozen: it neither learns nor explores.
+    pub frozen: bool,
+}
 
 /// A controller's program, started as a child. Dropped, it is killed.
 #[derive(Debug)]
@@ -20,27 +33,29 @@ impl PipedController {
     /// # Errors
     /// When it cannot be started, or refuses the scenario.
     pub fn start(plan: &Plan) -> Result<Self, PipeError> {
-        Self::start_until(plan, None)
+        Self::start_with(plan, PipedStart::default())
     }
 
-    /// The same. No wait for an answer lasts for long once one of `signals` has come.
+    /// The same, with what `with` says.
     ///
     /// # Errors
     /// When it cannot be started, or refuses the scenario.
-    pub fn start_until(plan: &Plan, signals: Option<TerminationSignals>) -> Result<Self, PipeError> {
+    pub fn start_with(plan: &Plan, with: PipedStart) -> Result<Self, PipeError> {
         let (scenario, config) = (&plan.scenario, &plan.scenario.controller);
         let path = scenario
             .find_program(&config.program)
             .map_err(|cause| PipeError::Start { program: config.program.clone(), cause })?;
         let arguments = scenario.resolve_arguments(&config.args);
         let mut program = PipedProgram::start(&config.program, &path, &arguments, scenario.restart.hang_s)?;
-        program.signals = signals;
+        program.signals = with.signals;
         let start = Start {
             version: VERSION,
             schema: schema_text(),
             scenario: plan.scenario.to_toml(),
             source: plan.scenario.source.name().to_owned(),
             folder: plan.scenario.source.folder().map(Into::into),
+            start: with.checkpoint.map(|path| std::path::absolute(&path).unwrap_or(path)),
+            frozen: with.frozen,
             run: wire_manifest::facts(plan),
         };
         program.send(kind::START, &json(&start))?;
