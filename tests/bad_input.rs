@@ -139,7 +139,7 @@ fn unusable_run_folders_are_refused() {
 #[test]
 fn a_log_that_cannot_fit_is_refused_before_the_start() {
     let test_folder = TestFolder::new();
-    let message = refused(&test_folder, &["--ticks", "1000000000000"]);
+    let message = refused(&test_folder, &["--ticks", "999_999_999_999"]);
     assert!(message.starts_with("tectum: the log needs about "), "{message}");
     assert!(message.contains("[log] every"), "{message}");
 }

@@ -126,8 +126,11 @@ pub fn watch(parent: u32, settings: &GuardSettings) -> ExitCode {
         return ExitCode::FAILURE;
     }
     let Some(alarm) = await_alarm(settings.period_ns * SILENT_PERIODS) else { return ExitCode::SUCCESS };
-    if let (Alarm::Silent(_), Some(process)) = (&alarm, &process) {
-        process.kill();
+    if let Some(process) = &process {
+        if let Alarm::Silent(_) = &alarm {
+            process.kill();
+        }
+        // A process that dies closes this pipe, and the port some time after it.
         ProcessHandle::await_any(std::iter::once(process), 200_000_000);
     }
     let first = Opened::once(&port, settings);

@@ -14,7 +14,8 @@
 //! use tectum_scenario::Scenario;
 //!
 //! let plan = Scenario { ticks: 400, ..Scenario::find("arm")? }.plan()?;
-//! let result = in_process(&plan, plan.plant(), |_, _| true);
+//! let plant = plan.simulated_plant().expect("the arm is simulated");
+//! let result = in_process(&plan, plant, |_, _| true);
 //! assert_eq!(result.controller.ticks, 400);
 //! # Ok::<(), tectum_scenario::ScenarioError>(())
 //! ```
