@@ -70,7 +70,7 @@ pub struct Arguments {
     /// Read both arms and move nothing
     #[arg(long)]
     unarmed: bool,
-    /// Folder for log and reports [default: runs/teleop-<n>]
+    /// Folder for log and reports [default: runs/teleop-N]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the scenario of the run instead of running it

@@ -12,7 +12,7 @@
 //! [blind](flag::BLIND): it holds its position with torque on, nothing is learned, and it continues with the
 //! next recent sample. Torque does not come on before the first one.
 //!
-//! *A leader.* With `[plant.leader]` the arm follows another one that a user moves by hand ([`leader`]). There is no
+//! *A leader.* With `[plant.leader]` the arm follows another one that a user moves by hand (`leader`). There is no
 //! model then, and the error is the difference of angles.
 //!
 //! *Joints that are held.* Joints in `held` are no outputs: they keep the position at which torque came on.

@@ -39,7 +39,7 @@ const COUNT: usize = LINE;
 /// Index of the first entry's first word.
 const FIRST: usize = 2 * LINE;
 
-/// The file of the ring of the channel called `channel` in [`LogRings`].
+/// The file of the ring of the channel called `channel` in `LogRings`.
 pub fn ring_file(domain: &DomainName, channel: &str) -> PathBuf {
     domain.root().join(format!("{channel}.log-ring"))
 }

@@ -65,7 +65,7 @@ impl SharedPage {
         unsafe { &*self.map.as_ptr().cast::<PageSlot>().add(index) }
     }
 
-    /// Writes a message of up to [`WORDS`] words and wakes its reader, which must have read the one before.
+    /// Writes a message of up to `WORDS` words and wakes its reader, which must have read the one before.
     #[inline]
     pub fn send(&self, message: &[u64]) {
         let slot = self.slot(self.write_slot);

@@ -89,7 +89,7 @@ pub(crate) const MISSING_METADATA: &str = "tectum.missing";
 pub(crate) const HISTOGRAMS_METADATA: &str = "tectum.histograms";
 /// Name of the metadata record with what did not go well in the run: a sentence for each warning's name.
 pub(crate) const WARNINGS_METADATA: &str = "tectum.warnings";
-/// The log's file in a run's folder; [`segment_path`] gives those of a restarted logger.
+/// The log's file in a run's folder; `segment_path` gives those of a restarted logger.
 pub const LOG_FILE: &str = "log.mcap";
 
 /// Size of a log without its messages, bytes: schemas (twice), scenario, metadata and summary. An estimate for

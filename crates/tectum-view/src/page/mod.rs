@@ -1,6 +1,6 @@
 //! The browser's face: one page with all that it needs, and the messages that it is sent.
 //!
-//! A reader of the page gets one [`hello`] for each run and then updates. Each reader has a [`PageCursor`], so that one
+//! A reader of the page gets one `hello` for each run and then updates. Each reader has a [`PageCursor`], so that one
 //! that is slow gets fewer and larger updates, and what it missed as far as it is still kept.
 
 use serde_json::{Value, json};
