@@ -20,6 +20,7 @@ from .errors import Refused
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 3, 4, 5, 6, 12, 15
 TYPES = {"uint32": "<u4", "uint64": "<u8", "float32": "<f4"}
+SAMPLES = ("observation", "command", "learning", "gap")
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 CDR = 4  # bytes of a body's encapsulation header
 
@@ -142,14 +143,18 @@ def read_file(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], bool]:
     complete = False
     for kind, content in records(data[len(MAGIC) :], path):
         if kind == MESSAGE:
-            bodies.setdefault(content[0] | content[1] << 8, []).append(content[MESSAGE_HEAD.size + CDR :])
+            number = content[0] | content[1] << 8
+            if number in channels:
+                bodies[number].append(content[MESSAGE_HEAD.size + CDR :])
         elif kind == SCHEMA:
             number, name, text = schema(content)
-            schemas[number] = name, sample_type(text)
+            if name.lower().rpartition("/")[2] in SAMPLES:  # views and other programs' messages are no samples
+                schemas[number] = name, sample_type(text)
         elif kind == CHANNEL:
             number, of = struct.unpack_from("<HH", content)
-            channels[number] = schemas[of][0]
-            bodies.setdefault(number, [])
+            if of in schemas:
+                channels[number] = schemas[of][0]
+                bodies.setdefault(number, [])
         elif kind == METADATA:
             name, pairs = metadata(content)
             facts = facts or (pairs if name == "tectum.run" else {})
@@ -158,7 +163,7 @@ def read_file(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], bool]:
             break
     types = dict(schemas.values())
     arrays: dict[str, np.ndarray] = {}
-    for short in ("observation", "command", "learning", "gap"):
+    for short in SAMPLES:
         found = [number for number, name in channels.items() if name.lower().endswith(f"/{short}")]
         empty = np.dtype([("tick", "<u8")])
         row = next((of for name, of in types.items() if name.lower().endswith(f"/{short}")), empty)
