@@ -6,6 +6,7 @@ use std::io::Read as _;
 use std::os::fd::OwnedFd;
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use rustix::fs::{Mode, OFlags};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -90,9 +91,14 @@ impl TestTerminal {
     pub fn assert_restored(&self) {
         let modes = self.settings().local_modes;
         assert!(modes.contains(LocalModes::ECHO | LocalModes::ICANON | LocalModes::ISIG), "{modes:?}");
-        let text = self.text();
         for (on, off) in [("\x1b[?1049h", "\x1b[?1049l"), ("\x1b[?25l", "\x1b[?25h")] {
-            assert!(text.contains(on) && text.rfind(off) > text.rfind(on), "{off:?} after {on:?}:\n{text:?}");
+            let restored = |text: &str| text.contains(on) && text.rfind(off) > text.rfind(on);
+            // The last bytes of a program that has ended may still be on their way to the reader.
+            let end = Instant::now() + Duration::from_secs(20);
+            while !restored(&self.text()) && Instant::now() < end {
+                std::thread::park_timeout(Duration::from_millis(5));
+            }
+            assert!(restored(&self.text()), "{off:?} after {on:?}:\n{:?}", self.text());
         }
     }
 }
