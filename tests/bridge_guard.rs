@@ -7,7 +7,7 @@ mod support;
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::os::fd::OwnedFd;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
 use emulator::Emulator;
 use rustix::fs::{Mode, OFlags};
@@ -63,6 +63,20 @@ impl Arm {
             self.take_report();
             std::thread::park_timeout(std::time::Duration::from_millis(20));
         }
+    }
+
+    /// Starts a jog of servo 2 by so many rad at so many rad/s, and waits until the servo has torque.
+    fn jog(&mut self, test_folder: &TestFolder, protocol: &str, [by, speed]: [&str; 2]) -> Child {
+        let jog = Command::new(BRIDGE)
+            .args(["jog", "--port", "arm", "--protocol", protocol, "--id", "2", "--by", by, "--speed", speed])
+            .current_dir(test_folder.path())
+            .stdin(Stdio::null())
+            .spawn()
+            .unwrap();
+        while self.servos[2]["torque"] != true {
+            self.take_report();
+        }
+        jog
     }
 
     /// The longest turn of a shaft without an instruction, rad.
@@ -187,15 +201,7 @@ fn jog_leaves_no_torque_behind() {
     for (protocol, signal) in [("feetech", "HUP"), ("feetech", "KILL"), ("dynamixel", "STOP")] {
         let test_folder = TestFolder::new();
         let mut arm = Arm::start(&test_folder, protocol);
-        let mut jog = Command::new(BRIDGE)
-            .args(["jog", "--port", "arm", "--protocol", protocol, "--id", "2", "--by", "2", "--speed", "0.01"])
-            .current_dir(test_folder.path())
-            .stdin(Stdio::null())
-            .spawn()
-            .unwrap();
-        while arm.servos[2]["torque"] != true {
-            arm.take_report();
-        }
+        let mut jog = arm.jog(&test_folder, protocol, ["2", "0.01"]);
         signal_process(jog.id(), signal);
         arm.wait_for_torque(false);
         assert!(!jog.wait().unwrap().success(), "{protocol}, {signal}");
@@ -221,15 +227,7 @@ fn what_ends_while_the_cable_is_out_leaves_no_torque_behind() {
         arm.emulator.send_command("plug");
         arm.wait_for_torque(false);
 
-        let mut jog = Command::new(BRIDGE)
-            .args(["jog", "--port", "arm", "--protocol", protocol, "--id", "2", "--by", "1", "--speed", "0.02"])
-            .current_dir(test_folder.path())
-            .stdin(Stdio::null())
-            .spawn()
-            .unwrap();
-        while arm.servos[2]["torque"] != true {
-            arm.take_report();
-        }
+        let mut jog = arm.jog(&test_folder, protocol, ["1", "0.02"]);
         arm.emulator.send_command("unplug");
         assert!(!jog.wait().unwrap().success(), "{protocol}");
         arm.emulator.send_command("plug");

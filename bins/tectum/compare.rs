@@ -6,11 +6,11 @@ use std::process::ExitCode;
 use clap::Args;
 use tectum::reference::STARTS;
 use tectum::study::compare::{ArmChange, Changes, ComparedLearner, Comparison, LEARNERS, compare, learner};
-use tectum::study::{StudyEnd, StudyError, StudyPlace, continue_study};
+use tectum::study::{StudyError, StudyPlace};
 
 use super::seeds::SeedsArgument;
-use super::study_ended;
 use super::tick_count::tick_count;
+use super::{continued_output, study_ended, study_output};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -81,17 +81,11 @@ pub fn main(arguments: &Arguments) -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<String, StudyError> {
-    let json = arguments.json;
     if let Some(folder) = &arguments.r#continue {
-        let study = continue_study(folder, "compare", true)?;
-        return Ok(if json { study.json + "\n" } else { study.text });
+        return continued_output(folder, "compare", arguments.json);
     }
-    Ok(match compare(&comparison(arguments)?)? {
-        StudyEnd::Whole(result) if json => result.to_json() + "\n",
-        StudyEnd::Whole(result) => result.to_text(),
-        StudyEnd::Part(part) if json => part.to_json() + "\n",
-        StudyEnd::Part(part) => part.to_text(),
-    })
+    let end = compare(&comparison(arguments)?)?.map(|result| (result.to_json(), result.to_text()));
+    Ok(study_output(end, arguments.json))
 }
 
 /// The comparison for the arguments.

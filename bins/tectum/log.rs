@@ -111,12 +111,24 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Work::Info(common) => find(&common.log)
             .and_then(|log| LogInfo::of(&log))
             .map(|info| print(&if common.json { info.to_json() + "\n" } else { info.to_text() })),
-        Work::Repair { common, out } => find(&common.log)
-            .and_then(|log| repair_segments(&log, out.as_deref()))
-            .map(|repairs| print(&if common.json { json(&repairs) + "\n" } else { text(&repairs) })),
-        Work::Pack { common, out, no_views } => find(&common.log)
-            .and_then(|log| pack_segments(&log, out.as_deref(), !no_views))
-            .map(|packed| print(&if common.json { packed_json(&packed) + "\n" } else { packed_text(&packed) })),
+        Work::Repair { common, out } => {
+            find(&common.log).and_then(|log| repair_segments(&log, out.as_deref())).map(|repairs| {
+                print(&if common.json {
+                    json(&repairs, Repair::to_json) + "\n"
+                } else {
+                    text(&repairs, Repair::to_text)
+                })
+            })
+        }
+        Work::Pack { common, out, no_views } => {
+            find(&common.log).and_then(|log| pack_segments(&log, out.as_deref(), !no_views)).map(|packed| {
+                print(&if common.json {
+                    json(&packed, PackedLog::to_json) + "\n"
+                } else {
+                    text(&packed, PackedLog::to_text)
+                })
+            })
+        }
         Work::Csv { log, channel, out } => {
             find(log).and_then(|log| export(&log, channel.channel(), out.as_deref()).map(|()| ExitCode::SUCCESS))
         }
@@ -143,17 +155,6 @@ fn pack_segments(segments: &[PathBuf], out: Option<&Path>, views: bool) -> Resul
     segments.iter().map(|log| pack(log, out, views)).collect()
 }
 
-fn packed_json(packed: &[PackedLog]) -> String {
-    match packed {
-        [one] => one.to_json(),
-        several => format!("[{}]", several.iter().map(PackedLog::to_json).collect::<Vec<_>>().join(",\n")),
-    }
-}
-
-fn packed_text(packed: &[PackedLog]) -> String {
-    packed.iter().map(PackedLog::to_text).collect()
-}
-
 /// Repairs every torn segment, one after the other. A failure leaves the segments before it repaired.
 fn repair_segments(segments: &[PathBuf], out: Option<&Path>) -> Result<Vec<Repair>, LogError> {
     one_target(segments, out)?;
@@ -161,15 +162,16 @@ fn repair_segments(segments: &[PathBuf], out: Option<&Path>) -> Result<Vec<Repai
 }
 
 /// One object for a log of one segment; otherwise a list with one object per segment.
-fn json(repairs: &[Repair]) -> String {
-    match repairs {
-        [one] => one.to_json(),
-        several => format!("[{}]", several.iter().map(Repair::to_json).collect::<Vec<_>>().join(",\n")),
+fn json<T>(results: &[T], to_json: fn(&T) -> String) -> String {
+    match results {
+        [one] => to_json(one),
+        several => format!("[{}]", several.iter().map(to_json).collect::<Vec<_>>().join(",\n")),
     }
 }
 
-fn text(repairs: &[Repair]) -> String {
-    repairs.iter().map(Repair::to_text).collect()
+/// The texts of all segments, one after the other.
+fn text<T>(results: &[T], to_text: fn(&T) -> String) -> String {
+    results.iter().map(to_text).collect()
 }
 
 fn export(segments: &[PathBuf], channel: CsvChannel, out: Option<&Path>) -> Result<(), LogError> {

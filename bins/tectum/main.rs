@@ -19,12 +19,13 @@ mod tasks;
 mod tick_count;
 mod watch;
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use tectum::process::{print_error_line, print_result};
 use tectum::runtime::exit;
-use tectum::study::StudyError;
+use tectum::study::{StudyEnd, StudyError, continue_study};
 
 /// A shared-memory control runtime in which the controller learns on line
 #[derive(Debug, Parser)]
@@ -116,6 +117,21 @@ fn print(text: &str) -> ExitCode {
             ExitCode::from(exit::INPUT)
         }
     }
+}
+
+/// What a study prints: its result, JSON and text, or what a part of it has done.
+fn study_output(end: StudyEnd<(String, String)>, json: bool) -> String {
+    let (object, text) = match end {
+        StudyEnd::Whole(both) => both,
+        StudyEnd::Part(part) => (part.to_json(), part.to_text()),
+    };
+    if json { object + "\n" } else { text }
+}
+
+/// Goes on with the study in `folder`, which must be a `study`, and gives what it prints.
+fn continued_output(folder: &Path, study: &str, json: bool) -> Result<String, StudyError> {
+    let done = continue_study(folder, study, true)?;
+    Ok(if json { done.json + "\n" } else { done.text })
 }
 
 /// Prints a study's result, or its error.

@@ -5,11 +5,11 @@ use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 use tectum::study::reproduce::{ReproduceSettings, arm, eye, open_loop, outlook};
-use tectum::study::{StudyEnd, StudyError, StudyPlace, continue_study};
+use tectum::study::{StudyError, StudyPlace};
 
 use super::seeds::SeedsArgument;
-use super::study_ended;
 use super::tick_count::tick_count;
+use super::{continued_output, study_ended, study_output};
 
 #[derive(Debug, Args)]
 #[command(
@@ -83,8 +83,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
 fn run(arguments: &Arguments) -> Result<String, StudyError> {
     let Some(experiment) = &arguments.experiment else {
         let none = || StudyError::Asked("name an experiment: arm, eye, open-loop or outlook".to_owned());
-        let study = continue_study(arguments.r#continue.as_deref().ok_or_else(none)?, "reproduce", true)?;
-        return Ok(if arguments.json { study.json + "\n" } else { study.text });
+        return continued_output(arguments.r#continue.as_deref().ok_or_else(none)?, "reproduce", arguments.json);
     };
     let (options, end) = match experiment {
         Experiment::Arm(options) => (options, arm(&options.settings()?)?.map(|r| (r.to_json(), r.to_text()))),
@@ -94,11 +93,7 @@ fn run(arguments: &Arguments) -> Result<String, StudyError> {
         }
         Experiment::Outlook(options) => (options, outlook(&options.settings()?)?.map(|r| (r.to_json(), r.to_text()))),
     };
-    let (json, text) = match end {
-        StudyEnd::Whole(both) => both,
-        StudyEnd::Part(part) => (part.to_json(), part.to_text()),
-    };
-    Ok(if options.json { json + "\n" } else { text })
+    Ok(study_output(end, options.json))
 }
 
 impl Options {

@@ -6,11 +6,11 @@ use std::process::ExitCode;
 use clap::Args;
 use tectum::scenario::Scenario;
 use tectum::study::sweep::{Sweep, SweepSetting, sweep};
-use tectum::study::{StudyEnd, StudyError, StudyPlace, continue_study};
+use tectum::study::{StudyError, StudyPlace};
 
 use super::seeds::SeedsArgument;
-use super::study_ended;
 use super::tick_count::tick_count;
+use super::{continued_output, study_ended, study_output};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -57,10 +57,8 @@ pub fn main(arguments: &Arguments) -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<String, StudyError> {
-    let json = arguments.json;
     if let Some(folder) = &arguments.r#continue {
-        let study = continue_study(folder, "sweep", true)?;
-        return Ok(if json { study.json + "\n" } else { study.text });
+        return continued_output(folder, "sweep", arguments.json);
     }
     let end = sweep(&Sweep {
         scenario: Scenario::find(arguments.scenario.as_deref().unwrap_or("arm".as_ref()))?,
@@ -71,10 +69,5 @@ fn run(arguments: &Arguments) -> Result<String, StudyError> {
         place: arguments.part.clone().map_or(StudyPlace::Folder, StudyPlace::Part),
         progress: true,
     })?;
-    Ok(match end {
-        StudyEnd::Whole(result) if json => result.to_json() + "\n",
-        StudyEnd::Whole(result) => result.to_text(),
-        StudyEnd::Part(part) if json => part.to_json() + "\n",
-        StudyEnd::Part(part) => part.to_text(),
-    })
+    Ok(study_output(end.map(|result| (result.to_json(), result.to_text())), arguments.json))
 }
