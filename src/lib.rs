@@ -14,6 +14,7 @@
 //! | [`process`] | the `main` function of a process that joins a run: arguments, errors, exit codes |
 //! | [`runtime`] | the processes' loops, [`Tracker`](runtime::Tracker), [`in_process`](runtime::in_process()) |
 //! | [`wire`] | the samples that processes exchange, and their flags |
+//! | [`supervise`] | runs as a library call, with a handle: start, look, stop, checkpoint |
 //! | [`log`] | the reader of a run's log |
 //! | [`study`] | experiments of many runs, replay and analysis |
 //! | [`state`], [`seed`] | what a plant saves for a restart; named random streams |
@@ -75,11 +76,37 @@
 //!     Ok(())
 //! }
 //! ```
+//!
+//! A program can launch runs itself, in processes of their own, and have a handle on each. The programs
+//! `tectum-simulator`, `tectum-controller` and `tectum-logger` must lie beside it, or in `PATH`:
+//!
+//! ```no_run
+//! use std::path::Path;
+//! use std::time::Duration;
+//!
+//! use tectum::runtime::Mode;
+//! use tectum::scenario::Scenario;
+//! use tectum::supervise::{Launch, LaunchError, RunHandle};
+//!
+//! fn main() -> Result<(), LaunchError> {
+//!     let plan = Scenario::find(Path::new("arm"))?.plan()?;
+//!     let run = RunHandle::start(Launch::new(plan, Mode::Realtime))?;
+//!     while !run.is_over() && run.look().ticks < 1000 {
+//!         std::thread::sleep(Duration::from_millis(100));
+//!     }
+//!     run.checkpoint();
+//!     run.stop();
+//!     let summary = run.wait()?;
+//!     println!("{}, exit code {}", summary.to_text(), summary.exit_code());
+//!     Ok(())
+//! }
+//! ```
 
 #![warn(missing_docs)]
 
 pub mod process;
 pub mod study;
+pub mod supervise;
 
 pub use tectum_core::{agent, learner, plant, policy, seed, state};
 pub use tectum_encoder as encoder;
@@ -108,7 +135,5 @@ pub mod new_project;
 pub mod reference;
 #[doc(hidden)]
 pub mod servo;
-#[doc(hidden)]
-pub mod supervise;
 #[doc(hidden)]
 pub mod watch;

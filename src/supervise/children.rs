@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::Arc;
 
-use super::LaunchError;
 use super::error_output::{CollectedOutput, ErrorOutput, show};
+use super::{LaunchError, service_notifier};
 use crate::channel::{DomainName, RunServices, WatchFiles, is_member};
 use crate::clock::{ProcessHandle, monotonic_ns};
 use crate::runtime::exit;
@@ -33,7 +33,7 @@ enum ChildSlot {
 
 /// How a process failed.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct ProcessFailure {
+pub struct ProcessFailure {
     /// Which process.
     pub role: Role,
     /// The exit code that the run ends with because of it.
@@ -53,7 +53,7 @@ impl ProcessFailure {
 
 /// A process that ended before it had finished its part of the run.
 #[derive(Debug)]
-pub(super) struct ProcessDeath {
+pub struct ProcessDeath {
     /// The failure of the run, unless the process is restarted.
     pub failure: ProcessFailure,
     /// Which restart policies apply to it.
@@ -62,7 +62,7 @@ pub(super) struct ProcessDeath {
 
 /// Why a process ended, as far as its restart depends on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum DeathKind {
+pub enum DeathKind {
     /// It will not do better the next time, had already finished, or is not the launcher's child. No policy
     /// restarts it.
     Final,
@@ -132,6 +132,10 @@ impl ChildProcesses {
         // in order.
         command.args(arguments).arg("--run").arg(&self.folder).process_group(0);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        // The service manager hears the launcher alone.
+        for variable in service_notifier::VARIABLES {
+            command.env_remove(variable);
+        }
         let mut child = command.spawn().map_err(|cause| failed(program, &cause.to_string()))?;
         let stderr = ErrorOutput::of(child.stderr.take(), role, Arc::clone(&self.watch_files));
         let process = ProcessHandle::of(child.id());

@@ -101,6 +101,12 @@ pub enum LaunchError {
     /// Signal handlers cannot be installed.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
+    /// A thread cannot be started.
+    #[error("a thread cannot be started: {0}; raise the limit of processes (ulimit -u), or end others")]
+    Thread(std::io::Error),
+    /// The launcher's thread ended by a panic, which is a mistake in this library.
+    #[error("the launcher of the run ended by a panic; its message is on standard error")]
+    LauncherPanicked,
 }
 
 impl LaunchError {
@@ -120,7 +126,7 @@ impl LaunchError {
             Self::Pipe(error) => error.exit_code(),
             Self::NotReady { .. } => exit::PROCESS,
             Self::Channel(error) => channel_exit_code(error),
-            Self::Signals(_) => exit::ERROR,
+            Self::Signals(_) | Self::Thread(_) | Self::LauncherPanicked => exit::ERROR,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Injects the process faults of a scenario (`[[faults.process]]`): the launcher kills, stops or restarts a
 //! process at its first poll at which the plant has reached the fault's tick.
 
-use super::children::ChildProcesses;
+use super::world::{ProcessAction, SupervisedWorld};
 use crate::scenario::{FaultsConfig, ProcessFaultKind};
 use crate::wire::Role;
 
@@ -46,26 +46,28 @@ impl ProcessFaultInjector {
 
     /// Injects what is due at the plant's `tick`, and lets stopped processes continue whose time is over. A
     /// fault of a process that is not running waits until it runs again.
-    pub fn inject(&mut self, tick: u64, now: u64, children: &ChildProcesses) {
+    pub fn inject(&mut self, tick: u64, now: u64, world: &mut impl SupervisedWorld) {
         self.stopped.retain(|&(role, until)| {
             let over = now >= until;
-            if let (true, Some(process)) = (over, children.child(role)) {
-                process.stop(false);
+            if over {
+                world.act(role, ProcessAction::Continue);
             }
             !over
         });
         while let Some(&fault) = self.pending.last()
             && fault.tick <= tick
         {
-            let Some(process) = children.child(fault.role) else { return };
+            if !world.has_child(fault.role) {
+                return;
+            }
             match fault.kind {
-                ProcessFaultKind::Kill => process.kill(),
+                ProcessFaultKind::Kill => world.act(fault.role, ProcessAction::Kill),
                 ProcessFaultKind::Stop => {
-                    process.stop(true);
+                    world.act(fault.role, ProcessAction::Stop);
                     self.stopped.push((fault.role, now + fault.duration_ns));
                 }
                 ProcessFaultKind::Restart => {
-                    process.terminate();
+                    world.act(fault.role, ProcessAction::Terminate);
                     self.restarting.push(fault.role);
                 }
             }

@@ -18,14 +18,19 @@ mod in_process;
 mod learned_state;
 mod learning_progress;
 mod policy_file;
+mod process_world;
 mod progress;
 mod progress_line;
 mod restarts;
 mod resume;
+mod run_handle;
+mod run_monitor;
+mod service_notifier;
 mod stall;
 mod summary;
 mod summary_text;
 mod supervisor;
+mod world;
 
 pub use error::LaunchError;
 pub(crate) use folder::RunFolder;
@@ -38,14 +43,25 @@ pub(crate) use progress::RunProgress;
 pub(crate) use progress_line::ProgressLine;
 pub use restarts::RestartIncident;
 pub use resume::{ResumedRun, resume};
+pub use run_handle::RunHandle;
+pub use run_monitor::{RunMonitor, RunStatus};
 pub use summary::{ProcessRealtime, RunOutcome, RunSummary, WindowSummary};
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use children::{ChildProcesses, ProcessFailure};
+// For the simulation of the launcher's loop in tests/.
+#[doc(hidden)]
+pub use children::{DeathKind, ProcessDeath, ProcessFailure};
+#[doc(hidden)]
+pub use supervisor::{RunEnd, Supervisor, SupervisorRules};
+#[doc(hidden)]
+pub use world::{ProcessAction, SupervisedWorld};
+
+use children::ChildProcesses;
 use folder_watch::FolderWatch;
-use supervisor::Supervisor;
+use process_world::{ProcessWorld, RunOwner};
+use service_notifier::ServiceNotifier;
 
 use crate::channel::{DomainName, RunServices, WatchFiles, check_shared_memory, remove_stale_domains};
 use crate::clock::{RealtimeRefusal, TerminationSignals, monotonic_ns, wall_ns};
@@ -86,12 +102,50 @@ pub struct Launch {
 /// In real time: from the moment when the last process is connected to tick 0, ns.
 const LEAD_NS: u64 = 100_000_000;
 
-/// Runs a scenario in processes of its own.
+impl Launch {
+    /// A run of `plan` in processes of their own (`mode` is lockstep or real time), with no more than that: in a new
+    /// folder under `runs/`, with a checkpoint at its end, without a progress line.
+    pub fn new(plan: Plan, mode: Mode) -> Self {
+        Self {
+            plan,
+            mode,
+            out: None,
+            name: None,
+            by_hand: Vec::new(),
+            checkpoint_every: 0,
+            keep_checkpoints: 0,
+            stopwatch: false,
+            resumed: None,
+            started_from: None,
+            frozen: false,
+            progress: false,
+        }
+    }
+}
+
+/// Runs a scenario in processes of its own. Signals end it in good order.
 ///
 /// # Errors
 /// When the run cannot start. A run that started always returns a summary, which tells how it ended.
 pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
+    run_monitored(launch, &RunMonitor::default())
+}
+
+/// The same, and others in this process see through `monitor` how far it is.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_monitored(launch: &Launch, monitor: &RunMonitor) -> Result<RunSummary, LaunchError> {
     let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
+    let notifier = ServiceNotifier::from_environment().unwrap_or_else(|cause| {
+        print_error_line(&format!("tectum: warning: {cause}; the service manager is told nothing"));
+        ServiceNotifier::default()
+    });
+    launch_run(launch, RunOwner { signals, monitor: monitor.clone(), notifier })
+}
+
+fn launch_run(launch: &Launch, owner: RunOwner) -> Result<RunSummary, LaunchError> {
+    owner.notifier.extend_set_up(launch.plan.scenario.restart.set_up_s);
     let plan = &launch.plan;
     let folder = RunFolder::create(launch.out.as_deref(), launch.name.as_deref(), &plan.scenario.name)?;
     folder.check_room(plan)?;
@@ -113,13 +167,15 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
         learned.copy_to(folder.path())?;
     }
     folder.write_manifest(&manifest(launch, run_id, &domain), plan)?;
+    owner.monitor.begin(folder.path().to_owned());
 
     services.control.put(Control::default());
     let children = ChildProcesses::start(plan, folder.path(), &launch.by_hand, Arc::clone(&watch_files))?;
     let progress = RunProgress::new(launch, &folder);
     let folder_watch = FolderWatch::new(&folder);
-    let mut supervisor = Supervisor::new(launch, services, children, signals, progress, folder_watch, watch_files);
-    if let Err(error) = supervisor.set_up(launch) {
+    let world = ProcessWorld::new(children, services, folder_watch, watch_files, progress, owner);
+    let mut supervisor = Supervisor::new(world, &rules(launch));
+    if let Err(error) = supervisor.set_up() {
         // A traceback is more than the sentence that the error repeats.
         let long = |death: &&ProcessFailure| death.stderr.trim().lines().count() > 1;
         supervisor.deaths().iter().filter(long).for_each(|death| folder.write_stderr(death));
@@ -149,6 +205,15 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
         folder.write_stderr(death);
     }
     Ok(RunSummary::of_run(launch, folder.path(), end, seconds))
+}
+
+fn rules(launch: &Launch) -> SupervisorRules {
+    SupervisorRules {
+        realtime: launch.mode == Mode::Realtime,
+        by_hand: !launch.by_hand.is_empty(),
+        restart: launch.plan.scenario.restart.clone(),
+        faults: launch.plan.scenario.faults.clone(),
+    }
 }
 
 fn manifest(launch: &Launch, run_id: u64, domain: &DomainName) -> RunManifest {

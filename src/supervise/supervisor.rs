@@ -1,18 +1,17 @@
 //! The launcher's loop over a run in progress: phases, signals, deaths, hangs, restarts, and the end.
+//!
+//! It decides; the [`SupervisedWorld`] has the clock and does what was decided.
 
-use std::sync::Arc;
 use std::time::Duration;
 
-use super::children::{ChildProcesses, DeathKind, ProcessDeath, ProcessFailure};
+use super::children::{DeathKind, ProcessDeath, ProcessFailure};
 use super::fault_injector::ProcessFaultInjector;
-use super::folder_watch::FolderWatch;
 use super::restarts::{RestartIncident, RestartTracker};
 use super::stall::StallWatch;
-use super::{Launch, LaunchError, RunOutcome, RunProgress};
-use crate::channel::{BoardsCopy, DomainName, RunServices, WatchFiles, fill_domain, reclaim_dead};
-use crate::clock::{TerminationSignals, monotonic_ns, pause};
-use crate::process::print_error_line;
-use crate::runtime::Mode;
+use super::world::{ProcessAction, SupervisedWorld};
+use super::{LaunchError, RunOutcome};
+use crate::channel::BoardsCopy;
+use crate::scenario::{FaultsConfig, RestartConfig};
 use crate::wire::{Control, Phase, ProcessState, Role, Status};
 
 /// After a signal: how long the processes have to end in good order, and then to end at once. The
@@ -23,33 +22,38 @@ const ABORT_LIMIT: Duration = Duration::from_millis(200);
 const FAILURE_STOP_LIMIT: Duration = Duration::from_secs(5);
 /// After the planned end: how long the last samples may take to reach the disk.
 const CLOSE_LIMIT: Duration = Duration::from_secs(60);
-/// How long it may take to reclaim the shared memory of a dead process.
-const RECLAIM_LIMIT: Duration = Duration::from_secs(5);
 /// How often the launcher reads the status boards, ns: often enough to end a lockstep run promptly. In real
 /// time it reads them seldom, because its processor time adds to the latency of the control loop. Deaths and
 /// signals wake it at once.
 const POLL_NS: u64 = 5_000_000;
 const POLL_REALTIME_NS: u64 = 200_000_000;
 
+/// By which rules a run is supervised.
+#[derive(Debug, Clone, Default)]
+pub struct SupervisorRules {
+    /// Whether ticks follow the real clock.
+    pub realtime: bool,
+    /// Whether the user starts some of the processes, which then may take any time to get ready.
+    pub by_hand: bool,
+    /// `[restart]`.
+    pub restart: RestartConfig,
+    /// `[faults]`.
+    pub faults: FaultsConfig,
+}
+
 /// A run in progress.
-pub(super) struct Supervisor {
-    // `children` drops before `services`: a process that is still setting up would create files in a domain
-    // that is already removed.
-    children: ChildProcesses,
-    services: RunServices,
-    domain: DomainName,
+pub struct Supervisor<W> {
+    world: W,
     control: Control,
-    signals: TerminationSignals,
-    progress: RunProgress,
     restarts: RestartTracker,
     fault_injector: ProcessFaultInjector,
-    folder: FolderWatch,
-    watch_files: Arc<WatchFiles>,
     /// In lockstep only.
     stall: Option<StallWatch>,
     poll_ns: u64,
     /// How long a process may take to get ready, or to connect.
     set_up_limit: Duration,
+    /// Whether nobody starts a process by hand: then set-up has a limit.
+    set_up_is_limited: bool,
     /// Why the run ends before its last tick, if it does.
     ended: Option<RunOutcome>,
     /// The first failure that no restart repaired.
@@ -59,10 +63,15 @@ pub(super) struct Supervisor {
 }
 
 /// How a run ended, for its summary.
-pub(super) struct RunEnd {
+#[derive(Debug)]
+pub struct RunEnd {
+    /// How.
     pub ended: RunOutcome,
+    /// The first failure that no restart repaired.
     pub failure: Option<ProcessFailure>,
+    /// The failures of all processes that died.
     pub deaths: Vec<ProcessFailure>,
+    /// All restarts.
     pub incidents: Vec<RestartIncident>,
     /// The last status of each process.
     pub boards: [Status; 3],
@@ -70,59 +79,49 @@ pub(super) struct RunEnd {
     pub folder_removed_at: Option<u64>,
 }
 
-impl Supervisor {
-    pub fn new(
-        launch: &Launch,
-        services: RunServices,
-        children: ChildProcesses,
-        signals: TerminationSignals,
-        progress: RunProgress,
-        folder: FolderWatch,
-        watch_files: Arc<WatchFiles>,
-    ) -> Self {
+impl<W: SupervisedWorld> Supervisor<W> {
+    /// A run whose processes have just been started.
+    pub fn new(world: W, rules: &SupervisorRules) -> Self {
+        let now = world.now_ns();
         Self {
-            domain: services.domain().clone(),
-            services,
-            folder,
-            watch_files,
-            children,
+            world,
             control: Control::default(),
-            signals,
-            progress,
-            fault_injector: ProcessFaultInjector::new(&launch.plan.scenario.faults),
-            restarts: RestartTracker::new(&launch.plan.scenario.restart, monotonic_ns()),
-            stall: (launch.mode == Mode::Lockstep)
-                .then(|| StallWatch::new(launch.plan.scenario.restart.hang_s, monotonic_ns())),
-            poll_ns: if launch.mode == Mode::Realtime { POLL_REALTIME_NS } else { POLL_NS },
-            set_up_limit: Duration::from_secs_f64(launch.plan.scenario.restart.set_up_s),
+            fault_injector: ProcessFaultInjector::new(&rules.faults),
+            restarts: RestartTracker::new(&rules.restart, now),
+            stall: (!rules.realtime).then(|| StallWatch::new(rules.restart.hang_s, now)),
+            poll_ns: if rules.realtime { POLL_REALTIME_NS } else { POLL_NS },
+            set_up_limit: Duration::from_secs_f64(rules.restart.set_up_s),
+            set_up_is_limited: !rules.by_hand,
             ended: None,
             failure: None,
             deaths: Vec::new(),
         }
     }
 
-    fn enter(&mut self, phase: Phase) {
-        self.control.phase = phase as u32;
-        self.services.control.put(self.control);
+    /// The world around the run.
+    pub fn world(&self) -> &W {
+        &self.world
     }
 
-    /// Says it on standard error and to watchers.
-    fn say(&self, message: &str) {
-        print_error_line(message);
-        self.watch_files.say(message);
+    fn enter(&mut self, phase: Phase) {
+        self.control.phase = phase as u32;
+        self.world.put_control(self.control);
     }
 
     fn state(&self, role: Role) -> ProcessState {
-        self.services.status(role).state()
+        self.world.status(role).state()
     }
 
     /// Leads the processes through set-up. Returns early, without an error, when a signal comes.
-    pub fn set_up(&mut self, launch: &Launch) -> Result<(), LaunchError> {
-        let limit = launch.by_hand.is_empty().then_some(self.set_up_limit);
+    ///
+    /// # Errors
+    /// When a process dies or does not get ready in time.
+    pub fn set_up(&mut self) -> Result<(), LaunchError> {
+        let limit = self.set_up_is_limited.then_some(self.set_up_limit);
         if self.await_state(ProcessState::Ready, limit)? {
             self.enter(Phase::Connect);
             if self.await_state(ProcessState::Connected, limit)? {
-                fill_domain(self.services.domain())?;
+                self.world.fill_memory()?;
             }
         }
         Ok(())
@@ -130,7 +129,7 @@ impl Supervisor {
 
     /// Waits until all processes have reached `state`. False when a signal ends the run first.
     fn await_state(&mut self, state: ProcessState, limit: Option<Duration>) -> Result<bool, LaunchError> {
-        let began = monotonic_ns();
+        let began = self.world.now_ns();
         while let Some(late) = Role::ALL.into_iter().find(|&role| self.state(role) < state) {
             if self.poll() {
                 return match self.failure.take() {
@@ -139,11 +138,11 @@ impl Supervisor {
                     None => Ok(false),
                 };
             }
-            let waited = Duration::from_nanos(monotonic_ns() - began);
+            let waited = Duration::from_nanos(self.world.now_ns() - began);
             if limit.is_some_and(|limit| waited > limit) {
                 return Err(LaunchError::NotReady { role: late.name(), seconds: waited.as_secs() });
             }
-            pause(POLL_NS / 10);
+            self.world.pause(POLL_NS / 10);
         }
         Ok(true)
     }
@@ -159,42 +158,43 @@ impl Supervisor {
             if self.poll() {
                 return;
             }
-            if self.signals.checkpoint_asked() {
+            if self.world.checkpoint_asked() {
                 self.control.checkpoints += 1;
-                self.services.control.put(self.control);
+                self.world.put_control(self.control);
             }
-            self.fault_injector.inject(self.services.status(Role::Plant).ticks, monotonic_ns(), &self.children);
+            let (tick, now) = (self.world.status(Role::Plant).ticks, self.world.now_ns());
+            self.fault_injector.inject(tick, now, &mut self.world);
             self.kill_hung();
             self.check_progress();
             self.check_folder(false);
             self.restart_due();
-            self.progress.show(&self.services);
-            self.children.await_end(self.fault_injector.poll_interval(self.poll_ns));
+            self.world.show_progress();
+            self.world.await_event(self.fault_injector.poll_interval(self.poll_ns));
         }
     }
 
     /// Handles deaths and signals. True when the run must end early.
     fn poll(&mut self) -> bool {
-        for death in self.children.reap(&self.services) {
+        for death in self.world.reap() {
             self.deaths.push(death.failure.clone());
             let running = self.ended.is_none() && self.control.phase() == Phase::Run;
             let requested = self.fault_injector.take_restart(death.failure.role);
-            if running && self.restarts.schedule(&death, monotonic_ns(), requested) {
-                self.say(&format!("tectum: {}; it is started again", death.failure.message));
+            if running && self.restarts.schedule(&death, self.world.now_ns(), requested) {
+                self.world.say(&format!("tectum: {}; it is started again", death.failure.message));
             } else {
                 self.fail(death.failure);
             }
         }
         if self.ended.is_none() {
-            if self.signals.received() != 0 {
-                self.ended = Some(RunOutcome::Signal(self.signals.received()));
+            if self.world.signal() != 0 {
+                self.ended = Some(RunOutcome::Signal(self.world.signal()));
             } else if self.failure.is_some() {
                 self.ended = Some(RunOutcome::Failed);
             }
         }
         self.announce_losses();
-        let status = Role::ALL.map(|role| self.services.status(role));
-        self.watch_files.put(BoardsCopy { control: self.control, status });
+        let status = Role::ALL.map(|role| self.world.status(role));
+        self.world.publish(BoardsCopy { control: self.control, status });
         self.ended.is_some()
     }
 
@@ -206,7 +206,7 @@ impl Supervisor {
         }
         let before = self.control.gone;
         for role in Role::ALL {
-            if self.children.is_empty(role) && self.state(role) != ProcessState::Finished {
+            if self.world.is_empty(role) && self.state(role) != ProcessState::Finished {
                 self.control.set_gone(role);
             }
         }
@@ -215,30 +215,32 @@ impl Supervisor {
             if self.control.phase() == Phase::Run {
                 self.control.phase = Phase::Stop as u32;
             }
-            self.services.control.put(self.control);
+            self.world.put_control(self.control);
         }
     }
 
     fn fail(&mut self, failure: ProcessFailure) {
-        self.watch_files.say(&failure.message);
+        self.world.say_to_watchers(&failure.message);
         self.failure.get_or_insert(failure);
     }
 
     /// Says so when the run's folder has been removed.
     fn check_folder(&mut self, now: bool) {
-        let tick = self.services.status(Role::Plant).ticks;
-        if if now { self.folder.check_now(tick) } else { self.folder.check(monotonic_ns(), tick) } {
+        let tick = self.world.status(Role::Plant).ticks;
+        if self.world.folder_removed(now, tick) {
             let message = "tectum: the run's folder has been removed, and the log with it; the run goes on without one";
-            self.say(message);
+            self.world.say(message);
         }
     }
 
     /// Kills processes whose heartbeat has stopped, and restarted ones that do not get ready in time.
     fn kill_hung(&mut self) {
-        let now = monotonic_ns();
+        let now = self.world.now_ns();
         for role in Role::ALL {
-            let Some(process) = self.children.child(role) else { continue };
-            let board = self.services.status(role);
+            if !self.world.has_child(role) {
+                continue;
+            }
+            let board = self.world.status(role);
             let hangs = match board.state() {
                 _ if self.fault_injector.is_stopped(role) => false,
                 ProcessState::Running => self.restarts.hangs(role, board.beat, now),
@@ -248,8 +250,8 @@ impl Supervisor {
                 _ => self.restarts.since_start(role, now) > self.set_up_limit.as_nanos() as u64,
             };
             if hangs {
-                self.say(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));
-                process.kill_group();
+                self.world.say(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));
+                self.world.act(role, ProcessAction::KillGroup);
             }
         }
     }
@@ -257,8 +259,8 @@ impl Supervisor {
     /// Ends a lockstep run whose processes all wait for each other.
     fn check_progress(&mut self) {
         let Some(stall) = &mut self.stall else { return };
-        let boards = Role::ALL.map(|role| self.services.status(role));
-        if stall.stalls(boards, monotonic_ns()) {
+        let boards = Role::ALL.map(|role| self.world.status(role));
+        if stall.stalls(boards, self.world.now_ns()) {
             let tick = boards[Role::Plant as usize].ticks;
             let message = format!(
                 "at tick {tick} no process gets on: all of them live, and each waits for another; a sample was lost \
@@ -272,28 +274,26 @@ impl Supervisor {
     fn restart_due(&mut self) {
         // One at a time: reclaiming could take what a process that is still setting up has half created for a
         // dead one's.
-        let sets_up = |role| self.children.child(role).is_some() && self.state(role) < ProcessState::Running;
+        let sets_up = |role| self.world.has_child(role) && self.state(role) < ProcessState::Running;
         if Role::ALL.into_iter().any(sets_up) {
             return;
         }
-        let Some(role) = self.restarts.due(monotonic_ns()) else { return };
-        // What it could not reclaim may do no harm (`Some(false)`). If it does, the start fails and is tried again.
-        if reclaim_dead(&self.domain, RECLAIM_LIMIT).is_none() {
+        let Some(role) = self.restarts.due(self.world.now_ns()) else { return };
+        if !self.world.reclaim() {
             let cause = "the shared memory that it held cannot be reclaimed";
             let message = format!("the {} cannot be started again: {cause}", role.name());
             return self.fail(ProcessFailure::new(role, message));
         }
-        let incarnation = self.restarts.record_restart(role, monotonic_ns());
-        if let Err(error) = self.services.set_incarnation(role, incarnation) {
-            return self.fail(ProcessFailure::new(role, error.to_string()));
+        let incarnation = self.restarts.record_restart(role, self.world.now_ns());
+        if let Err(error) = self.world.set_incarnation(role, incarnation) {
+            return self.fail(ProcessFailure::new(role, error));
         }
         self.control.incarnations[role as usize] = incarnation;
-        self.services.control.put(self.control);
-        if let Err(error) = self.children.start_again(role) {
+        self.world.put_control(self.control);
+        if let Err(error) = self.world.start_again(role) {
             // There may be room for another process (RLIMIT_NPROC, memory) the next time.
-            let death =
-                ProcessDeath { failure: ProcessFailure::new(role, error.to_string()), kind: DeathKind::Failure };
-            if !self.restarts.schedule(&death, monotonic_ns(), false) {
+            let death = ProcessDeath { failure: ProcessFailure::new(role, error), kind: DeathKind::Failure };
+            if !self.restarts.schedule(&death, self.world.now_ns(), false) {
                 self.fail(death.failure);
             }
         }
@@ -307,32 +307,32 @@ impl Supervisor {
             self.await_end(if failed { FAILURE_STOP_LIMIT } else { STOP_LIMIT });
         }
         self.check_folder(true);
-        let seconds = (monotonic_ns() - began) as f64 / 1e9;
+        let seconds = (self.world.now_ns() - began) as f64 / 1e9;
         if self.ended.is_none() && !self.await_end(CLOSE_LIMIT) {
             self.ended = Some(RunOutcome::Failed);
         }
         self.enter(Phase::Abort);
         if !self.await_end(ABORT_LIMIT) {
-            self.children.kill();
+            self.world.kill_all();
         }
         self.poll();
-        self.children.await_last_words();
-        self.progress.clear();
+        self.world.await_last_words();
+        self.world.clear_progress();
         seconds
     }
 
     /// Waits until all processes have ended. False when `limit` passes first.
     fn await_end(&mut self, limit: Duration) -> bool {
-        let began = monotonic_ns();
+        let began = self.world.now_ns();
         loop {
             self.poll();
-            if self.children.all_ended() {
+            if self.world.all_ended() {
                 return true;
             }
-            if Duration::from_nanos(monotonic_ns() - began) > limit {
+            if Duration::from_nanos(self.world.now_ns() - began) > limit {
                 return false;
             }
-            self.children.await_end(POLL_NS / 5);
+            self.world.await_event(POLL_NS / 5);
         }
     }
 
@@ -348,8 +348,8 @@ impl Supervisor {
             failure: self.failure,
             deaths: self.deaths,
             incidents: self.restarts.incidents,
-            boards: Role::ALL.map(|role| self.services.status(role)),
-            folder_removed_at: self.folder.removed_at,
+            boards: Role::ALL.map(|role| self.world.status(role)),
+            folder_removed_at: self.world.folder_removed_at(),
         }
     }
 }

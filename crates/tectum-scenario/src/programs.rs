@@ -24,12 +24,18 @@ fn is_named(program: &str, name: &str) -> bool {
     Path::new(program).file_name().is_some_and(|file| file == name)
 }
 
-/// Locates a program: given by path, beside this program, or in `PATH`.
+/// Locates a program: given by path, beside this program, or in `PATH`. Cargo puts tests and examples into folders of
+/// their own below that of the programs; for these, beside is there.
 pub fn find(name: &str) -> Option<PathBuf> {
     if name.contains('/') {
         return Some(PathBuf::from(name)).filter(|p| p.is_file());
     }
-    let beside = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join(name)));
+    let exe = std::env::current_exe().ok();
+    let folder = exe.as_deref().and_then(Path::parent).map(|folder| match folder.file_name() {
+        Some(last) if last == "deps" || last == "examples" => folder.parent().unwrap_or(folder),
+        _ => folder,
+    });
+    let beside = folder.map(|folder| folder.join(name));
     let path = std::env::var_os("PATH").unwrap_or_default();
     beside.into_iter().chain(std::env::split_paths(&path).map(|folder| folder.join(name))).find(|p| p.is_file())
 }

@@ -38,6 +38,16 @@ impl TerminationSignals {
         self.number.load(Ordering::Relaxed) as u32
     }
 
+    /// Ends whoever follows these signals in good order, as SIGTERM does.
+    pub fn ask_stop(&self) {
+        let _ = self.number.compare_exchange(0, SIGTERM as usize, Ordering::Relaxed, Ordering::Relaxed);
+    }
+
+    /// Requests a checkpoint, as SIGUSR1 does.
+    pub fn ask_checkpoint(&self) {
+        self.checkpoint_requested.store(true, Ordering::Relaxed);
+    }
+
     /// Whether a checkpoint was requested since the last call.
     pub fn checkpoint_asked(&self) -> bool {
         self.checkpoint_requested.swap(false, Ordering::Relaxed)
