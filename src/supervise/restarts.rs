@@ -73,6 +73,13 @@ impl RestartTracker {
         Self { config: config.clone(), records: [(); 3].map(|()| record.clone()), incidents: Vec::new() }
     }
 
+    /// Ticks begin at `now`: what the set-up of the run took, by hand perhaps minutes, is no process's own time.
+    pub fn ticks_begin(&mut self, now: u64) {
+        for record in &mut self.records {
+            (record.started_ns, record.checked_ns) = (now, now);
+        }
+    }
+
     /// Schedules the restart of a process, if its policy allows one. True if it does. `requested` is for a
     /// process that was asked to end so that it restarts: it restarts whatever the policy, and without a delay.
     pub fn schedule(&mut self, death: &ProcessDeath, now: u64, requested: bool) -> bool {

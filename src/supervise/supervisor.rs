@@ -153,6 +153,7 @@ impl<W: SupervisedWorld> Supervisor<W> {
             return;
         }
         self.control.t0_ns = t0_ns;
+        self.restarts.ticks_begin(self.world.now_ns());
         self.enter(Phase::Run);
         while Role::ALL.iter().any(|&role| self.state(role) != ProcessState::Finished) {
             if self.poll() {
@@ -303,6 +304,7 @@ impl<W: SupervisedWorld> Supervisor<W> {
     pub fn close(&mut self, began: u64) -> f64 {
         if self.ended.is_some() {
             self.enter(if self.control.phase() >= Phase::Run { Phase::Stop } else { Phase::Abort });
+            self.end_set_ups();
             let failed = self.ended == Some(RunOutcome::Failed);
             self.await_end(if failed { FAILURE_STOP_LIMIT } else { STOP_LIMIT });
         }
@@ -319,6 +321,17 @@ impl<W: SupervisedWorld> Supervisor<W> {
         self.world.await_last_words();
         self.world.clear_progress();
         seconds
+    }
+
+    /// Ends restarted processes that are still setting up: the others would wait for them until it is too late to keep
+    /// their own results.
+    fn end_set_ups(&mut self) {
+        for role in Role::ALL {
+            let restarted = self.control.incarnations[role as usize] > 0;
+            if restarted && self.state(role) < ProcessState::Running {
+                self.world.act(role, ProcessAction::Terminate);
+            }
+        }
     }
 
     /// Waits until all processes have ended. False when `limit` passes first.
