@@ -159,21 +159,17 @@ impl Process {
             return self.end(DeathKind::EarlyExit, board);
         }
         match board.state() {
-            ProcessState::Absent => {
-                if self.fate != Fate::NeverReady && now >= self.began_ns + self.ready_ns {
-                    board.state = ProcessState::Ready as u32;
-                }
+            ProcessState::Absent if self.fate != Fate::NeverReady && now >= self.began_ns + self.ready_ns => {
+                board.state = ProcessState::Ready as u32;
             }
-            ProcessState::Ready => {
-                if phase >= Phase::Connect && now >= self.began_ns + self.ready_ns + self.connect_ns {
-                    board.state = ProcessState::Connected as u32;
-                }
+            ProcessState::Ready
+                if phase >= Phase::Connect && now >= self.began_ns + self.ready_ns + self.connect_ns =>
+            {
+                board.state = ProcessState::Connected as u32;
             }
-            ProcessState::Connected => {
-                if phase >= Phase::Run {
-                    board.state = ProcessState::Running as u32;
-                    self.running_since = Some(now);
-                }
+            ProcessState::Connected if phase >= Phase::Run => {
+                board.state = ProcessState::Running as u32;
+                self.running_since = Some(now);
             }
             ProcessState::Running => self.run(now, board, peers),
             ProcessState::Closing => {

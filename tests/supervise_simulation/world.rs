@@ -41,8 +41,8 @@ pub struct World {
     refused_starts: u32,
     no_memory: bool,
     no_reclaim: bool,
+    folder_removal_ns: Option<u64>,
     folder_removed_at: Option<u64>,
-    folder_known: Option<u64>,
     /// Whether each process was sound in all of its starts.
     sound: [bool; 3],
     /// Whether all starts of all processes were sound, or died.
@@ -81,7 +81,7 @@ impl World {
         let faulty = [0.0, 0.1, 0.3, 0.8][rng.random_range(0..4)];
         let mut sometimes = |chance: f64, span: u64| rng.random_bool(chance).then(|| rng.random_range(0..span));
         let (signal_at, checkpoint_at) = (sometimes(0.2, 6000 * MS), sometimes(0.2, 3000 * MS));
-        let folder_removed_at = sometimes(0.1, 3000 * MS);
+        let folder_removal_ns = sometimes(0.1, 3000 * MS);
         let mut world = Self {
             now: 1000 * MS,
             slowness: [1, 1, 2, 5][rng.random_range(0..4)],
@@ -95,8 +95,8 @@ impl World {
             refused_starts: if rng.random_bool(0.1) { rng.random_range(1..20) } else { 0 },
             no_memory: rng.random_bool(0.03),
             no_reclaim: rng.random_bool(0.05),
-            folder_removed_at: folder_removed_at.map(|at| 1000 * MS + at),
-            folder_known: None,
+            folder_removal_ns: folder_removal_ns.map(|at| 1000 * MS + at),
+            folder_removed_at: None,
             sound: [true; 3],
             all_live_or_die: true,
             in_a_row: [(0, 0); 3],
@@ -212,7 +212,7 @@ impl World {
                 return Err(format!("the {} was started again, which its policy forbids", role.name()));
             }
         }
-        match (self.folder_known, end.folder_removed_at) {
+        match (self.folder_removed_at, end.folder_removed_at) {
             (Some(_), None) => Err("the folder was removed, and nobody is told".to_owned()),
             _ => Ok(()),
         }
@@ -433,15 +433,15 @@ impl SupervisedWorld for SimulatedWorld {
 
     fn folder_removed(&mut self, _now: bool, tick: u64) -> bool {
         let mut world = self.0.borrow_mut();
-        let removed = world.folder_removed_at.is_some_and(|at| at <= world.now) && world.folder_known.is_none();
+        let removed = world.folder_removal_ns.is_some_and(|at| at <= world.now) && world.folder_removed_at.is_none();
         if removed {
-            world.folder_known = Some(tick);
+            world.folder_removed_at = Some(tick);
         }
         removed
     }
 
     fn folder_removed_at(&self) -> Option<u64> {
-        self.0.borrow().folder_known
+        self.0.borrow().folder_removed_at
     }
 
     fn say(&mut self, message: &str) {
