@@ -106,6 +106,7 @@ pub fn main(arguments: &Arguments) -> Result<ExitCode, Problem> {
         by_hand: Vec::new(),
         checkpoint_every: 0,
         stopwatch: false,
+        stand_in: None,
         resumed: None,
         progress: true,
     };

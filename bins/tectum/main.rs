@@ -5,6 +5,7 @@ mod bench;
 mod compare;
 mod doctor;
 mod film;
+mod link;
 mod log;
 mod merge;
 mod new;
@@ -55,6 +56,8 @@ struct Arguments {
 enum Command {
     /// Run a scenario: plant, controller and logger, each in its own process
     Run(run::Arguments),
+    /// Run plant and controller on two machines (needs tectum-link)
+    Link(link::Arguments),
     /// Watch a run while it goes on, in this terminal or in a browser
     Watch(watch::Arguments),
     /// Show what a run has learned, or write its policy into a file for others
@@ -90,6 +93,7 @@ enum Command {
 fn main() -> ExitCode {
     match Arguments::parse().command {
         Command::Run(arguments) => run::main(&arguments),
+        Command::Link(arguments) => link::main(&arguments),
         Command::Watch(arguments) => watch::main(&arguments),
         Command::Policy(arguments) => policy::main(&arguments),
         Command::Scenario(arguments) => scenario::main(&arguments),

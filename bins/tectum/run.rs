@@ -193,6 +193,7 @@ fn plan(arguments: &Arguments) -> Result<Launch, LaunchError> {
         checkpoint_every: arguments.checkpoint_every,
         keep_checkpoints: arguments.keep_checkpoints,
         stopwatch: false,
+        stand_in: None,
         resumed,
         started_from,
         frozen,

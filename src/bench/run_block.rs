@@ -81,6 +81,7 @@ fn measure_in(block: &RunBlock, folder: &Path) -> Result<BlockOutcome, BenchErro
         checkpoint_every: 0,
         keep_checkpoints: 0,
         stopwatch: block.timed,
+        stand_in: None,
         resumed: None,
         started_from: None,
         frozen: false,

@@ -6,7 +6,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::Arc;
 
 use super::error_output::{CollectedOutput, ErrorOutput, show};
-use super::{LaunchError, service_notifier};
+use super::{Launch, LaunchError, StandIn, service_notifier};
 use crate::channel::{DomainName, RunServices, WatchFiles, is_member};
 use crate::clock::{ProcessHandle, monotonic_ns};
 use crate::runtime::exit;
@@ -91,23 +91,28 @@ pub(super) struct ChildProcesses {
     left: Vec<ErrorOutput>,
     /// Where watchers find what the processes say.
     watch_files: Arc<WatchFiles>,
+    /// The process whose place a program takes that waits for another machine, and says so.
+    stand_in: Option<Role>,
 }
 
 impl ChildProcesses {
-    /// Starts all processes except those in `by_hand`.
-    pub fn start(
-        plan: &Plan,
-        folder: &Path,
-        by_hand: &[Role],
-        watch_files: Arc<WatchFiles>,
-    ) -> Result<Self, LaunchError> {
+    /// Starts all processes except those that the user starts by hand.
+    pub fn start(launch: &Launch, folder: &Path, watch_files: Arc<WatchFiles>) -> Result<Self, LaunchError> {
+        let Launch { plan, by_hand, stand_in, .. } = launch;
         // All programs are located before the first one starts, so that a missing one leaves no process behind.
         let mut commands = Vec::new();
         for role in Role::ALL {
-            commands.push(if by_hand.contains(&role) { None } else { Some(SpawnCommand::locate(plan, role)?) });
+            commands.push(match stand_in.as_ref().filter(|stand_in| stand_in.role == role) {
+                _ if by_hand.contains(&role) => None,
+                Some(StandIn { program, arguments, .. }) => {
+                    Some(SpawnCommand { program: program.clone(), arguments: arguments.clone() })
+                }
+                None => Some(SpawnCommand::locate(plan, role)?),
+            });
         }
         let (slots, left) = (Vec::new(), Vec::new());
-        let mut children = Self { folder: folder.to_owned(), commands, slots, left, watch_files };
+        let stand_in = stand_in.as_ref().map(|stand_in| stand_in.role);
+        let mut children = Self { folder: folder.to_owned(), commands, slots, left, watch_files, stand_in };
         for role in Role::ALL {
             let slot = match children.commands[role as usize] {
                 Some(_) => children.spawn(role)?,
@@ -137,9 +142,15 @@ impl ChildProcesses {
             command.env_remove(variable);
         }
         let mut child = command.spawn().map_err(|cause| failed(program, &cause.to_string()))?;
-        let stderr = ErrorOutput::of(child.stderr.take(), role, Arc::clone(&self.watch_files));
+        let shown = self.shows(role);
+        let stderr = ErrorOutput::of(child.stderr.take(), role, shown, Arc::clone(&self.watch_files));
         let process = ProcessHandle::of(child.id());
         Ok(ChildSlot::Child { child, process, stderr })
+    }
+
+    /// Whether what the process in `role` says is shown on the launcher's standard error while it lives.
+    fn shows(&self, role: Role) -> bool {
+        role == Role::Plant || self.stand_in == Some(role)
     }
 
     /// Starts the process of an empty slot again.
@@ -153,7 +164,8 @@ impl ChildProcesses {
     pub fn reap(&mut self, services: &RunServices) -> Vec<ProcessDeath> {
         let mut deaths = Vec::new();
         for (role, slot) in Role::ALL.into_iter().zip(&mut self.slots) {
-            if let Some(ended) = slot.poll_end(role, &services.status(role), services.domain()) {
+            let stand_in = self.stand_in == Some(role);
+            if let Some(ended) = slot.poll_end(role, &services.status(role), services.domain(), stand_in) {
                 if let ChildSlot::Child { stderr, .. } = std::mem::replace(slot, ChildSlot::Empty) {
                     self.left.push(stderr);
                 }
@@ -245,7 +257,13 @@ impl ChildSlot {
 
     /// `None` while the process runs or the slot is empty; once it has ended, `Some` with its death, if it had not
     /// finished its part of the run.
-    fn poll_end(&mut self, role: Role, board: &Status, domain: &DomainName) -> Option<Option<ProcessDeath>> {
+    fn poll_end(
+        &mut self,
+        role: Role,
+        board: &Status,
+        domain: &DomainName,
+        stand_in: bool,
+    ) -> Option<Option<ProcessDeath>> {
         let finished = board.state() == ProcessState::Finished;
         match self {
             Self::Empty => None,
@@ -257,7 +275,7 @@ impl ChildSlot {
                 }
                 match child.try_wait() {
                     Ok(None) => None,
-                    Ok(Some(status)) => Some(death_of(role, status, stderr.take(), board.ticks, finished)),
+                    Ok(Some(status)) => Some(death_of(role, status, stderr.take(), board.ticks, finished, stand_in)),
                     Err(_) => Some(Some(ended_early(role, board.ticks, DeathKind::Failure))),
                 }
             }
@@ -316,6 +334,7 @@ fn death_of(
     output: CollectedOutput,
     tick: u64,
     finished: bool,
+    stand_in: bool,
 ) -> Option<ProcessDeath> {
     if status.success() || status.signal().is_some() {
         show(output.held, role == Role::Plant);
@@ -339,6 +358,8 @@ fn death_of(
         exit::INPUT | exit::MISMATCH => DeathKind::Final,
         // It has finished its part of the run, and reports what went wrong in it.
         _ if finished => DeathKind::Final,
+        // The run on the other machine is over.
+        _ if stand_in && is(exit::PROCESS) => DeathKind::Final,
         // It ended as a signal asked it to.
         _ if [exit::TERMINATED, exit::INTERRUPTED, exit::HUNG_UP, exit::QUIT].into_iter().any(is) => {
             DeathKind::EarlyExit

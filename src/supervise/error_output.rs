@@ -45,13 +45,13 @@ pub(super) struct CollectedOutput {
 }
 
 impl ErrorOutput {
-    /// Reads from `pipe` of the process in `role`. A pipe that cannot be read without waiting is not read at all.
-    pub fn of(pipe: Option<ChildStderr>, role: Role, watch_files: Arc<WatchFiles>) -> Self {
+    /// Reads from `pipe` of the process in `role`, and shows its lines if `shown`. A pipe that cannot be read without
+    /// waiting is not read at all.
+    pub fn of(pipe: Option<ChildStderr>, role: Role, shown: bool, watch_files: Arc<WatchFiles>) -> Self {
         let pipe = pipe.filter(|pipe| {
             let flags = fcntl_getfl(pipe).map(|flags| flags | OFlags::NONBLOCK);
             flags.and_then(|flags| fcntl_setfl(pipe, flags)).is_ok()
         });
-        let shown = role == Role::Plant;
         Self { pipe, text: Vec::new(), shown, line: Vec::new(), held: None, role, watch_files }
     }
 

@@ -27,6 +27,7 @@ mod run_handle;
 mod run_monitor;
 mod service_notifier;
 mod stall;
+mod stand_in;
 mod summary;
 mod summary_text;
 mod supervisor;
@@ -45,6 +46,7 @@ pub use restarts::RestartIncident;
 pub use resume::{ResumedRun, resume};
 pub use run_handle::RunHandle;
 pub use run_monitor::{RunMonitor, RunStatus};
+pub use stand_in::StandIn;
 pub use summary::{ProcessRealtime, RunOutcome, RunSummary, WindowSummary};
 
 use std::path::{Path, PathBuf};
@@ -89,6 +91,8 @@ pub struct Launch {
     pub keep_checkpoints: u64,
     /// In lockstep: write the real instants of each tick to the run's folder, for `tectum bench`.
     pub stopwatch: bool,
+    /// The program that takes the place of a process on another machine, if there is one.
+    pub stand_in: Option<StandIn>,
     /// Where the run starts, if it resumes another one ([`resume()`]).
     pub resumed: Option<ResumePoint>,
     /// The learner with which the run begins, in place of a fresh one. [`LearnedState::check`] has accepted it.
@@ -115,6 +119,7 @@ impl Launch {
             checkpoint_every: 0,
             keep_checkpoints: 0,
             stopwatch: false,
+            stand_in: None,
             resumed: None,
             started_from: None,
             frozen: false,
@@ -170,7 +175,7 @@ fn launch_run(launch: &Launch, owner: RunOwner) -> Result<RunSummary, LaunchErro
     owner.monitor.begin(folder.path().to_owned());
 
     services.control.put(Control::default());
-    let children = ChildProcesses::start(plan, folder.path(), &launch.by_hand, Arc::clone(&watch_files))?;
+    let children = ChildProcesses::start(launch, folder.path(), Arc::clone(&watch_files))?;
     let progress = RunProgress::new(launch, &folder);
     let folder_watch = FolderWatch::new(&folder);
     let world = ProcessWorld::new(children, services, folder_watch, watch_files, progress, owner);
@@ -197,6 +202,7 @@ fn launch_run(launch: &Launch, owner: RunOwner) -> Result<RunSummary, LaunchErro
     // At a whole multiple of the period, so that every process can compute when ticks begin. With a period
     // longer than the lead, the run starts at a multiple of the lead instead of waiting for the next period.
     let start = (began + LEAD_NS).next_multiple_of(plan.period_ns.clamp(1, LEAD_NS));
+    let start = launch.stand_in.as_ref().and_then(|stand_in| stand_in.start_ns(folder.path())).unwrap_or(start);
     supervisor.run_ticks(if launch.mode == Mode::Realtime { start } else { 0 });
     let seconds = supervisor.close(began);
     // This removes the domain, before anything is drawn or printed.
@@ -210,7 +216,7 @@ fn launch_run(launch: &Launch, owner: RunOwner) -> Result<RunSummary, LaunchErro
 fn rules(launch: &Launch) -> SupervisorRules {
     SupervisorRules {
         realtime: launch.mode == Mode::Realtime,
-        by_hand: !launch.by_hand.is_empty(),
+        waits: !launch.by_hand.is_empty() || launch.stand_in.is_some(),
         restart: launch.plan.scenario.restart.clone(),
         faults: launch.plan.scenario.faults.clone(),
     }

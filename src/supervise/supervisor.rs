@@ -33,8 +33,8 @@ const POLL_REALTIME_NS: u64 = 200_000_000;
 pub struct SupervisorRules {
     /// Whether ticks follow the real clock.
     pub realtime: bool,
-    /// Whether the user starts some of the processes, which then may take any time to get ready.
-    pub by_hand: bool,
+    /// Whether set-up waits for a user who starts processes, or for another machine, and so has no limit.
+    pub waits: bool,
     /// `[restart]`.
     pub restart: RestartConfig,
     /// `[faults]`.
@@ -52,7 +52,7 @@ pub struct Supervisor<W> {
     poll_ns: u64,
     /// How long a process may take to get ready, or to connect.
     set_up_limit: Duration,
-    /// Whether nobody starts a process by hand: then set-up has a limit.
+    /// Whether set-up has a limit.
     set_up_is_limited: bool,
     /// Why the run ends before its last tick, if it does.
     ended: Option<RunOutcome>,
@@ -91,7 +91,7 @@ impl<W: SupervisedWorld> Supervisor<W> {
             stall: (!rules.realtime).then(|| StallWatch::new(rules.restart.hang_s, now)),
             poll_ns: if rules.realtime { POLL_REALTIME_NS } else { POLL_NS },
             set_up_limit: Duration::from_secs_f64(rules.restart.set_up_s),
-            set_up_is_limited: !rules.by_hand,
+            set_up_is_limited: !rules.waits,
             ended: None,
             failure: None,
             deaths: Vec::new(),

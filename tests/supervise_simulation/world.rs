@@ -77,7 +77,7 @@ impl World {
         let mut policy = || policies[rng.random_range(0..3)];
         let restart = RestartConfig { plant: policy(), controller: policy(), logger: policy(), ..limits() };
         let realtime = rng.random_bool(0.5);
-        let rules = SupervisorRules { realtime, by_hand: false, restart, faults: FaultsConfig::default() };
+        let rules = SupervisorRules { realtime, waits: false, restart, faults: FaultsConfig::default() };
         let faulty = [0.0, 0.1, 0.3, 0.8][rng.random_range(0..4)];
         let mut sometimes = |chance: f64, span: u64| rng.random_bool(chance).then(|| rng.random_range(0..span));
         let (signal_at, checkpoint_at) = (sometimes(0.2, 6000 * MS), sometimes(0.2, 3000 * MS));

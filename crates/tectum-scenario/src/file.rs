@@ -6,8 +6,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ControllerConfig, EncoderConfig, FaultsConfig, GateConfig, LearnerConfig, Noise, OverrunConfig, PlantConfig,
-    RealtimeConfig, RestartConfig, ScenarioSource,
+    ControllerConfig, EncoderConfig, FaultsConfig, GateConfig, LearnerConfig, LinkConfig, Noise, OverrunConfig,
+    PlantConfig, RealtimeConfig, RestartConfig, ScenarioSource,
 };
 use crate::ChannelNames;
 use crate::rotation::LogRotation;
@@ -59,6 +59,9 @@ pub struct Scenario {
     /// Treatment of deadlines that the plant itself misses.
     #[serde(default, skip_serializing_if = "OverrunConfig::is_nothing")]
     pub overrun: OverrunConfig,
+    /// A run on two machines.
+    #[serde(default, skip_serializing_if = "LinkConfig::is_usual")]
+    pub link: LinkConfig,
     /// Injected faults.
     #[serde(default, skip_serializing_if = "FaultsConfig::is_nothing")]
     pub faults: FaultsConfig,

@@ -41,6 +41,7 @@ mod gate;
 mod leader;
 mod learner;
 pub mod limits;
+mod link;
 mod measure;
 mod per_axis;
 mod plant;
@@ -73,6 +74,7 @@ pub use faults::{
 pub use file::{LogConfig, PolicyConfig, Scenario};
 pub use gate::{GateConfig, OverrunConfig, PerOutput};
 pub use leader::{JointMapping, LeaderConfig};
+pub use link::LinkConfig;
 pub use measure::{MeasureConfig, MeasureRole, MeasureTable};
 pub use per_axis::PerAxis;
 pub use plant::PlantConfig;

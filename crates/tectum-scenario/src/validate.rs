@@ -6,7 +6,7 @@
 use super::check::{checked_name, number, show, ticks};
 use super::{
     LogConfig, Noise, Rule, Scenario, controller, encoder, error::Violation, error::quoted, faults, gate, leader,
-    learner, limits, plant, plant_signals::PlantSignals, plant_signals::signals, realtime, restart, servos,
+    learner, limits, link, plant, plant_signals::PlantSignals, plant_signals::signals, realtime, restart, servos,
 };
 use crate::limits::{MAX_INPUTS, MAX_OUTPUTS};
 
@@ -30,6 +30,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Violation> {
     check_channels(scenario)?;
     restart::check(&scenario.restart)?;
     realtime::check(&scenario.realtime)?;
+    link::check(&scenario.link)?;
     faults::check(&scenario.faults)
 }
 

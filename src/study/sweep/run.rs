@@ -107,6 +107,7 @@ impl SweepRunner {
             checkpoint_every: 0,
             keep_checkpoints: 0,
             stopwatch: false,
+            stand_in: None,
             resumed: None,
             started_from: None,
             frozen: false,

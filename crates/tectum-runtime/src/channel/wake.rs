@@ -78,7 +78,11 @@ impl WakeWord {
 pub struct WakeNotifier(WakeWord);
 
 impl WakeNotifier {
-    pub(super) fn open(domain: &DomainName) -> Result<Self, ChannelError> {
+    /// Opens the word of the run in `domain`.
+    ///
+    /// # Errors
+    /// [`ChannelError::SetUp`] when there is no such run.
+    pub fn open(domain: &DomainName) -> Result<Self, ChannelError> {
         WakeWord::open(domain).map(Self)
     }
 

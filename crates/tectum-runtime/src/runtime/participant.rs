@@ -214,6 +214,19 @@ impl Participant {
         Ok(open(&self.manifest.domain, &self.identity(), &self.plan.scenario.channels)?)
     }
 
+    /// Whether the process must end before it has begun, for one that waits for more than its peers in the run.
+    ///
+    /// # Errors
+    /// When the launcher has ended the run or is gone, or a signal came.
+    pub fn check_set_up(&self, status_board: &StatusBoard) -> Result<(), RuntimeError> {
+        match self.signals.received() {
+            0 if status_board.control.get().phase() >= Phase::Stop => Err(RuntimeError::Aborted),
+            0 if self.launcher.ended() => Err(RuntimeError::Orphaned(self.role.name())),
+            0 => Ok(()),
+            number => Err(RuntimeError::Signal(number)),
+        }
+    }
+
     /// The process's crash store, for a state of `size` bytes and the last `entries[0]` journal entries of
     /// `entries[1]` bytes each.
     ///
@@ -375,7 +388,7 @@ impl Session {
 
     /// The start number of the process that has, or will have, `role`.
     #[inline]
-    pub(crate) fn incarnation_of(&self, role: Role) -> u32 {
+    pub fn incarnation_of(&self, role: Role) -> u32 {
         self.status_board.control.get().incarnations[role as usize]
     }
 
