@@ -133,7 +133,7 @@ pub const CASES: &[Case] = &[
         "x.toml:6: unknown key \"plant.inputs[0].units\"; did you mean \"plant.inputs[0].unit\"?"),
     (ARM, "seed = 1", "source = 1",
         "x.toml:3: unknown key \"source\"; the keys here are name, seed, period_ms, ticks, plant, controller, encoder, \
-         policy, learner, gate, log, channels, restart, realtime, overrun and faults"),
+         policy, learner, gate, log, channels, restart, realtime, overrun, link and faults"),
     (EYE, "retina = \"log-polar\"", "\"a\\nb\" = \"log-polar\"",
         "x.toml:8: unknown key \"plant.eye.a\\nb\"; the keys here are retina, distortion, spread and bonus"),
     (ARM, "name = \"arm\"", "",
@@ -219,7 +219,7 @@ pub const CASES: &[Case] = &[
         "x.toml:41: policy.sigma is a table or a date; give a number"),
     (ARM, "name = \"arm\"", "\"\" = \"arm\"",
         "x.toml:2: unknown key \"\"; the keys here are name, seed, period_ms, ticks, plant, controller, encoder, \
-         policy, learner, gate, log, channels, restart, realtime, overrun and faults"),
+         policy, learner, gate, log, channels, restart, realtime, overrun, link and faults"),
     (ARM, "name = \"arm\"", "name = \"\"",
         "x.toml:2: name is \"\"; give 1 to 32 characters out of letters, digits, - and _"),
     (ARM, "name = \"arm\"", "name = \"my arm\"",
