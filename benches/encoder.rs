@@ -3,7 +3,7 @@
 //! bench encoder`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use tectum::bench::InputRing;
+use tectum::timing::InputRing;
 
 fn versions(criterion: &mut Criterion) {
     let ring = InputRing::default();

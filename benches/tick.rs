@@ -4,9 +4,9 @@
 //! thousand times more. The cases are those of `tectum bench learner`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use tectum::bench::{ControlLoop, rule_growth, rule_versions};
 use tectum::scenario::{Plan, Scenario};
 use tectum::simd::SimdPath;
+use tectum::timing::{ControlLoop, rule_growth, rule_versions};
 
 fn plan(name: &str) -> Plan {
     Scenario::find(name).unwrap().plan().unwrap()

@@ -123,7 +123,7 @@ use tectum_report::text;
 pub use tectum_report::{self as report, stats};
 use tectum_runtime::run_folder;
 #[doc(hidden)]
-pub use tectum_runtime::{channel, checkpoint, clock};
+pub use tectum_runtime::{channel, checkpoint, clock, reference, timing};
 
 #[doc(hidden)]
 pub mod bench;
@@ -131,8 +131,6 @@ pub mod bench;
 pub mod doctor;
 #[doc(hidden)]
 pub mod new_project;
-#[doc(hidden)]
-pub mod reference;
 #[doc(hidden)]
 pub mod servo;
 #[doc(hidden)]

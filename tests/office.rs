@@ -102,7 +102,7 @@ fn run(plan: &Plan) -> (PlantReport, ControllerReport) {
         }
         side.step(tick, Some(&command));
     }
-    (side.report, controller.finish())
+    (side.into_report(), controller.finish())
 }
 
 /// Mean loss over the last quarter of the run.

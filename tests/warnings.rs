@@ -84,7 +84,7 @@ fn a_plant_that_is_always_late_has_failed() {
         side.step(tick, Some(&command));
         side.skip(tick + 1, tick + 2);
     }
-    let warnings = brief(&judge(&plan, &side.report, Some(&controller.finish())));
+    let warnings = brief(&judge(&plan, side.report(), Some(&controller.finish())));
     assert_eq!(warnings[0], ("ticks-passed-over".to_owned(), TICKS / 2, true));
     assert_eq!(warnings[1], ("little-learned".to_owned(), TICKS / 2 - 1, false));
 }

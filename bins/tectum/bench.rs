@@ -5,9 +5,10 @@ use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
 use tectum::bench::{
-    self, AllBenches, BenchError, CallsSettings, CostsOutcome, LatencySettings, LockstepSettings, Pace, Transport,
+    self, AllBenches, BenchError, CallsSettings, CostsOutcome, LatencySettings, LockstepSettings, Pace,
 };
 use tectum::process::print_error_line;
+use tectum::timing::{Transport, serve};
 
 use super::print;
 use super::tick_count::tick_count;
@@ -165,7 +166,9 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Command::Encoder(arguments) => calls(arguments, bench::encoder),
         Command::Learner(arguments) => calls(arguments, bench::learner),
         Command::All(arguments) => all(arguments),
-        Command::Peer(arguments) => bench::serve(arguments.over, arguments.domain).map(|()| String::new()),
+        Command::Peer(arguments) => {
+            serve(arguments.over, arguments.domain).map(|()| String::new()).map_err(BenchError::from)
+        }
     };
     match result {
         Ok(text) => print(&text),

@@ -9,13 +9,14 @@ use super::context::write_file;
 use super::costs::Growth;
 use super::targets::{TargetRow, targets};
 use super::{
-    BenchError, CallsSettings, CostsOutcome, Latencies, LatencyOutcome, LatencySettings, LockstepOutcome,
-    LockstepSettings, Machine, Pace, encoder, latency, learner, lockstep,
+    BenchError, CallsSettings, CostsOutcome, LatencyOutcome, LatencySettings, LockstepOutcome, LockstepSettings,
+    Machine, Pace, encoder, latency, learner, lockstep,
 };
 use crate::clock::monotonic_ns;
 use crate::report::figure::{AxisScales, draw_scales};
 use crate::supervise::RunFolder;
 use crate::text::thousands;
+use crate::timing::Latencies;
 
 /// What to measure.
 #[derive(Debug, Clone)]

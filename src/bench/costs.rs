@@ -6,11 +6,10 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use super::calls::{CallCase, CallTimes, in_turns};
 use super::context::{BenchContext, write_file};
 use super::{BenchError, Machine};
-use crate::simd::SimdPath;
 use crate::text::thousands;
+use crate::timing::{CallCase, CallTimes, GrowthKey, in_turns};
 
 /// Numbers of features whose costs are compared, as powers of two.
 pub(super) const POWERS: std::ops::RangeInclusive<u32> = 5..=15;
@@ -61,19 +60,6 @@ pub(crate) struct Growth {
     pub ns: CallTimes,
     /// Its median divided by features and outputs.
     pub ns_each: f64,
-}
-
-/// Names a case of `Growth`.
-#[derive(Debug, Clone)]
-pub struct GrowthKey {
-    /// What is called.
-    pub what: String,
-    /// On which SIMD path.
-    pub path: SimdPath,
-    /// Number of features.
-    pub features: u64,
-    /// Number of outputs; 1 where there are none.
-    pub outputs: u64,
 }
 
 /// All results: the object of `--json`.

@@ -3,7 +3,7 @@
 
 use super::BenchError;
 use super::costs::{CallsSettings, CostsBench, CostsOutcome, POWERS};
-use super::encoder_cases::InputRing;
+use crate::timing::{InputRing, TimingError};
 
 /// Measures the encoder.
 ///
@@ -13,7 +13,7 @@ pub fn encoder(settings: &CallsSettings) -> Result<CostsOutcome, BenchError> {
     let mut bench = CostsBench::start("encoder", settings)?;
     let ring = InputRing::default();
     bench.show("versions");
-    bench.measure(ring.versions()?)?;
+    bench.measure(ring.versions().map_err(TimingError::from)?)?;
     bench.show("growth");
     bench.finish(POWERS.flat_map(|power| ring.growth(power)).collect())
 }

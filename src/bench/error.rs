@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use crate::channel::ChannelError;
 use crate::log::LogError;
 use crate::report::ReportError;
 use crate::runtime::exit;
 use crate::scenario::ScenarioError;
 use crate::supervise::LaunchError;
+use crate::timing::TimingError;
 
 /// Why a bench has no results.
 #[derive(Debug, thiserror::Error)]
@@ -18,9 +18,6 @@ pub enum BenchError {
     /// The scenario is not valid.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// Shared memory cannot be set up.
-    #[error(transparent)]
-    Channel(#[from] ChannelError),
     /// The log of one of its runs cannot be read.
     #[error(transparent)]
     Log(#[from] LogError),
@@ -46,17 +43,21 @@ pub enum BenchError {
         /// The run's own error message.
         message: String,
     },
-    /// The peer process of a bare transport failed.
-    #[error("the other process of {transport}: {cause}")]
-    Peer {
-        /// The transport's name.
-        transport: &'static str,
-        /// What is wrong.
-        cause: String,
-    },
+    /// Calls or exchanges cannot be timed. A signal is not among the reasons.
+    #[error(transparent)]
+    Timing(TimingError),
     /// A signal came before the end.
     #[error("ended by signal {0}: a bench writes its results at its end, so there are none")]
     Signal(u32),
+}
+
+impl From<TimingError> for BenchError {
+    fn from(error: TimingError) -> Self {
+        match error {
+            TimingError::Signal(number) => Self::Signal(number),
+            other => Self::Timing(other),
+        }
+    }
 }
 
 impl BenchError {
@@ -67,8 +68,9 @@ impl BenchError {
             Self::Run { code, .. } => *code,
             Self::Signal(number) => exit::by_signal(*number),
             Self::Scenario(_) | Self::Asked(_) | Self::Report(_) | Self::Write { .. } => exit::INPUT,
-            Self::Peer { .. } => exit::PROCESS,
-            Self::Channel(_) | Self::Log(_) => exit::ERROR,
+            Self::Timing(TimingError::Peer { .. }) => exit::PROCESS,
+            Self::Timing(TimingError::Scenario(_) | TimingError::NotSimulated) => exit::INPUT,
+            Self::Timing(_) | Self::Log(_) => exit::ERROR,
         }
     }
 }

@@ -17,17 +17,15 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::cache_evictor::CacheEvictor;
+use super::BenchError;
 use super::context::BenchContext;
-use super::exchange::PeerExchange;
 use super::latency_outcome::{CaseOutcome, LatencyOutcome, ratios};
 use super::run_block::{self, RunBlock};
-use super::tick_times::Latencies;
 use super::usage::Usage;
-use super::{BenchError, Transport};
 use crate::clock::TerminationSignals;
 use crate::runtime::Mode;
 use crate::stats::Percentiles;
+use crate::timing::{CacheEvictor, Latencies, PeerExchange, Transport};
 
 /// Time from one tick to the next, ns.
 pub(super) const PERIOD_NS: u64 = 50_000_000;

@@ -7,11 +7,10 @@ use serde::Serialize;
 
 use super::context::write_file;
 use super::latency::{Caches, Pace};
-use super::tick_times::{Latencies, SERIES, SeriesPercentiles, hgrm};
 use super::usage::Usage;
 use super::{BenchError, Machine};
-use crate::stats::Percentiles;
-use crate::stats::Spread;
+use crate::stats::{Percentiles, Spread};
+use crate::timing::{Latencies, SERIES, SeriesPercentiles, hgrm};
 
 /// The results of one case.
 #[derive(Debug, Clone, Serialize)]

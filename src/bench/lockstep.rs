@@ -9,16 +9,16 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::context::{BenchContext, check_signals, write_file};
-use super::exchange::PeerExchange;
 use super::latency::PERIOD_NS;
 use super::run_block::{self, RunBlock};
 use super::usage::{Usage, core_of, cores_text};
-use super::{BenchError, Machine, Transport};
+use super::{BenchError, Machine};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use crate::runtime::{Controller, Mode, simulate};
 use crate::stats::Spread;
 use crate::supervise::simulated_plant;
 use crate::text::thousands;
+use crate::timing::{PeerExchange, Transport};
 
 /// The thinned log has one tick in this many, as in the paper's scenario.
 const THINNED: u64 = 100;

@@ -5,15 +5,11 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use rustix::thread::{CpuSet, sched_getaffinity};
 use serde::Serialize;
 
-use crate::clock::{machine_facts, wall_ns};
+use crate::clock::{cores, last_level_cache, machine_facts, wall_ns};
 use crate::doctor::{Check, Verdict, examine};
 use crate::text::utc_minute;
-
-/// The cache size to assume where the kernel does not report one, bytes.
-const USUAL_CACHE: usize = 32 << 20;
 
 /// The properties of the machine that results may depend on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -82,29 +78,6 @@ impl Machine {
         }
         text
     }
-}
-
-/// The cores on which this process may run.
-pub(super) fn cores() -> Vec<u32> {
-    let Ok(set) = sched_getaffinity(None) else { return Vec::new() };
-    (0..CpuSet::MAX_CPU).filter(|&core| set.is_set(core)).map(|core| core as u32).collect()
-}
-
-/// Size of the largest cache of the first core, bytes.
-pub(super) fn last_level_cache() -> usize {
-    let caches = fs::read_dir("/sys/devices/system/cpu/cpu0/cache").into_iter().flatten().flatten();
-    let sizes = caches.filter_map(|cache| {
-        let text = fs::read_to_string(cache.path().join("size")).ok()?;
-        let text = text.trim();
-        let (number, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;
-        let shift = match unit {
-            "K" => 10,
-            "M" => 20,
-            _ => return None,
-        };
-        number.parse::<usize>().ok().map(|n| n << shift)
-    });
-    sizes.max().unwrap_or(USUAL_CACHE)
 }
 
 #[cfg(test)]

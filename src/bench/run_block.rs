@@ -5,17 +5,17 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
+use super::BenchError;
 use super::usage::{Usage, UsageObserver};
-use super::{BenchError, TickTimes};
 use crate::channel::LOG_BUFFER;
 use crate::log::{LogRecord, RunLog, segments};
 use crate::runtime::{Mode, exit, tick_times};
 use crate::scenario::{Plan, Scenario};
 use crate::supervise::{Launch, RunOutcome, RunSummary, run};
+use crate::timing::{SCENARIO, TickTimes};
 use crate::wire::Role;
 
 /// The scenario of every block: the paper's arm with the paper's rule.
-pub(super) const SCENARIO: &str = "paper";
 /// The folder of a block's run, within the bench's folder.
 const FOLDER: &str = "block";
 /// The least number of ticks of a block, so that the logger's buffer fills more than once.

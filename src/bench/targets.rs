@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
-use super::learner_cases::WHOLE_TICK;
 use super::lockstep::CaseRate;
 use super::{CostsOutcome, LatencyOutcome, LockstepOutcome};
+use crate::timing::WHOLE_TICK;
 
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]

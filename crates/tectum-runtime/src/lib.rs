@@ -2,7 +2,8 @@
 //!
 //! The rooms from the bottom up: `run_folder` finds a run; [`wire`] defines the samples; [`clock`] is the operating
 //! system; [`channel`] is the shared memory (iceoryx2); [`checkpoint`] keeps whole states in files; [`log`] writes and
-//! reads MCAP; [`runtime`] holds the loops of plant, controller and logger, the gate, and runs inside one process.
+//! reads MCAP; [`runtime`] holds the loops of plant, controller and logger, the gate, and runs inside one process;
+//! [`reference`] tests what was learned; [`timing`] times calls and exchanges.
 //!
 //! The crate is a part of `tectum`, which re-exports what a plant, a controller, a tracker or a reader of logs needs.
 //! Depend on `tectum`: everything else that is public here serves Tectum's own programs and may change at any time. It
@@ -26,14 +27,14 @@ pub mod channel;
 pub mod checkpoint;
 pub mod clock;
 pub mod log;
+pub mod reference;
 pub mod run_folder;
 pub mod runtime;
+pub mod timing;
 pub mod wire;
 
-#[cfg(test)]
-use tectum_core::learner;
-use tectum_core::{agent, plant, policy, state};
-use tectum_encoder::simd;
+use tectum_core::{agent, learner, plant, policy, seed, state};
+use tectum_encoder::{self as encoder, simd};
 use tectum_report::{stats, text};
 use tectum_scenario as scenario;
 

@@ -7,6 +7,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use serde_json::Value;
+use tectum::clock::let_children_hear_hangup;
 use tectum::log::LogError;
 use tempfile::TempDir;
 
@@ -43,6 +44,7 @@ impl TestFolder {
     /// If it cannot be made.
     #[track_caller]
     pub fn new() -> Self {
+        let_children_hear_hangup();
         let parent = target_folder().map_or_else(std::env::temp_dir, |target| target.join("tmp"));
         let made = fs::create_dir_all(&parent).and_then(|()| tempfile::tempdir_in(&parent));
         let mut folder = made.unwrap_or_else(|error| panic!("no folder can be made in {}: {error}", parent.display()));

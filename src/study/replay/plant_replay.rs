@@ -195,8 +195,11 @@ impl PlantReplay {
         let mut fitting = Vec::with_capacity(1);
         let mut first = Ok(());
         for side in self.candidates.drain(..) {
-            for command in &arrived {
-                let mut side = side.clone();
+            // A candidate is large. The last command takes it, so that it is copied only where there are several.
+            let mut left = Some(side);
+            for (i, command) in arrived.iter().enumerate() {
+                let side = if i + 1 == arrived.len() { left.take() } else { left.clone() };
+                let Some(mut side) = side else { break };
                 follow(&mut side, due, tick, *command, logged);
                 side.observe(tick, late, replayed.skipped, &mut replayed);
                 match compare("observation", tick, logged, &replayed) {

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::clock::TerminationSignals;
 use crate::runtime::{
-    ControllerReport, Mode, PipeError, PipedController, PipedStart, PlantReport, in_process, in_process_over_pipe,
-    read_report,
+    Controller, ControllerReport, Mode, PipeError, PipedController, PipedStart, PlantReport, in_process_over_pipe,
+    read_report, simulate,
 };
 use crate::scenario::Plan;
 use crate::stats::Window;
@@ -71,7 +71,10 @@ impl SweepRunner {
         let Some(body) = plan.simulated_plant() else { return self.run_processes(plan, progress) };
         let go_on = |tick: u64| progress.report(if tick == 0 { 0 } else { REPORT });
         if plan.scenario.controller.is_shipped() {
-            let result = in_process(plan, body, |tick, _| go_on(tick));
+            let result = simulate(plan, body, Controller::new(plan), &mut |observation, _| {
+                let tick = observation.header.tick;
+                !tick.is_multiple_of(REPORT) || go_on(tick)
+            });
             return Ok(progress.report(0).then(|| SweepRun::of(&result.plant, result.controller)));
         }
         let start = PipedStart { signals: Some(self.signals.clone()), ..PipedStart::default() };

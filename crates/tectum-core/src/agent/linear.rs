@@ -111,7 +111,6 @@ fn outputs(values: &[f32]) -> Outputs {
 }
 
 impl Agent for LinearAgent {
-    #[inline]
     fn act(&mut self, percept: &Percept, answer: &mut Answer) {
         let drawn = match self.prepared.take() {
             Some(drawn) => drawn,
@@ -131,7 +130,6 @@ impl Agent for LinearAgent {
         answer.command.copy_from_slice(&command[..self.outputs]);
     }
 
-    #[inline]
     fn learn(&mut self, experience: &Experience) -> bool {
         (self.step, self.has_mean, self.prepared) = (0.0, false, None);
         if experience.withheld.is_some() {

@@ -229,7 +229,7 @@ pub trait Agent: Persist {
 
 /// 64-bit hash of what an agent has learned: of its policy's weights, or else of its whole state. Two runs with equal
 /// hashes have learned the same.
-pub fn learned_hash<A: Agent>(agent: &mut A) -> u64 {
+pub fn learned_hash(agent: &mut dyn Agent) -> u64 {
     match agent.policy() {
         Some(policy) => policy.hash(),
         None => state::hash(agent),

@@ -48,8 +48,9 @@ impl ShippedAgent {
     }
 }
 
+// None of these is `#[inline]`: a crate that makes a `dyn Agent` of it would compile its own copies, with its own
+// optimisation.
 impl Agent for ShippedAgent {
-    #[inline]
     fn act(&mut self, percept: &Percept, answer: &mut Answer) {
         match self {
             Self::Linear(agent) => agent.act(percept, answer),
@@ -57,7 +58,6 @@ impl Agent for ShippedAgent {
         }
     }
 
-    #[inline]
     fn learn(&mut self, experience: &Experience) -> bool {
         match self {
             Self::Linear(agent) => agent.learn(experience),
@@ -65,7 +65,6 @@ impl Agent for ShippedAgent {
         }
     }
 
-    #[inline]
     fn improve(&mut self, updates: u32) {
         match self {
             Self::Linear(agent) => agent.improve(updates),
@@ -84,7 +83,6 @@ impl Agent for ShippedAgent {
         self.agent().columns()
     }
 
-    #[inline]
     fn record(&self, record: &mut AgentRecord) {
         match self {
             Self::Linear(agent) => agent.record(record),
@@ -92,7 +90,6 @@ impl Agent for ShippedAgent {
         }
     }
 
-    #[inline]
     fn halted(&self) -> bool {
         match self {
             Self::Linear(agent) => agent.halted(),

@@ -15,11 +15,11 @@ mod source;
 
 pub use holders::{maps_file, processes_mapping};
 pub use limits::{lock_limit, lock_remedy, priority_limit, priority_remedy};
-pub use machine::machine_facts;
+pub use machine::{cores, last_level_cache, machine_facts};
 pub use process_handle::ProcessHandle;
 pub use realtime::set_fifo_priority;
 pub use realtime::{RealtimeGranted, RealtimeRefusal, RealtimeReport, RealtimeRequest};
-pub use signals::TerminationSignals;
+pub use signals::{TerminationSignals, let_children_hear_hangup};
 pub use source::{Backoff, TimeSource, WakeReason};
 
 use rustix::thread::{NanosleepRelativeResult, clock_nanosleep_absolute, nanosleep};

@@ -54,6 +54,14 @@ impl TerminationSignals {
     }
 }
 
+/// Lets the programs that this process starts hear SIGHUP, even if `nohup` started it: an ignored signal stays ignored
+/// in a started program, a handled one does not. For tests of what a SIGHUP does.
+pub fn let_children_hear_hangup() {
+    if ignored(SIGHUP) {
+        let _ = signal_hook::flag::register(SIGHUP, Arc::default());
+    }
+}
+
 /// Whether this process ignores `signal`. It inherits that from the program that started it.
 fn ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();

@@ -64,7 +64,7 @@ impl<A: Agent> ControllerLoopState<A> {
 
     /// Computes the command.
     fn respond(&mut self, observation: &Observation) {
-        self.controller.report.unseen += observation.header.sequence - self.expected();
+        self.controller.report_mut().unseen += observation.header.sequence - self.expected();
         self.answered = observation.header;
         self.controller.respond(observation, &mut self.command);
         self.command.header.sequence = self.count;
@@ -142,7 +142,7 @@ impl<A: Agent> ControllerLoopState<A> {
         self.count = before.sent;
         self.answered.sequence = (before.sent + before.lost).saturating_sub(1);
         self.answered.tick = before.ticks.saturating_sub(1);
-        let report = &mut self.controller.report;
+        let report = self.controller.report_mut();
         (report.ticks, report.unseen, report.forgot_at) = (before.sent, before.lost, Some(before.ticks));
         Ok(())
     }
@@ -172,7 +172,7 @@ impl<A: Agent> ControllerLoopState<A> {
         let status = &mut session.status;
         status.ticks = self.answered.tick + 1;
         status.sent = self.count;
-        status.lost = self.controller.report.unseen;
+        status.lost = self.controller.report().unseen;
         (status.loss, status.end_error) = self.controller.statistics().now();
         session.publish_status();
     }
@@ -277,7 +277,7 @@ impl<A: Agent> ControllerLoop<A> {
         let mut snapshots = SnapshotRecorder::new(&participant.folder, &participant.plan);
         let restarted = state.restore(&mut crash_store, &participant, &status_board.before, &mut snapshots)?;
         let begun = participant.manifest.started_from.as_ref().map(|start| start.tick);
-        state.controller.report.started_from = begun;
+        state.controller.report_mut().started_from = begun;
         let writer = participant.checkpoint_writer()?;
         // The plant writes the observations and reads the commands.
         let (session, time) = participant
@@ -427,12 +427,12 @@ impl<A: Agent> ControllerLoop<A> {
         }
         let checkpoint = self.state.checkpoint(end, &self.session.participant);
         self.writer.write_last(end, checkpoint, self.session.stopping());
-        let report = &mut self.state.controller.report;
+        let report = self.state.controller.report_mut();
         match self.writer.finish() {
             Ok(written) => report.checkpoints = written,
             Err(cause) => report.checkpoint_failure = Some(cause),
         }
-        self.state.controller.report.tick_budget = self.meter.and_then(|meter| meter.finish());
+        self.state.controller.report_mut().tick_budget = self.meter.and_then(|meter| meter.finish());
         let report = self.state.controller.finish();
         self.stopwatch.write()?;
         self.session.finish(&report)?;

@@ -132,7 +132,7 @@ impl Simulation {
     /// Ends the run, with the reports of both sides.
     pub fn finish(self) -> InProcess {
         let (controller, agent) = self.controller.finish_with_agent();
-        InProcess { plant: self.side.report, controller, agent }
+        InProcess { plant: self.side.into_report(), controller, agent }
     }
 }
 
@@ -188,7 +188,7 @@ pub fn in_process_with_agent<P: Plant, A: Agent>(
         side.step(tick, Some(&command));
     }
     let (controller, agent) = controller.finish_with_agent();
-    InProcess { plant: side.report, controller, agent }
+    InProcess { plant: side.into_report(), controller, agent }
 }
 
 /// Runs `plan` with the plant `body` in this process and a controller's program at the other end of a pipe.
@@ -216,5 +216,5 @@ pub fn in_process_over_pipe<P: Plant>(
         statistics.observe(&observation);
         side.step(tick, Some(&command));
     }
-    Ok((side.report, controller.finish()?))
+    Ok((side.into_report(), controller.finish()?))
 }

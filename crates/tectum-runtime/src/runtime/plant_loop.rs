@@ -101,7 +101,7 @@ impl<P: Plant> PlantLoopState<P> {
     fn forget(&mut self, participant: &Participant, before: &Status) -> Result<(), RuntimeError> {
         participant.refuse_without_memory()?;
         self.sent_count = before.sent + 1;
-        let report = &mut self.side.report;
+        let report = self.side.report_mut();
         (report.ticks, report.missed, report.late) = (before.sent, before.missed, before.late);
         (report.skipped, report.forgot_at) = (before.lost, Some(before.ticks));
         Ok(())
@@ -195,7 +195,7 @@ impl<P: Plant> PlantLoop<P> {
             acted: false,
             checkpoints_requested: session.checkpoints_requested(),
             overruns: 0,
-            first_after_restart: restarted || state.side.report.forgot_at.is_some(),
+            first_after_restart: restarted || state.side.report().forgot_at.is_some(),
             gave_up: None,
             time,
             session,
@@ -207,7 +207,7 @@ impl<P: Plant> PlantLoop<P> {
         plant_loop.session.status.sent = plant_loop.state.sent_count;
         if restarted {
             plant_loop.send_again()?;
-        } else if plant_loop.state.side.report.forgot_at.is_some() {
+        } else if plant_loop.state.side.report().forgot_at.is_some() {
             (plant_loop.tick, plant_loop.advanced) = (before.ticks + 1, false);
         }
         Ok(plant_loop)
@@ -230,7 +230,7 @@ impl<P: Plant> PlantLoop<P> {
             return Ok(false);
         }
         let woken = self.time.now();
-        let late_before = self.state.side.report.late;
+        let late_before = self.state.side.report().late;
         self.advance()?;
         let skipped = self.skip_overrun_ticks();
         self.publish_counts();
@@ -240,7 +240,7 @@ impl<P: Plant> PlantLoop<P> {
         if !self.real && self.tick.is_multiple_of(CREDIT_TICKS) && !self.await_logger()? {
             return Ok(false);
         }
-        let late = if self.state.side.report.late > late_before { flag::LATE } else { 0 };
+        let late = if self.state.side.report().late > late_before { flag::LATE } else { 0 };
         self.checkpoint();
         self.observe(late, skipped);
         self.send(woken)?;
@@ -300,7 +300,7 @@ impl<P: Plant> PlantLoop<P> {
         } else {
             self.state.side.step(tick, self.inbox.take().as_ref());
         }
-        self.state.side.report.late += self.inbox.take_late();
+        self.state.side.report_mut().late += self.inbox.take_late();
         Ok(())
     }
 
@@ -322,7 +322,7 @@ impl<P: Plant> PlantLoop<P> {
 
     /// Publishes the counts on the plant's board.
     fn publish_counts(&mut self) {
-        let report = &self.state.side.report;
+        let report = self.state.side.report();
         let status = &mut self.session.status;
         status.ticks = self.tick;
         status.missed = report.missed;
@@ -448,7 +448,7 @@ impl<P: Plant> PlantLoop<P> {
             let checkpoint = self.state.checkpoint(self.tick, &self.session.participant);
             self.writer.write_last(self.tick, checkpoint, self.session.stopping());
         }
-        let mut report = self.state.side.report;
+        let mut report = self.state.side.into_report();
         match self.writer.finish() {
             Ok(written) => report.checkpoints = written,
             Err(cause) => report.checkpoint_failure = Some(cause),

@@ -81,7 +81,7 @@ fn what_is_restored_goes_on_as_if_it_had_never_stopped() {
         assert!(saved(&mut whole.plant) == saved(&mut back.plant), "{scenario} {rule}");
         assert!(saved(&mut whole.controller) == saved(&mut back.controller), "{scenario} {rule}");
         assert_eq!(whole.controller.finish(), back.controller.finish(), "{scenario} {rule}");
-        assert_eq!(whole.plant.report, back.plant.report);
+        assert_eq!(whole.plant.report(), back.plant.report());
     }
 }
 

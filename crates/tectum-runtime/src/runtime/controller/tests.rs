@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::scenario::Scenario;
+use crate::wire::{MAX_OUTPUTS, flag};
 
 fn controller() -> Controller {
     Controller::new(&Scenario::find("paper").unwrap().plan().unwrap())
@@ -18,7 +19,7 @@ fn observation(tick: u64, flags: u32) -> Observation {
 fn answer(controller: &mut Controller, observation: &Observation) -> (Command, u32) {
     let mut command = Command::default();
     controller.respond(observation, &mut command);
-    (command, controller.flags)
+    (command, controller.tick.flags)
 }
 
 #[test]
@@ -74,9 +75,9 @@ fn credit_goes_to_the_applied_command() {
     applied.applied[0] *= 3.0;
     assert_eq!(answer(&mut corrupted.clone(), &applied).1, flag::TRACE_CUT);
     // It is possible if it is limited in step from the previously applied command.
-    corrupted.applied_before[0] = applied.applied[0] * 1.5;
+    corrupted.tick.applied_before[0] = applied.applied[0] * 1.5;
     assert_eq!(answer(&mut corrupted.clone(), &applied).1, flag::LEARNED);
-    corrupted.applied_before[0] = 0.0;
+    corrupted.tick.applied_before[0] = 0.0;
     assert_eq!(answer(&mut corrupted.off_policy(), &applied).1, flag::LEARNED);
 }
 
@@ -96,7 +97,7 @@ fn weights_stay_finite_for_any_step() {
             assert!(command.drawn.iter().all(|u| u.is_finite()), "{command:?}");
         }
         assert!(controller.halted() && controller.policy().unwrap().norm().is_finite(), "{reward}");
-        assert!(controller.report.diverged_at.is_some());
+        assert!(controller.report().diverged_at.is_some());
     }
 }
 
@@ -151,5 +152,5 @@ fn a_withheld_observation_is_neither_answered_nor_learned_from() {
     assert_eq!(learning.noise, drawn.noise);
     // The delayed observation arrives, too, and has no effect on this tick.
     assert_eq!(answer(&mut controller, &observation(4, 0)).1, flag::LEARNED);
-    assert_eq!((controller.report.unheard, controller.report.stale, controller.report.cuts), (1, 1, 1));
+    assert_eq!((controller.report().unheard, controller.report().stale, controller.report().cuts), (1, 1, 1));
 }

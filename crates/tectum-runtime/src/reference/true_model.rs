@@ -8,10 +8,10 @@ use crate::plant::{
 use crate::wire::MAX_OUTPUTS;
 
 /// A model that can be handed to another thread.
-pub(crate) type TrueModel = Box<dyn StateSpace + Send + Sync>;
+pub type TrueModel = Box<dyn StateSpace + Send + Sync>;
 
 /// The body's model in `tick` of a run; `None` for the eye.
-pub(crate) fn body_model(task: &Task, tick: u64) -> Option<TrueModel> {
+pub fn body_model(task: &Task, tick: u64) -> Option<TrueModel> {
     let period_s = task.period_ms / 1000.0;
     Some(match &task.body {
         BodyConfig::Arm(config) => Box::new(ArmModel::new(config, period_s, tick)),
@@ -27,7 +27,7 @@ pub(crate) fn body_model(task: &Task, tick: u64) -> Option<TrueModel> {
 
 /// A model whose commands act with a first-order lag. State: the dynamic numbers of the inner model, the commands'
 /// lagged values, the other numbers of the inner model.
-pub(crate) struct LaggedModel {
+pub struct LaggedModel {
     inner: TrueModel,
     /// Share of a command's change that is left after a tick, and that is missing on average within the tick.
     lag: [f64; 2],

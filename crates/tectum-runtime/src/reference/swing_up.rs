@@ -25,7 +25,7 @@ enum Swing {
 }
 
 /// The controller.
-pub(crate) struct EnergySwingUp {
+pub struct EnergySwingUp {
     swing: Swing,
     limit: f64,
     /// Feedback from the state near the top.

@@ -47,7 +47,7 @@ struct Policy {
 }
 
 /// The controller.
-pub(crate) struct IterativeLqr {
+pub struct IterativeLqr {
     model: TrueModel,
     limit: f64,
     horizon: usize,

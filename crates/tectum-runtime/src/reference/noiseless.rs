@@ -15,7 +15,7 @@ use crate::wire::{MAX_INPUTS, MAX_OUTPUTS, flag};
 
 /// Computes the mean command of a policy: what a controller would send without exploration noise.
 #[derive(Debug, Clone)]
-pub(crate) struct MeanPolicy {
+pub struct MeanPolicy {
     encoder: Encoder,
     features: Features,
 }
@@ -36,7 +36,7 @@ impl MeanPolicy {
 
 /// What a controller sees in a tick of a test.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct TestPercept<'a> {
+pub struct TestPercept<'a> {
     /// The tick of the test, from 0.
     pub tick: u64,
     /// The inputs.
@@ -49,7 +49,7 @@ pub(crate) struct TestPercept<'a> {
 
 /// What an agent knew at some instant: it answers without exploration noise, and learns nothing from the test.
 #[derive(Debug, Clone)]
-pub(crate) enum FrozenAgent {
+pub enum FrozenAgent {
     /// A policy answers with its mean.
     Mean(Box<(MeanPolicy, LinearPolicy)>),
     /// A planner plans on.
@@ -95,7 +95,7 @@ impl FrozenAgent {
 
 /// A plant behind its gate, driven tick by tick in one process.
 #[derive(Debug, Clone)]
-pub(crate) struct Rollout<P> {
+pub struct Rollout<P> {
     plant: P,
     gate: Gate,
     inputs: [f32; MAX_INPUTS],
@@ -181,6 +181,6 @@ mod tests {
             side.observe(tick + 1, 0, 0, &mut observation);
             assert_eq!((outcome.reward, outcome.measures), (observation.reward, observation.measures), "tick {tick}");
         }
-        assert!(side.report.clamped > 0 && side.report.step_limited > 0 && side.report.non_finite == 1);
+        assert!(side.report().clamped > 0 && side.report().step_limited > 0 && side.report().non_finite == 1);
     }
 }

@@ -30,14 +30,14 @@ mod swing_up;
 mod true_model;
 
 use damped_least_squares::DampedLeastSquares;
-pub(crate) use fixed_arm::FixedArm;
-pub(crate) use ilqr::IterativeLqr;
-pub(crate) use noiseless::{FrozenAgent, MeanPolicy, Rollout, TestPercept};
+pub use fixed_arm::FixedArm;
+pub use ilqr::IterativeLqr;
+pub use noiseless::{FrozenAgent, MeanPolicy, Rollout, TestPercept};
 pub use optimum::STARTS;
 use optimum::trajectory_optimum;
-pub(crate) use resolved_rates::ResolvedRates;
-pub(crate) use swing_up::EnergySwingUp;
-pub(crate) use true_model::{LaggedModel, TrueModel, body_model};
+pub use resolved_rates::ResolvedRates;
+pub use swing_up::EnergySwingUp;
+pub use true_model::{LaggedModel, TrueModel, body_model};
 
 use serde::Serialize;
 
@@ -48,11 +48,11 @@ use crate::scenario::Plan;
 
 /// The loss to reach: the loss of the paper's rule after 9 million ticks, without the cost of exploration
 /// noise.
-pub(crate) const LEVEL: f64 = 0.0375;
+pub const LEVEL: f64 = 0.0375;
 /// Number of targets in the test.
-pub(crate) const TARGETS: usize = 40;
+pub const TARGETS: usize = 40;
 /// The seed of every study's test targets, and of the random reference.
-pub(crate) const TEST_SEED: u64 = 2010;
+pub const TEST_SEED: u64 = 2010;
 
 /// The result of a test.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -65,7 +65,7 @@ pub struct Score {
 
 /// The test for one condition of the arm. Built once, used for any number of policies.
 #[derive(Debug, Clone)]
-pub(crate) struct TestSet {
+pub struct TestSet {
     /// The scenario, with the arm in this condition and the test's targets.
     plan: Plan,
     arm: FixedArm,

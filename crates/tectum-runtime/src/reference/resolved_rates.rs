@@ -23,7 +23,7 @@ enum Chain {
 }
 
 /// The controller.
-pub(crate) struct ResolvedRates {
+pub struct ResolvedRates {
     chain: Chain,
     joints: usize,
     /// Turn of a joint in a tick for a command of 1, rad.

@@ -3,18 +3,14 @@
 
 use std::hint::black_box;
 
-use super::BenchError;
-use super::calls::CallCase;
-use super::costs::GrowthKey;
-use super::run_block::SCENARIO;
+use super::calls::{CallCase, GrowthKey};
+use super::{SCENARIO, TimingError};
 use crate::learner::PaperRule;
 use crate::learner::naive::NaivePaperRule;
 use crate::policy::{LinearPolicy, Outputs};
 use crate::runtime::Simulation;
 use crate::scenario::{LearnerConfig, Plan, Rule, Scenario};
 use crate::simd::SimdPath;
-use crate::study::compare::{LEARNERS, name_of};
-use crate::supervise::simulated_plant;
 use crate::wire::Observation;
 
 /// The exploration noise of every tick.
@@ -22,7 +18,7 @@ const NOISE: Outputs = [0.003, -0.002, 0.001, -0.004, 0.002, -0.001, 0.004, -0.0
 /// Decay and rate of the paper's rule, as in the paper's scenario.
 const PAPER: (f32, f32) = (0.9, 0.01);
 /// The version of [`tick_cases`] that times a whole tick, after the rule's name.
-pub(super) const WHOLE_TICK: &str = "whole tick, with plant";
+pub const WHOLE_TICK: &str = "whole tick, with plant";
 
 /// Two vectors of features as an encoder makes them: positive, of unit norm.
 fn features(len: usize) -> [Vec<f32>; 2] {
@@ -94,8 +90,8 @@ impl ControlLoop {
     ///
     /// # Errors
     /// When the plant of `plan` is not simulated.
-    pub fn new(plan: &Plan, path: SimdPath) -> Result<Self, BenchError> {
-        let simulation = Simulation::new(plan, simulated_plant(plan)?).on(path);
+    pub fn new(plan: &Plan, path: SimdPath) -> Result<Self, TimingError> {
+        let simulation = Simulation::new(plan, plan.simulated_plant().ok_or(TimingError::NotSimulated)?).on(path);
         let mut control_loop = Self { simulation, ring: Vec::with_capacity(Self::RING as usize), tick: 0 };
         for _ in 0..Self::RING {
             control_loop.step();
@@ -139,12 +135,15 @@ impl ControlLoop {
     }
 }
 
-/// The controller of the arm with every rule that has a policy, and with the paper's rule on every path. The keys are
-/// (rule and part of the tick, path).
-pub(super) fn tick_cases() -> Result<Vec<CallCase<'static, (String, String)>>, BenchError> {
+/// The controller of the arm with every rule that has a policy, and with the paper's rule on every path. `name_of`
+/// names a rule. The keys are (rule and part of the tick, path).
+///
+/// # Errors
+/// [`TimingError::Scenario`], though the scenarios are built in.
+pub fn tick_cases(name_of: &dyn Fn(Rule) -> String) -> Result<Vec<CallCase<'static, (String, String)>>, TimingError> {
     let mut cases = Vec::new();
     // A planner's tick takes so long that filling the ring alone would take minutes; `tectum tasks` measures it.
-    for rule in LEARNERS.into_iter().filter(|rule| rule.is_linear()) {
+    for rule in Rule::ALL.into_iter().filter(|rule| rule.is_linear()) {
         let plan = plan(rule)?;
         let paths: Vec<SimdPath> = if rule == Rule::Paper { SimdPath::all().collect() } else { vec![SimdPath::best()] };
         for path in paths {
@@ -161,7 +160,7 @@ pub(super) fn tick_cases() -> Result<Vec<CallCase<'static, (String, String)>>, B
 }
 
 /// The paper's scenario for the paper's rule, and the scenario `arm` with the preset of any other rule.
-fn plan(rule: Rule) -> Result<Plan, BenchError> {
+fn plan(rule: Rule) -> Result<Plan, TimingError> {
     if rule == Rule::Paper {
         return Ok(Scenario::built_in(SCENARIO)?.plan()?);
     }

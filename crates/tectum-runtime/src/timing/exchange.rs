@@ -13,9 +13,8 @@ use std::process::{Child, Command as Program, Stdio};
 use rustix::net::{AddressFamily, SocketFlags, SocketType, socketpair};
 use rustix::thread::sched_yield;
 
-use super::context::check_signals;
 use super::transport::{DONE, STAMPED, Transport, TransportEnd, TransportError};
-use super::{BenchError, Latencies, TickTimes};
+use super::{Latencies, TickTimes, TimingError, check_signals};
 use crate::channel::{BareExchange, DomainName, SharedPage};
 use crate::clock::{ProcessHandle, TerminationSignals, monotonic_ns, precise_timers, sleep_until};
 use crate::wire::{Command, Observation};
@@ -24,7 +23,7 @@ use crate::wire::{Command, Observation};
 const SET_UP_NS: u64 = 20_000_000_000;
 
 /// The asking side of a transport, and its peer.
-pub(super) struct PeerExchange {
+pub struct PeerExchange {
     transport: Transport,
     end: TransportEnd<Observation, Command>,
     peer: PeerProcess,
@@ -42,7 +41,7 @@ struct PeerProcess {
 
 impl PeerProcess {
     /// An error if the peer has ended or a signal has come, so that there is nothing to wait for.
-    fn check(&self) -> Result<(), BenchError> {
+    fn check(&self) -> Result<(), TimingError> {
         check_signals(&self.signals)?;
         if self.process.as_ref().is_none_or(ProcessHandle::ended) {
             return Err(failed(self.transport, "it has ended"));
@@ -58,14 +57,14 @@ impl Drop for PeerProcess {
     }
 }
 
-fn failed(transport: Transport, cause: impl ToString) -> BenchError {
-    BenchError::Peer { transport: transport.name(), cause: cause.to_string() }
+fn failed(transport: Transport, cause: impl ToString) -> TimingError {
+    TimingError::Peer { transport: transport.name(), cause: cause.to_string() }
 }
 
 /// Why the asking side stops waiting for a command.
 enum WaitEnd {
     Transport(TransportError),
-    Bench(BenchError),
+    Bench(TimingError),
 }
 
 impl From<TransportError> for WaitEnd {
@@ -78,9 +77,9 @@ impl PeerExchange {
     /// Sets `transport` up and waits until the peer answers.
     ///
     /// # Errors
-    /// [`BenchError::Channel`] and [`BenchError::Peer`] when that fails, [`BenchError::Signal`] when a signal
+    /// [`TimingError::Channel`] and [`TimingError::Peer`] when that fails, [`TimingError::Signal`] when a signal
     /// comes.
-    pub fn start(transport: Transport, signals: &TerminationSignals) -> Result<Self, BenchError> {
+    pub fn start(transport: Transport, signals: &TerminationSignals) -> Result<Self, TimingError> {
         let (end, child) = set_up(transport)?;
         let process = ProcessHandle::of(child.id());
         let peer = PeerProcess { transport, child, process, signals: signals.clone() };
@@ -95,7 +94,7 @@ impl PeerExchange {
         Ok(exchange)
     }
 
-    fn connect(&self) -> Result<(), BenchError> {
+    fn connect(&self) -> Result<(), TimingError> {
         let began = monotonic_ns();
         while let TransportEnd::Bare { ends, .. } = &self.end
             && !ends.connected()?
@@ -111,7 +110,7 @@ impl PeerExchange {
 
     /// One exchange for `tick`, which is scheduled for `scheduled_ns`.
     #[inline]
-    fn ask(&mut self, tick: u64, scheduled_ns: u64) -> Result<TickTimes, BenchError> {
+    fn ask(&mut self, tick: u64, scheduled_ns: u64) -> Result<TickTimes, TimingError> {
         let sensed_ns = monotonic_ns();
         self.observation.header.tick = tick;
         let command = self.round_trip()?;
@@ -120,13 +119,13 @@ impl PeerExchange {
     }
 
     #[inline]
-    fn round_trip(&mut self) -> Result<Command, BenchError> {
+    fn round_trip(&mut self) -> Result<Command, TimingError> {
         let Self { transport, end, peer, observation, signals } = self;
         let command = end.send(observation).map_err(WaitEnd::from);
         let command = command.and_then(|()| end.receive(|| peer.check().map_err(WaitEnd::Bench)));
         command.map_err(|wait_end| match wait_end {
             // When the peer ends, the transport fails. A signal may be the reason.
-            WaitEnd::Transport(_) if signals.received() != 0 => BenchError::Signal(signals.received()),
+            WaitEnd::Transport(_) if signals.received() != 0 => TimingError::Signal(signals.received()),
             WaitEnd::Transport(error) => failed(*transport, error),
             WaitEnd::Bench(error) => error,
         })
@@ -136,8 +135,8 @@ impl PeerExchange {
     /// next ones are due, those are skipped, as in a run.
     ///
     /// # Errors
-    /// [`BenchError::Peer`] when the peer fails, [`BenchError::Signal`] when a signal comes.
-    pub fn cadence(&mut self, ticks: u64, period_ns: u64) -> Result<Vec<TickTimes>, BenchError> {
+    /// [`TimingError::Peer`] when the peer fails, [`TimingError::Signal`] when a signal comes.
+    pub fn cadence(&mut self, ticks: u64, period_ns: u64) -> Result<Vec<TickTimes>, TimingError> {
         let mut tick_times = Vec::with_capacity(ticks as usize);
         let start = (monotonic_ns() + period_ns / 2).next_multiple_of(period_ns);
         let mut tick = 0;
@@ -160,7 +159,7 @@ impl PeerExchange {
     ///
     /// # Errors
     /// As for [`cadence`](Self::cadence).
-    pub fn saturated(&mut self, ns: u64, into: &mut Latencies) -> Result<u64, BenchError> {
+    pub fn saturated(&mut self, ns: u64, into: &mut Latencies) -> Result<u64, TimingError> {
         let began = monotonic_ns();
         let (mut tick, mut due) = (0, began);
         while due < began + ns {
@@ -179,7 +178,7 @@ impl PeerExchange {
     ///
     /// # Errors
     /// As for [`cadence`](Self::cadence).
-    pub fn rounds(&mut self, rounds: u64) -> Result<u64, BenchError> {
+    pub fn rounds(&mut self, rounds: u64) -> Result<u64, TimingError> {
         self.observation.header.flags = 0;
         let began = monotonic_ns();
         for round in 0..rounds {
@@ -212,7 +211,7 @@ impl Drop for PeerExchange {
 }
 
 /// This side's end of a transport, and the peer at the other end.
-fn set_up(transport: Transport) -> Result<(TransportEnd<Observation, Command>, Child), BenchError> {
+fn set_up(transport: Transport) -> Result<(TransportEnd<Observation, Command>, Child), TimingError> {
     let io = |cause: std::io::Error| failed(transport, cause);
     let mut program = Program::new(std::env::current_exe().map_err(io)?);
     program.args(["bench", "peer", "--over", transport.name()]);

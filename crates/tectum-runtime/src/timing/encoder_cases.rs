@@ -7,9 +7,8 @@
 use std::f64::consts::PI;
 use std::hint::black_box;
 
-use super::calls::CallCase;
-use super::costs::GrowthKey;
-use super::run_block::SCENARIO;
+use super::SCENARIO;
+use super::calls::{CallCase, GrowthKey};
 use crate::encoder::naive::{NaiveEncoder, SeparableEncoder};
 use crate::encoder::{Axis, Encoder, Map};
 use crate::scenario::{Scenario, ScenarioError};

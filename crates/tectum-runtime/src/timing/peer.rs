@@ -4,7 +4,7 @@
 use std::fs::File;
 use std::os::fd::AsFd as _;
 
-use super::BenchError;
+use super::TimingError;
 use super::transport::{DONE, STAMPED, Transport, TransportEnd, TransportError};
 use crate::channel::{BareExchange, DomainName, SharedPage};
 use crate::clock::{ProcessHandle, monotonic_ns, precise_timers};
@@ -26,10 +26,10 @@ impl From<TransportError> for PeerEnd {
 /// number of its domain instead.
 ///
 /// # Errors
-/// [`BenchError::Peer`] when the transport cannot be set up or fails, as it does when no bench has started this
+/// [`TimingError::Peer`] when the transport cannot be set up or fails, as it does when no bench has started this
 /// process.
-pub fn serve(transport: Transport, domain: Option<u64>) -> Result<(), BenchError> {
-    let failed = |cause: String| BenchError::Peer { transport: transport.name(), cause };
+pub fn serve(transport: Transport, domain: Option<u64>) -> Result<(), TimingError> {
+    let failed = |cause: String| TimingError::Peer { transport: transport.name(), cause };
     let parent = rustix::process::getppid().and_then(|parent| ProcessHandle::of(parent.as_raw_pid() as u32));
     let parent = parent.ok_or_else(|| failed("it has no parent".to_owned()))?;
     let mut end = open(transport, domain).map_err(|error| failed(error.to_string()))?;

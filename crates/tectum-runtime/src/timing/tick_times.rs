@@ -13,7 +13,7 @@ use crate::stats::{Percentiles, histogram};
 
 /// The instants of one tick on CLOCK_MONOTONIC, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct TickTimes {
+pub struct TickTimes {
     /// The tick.
     pub tick: u64,
     /// The instant for which the tick was scheduled.
@@ -28,7 +28,7 @@ pub(crate) struct TickTimes {
 
 /// The latencies of many ticks, ns.
 #[derive(Debug, Clone)]
-pub(crate) struct Latencies {
+pub struct Latencies {
     /// From the scheduled instant to the sensed observation.
     pub scheduled_to_sensed: Histogram<u64>,
     /// From there to the sent command.
@@ -48,7 +48,7 @@ pub(crate) struct Latencies {
 }
 
 /// Names of the five series, as in file names.
-pub(super) const SERIES: [&str; 5] =
+pub const SERIES: [&str; 5] =
     ["scheduled-to-sensed", "sensed-to-command", "command-to-applied", "sensed-to-applied", "scheduled-to-applied"];
 
 impl Default for Latencies {
@@ -148,7 +148,7 @@ fn note(histogram: &mut Histogram<u64>, from: u64, to: u64) {
 
 /// The percentiles of all series, us; null for a series without samples.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
-pub(crate) struct SeriesPercentiles {
+pub struct SeriesPercentiles {
     /// From the scheduled instant to the sensed observation.
     pub scheduled_to_sensed_us: Option<Percentiles>,
     /// From there to the sent command.
@@ -176,7 +176,7 @@ impl SeriesPercentiles {
 
 /// A histogram of nanoseconds as HdrHistogram's text, in us: the percentile distribution that its plotting
 /// tools read.
-pub(super) fn hgrm(histogram: &Histogram<u64>) -> String {
+pub fn hgrm(histogram: &Histogram<u64>) -> String {
     use std::fmt::Write as _;
     let mut text = format!("{:>12} {:>14} {:>10} {:>14}\n\n", "Value", "Percentile", "TotalCount", "1/(1-Percentile)");
     if histogram.is_empty() {

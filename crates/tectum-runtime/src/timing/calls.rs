@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use super::BenchError;
-use super::context::check_signals;
+use super::{TimingError, check_signals};
 use crate::clock::{TerminationSignals, monotonic_ns};
+use crate::simd::SimdPath;
 use crate::stats::Spread;
 
 /// The duration of a batch, about, ns: long against reading the clock, short against a time slice of the scheduler.
@@ -40,9 +40,22 @@ impl<'a, K> CallCase<'a, K> {
     }
 }
 
+/// Names a case whose cost grows with the number of features.
+#[derive(Debug, Clone)]
+pub struct GrowthKey {
+    /// What is called.
+    pub what: String,
+    /// On which SIMD path.
+    pub path: SimdPath,
+    /// Number of features.
+    pub features: u64,
+    /// Number of outputs; 1 where there are none.
+    pub outputs: u64,
+}
+
 /// The time of a call, over batches, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub(crate) struct CallTimes {
+pub struct CallTimes {
     /// Median of the batches.
     pub median: f64,
     /// The quickest batch.
@@ -56,11 +69,14 @@ pub(crate) struct CallTimes {
 }
 
 /// Runs `batches` batches of each case, in turns.
-pub(super) fn in_turns<K>(
+///
+/// # Errors
+/// [`TimingError::Signal`] when a signal comes.
+pub fn in_turns<K>(
     mut cases: Vec<CallCase<K>>,
     batches: u64,
     signals: &TerminationSignals,
-) -> Result<Vec<(K, CallTimes)>, BenchError> {
+) -> Result<Vec<(K, CallTimes)>, TimingError> {
     let mut calls = Vec::with_capacity(cases.len());
     for case in &mut cases {
         calls.push(calibrate(|n| timed(case, n)));

@@ -9,7 +9,7 @@ use crate::wire::MAX_INPUTS;
 /// The reference controllers know the arm of the paper: absolute angles, joints that turn freely or stand
 /// still, and a reward for error, speed and posture. They ignore the other settings of the arm.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct FixedArm {
+pub struct FixedArm {
     config: ArmConfig,
     period_s: f64,
     /// The angle at which a joint stands still, rad; `None` for a joint that moves.

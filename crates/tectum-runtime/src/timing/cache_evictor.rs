@@ -8,8 +8,7 @@ use std::thread::JoinHandle;
 
 use rustix::thread::{CpuSet, sched_setaffinity};
 
-use super::machine::{cores, last_level_cache};
-use crate::clock::{monotonic_ns, sleep_until};
+use crate::clock::{cores, last_level_cache, monotonic_ns, sleep_until};
 
 /// A cache line in 64-bit words.
 const STRIDE: usize = 8;
@@ -17,7 +16,7 @@ const STRIDE: usize = 8;
 const MAX_BUFFER: usize = 256 << 20;
 
 /// Evicts caches periodically until it is dropped.
-pub(super) struct CacheEvictor {
+pub struct CacheEvictor {
     shared: Arc<Shared>,
     threads: Vec<JoinHandle<()>>,
 }
