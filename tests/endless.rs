@@ -91,6 +91,8 @@ fn an_endless_run_stays_within_its_limits() {
     assert!(summary["log_removed_segments"].as_u64() >= Some(2), "{summary}");
     assert!(summary["log_bytes"].as_u64() <= Some(1_200_000), "{summary}");
     assert_eq!(summary["failure"], Value::Null, "{summary}");
+    // Each segment of 100 kB begins with an account, so that no more than one of them is read again.
+    assert!((1..1_000).contains(&summary["log_reread"].as_u64().unwrap()), "{summary}");
     let size: u64 = segments(&folder).iter().map(|path| fs::metadata(path).unwrap().len()).sum();
     assert_eq!(summary["log_bytes"].as_u64(), Some(size));
     let checkpoints = fs::read_dir(folder.join("checkpoints")).unwrap().count();

@@ -210,3 +210,63 @@ fn plants_of_ones_own_are_swept() {
     assert!(own.iter().all(|row| row["loss"]["median"].is_f64()), "{sweep}");
     assert_eq!(own[1]["weights_hash"][1], run["weights_hash"], "{sweep}\n{run}");
 }
+
+/// `xargs` shares a comparison out to four processes, as a scheduler does to machines. Together they are equal to one
+/// process's result, a changed result is found, and a part of the seeds can be made again.
+#[test]
+fn results_are_verified_bit_for_bit() {
+    let test_folder = TestFolder::new();
+    run(&test_folder, &[&COMPARE, &["--seeds", "5000..5008", "--out", "whole"]]);
+    let compare = COMPARE.join(" ");
+    let script = format!(
+        "seq 5000 2 5006 | xargs -P 4 -I FIRST sh -c '\"{TECTUM}\" {compare} --seeds FIRST..$((FIRST + 2)) \
+         --part FIRST.jsonl > FIRST.json'"
+    );
+    test_folder.start("/bin/sh", &["-c", &script]).wait().expect(0);
+    let parts = ["5000.jsonl", "5002.jsonl", "5004.jsonl", "5006.jsonl"];
+    run(&test_folder, &[&["merge"], &parts, &["--out", "merged", "--json"]]);
+    let [whole, merged] = ["whole", "merged"].map(|name| test_folder.path().join(name));
+    assert_same(&whole, &merged, &["compare.csv", "curves.csv", "figure.svg"]);
+    let found = run(&test_folder, &[&["compare", "--json", "--verify", "whole"], &parts]);
+    assert_eq!((&found["compared"], &found["equal"]), (&Value::from(16), &Value::from(16)), "{found}");
+    assert_eq!((&found["holds"], &found["alone"]), (&Value::from(true), &serde_json::json!([0, 0])), "{found}");
+    let text = test_folder.tectum("compare", &["--verify", "whole", parts[1]]).expect(0).stdout;
+    assert_eq!(
+        text,
+        "compare: 4 of 4 runs are equal, bit for bit; 12 runs are only in the first result, 0 only in the second\n"
+    );
+
+    // Of one result, a share is made again.
+    let again = run(&test_folder, &[&["compare", "--json", "--verify", "5002.jsonl", "--sample", "0.3"]]);
+    assert_eq!((&again["compared"], &again["holds"]), (&Value::from(2), &Value::from(true)), "{again}");
+    assert_eq!(again["made_again"].as_array().unwrap().len(), 1, "{again}");
+
+    // A number that differs by its last bit, under a checksum that fits.
+    let file = test_folder.path().join("5002.jsonl");
+    let text = fs::read_to_string(&file).unwrap();
+    let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+    for line in &mut lines[1..] {
+        let mut row: Value = serde_json::from_str(line).unwrap();
+        let hash = row["result"]["weights_hash"].as_str().unwrap();
+        let flipped = format!("{:016x}", u64::from_str_radix(hash, 16).unwrap() ^ 1);
+        row["result"]["weights_hash"] = flipped.into();
+        let sum = format!("{}\n{}", row["job"].as_str().unwrap(), row["result"]);
+        row["check"] = format!("{:016x}", xxhash_rust::xxh3::xxh3_64(sum.as_bytes())).into();
+        *line = row.to_string();
+    }
+    fs::write(&file, lines.join("\n") + "\n").unwrap();
+    for arguments in [&["whole", "5002.jsonl"][..], &["5002.jsonl", "--sample", "1"]] {
+        let outcome = test_folder.tectum("compare", &[&["--verify"], arguments].concat()).expect(1);
+        assert!(outcome.stdout.starts_with("compare: 0 of 4 runs are equal, bit for bit"), "{outcome:#?}");
+        assert!(outcome.stdout.contains("actor-critic seed 5002: weights_hash is \""), "{outcome:#?}");
+    }
+    for (arguments, what) in [
+        (&["--verify", "5000.jsonl", "5004.jsonl"][..], "the results have no run in common"),
+        (&["--verify", "nowhere"], "nowhere cannot be read"),
+        (&["--verify", "5000.jsonl", "--sample", "0"], "--sample is 0; give a share of the seeds"),
+        (&["--verify", "5000.jsonl", "--sample", "nan"], "--sample is NaN"),
+    ] {
+        let refused = test_folder.refused("compare", arguments);
+        assert!(refused.contains(what), "{refused}");
+    }
+}

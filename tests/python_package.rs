@@ -151,6 +151,22 @@ fn a_run_in_python_is_resumed_from_its_checkpoints() {
     );
 }
 
+/// Plant and controller in Python keep as many checkpoints as those in Rust, and go on from what is left.
+#[test]
+#[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]
+fn a_run_in_python_keeps_as_many_checkpoints_as_it_is_told() {
+    let test_folder = TestFolder::new();
+    let scenario = scenario(&test_folder, "controller.toml", &[], "");
+    let often = ["--checkpoint-every", "200", "--keep-checkpoints", "2", "--json"];
+    let summary = test_folder.run(&[&[&scenario[..], "--ticks", "1900"], &often[..]].concat()).wait().expect(0).json();
+    let kept = std::fs::read_dir(test_folder.run_folder().join("checkpoints")).unwrap();
+    let mut kept: Vec<_> = kept.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    kept.sort();
+    let expected = [1800, 1900].map(|tick| ["controller", "plant"].map(|role| format!("{tick}.{role}.safetensors")));
+    assert_eq!(kept, expected.concat(), "{summary}");
+    test_folder.start(TECTUM, &["run", "--resume", "run", "--ticks", "2000", "--out", "rest"]).wait().expect(0);
+}
+
 /// The launcher's faults of processes need nothing of a process but that it comes back.
 #[test]
 #[ignore = "needs a Python with the packages of examples/python/requirements.txt, named by TECTUM_PYTHON"]

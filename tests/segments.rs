@@ -100,6 +100,11 @@ fn in_lockstep_a_killed_logger_loses_nothing() {
         assert!(text.contains(words), "{words}: {text}");
     }
 
+    // The logger before it had left its account: of the 180,000 messages only the last few thousand were read again.
+    let reread = summary["log_reread"].as_u64().unwrap();
+    assert!((1..20_000).contains(&reread), "{summary}");
+    assert!(!test_folder.run_folder().join("logger.account.json").exists(), "the account goes with the run");
+
     // What was sent while the logger was away was still in the rings.
     assert_eq!(summary["lost"], 0, "{summary}");
     let done = test_folder.tectum("replay", &["run", "--json"]).expect(0).json();

@@ -1,7 +1,7 @@
 //! The browser's face of `tectum watch`: over HTTP, and in Chromium where there is one.
 //!
 //! ```text
-//! cargo test --test watch_web -- --ignored       # in Chromium, and what it costs
+//! cargo test --test watch_web -- --ignored       # Chromium, prometheus_client (of TECTUM_PYTHON), and what it costs
 //! TECTUM_SNAPSHOTS=write ...                     # writes docs/figures/watch.png anew
 //! ```
 
@@ -179,5 +179,94 @@ fn what_twenty_updates_a_second_cost() {
     let used = processor_time(watcher.id()) - before;
     let share = 100.0 * used.as_secs_f64() / began.elapsed().as_secs_f64();
     println!("{updates} updates in {:.1?}: {share:.1} % of a core", began.elapsed());
+    end(run);
+}
+
+/// The value of a sample in Prometheus' text.
+fn metric(text: &str, name: &str) -> f64 {
+    let value = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+    value.unwrap_or_else(|| panic!("{name}: {text}")).parse().unwrap()
+}
+
+#[test]
+fn metrics_tell_of_a_run_its_restart_and_its_end() {
+    let folder = TestFolder::new();
+    let mut run = long_run(&folder);
+    let watcher = WebWatcher::start(&folder, &["run", "--metrics", "127.0.0.1:0"]);
+    assert!(watcher.url.ends_with("/metrics"), "{}", watcher.url);
+    let get = || watcher.get("/metrics", watcher.host());
+    let until = |run: &mut Process, what: &str, found: &dyn Fn(&str) -> bool| {
+        run.wait_until(what, || found(&get()));
+        get()
+    };
+    let text = until(&mut run, "a loss", &|text| text.contains("\ntectum_loss "));
+    assert!(text.starts_with("HTTP/1.1 200 OK") && text.contains("Content-Type: text/plain; version=0.0.4"), "{text}");
+    assert!(metric(&text, "tectum_ticks_total{process=\"plant\"}") > 0.0);
+    assert_eq!(metric(&text, "tectum_tick_period_seconds"), 0.05);
+    let late = ["0.5", "0.9", "0.99", "1"]
+        .map(|share| metric(&text, &format!("tectum_wake_up_lateness_seconds{{quantile=\"{share}\"}}")));
+    assert!(late.is_sorted() && late[0] > 0.0, "{late:?}");
+    let killed = run.kill_child("tectum-controller");
+    run.next_child_pid("tectum-controller", killed);
+    let restarts = "tectum_process_restarts_total{process=\"controller\"}";
+    let text = until(&mut run, "the restart", &|text| metric(text, restarts) == 1.0);
+    assert_eq!(metric(&text, "tectum_process_restarts_total{process=\"plant\"}"), 0.0);
+    until(&mut run, "missed ticks", &|text| metric(text, "tectum_missed_ticks_total") > 0.0);
+    // There is no page, and it can be asked for a head alone.
+    assert!(watcher.get("/", watcher.host()).starts_with("HTTP/1.1 404"));
+    let mut head = String::new();
+    let request = format!("HEAD /metrics HTTP/1.1\r\nHost: {}\r\n\r\n", watcher.host());
+    watcher.ask(&request).read_to_string(&mut head).unwrap();
+    assert!(head.contains("Content-Length: ") && head.ends_with("\r\n\r\n"), "{head}");
+    end(run);
+    while metric(&get(), "tectum_run_alive") != 0.0 {}
+    watcher.end();
+
+    // The page's server has them, too.
+    let watcher = WebWatcher::start(&folder, &["--wait", "--web", "127.0.0.1:0"]);
+    assert_eq!(metric(&watcher.get("/metrics", watcher.host()), "tectum_run_alive"), 0.0);
+    watcher.end();
+    let refused = folder.tectum("watch", &["--wait", "--metrics", "nowhere"]).expect(2).stderr;
+    assert!(refused.contains("nothing can be served at nowhere"), "{refused}");
+}
+
+/// A parser that others wrote takes the metrics, and finds names, kinds and labels as meant.
+#[test]
+#[ignore = "needs the Python package prometheus_client"]
+fn prometheus_own_parser_reads_the_metrics() {
+    let folder = TestFolder::new();
+    let mut run = long_run(&folder);
+    let watcher = WebWatcher::start(&folder, &["run", "--metrics", "127.0.0.1:0"]);
+    run.wait_until("a loss", || watcher.get("/metrics", watcher.host()).contains("\ntectum_loss "));
+    let code = "
+import sys, urllib.request
+from prometheus_client.parser import text_string_to_metric_families as parse
+families = list(parse(urllib.request.urlopen(sys.argv[1]).read().decode()))
+print(' '.join(sorted(f'{family.name}:{family.type}:{len(family.samples)}' for family in families)))
+assert all(family.documentation.endswith('.') for family in families)
+";
+    let output =
+        std::process::Command::new(support::python::python()).args(["-c", code, &watcher.url]).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!(
+        text.split_whitespace().collect::<Vec<_>>(),
+        [
+            "tectum_late_commands:counter:1",
+            "tectum_loss:gauge:1",
+            "tectum_lost_samples:counter:1",
+            "tectum_missed_ticks:counter:1",
+            "tectum_process_restarts:counter:3",
+            "tectum_process_up:gauge:3",
+            "tectum_run_alive:gauge:1",
+            "tectum_run_info:gauge:1",
+            "tectum_skipped_ticks:counter:1",
+            "tectum_tick_period_seconds:gauge:1",
+            "tectum_ticks:counter:3",
+            "tectum_unseen_observations:counter:1",
+            "tectum_wake_up_lateness_seconds:summary:6",
+        ]
+    );
+    watcher.end();
     end(run);
 }

@@ -5,12 +5,13 @@ use std::process::ExitCode;
 
 use clap::Args;
 use tectum::reference::STARTS;
+use tectum::runtime::exit;
 use tectum::study::compare::{ArmChange, Changes, ComparedLearner, Comparison, LEARNERS, compare, learner};
-use tectum::study::{StudyError, StudyPlace};
+use tectum::study::{StudyError, StudyPlace, verify};
 
 use super::seeds::SeedsArgument;
 use super::tick_count::tick_count;
-use super::{continued_output, study_ended, study_output};
+use super::{continued_output, print, study_ended, study_output};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -32,7 +33,9 @@ Examples:
   tectum compare --learners actor-critic --first-seed 1 --set learner.critic.step=0.1
                                                        try a setting, on seeds to tune on
   tectum compare --seeds 1000..1010 --part a.jsonl     a part of a comparison; see tectum merge
-  tectum compare --continue runs/compare-1             go on with one that was interrupted")]
+  tectum compare --continue runs/compare-1             go on with one that was interrupted
+  tectum compare --verify runs/compare-1 --sample 0.1  make a tenth of its seeds again: the same bits?
+  tectum compare --verify runs/compare-1 parts/*.jsonl are these two results equal, bit for bit?")]
 pub struct Arguments {
     /// Learners to compare, separated by commas: paper, baseline, actor-critic, natural-actor-critic,
     /// learned-reward, model-predictive, or scenario files with a controller or settings of your own [default: the
@@ -71,13 +74,32 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR", conflicts_with_all = ["learners", "seeds", "first_seed", "ticks", "block", "change",
         "set", "starts", "out", "part"])]
     r#continue: Option<PathBuf>,
+    /// Compare results bit for bit: that of the first file, or folder, with those of the others; a single one with
+    /// what this machine makes of a part of its seeds. Rows of other studies will do as well
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["learners", "seeds", "first_seed", "ticks",
+        "block", "change", "set", "starts", "out", "part", "continue"])]
+    verify: Vec<PathBuf>,
+    /// Share of the seeds that --verify makes again, at least one
+    #[arg(long, value_name = "SHARE", default_value_t = 0.05, requires = "verify", allow_negative_numbers = true)]
+    sample: f64,
     /// Print one JSON object instead of the tables
     #[arg(long)]
     json: bool,
 }
 
 pub fn main(arguments: &Arguments) -> ExitCode {
-    study_ended(run(arguments))
+    if arguments.verify.is_empty() { study_ended(run(arguments)) } else { verified(arguments) }
+}
+
+/// Prints what a verification found; results that differ are an error.
+fn verified(arguments: &Arguments) -> ExitCode {
+    match verify(&arguments.verify, arguments.sample, true) {
+        Ok(found) => {
+            let printed = print(&if arguments.json { found.to_json() + "\n" } else { found.to_text() });
+            if found.holds() { printed } else { ExitCode::from(exit::ERROR) }
+        }
+        Err(error) => study_ended(Err(error)),
+    }
 }
 
 fn run(arguments: &Arguments) -> Result<String, StudyError> {

@@ -7,7 +7,9 @@ use clap::Args;
 use tectum::clock::TerminationSignals;
 use tectum::process::{print_error_line, print_result};
 use tectum::runtime::exit;
-use tectum::watch::{FaceEnd, Follower, WatchError, WatchTarget, snapshot, watch_in_browser, watch_in_terminal};
+use tectum::watch::{
+    FaceEnd, Follower, WatchError, WatchTarget, serve_metrics, snapshot, watch_in_browser, watch_in_terminal,
+};
 
 use super::print;
 
@@ -20,6 +22,7 @@ Examples:
   tectum watch --wait                    the next run, if none is alive
   tectum watch --web                     a page in a browser: http://127.0.0.1:8417/
   tectum watch --web 0.0.0.0:8417        the same for other machines, with a token
+  tectum watch --metrics 9417            metrics for Prometheus: http://127.0.0.1:9417/metrics
   tectum watch --json                    one object with the numbers of now
 
 A watcher slows nothing: it only reads shared memory, and leaves out what is too much. Keys: q quits, space pauses, ?
@@ -35,6 +38,10 @@ pub struct Arguments {
     /// printed link has
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "", conflicts_with = "json")]
     web: Option<String>,
+    /// Serve metrics in Prometheus' text format at this address (PORT or HOST:PORT), under /metrics; other addresses
+    /// than this machine's own need a token, which the printed link has
+    #[arg(long, value_name = "ADDR", conflicts_with_all = ["json", "web"])]
+    metrics: Option<String>,
     /// Print one JSON object with the numbers of now, and end
     #[arg(long)]
     json: bool,
@@ -60,12 +67,11 @@ fn watch(arguments: &Arguments) -> Result<ExitCode, WatchError> {
             None => ExitCode::from(exit::by_signal(signals.received())),
         });
     }
-    let end = match &arguments.web {
-        Some(address) => {
-            let announce = |url: &str| print_result(&format!("{url}\n"));
-            watch_in_browser(&mut follower, address, &signals, announce)?
-        }
-        None => watch_in_terminal(&mut follower, &signals, || false)?,
+    let announce = |url: &str| print_result(&format!("{url}\n"));
+    let end = match (&arguments.web, &arguments.metrics) {
+        (Some(address), _) => watch_in_browser(&mut follower, address, &signals, announce)?,
+        (None, Some(address)) => serve_metrics(&mut follower, address, &signals, announce)?,
+        (None, None) => watch_in_terminal(&mut follower, &signals, || false)?,
     };
     Ok(match end {
         FaceEnd::Quit | FaceEnd::Over => ExitCode::SUCCESS,

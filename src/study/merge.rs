@@ -51,7 +51,7 @@ pub fn continue_study(folder: &Path, study: &str, progress: bool) -> Result<Merg
 }
 
 /// Makes the study whose rows have the first line `head`.
-fn study_of(
+pub(super) fn study_of(
     head: &StudyHead,
     place: StudyPlace,
     out: Option<&Path>,

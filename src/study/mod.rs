@@ -18,9 +18,11 @@ mod study_rows;
 pub mod sweep;
 pub mod tasks;
 mod text;
+mod verify;
 mod worker_pool;
 
 pub use error::StudyError;
 pub use merge::{MergedStudy, continue_study, merge};
 pub use study_rows::{SeedRange, StudyEnd, StudyHead, StudyPart, StudyPlace};
+pub use verify::{RunDifference, Verification, verify};
 pub(crate) use worker_pool::{JobProgress, KeptJob, WorkerPool};

@@ -53,7 +53,7 @@ impl SeedRange {
 #[serde(deny_unknown_fields)]
 pub struct StudyHead {
     /// Version of the format.
-    format: u32,
+    pub(super) format: u32,
     /// The study: `compare`, `reproduce arm`, `sweep`, ...
     pub study: String,
     /// Everything that its results depend on beside the seeds, with the scenarios in full.
@@ -110,12 +110,13 @@ fn short(value: &Value) -> String {
 #[serde(deny_unknown_fields)]
 pub(super) struct StudyRow {
     /// Name of the run: learner or variant, and seed.
-    job: String,
+    pub job: String,
     /// The machine on which it ran.
     host: String,
     /// Seconds that it took there.
     seconds: f64,
-    result: Value,
+    /// What came of it.
+    pub result: Value,
     /// Checksum over name and result, hexadecimal.
     check: String,
 }
@@ -309,7 +310,7 @@ fn parse(path: &Path, text: &[u8]) -> Result<(Option<StudyHead>, Vec<StudyRow>, 
 }
 
 /// A result without what the clock has said, which differs from machine to machine.
-fn without_times(result: &Value) -> Value {
+pub(super) fn without_times(result: &Value) -> Value {
     let mut result = result.clone();
     if let Some(fields) = result.as_object_mut() {
         fields.remove(TIMES);
@@ -318,7 +319,7 @@ fn without_times(result: &Value) -> Value {
 }
 
 /// Where two results part first: a path and both values.
-fn first_difference(at: &str, a: &Value, b: &Value) -> Option<String> {
+pub(super) fn first_difference(at: &str, a: &Value, b: &Value) -> Option<String> {
     if a == b {
         return None;
     }

@@ -162,6 +162,8 @@ pub struct RunSummary {
     pub log_segments: usize,
     /// Older segments that were removed because the log had reached `[log] limit_mb`.
     pub log_removed_segments: u64,
+    /// Messages that the last logger to come back read again before it listened; 0 where none came back.
+    pub log_reread: u64,
     /// The tick from which on samples are missing because the log did not take them; null where it did.
     pub log_missing_from: Option<u64>,
     /// Its size, all segments, bytes.
@@ -398,6 +400,7 @@ impl RunSummary {
         let logger = report.unwrap_or_default();
         self.log_missing_from = logger.missing_from;
         self.log_removed_segments = logger.removed_segments;
+        self.log_reread = logger.reread;
         // The logger's report outlives plants and controllers.
         for (shown, counted) in [
             (&mut self.wake_up_lateness_us, logger.wake_up_lateness),

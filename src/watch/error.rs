@@ -59,8 +59,8 @@ pub enum WatchError {
     Terminal(std::io::Error),
     /// The address cannot be listened on.
     #[error(
-        "the page cannot be served at {address}: {cause}; give another address, such as --web 127.0.0.1:0, which \
-        takes any free port"
+        "nothing can be served at {address}: {cause}; give another address, such as 127.0.0.1:0, which takes any free \
+         port"
     )]
     Address {
         /// The address.

@@ -21,4 +21,4 @@ pub use follower::{Follower, WatchTarget};
 pub use snapshot::snapshot;
 pub use terminal::{FaceEnd, watch_in_terminal};
 pub use watched_run::{WatchedRun, end_with_parent, launch_and_watch};
-pub use web::watch_in_browser;
+pub use web::{serve_metrics, watch_in_browser};

@@ -150,6 +150,7 @@ impl RunWatcher {
             first: header.flags & flag::FIRST != 0,
             new_target: header.flags & flag::NEW_TARGET != 0,
             scheduled_ns: header.scheduled_ns,
+            sensed_ns: header.sensed_ns,
             published_ns: header.published_ns,
             inputs,
             applied: &sample.applied[..self.plan.outputs.len()],

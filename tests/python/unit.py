@@ -6,13 +6,14 @@ import random
 import tempfile
 import unittest
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import safetensors.numpy
 import xxhash
 
 from tectum import streams
-from tectum.checkpoint import decode, encode
+from tectum.checkpoint import Checkpoints, decode, encode, ticks_of
 from tectum.crash_store import HEAD, CrashStore, Ring
 from tectum.errors import Refused
 from tectum.programs import find
@@ -70,6 +71,38 @@ class CheckpointFiles(unittest.TestCase):
                 with self.assertRaises(Refused, msg=at) as caught:
                     decode(file)
                 self.assertIn("7.plant.safetensors", str(caught.exception))
+
+
+class KeptCheckpoints(unittest.TestCase):
+    def written(self, keep, folder, ticks):
+        manifest = {"keep_checkpoints": keep} if keep else {}
+        wire = {"scenario": "1", "schema": "2", "build": "3"}
+        checkpoints = Checkpoints(SimpleNamespace(manifest=manifest, folder=folder, id=1, wire=wire), "plant")
+        for tick in ticks:
+            checkpoints.write(tick, tick, [b"state"])
+        return checkpoints.finish()
+
+    def test_the_newest_stay(self):
+        ticks = [8, 9, 10, 100, 1000]
+        for keep, left in ((0, ticks), (2, [100, 1000]), (9, ticks)):
+            with tempfile.TemporaryDirectory() as name:
+                folder = Path(name)
+                (folder / "checkpoints").mkdir()
+                others = [folder / "checkpoints" / name for name in ("7.controller.safetensors", "notes.txt")]
+                for other in others:
+                    other.write_text("")
+                self.assertEqual(self.written(keep, folder, ticks), (len(ticks), None))
+                self.assertEqual(ticks_of(folder, "plant"), left)
+                self.assertTrue(all(other.exists() for other in others), "those of others are left alone")
+
+    def test_a_failure_is_remembered_however_many_follow(self):
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "checkpoints").mkdir()
+            (folder / "checkpoints" / "5.plant.safetensors").mkdir()
+            count, failure = self.written(2, folder, [5, *range(10, 40)])
+            self.assertEqual(count, 30)
+            self.assertIn("a checkpoint cannot be written", failure)
 
 
 class States(unittest.TestCase):

@@ -13,6 +13,8 @@ const RECORDS: usize = 6000;
 const RECORD_EVERY_S: f64 = 0.045;
 /// Targets whose outcomes are kept.
 const TARGETS: usize = 400;
+/// Ticks of the mean of recent losses.
+const LOSSES: usize = 100;
 /// Ticks whose instants are kept until all samples of the tick have come.
 const OPEN_TICKS: usize = 256;
 /// Time over which the rate is measured, s.
@@ -38,6 +40,8 @@ pub struct RunView {
     pub events: EventLog,
     /// The times of each [`Stage`] of the tick; empty in lockstep.
     pub stages: [StageTimes; 4],
+    /// In real time: from a tick's scheduled instant to its sensing.
+    pub wake_up: StageTimes,
     /// Plant, controller and logger.
     pub processes: [SeenProcess; 3],
     /// Samples of the plant that went by between two looks of the watcher, or were overwritten before it came.
@@ -59,6 +63,8 @@ pub struct RunView {
     target: Option<OpenTarget>,
     /// Instants, s, and ticks done, for the rate.
     progress: VecDeque<(f64, u64)>,
+    /// Losses of the last ticks.
+    losses: VecDeque<f64>,
     next_change: usize,
 }
 
@@ -95,6 +101,8 @@ impl RunView {
             && let Some(before) = tick.checked_sub(1)
         {
             self.loss.add(before, loss);
+            self.losses.push_back(loss);
+            self.losses.drain(..self.losses.len().saturating_sub(LOSSES));
             if let Some(error) = error {
                 self.error.add(before, f64::from(error));
             }
@@ -116,6 +124,7 @@ impl RunView {
         };
         self.newest = Some(record);
         if self.facts.realtime {
+            self.wake_up.add(us(sample.sensed_ns.saturating_sub(sample.scheduled_ns)));
             self.open[tick as usize % OPEN_TICKS] = [tick, sample.scheduled_ns, sample.published_ns, 0];
             let spaced = |last: &TickRecord| self.facts.seconds(tick.saturating_sub(last.tick)) >= RECORD_EVERY_S;
             if self.records.back().is_none_or(spaced) {
@@ -221,6 +230,12 @@ impl RunView {
         self.tick.max(self.processes[0].ticks)
     }
 
+    /// Mean loss of the last 100 ticks that were seen; `None` before the first.
+    pub fn recent_loss(&self) -> Option<f64> {
+        let ticks = self.losses.len();
+        (ticks > 0).then(|| self.losses.iter().sum::<f64>() / ticks as f64)
+    }
+
     /// Seconds until the last tick at the present rate; `None` if there is none yet.
     pub fn seconds_left(&self) -> Option<f64> {
         let left = self.facts.ticks.saturating_sub(self.ticks_done());
@@ -296,6 +311,7 @@ pub(crate) mod tests {
             first: tick == 0,
             new_target: tick.is_multiple_of(40),
             scheduled_ns,
+            sensed_ns: scheduled_ns + 60_000,
             published_ns: scheduled_ns + 80_000,
             inputs: &[0.3, 0.1, angle, -angle],
             applied: &[0.01, -0.02],

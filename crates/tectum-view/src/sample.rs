@@ -15,6 +15,8 @@ pub struct SeenObservation<'a> {
     pub new_target: bool,
     /// When the tick was scheduled, ns.
     pub scheduled_ns: u64,
+    /// When the inputs were sensed, ns.
+    pub sensed_ns: u64,
     /// When it was sent, ns.
     pub published_ns: u64,
     /// The inputs.

@@ -33,12 +33,13 @@ impl Stage {
 pub struct StageTimes {
     last: Vec<f32>,
     next: usize,
+    sum: f64,
     histogram: [u64; BINS],
 }
 
 impl Default for StageTimes {
     fn default() -> Self {
-        Self { last: Vec::new(), next: 0, histogram: [0; BINS] }
+        Self { last: Vec::new(), next: 0, sum: 0.0, histogram: [0; BINS] }
     }
 }
 
@@ -51,6 +52,7 @@ impl StageTimes {
             self.last[self.next] = us as f32;
             self.next = (self.next + 1) % KEPT;
         }
+        self.sum += us;
         let bin = (us.max(1.0).log10() * 4.0) as usize;
         self.histogram[bin.min(BINS - 1)] += 1;
     }
@@ -61,6 +63,16 @@ impl StageTimes {
         sorted.sort_by(f32::total_cmp);
         let last = sorted.len().checked_sub(1)?;
         Some(shares.map(|share| f64::from(sorted[(share.clamp(0.0, 1.0) * last as f64).round() as usize])))
+    }
+
+    /// Sum of all times, us.
+    pub fn sum_us(&self) -> f64 {
+        self.sum
+    }
+
+    /// Number of all times.
+    pub fn count(&self) -> u64 {
+        self.histogram.iter().sum()
     }
 
     /// Bins with their lower ends, us, and how many of all times fell into each.

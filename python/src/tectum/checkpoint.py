@@ -80,14 +80,24 @@ def decode(file: Path) -> tuple[dict[str, Any], bytes]:
     return facts, state
 
 
+def ticks_of(folder: Path, role: str) -> list[int]:
+    """The ticks of the checkpoints of `role` in a run's folder, in order."""
+    names = (file.name.split(".") for file in (folder / "checkpoints").glob(f"*.{role}.safetensors"))
+    return sorted(int(name[0]) for name in names if len(name) == 3 and name[0].isdecimal())
+
+
 class Checkpoints:
     """The checkpoints of one process of a run: those that it writes, and the one from which the run goes on."""
 
     def __init__(self, run: JoinedRun, role: str) -> None:
         self.run, self.role = run, role
         self.every: int = run.manifest.get("checkpoint_every", 0)
+        self.keep: int = run.manifest.get("keep_checkpoints", 0)
+        """How many of its newest checkpoints this process keeps; 0: all."""
         self.writer = ThreadPoolExecutor(1)
         self.files: list[Future[None]] = []
+        self.written = 0
+        """Checkpoints that were written and are no longer in the list."""
         resumed: dict[str, Any] = run.manifest.get("resumed") or {}
         self.begin: int = resumed.get("tick", 0)
         """The tick with which the run begins."""
@@ -125,14 +135,26 @@ class Checkpoints:
     def write(self, tick: int, sequence: int, parts: list[bytes], sync: bool = True) -> None:
         """Writes the state at the beginning of `tick`, in a thread: no tick waits for the disk."""
         facts, file = self.facts(tick, sequence), path(self.run.folder, tick, self.role)
-        self.files.append(self.writer.submit(write_file, file, lambda: encode(facts, b"".join(parts)), sync))
+        self.files.append(self.writer.submit(self.put, file, lambda: encode(facts, b"".join(parts)), sync))
+        # Of an endless run, only failures are remembered one by one.
+        while len(self.files) > 1 and self.files[0].done() and self.files[0].exception() is None:
+            del self.files[0]
+            self.written += 1
+
+    def put(self, file: Path, content: Callable[[], bytes], sync: bool) -> None:
+        """Writes a checkpoint, and removes what is no longer kept. One that cannot be removed does no harm."""
+        write_file(file, content, sync)
+        if self.keep:
+            for tick in ticks_of(self.run.folder, self.role)[: -self.keep]:
+                with contextlib.suppress(OSError):
+                    path(self.run.folder, tick, self.role).unlink()
 
     def finish(self) -> tuple[int, str | None]:
         """Waits until all are written. Their number, and what went wrong."""
         self.writer.shutdown()
         causes = [cause for file in self.files if (cause := file.exception())]
         failure = f"a checkpoint cannot be written: {error_text(causes[-1])}" if causes else None
-        return len(self.files) - len(causes), failure
+        return self.written + len(self.files) - len(causes), failure
 
 
 def write_file(file: Path, content: Callable[[], bytes], sync: bool) -> None:

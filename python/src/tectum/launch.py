@@ -112,21 +112,31 @@ def start(
     seed: int | None = None,
     ticks: float | None = None,
     out: str | os.PathLike[str] | None = None,
+    checkpoint_every: float | None = None,
+    keep_checkpoints: int | None = None,
     by_hand: Sequence[str] = (),
     arguments: Sequence[str] = (),
 ) -> RunHandle:
     """Starts a run of a scenario file, or of a built-in scenario, and returns at once.
 
     `mode` is `lockstep` or `realtime`, by default the scenario's. `out` is the run's folder, by default
-    `runs/<scenario>-<n>`. `by_hand` names processes that join by themselves. `arguments` are further arguments of
+    `runs/<scenario>-<n>`. `checkpoint_every` is a number of ticks; of the checkpoints, the newest `keep_checkpoints`
+    stay, by default all. `by_hand` names processes that join by themselves. `arguments` are further arguments of
     `tectum run`.
     """
     command = [str(find()), "run", str(scenario), "--json", *arguments]
     folder = Path(out) if out is not None else next_folder(scenario)
     command += ["--out", str(folder)]
-    for option, value in (("--mode", mode), ("--seed", seed), ("--ticks", None if ticks is None else int(ticks))):
+    numbers = {
+        "--seed": seed,
+        "--ticks": ticks,
+        "--checkpoint-every": checkpoint_every,
+        "--keep-checkpoints": keep_checkpoints,
+    }
+    command += ["--mode", mode] if mode is not None else []
+    for option, value in numbers.items():
         if value is not None:
-            command += [option, str(value)]
+            command += [option, str(int(value))]
     for role in by_hand:
         command += ["--by-hand", role]
     # In a session of its own: Ctrl-C reaches this program alone, which stops the run.

@@ -16,6 +16,18 @@ const ANSWER_NS: u64 = 30_000_000_000;
 /// Seconds between two signs of life where nothing is new.
 const ALIVE_EVERY_S: f64 = 10.0;
 
+/// What is served, and to whom.
+pub(super) struct Served<'a> {
+    /// The page; `None` where metrics alone are served.
+    pub page: Option<&'a str>,
+    /// Gives the metrics of now.
+    pub metrics: &'a dyn Fn() -> String,
+    /// Where it is served.
+    pub local: SocketAddr,
+    /// The token that a reader needs.
+    pub token: Option<&'a str>,
+}
+
 /// What a connection is at.
 #[derive(Debug)]
 enum Stage {
@@ -72,12 +84,12 @@ impl Connection {
     }
 
     /// Reads and writes as far as that goes at once.
-    pub fn serve(&mut self, page: &str, local: SocketAddr, token: Option<&str>) {
-        self.read(page, local, token);
+    pub fn serve(&mut self, served: &Served<'_>) {
+        self.read(served);
         self.write();
     }
 
-    fn read(&mut self, page: &str, local: SocketAddr, token: Option<&str>) {
+    fn read(&mut self, served: &Served<'_>) {
         let mut bytes = [0; 2048];
         loop {
             match self.stream.read(&mut bytes) {
@@ -91,8 +103,8 @@ impl Connection {
                 Ok(n) => {
                     if let Stage::Asking(asked) = &mut self.stage {
                         asked.extend(&bytes[..n]);
-                        let found = answer(&asked[..asked.len().min(LONGEST_HEAD)], local, token);
-                        self.give(found, page);
+                        let found = answer(&asked[..asked.len().min(LONGEST_HEAD)], served.local, served.token);
+                        self.give(found, served);
                     }
                 }
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
@@ -105,27 +117,35 @@ impl Connection {
         }
     }
 
-    fn give(&mut self, answer: PageResponse, page: &str) {
-        const HTML: &str = "text/html; charset=utf-8";
-        match answer {
-            PageResponse::NotYet => {}
-            PageResponse::Page { head: only_head } => {
-                self.output.extend(head("200 OK", HTML, Some(page.len())).into_bytes());
-                self.output.extend(if only_head { "" } else { page }.bytes());
-                self.stage = Stage::Answered;
+    fn give(&mut self, answer: PageResponse, served: &Served<'_>) {
+        const NO_PAGE: &str = "There is no page here; metrics are at /metrics.";
+        match (answer, served.page) {
+            (PageResponse::NotYet, _) => {}
+            (PageResponse::Page { head }, Some(page)) => self.give_text("text/html; charset=utf-8", page, head),
+            (PageResponse::Metrics { head }, _) => {
+                self.give_text("text/plain; version=0.0.4; charset=utf-8", &(served.metrics)(), head);
             }
-            PageResponse::Events => {
+            (PageResponse::Events, Some(_)) => {
                 // A browser that loses the connection tries again after a second.
                 self.output.extend(head("200 OK", "text/event-stream", None).into_bytes());
                 self.output.extend(b"retry: 1000\n\n");
                 self.stage = Stage::Reading(PageCursor::default());
             }
-            PageResponse::Refusal(status, text) => {
-                self.output.extend(head(status, "text/plain; charset=utf-8", Some(text.len() + 1)).into_bytes());
-                self.output.extend(text.bytes().chain(*b"\n"));
-                self.stage = Stage::Answered;
-            }
+            (PageResponse::Refusal(status, text), _) => self.refuse(status, text),
+            (PageResponse::Page { .. } | PageResponse::Events, None) => self.refuse("404 Not Found", NO_PAGE),
         }
+    }
+
+    fn give_text(&mut self, kind: &str, text: &str, only_head: bool) {
+        self.output.extend(head("200 OK", kind, Some(text.len())).into_bytes());
+        self.output.extend(if only_head { "" } else { text }.bytes());
+        self.stage = Stage::Answered;
+    }
+
+    fn refuse(&mut self, status: &str, text: &str) {
+        self.output.extend(head(status, "text/plain; charset=utf-8", Some(text.len() + 1)).into_bytes());
+        self.output.extend(text.bytes().chain(*b"\n"));
+        self.stage = Stage::Answered;
     }
 
     fn write(&mut self) {

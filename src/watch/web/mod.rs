@@ -1,4 +1,4 @@
-//! The browser's face: serves the page and, to each reader, server-sent events.
+//! The browser's face: serves the page and, to each reader, server-sent events; and metrics for Prometheus.
 //!
 //! One thread does all of it, and waits for nobody. A connection is read and written as far as that goes at once. A
 //! reader gets its next update when it has taken the one before, so that a slow one gets fewer, and a connection that
@@ -16,20 +16,20 @@ use std::io::ErrorKind;
 use std::net::{SocketAddr, TcpListener};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use tectum_view::page;
+use tectum_view::{metrics, page};
 
 use super::{FaceEnd, Follower, WatchError};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use address::WebAddress;
-use connection::Connection;
+use connection::{Connection, Served};
 
 /// Time between two updates, ns.
 const UPDATE_NS: u64 = 50_000_000;
 /// Most connections at a time.
 const MOST_CONNECTIONS: usize = 64;
 
-/// Serves the page at `address` (`ADDR:PORT`, a port alone, or nothing) until a signal comes. `announce` gets the
-/// page's address when it can be read.
+/// Serves the page at `address` (`ADDR:PORT`, a port alone, or nothing), and metrics beside it, until a signal comes.
+/// `announce` gets the page's address when it can be read.
 ///
 /// # Errors
 /// [`WatchError::Address`] if the address cannot be listened on, [`WatchError::Output`] if `announce` fails.
@@ -39,18 +39,43 @@ pub fn watch_in_browser(
     signals: &TerminationSignals,
     announce: impl FnOnce(&str) -> std::io::Result<()>,
 ) -> Result<FaceEnd, WatchError> {
+    serve(follower, address, Some(page::page()), signals, announce)
+}
+
+/// Serves metrics for Prometheus, and no page, in the same way; they are at `/metrics`.
+///
+/// # Errors
+/// As [`watch_in_browser`].
+pub fn serve_metrics(
+    follower: &mut Follower,
+    address: &str,
+    signals: &TerminationSignals,
+    announce: impl FnOnce(&str) -> std::io::Result<()>,
+) -> Result<FaceEnd, WatchError> {
+    serve(follower, address, None, signals, announce)
+}
+
+/// Serves `page`, or metrics alone where there is none.
+fn serve(
+    follower: &mut Follower,
+    address: &str,
+    page: Option<String>,
+    signals: &TerminationSignals,
+    announce: impl FnOnce(&str) -> std::io::Result<()>,
+) -> Result<FaceEnd, WatchError> {
     let address = WebAddress::parse(address)?;
     let listener = address.listen()?;
     let failed = |cause: std::io::Error| WatchError::Address { address: address.to_string(), cause: cause.to_string() };
     listener.set_nonblocking(true).map_err(failed)?;
     let local = listener.local_addr().map_err(failed)?;
     let token = if local.ip().is_loopback() { None } else { Some(address::token().map_err(failed)?) };
-    announce(&link(local, token.as_deref())).map_err(WatchError::Output)?;
-    let mut server = Server { listener, local, token, page: page::page(), connections: Vec::new() };
+    let path = if page.is_some() { "" } else { "metrics" };
+    announce(&link(local, path, token.as_deref())).map_err(WatchError::Output)?;
+    let mut server = Server { listener, local, token, page, connections: Vec::new() };
     let began = monotonic_ns();
     let mut next = began;
     while signals.received() == 0 {
-        server.serve(next);
+        server.serve(next, follower);
         let now = monotonic_ns();
         if now >= next {
             next = now + UPDATE_NS;
@@ -62,21 +87,21 @@ pub fn watch_in_browser(
     Ok(FaceEnd::Signal(signals.received()))
 }
 
-fn link(local: SocketAddr, token: Option<&str>) -> String {
-    token.map_or_else(|| format!("http://{local}/"), |token| format!("http://{local}/?token={token}"))
+fn link(local: SocketAddr, path: &str, token: Option<&str>) -> String {
+    format!("http://{local}/{path}{}", token.map_or(String::new(), |token| format!("?token={token}")))
 }
 
 struct Server {
     listener: TcpListener,
     local: SocketAddr,
     token: Option<String>,
-    page: String,
+    page: Option<String>,
     connections: Vec<Connection>,
 }
 
 impl Server {
     /// Takes what comes, and writes what can be written, until the instant `until`, ns.
-    fn serve(&mut self, until: u64) {
+    fn serve(&mut self, until: u64, follower: &Follower) {
         let now = monotonic_ns();
         let wait = until.saturating_sub(now);
         let limit = Timespec { tv_sec: (wait / 1_000_000_000) as i64, tv_nsec: (wait % 1_000_000_000) as i64 };
@@ -89,8 +114,10 @@ impl Server {
         let ready: Vec<bool> = fds[1..].iter().map(|fd| !fd.revents().is_empty()).collect();
         drop(fds);
         let now = monotonic_ns();
+        let (page, token) = (self.page.as_deref(), self.token.as_deref());
+        let served = Served { page, metrics: &|| metrics(follower.view()), local: self.local, token };
         for (connection, _) in self.connections.iter_mut().zip(ready).filter(|(_, ready)| *ready) {
-            connection.serve(&self.page, self.local, self.token.as_deref());
+            connection.serve(&served);
         }
         self.connections.retain(|connection| connection.is_open(now));
         self.accept(now);

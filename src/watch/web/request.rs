@@ -19,6 +19,11 @@ pub(super) enum PageResponse {
     },
     /// Server-sent events.
     Events,
+    /// Metrics for Prometheus; without the body if the method was HEAD.
+    Metrics {
+        /// Whether only the head was asked for.
+        head: bool,
+    },
     /// A refusal: status line and one sentence.
     Refusal(&'static str, &'static str),
 }
@@ -54,7 +59,8 @@ pub(super) fn answer(bytes: &[u8], local: SocketAddr, token: Option<&str>) -> Pa
     match path {
         "/" => PageResponse::Page { head },
         "/events" if !head => PageResponse::Events,
-        _ => PageResponse::Refusal("404 Not Found", "There is nothing here; the page is at /."),
+        "/metrics" => PageResponse::Metrics { head },
+        _ => PageResponse::Refusal("404 Not Found", "There is nothing here; the page is at /, metrics at /metrics."),
     }
 }
 
@@ -111,7 +117,8 @@ mod tests {
         let with = |target: &str| ask(&format!("GET {target} HTTP/1.1\r\nHost: robot:8417\r\n\r\n"), Some("5e"));
         assert_eq!(with("/?token=5e"), PageResponse::Page { head: false });
         assert_eq!(with("/events?x=1&token=5e"), PageResponse::Events);
-        for target in ["/", "/?token=", "/?token=5", "/?token=5e5e", "/events?tok=5e", "/events"] {
+        assert_eq!(with("/metrics?token=5e"), PageResponse::Metrics { head: false });
+        for target in ["/", "/?token=", "/?token=5", "/?token=5e5e", "/events?tok=5e", "/events", "/metrics"] {
             assert!(matches!(with(target), PageResponse::Refusal("403 Forbidden", _)), "{target}");
         }
     }

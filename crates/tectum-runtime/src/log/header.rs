@@ -4,6 +4,7 @@ use super::{CHANNELS, LogError};
 use crate::scenario::{Plan, SignalConfig};
 use crate::wire::flag::FLAGS;
 use crate::wire::{ChannelNames, Command, Gap, Learning, Observation, Sample, schema_hash};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -88,7 +89,7 @@ pub struct LogHeader {
 /// In the metadata record `tectum.run` its number is under `segment`, and for each channel (`observation` and
 /// so on) `begins.<channel>` and `before.<channel>.written`, `.lost`, `.thinned` and `.duplicates`;
 /// `before.gap.written` too. A log without these keys is the first of its run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct LogSegment {
     /// The logger's start number within the run; 0 for the first file.
     pub number: u32,
@@ -141,6 +142,11 @@ impl LogSegment {
 }
 
 impl LogHeader {
+    /// The run, as the log describes it.
+    pub(crate) fn run_text(&self) -> String {
+        format!("{:016x}", self.run)
+    }
+
     /// The description of a run of `plan` on the virtual clock; for real time set [`clock`](Self::clock) and
     /// its two instants.
     pub fn new(plan: &Plan, run: u64, mode: &str, machine: BTreeMap<String, String>) -> LogHeader {
@@ -189,7 +195,7 @@ impl LogHeader {
             self.machine.iter().map(|(k, v)| (format!("machine.{k}"), v.clone())).collect();
         map.extend(self.realtime.iter().map(|(k, v)| (format!("realtime.{k}"), v.clone())));
         let mut put = |key: &str, value: String| map.insert(key.to_owned(), value);
-        put("run", format!("{:016x}", self.run));
+        put("run", self.run_text());
         put("name", self.name.clone());
         put("seed", self.seed.to_string());
         put("ticks", self.ticks.to_string());

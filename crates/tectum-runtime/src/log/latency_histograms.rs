@@ -24,6 +24,7 @@
 use std::collections::BTreeMap;
 
 use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
 
 use super::LogRecord;
 use crate::stats::{LONGEST, Percentiles, histogram};
@@ -44,6 +45,14 @@ pub struct LatencyHistograms {
     /// the sensing instant of the observation that reports its command as applied.
     published: [Option<(u64, u64)>; WINDOW],
     applied: [Option<(u64, u64)>; WINDOW],
+}
+
+/// The histograms and what has been seen of ticks that are under way: all that counting on needs.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct HistogramsState {
+    histograms: BTreeMap<String, String>,
+    published: Vec<(u64, u64)>,
+    applied: Vec<(u64, u64)>,
 }
 
 /// Names in the metadata record.
@@ -107,6 +116,24 @@ impl LatencyHistograms {
     /// The histograms, ns, in the same order.
     pub fn histograms(&self) -> &[Histogram<u64>; 3] {
         &self.histograms
+    }
+
+    /// All that [`set_state`](Self::set_state) needs.
+    pub(crate) fn state(&self) -> HistogramsState {
+        let [published, applied] = [&self.published, &self.applied].map(|w| w.iter().flatten().copied().collect());
+        HistogramsState { histograms: self.to_map(), published, applied }
+    }
+
+    /// Replaces everything by `state`. Returns false, and changes nothing, if it is invalid.
+    pub(super) fn set_state(&mut self, state: &HistogramsState) -> bool {
+        if !self.restore(&state.histograms) {
+            return false;
+        }
+        for (window, seen) in [(&mut self.published, &state.published), (&mut self.applied, &state.applied)] {
+            *window = [None; WINDOW];
+            seen.iter().for_each(|&(tick, ns)| window[tick as usize % WINDOW] = Some((tick, ns)));
+        }
+        true
     }
 
     /// The content of `tectum.histograms`.

@@ -62,6 +62,15 @@ impl MessageCounts {
         counts
     }
 
+    /// The counts after `segment`, as [`after`](Self::after), where the channels' last ticks are known.
+    pub(super) fn going_on(segment: &LogSegment, last_ticks: [Option<u64>; 3]) -> Self {
+        let mut counts = Self::after(segment);
+        for (channel, tick) in counts.channels.iter_mut().zip(last_ticks) {
+            channel.ticks = tick.map(|tick| (tick, tick));
+        }
+        counts
+    }
+
     /// Counts the next message. For a sample, returns how many samples of its channel are stated to be missing
     /// right before it.
     pub fn take(&mut self, record: &LogRecord) -> u64 {

@@ -33,6 +33,7 @@
 //! `log_time` and `publish_time` of a message are its `published_ns`, converted from the run's clock to wall
 //! time by the two instants in `tectum.run`. In lockstep both are 0, so equal runs write equal messages.
 
+mod account;
 mod chunk;
 mod copier;
 mod csv;
@@ -53,6 +54,8 @@ mod views;
 mod writer;
 
 pub use crate::scenario::LogRotation;
+pub use account::remove_account;
+pub(crate) use account::{ACCOUNT_EVERY, AccountKeeper, LogAccount, LogPlace};
 pub use csv::{CsvChannel, csv};
 pub use error::LogError;
 pub use header::flag_words;

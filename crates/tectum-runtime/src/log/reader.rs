@@ -7,15 +7,15 @@
 use super::chunk::ChunkRecords;
 use super::parse::{self, op};
 use super::{
-    ENCAPSULATION, LogError, LogRecord, LogSegment, LogTotals, MISSING_METADATA, MessageCounts, REPAIR_METADATA,
-    RUN_METADATA, SCENARIO_ATTACHMENT, TOTALS_METADATA,
+    ENCAPSULATION, LogError, LogPlace, LogRecord, LogSegment, LogTotals, MISSING_METADATA, MessageCounts,
+    REPAIR_METADATA, RUN_METADATA, SCENARIO_ATTACHMENT, TOTALS_METADATA,
 };
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
 use mcap::McapError;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{ErrorKind, Read};
+use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 #[cfg(test)]
@@ -142,6 +142,28 @@ impl LogReader {
             };
             return Err(LogError::not_a_log(path, why));
         }
+        Ok(log)
+    }
+
+    /// Opens a log that is not packed, reads its description, and goes on at `place`. Checksums are not compared: they
+    /// cover what is passed over, too.
+    ///
+    /// # Errors
+    ///
+    /// As [`open`](Self::open).
+    pub(super) fn open_at(path: &Path, place: LogPlace) -> Result<LogReader, LogError> {
+        let mut log = Self::open(path)?;
+        let mut file = File::open(path).map_err(|e| LogError::read(path, e))?;
+        file.seek(SeekFrom::Start(place.position)).map_err(|e| LogError::read(path, e))?;
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_emit_chunks(true)
+            .with_check_finishes_after_end_magic(true)
+            .with_record_length_limit(MAX_RECORD);
+        (log.source, log.linear) = (Box::new(file), LinearReader::new_with_options(options));
+        (log.first, log.position) = (None, place.position);
+        (log.zeros, log.done, log.finished, log.contents.data_ended) = (false, false, false, false);
+        (log.contents.gaps, log.contents.last_ns) = (place.gaps, place.last_ns);
         Ok(log)
     }
 

@@ -4,7 +4,10 @@
 use std::fs::File;
 use std::path::Path;
 
-use super::{HISTOGRAMS_METADATA, LatencyHistograms, LogError, LogReader, LogSegment, MessageCounts, segments};
+use super::{
+    HISTOGRAMS_METADATA, LatencyHistograms, LogAccount, LogError, LogReader, LogSegment, MessageCounts,
+    segment_number_of, segments,
+};
 
 /// The contents of all segments in a run's folder, counted.
 #[derive(Debug, Clone)]
@@ -19,8 +22,10 @@ pub struct LogRecovery {
     pub timings: LatencyHistograms,
     /// Size of all files, bytes.
     pub bytes: u64,
-    /// Messages of segments before the first that is there: of a log whose oldest segments were removed.
-    removed: [u64; 4],
+    /// Messages that were read for this.
+    pub read: u64,
+    /// Messages before the first that is read: of segments that were removed, and what the account tells of.
+    before: [u64; 4],
 }
 
 /// Messages between two calls of the heartbeat.
@@ -36,19 +41,28 @@ impl LogRecovery {
             missing_from: None,
             timings: LatencyHistograms::new(period_ns),
             bytes: 0,
-            removed: [0; 4],
+            read: 0,
+            before: [0; 4],
         }
     }
 
-    /// Adds all segments in `folder`, and changes none of the files. A torn or damaged segment is read as far
-    /// as possible; one that does not describe its run is ignored. `heartbeat` is called regularly.
+    /// Adds all segments in `folder`, and changes none of the files. What the logger's account tells of is not read
+    /// again. A torn or damaged segment is read as far as possible; one that does not describe its run is ignored.
+    /// `heartbeat` is called regularly.
     pub fn with(mut self, folder: &Path, mut heartbeat: impl FnMut()) -> Self {
+        let segments = segments(folder);
+        self.bytes = segments.iter().map(|path| std::fs::metadata(path).map_or(0, |file| file.len())).sum();
         let mut counts = None;
-        for path in segments(folder) {
-            self.bytes += std::fs::metadata(&path).map_or(0, |file| file.len());
+        let mut next = 0;
+        if let Some((account, tail)) = LogAccount::find(folder) {
+            next = account.current.saturating_add(1);
+            let counts = counts.insert(self.take_account(&account));
+            self.add_segment(tail, counts, &mut heartbeat);
+        }
+        for path in segments.into_iter().filter(|path| segment_number_of(path).is_some_and(|number| number >= next)) {
             if let Ok(log) = LogReader::open(&path) {
                 let counts = counts.get_or_insert_with(|| {
-                    self.removed = log.log_segment().written;
+                    self.before = log.log_segment().written;
                     log.message_counts()
                 });
                 self.add_segment(log, counts, &mut heartbeat);
@@ -75,22 +89,30 @@ impl LogRecovery {
         Ok(recovery)
     }
 
+    /// Takes over what the logger's account tells; returns the counts that the messages behind its place are added to.
+    fn take_account(&mut self, account: &LogAccount) -> MessageCounts {
+        (self.segment, self.before, self.last_ticks) = (account.held, account.held.written, account.last_ticks);
+        if let Some(timings) = &account.timings {
+            self.timings.set_state(timings);
+        }
+        MessageCounts::going_on(&account.held, account.last_ticks)
+    }
+
     /// Adds a segment; returns the byte at which its last whole record ends.
     fn add_segment(&mut self, mut log: LogReader, counts: &mut MessageCounts, heartbeat: &mut impl FnMut()) -> u64 {
-        let mut n: u64 = 0;
         for record in log.by_ref() {
             // Nothing is known about the rest of a damaged file.
             let Ok(record) = record else { break };
             counts.take(&record);
             self.timings.take(&record);
-            n += 1;
-            if n.is_multiple_of(HEARTBEAT_MESSAGES) {
+            self.read += 1;
+            if self.read.is_multiple_of(HEARTBEAT_MESSAGES) {
                 heartbeat();
             }
         }
-        self.segment.written[3] = self.removed[3] + counts.gaps;
+        self.segment.written[3] = self.before[3] + counts.gaps;
         for (i, channel) in counts.channels.iter().enumerate() {
-            self.segment.written[i] = self.removed[i] + channel.messages;
+            self.segment.written[i] = self.before[i] + channel.messages;
             self.last_ticks[i] = channel.ticks.map_or(self.last_ticks[i], |(_, last)| Some(last));
         }
         let start = log.log_segment();
@@ -106,10 +128,10 @@ impl LogRecovery {
                 }
             }
             None => {
-                self.segment.duplicates = start.duplicates;
                 for (i, channel) in counts.channels.iter().enumerate() {
                     let next = channel.next().max(start.begins[i]).max(self.segment.begins[i]);
                     (self.segment.begins[i], self.segment.lost[i]) = (next, channel.stated);
+                    self.segment.duplicates[i] = self.segment.duplicates[i].max(start.duplicates[i]);
                     self.segment.thinned[i] = self.thinned(i, start.first(i));
                 }
             }

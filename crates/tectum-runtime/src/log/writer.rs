@@ -14,8 +14,8 @@
 use super::disk_reserve::{DiskReserve, RESERVE};
 use super::log_file::{LogFile, io_error};
 use super::{
-    ENCAPSULATION, GAP_TOPIC, HISTOGRAMS_METADATA, LatencyHistograms, LogError, LogHeader, LogRecord, LogSegment,
-    LogTotals, MESSAGE_OVERHEAD, MISSING_METADATA, RUN_METADATA, SCENARIO_ATTACHMENT, TOTALS_METADATA,
+    ENCAPSULATION, GAP_TOPIC, HISTOGRAMS_METADATA, LatencyHistograms, LogError, LogHeader, LogPlace, LogRecord,
+    LogSegment, LogTotals, MESSAGE_OVERHEAD, MISSING_METADATA, RUN_METADATA, SCENARIO_ATTACHMENT, TOTALS_METADATA,
     WARNINGS_METADATA,
 };
 use crate::wire::{Command, Gap, Learning, Observation, Sample};
@@ -266,6 +266,11 @@ impl LogWriter {
     /// Messages written so far: observations, commands, learning records, gaps.
     pub fn written(&self) -> [u64; 4] {
         self.written
+    }
+
+    /// The place behind the last message. For use after [`flush`](Self::flush).
+    pub(crate) fn place(&self) -> LogPlace {
+        LogPlace { position: self.file.position, gaps: self.written[3], last_ns: self.last_ns }
     }
 
     /// The file.

@@ -1,7 +1,7 @@
 //! The logger's loop: receives all samples of the run, merges them by tick, and writes them into one log.
 //!
-//! A restarted logger writes a new segment of the log (see [`crate::log`]). It reads the existing segments, and
-//! states which samples are missing between them and the first sample that it receives. When the disk is full,
+//! A restarted logger writes a new segment of the log (see [`crate::log`]). It takes over the account that the logger
+//! before it left, reads what was written after it, and states which samples are missing between them and the first sample that it receives. When the disk is full,
 //! it continues to receive, so that no process waits for it in vain, and closes the log with a statement of the
 //! samples that are missing.
 
@@ -17,7 +17,8 @@ use super::{
 use crate::channel::{LogTail, LoggerPorts};
 use crate::clock::{TimeSource, machine_facts, monotonic_ns, pause, wall_ns};
 use crate::log::{
-    LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWriter, segment_number_of, segment_path, segments,
+    ACCOUNT_EVERY, AccountKeeper, LogClock, LogHeader, LogRecord, LogRecovery, LogSegment, LogWriter,
+    segment_number_of, segment_path, segments,
 };
 use crate::scenario::FaultChannel;
 use crate::wire::{Learning, ProcessState, Role, Status};
@@ -93,6 +94,7 @@ pub fn run_logger(participant: Participant) -> Result<LoggerReport, RuntimeError
         bytes: if session.participant.plan.scenario.log.rotate.is_some() { closed } else { recovered.bytes }
             + bytes.unwrap_or_else(|| std::fs::metadata(&last).map_or(0, |file| file.len())),
         removed_segments: removed,
+        reread: recovered.read,
         wake_up_lateness,
         observation_to_command,
         command_to_applied,
@@ -144,7 +146,11 @@ fn open_log(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> Re
         Err(error) if session.incarnation() > 0 && error.is_full() => {
             Ok(LogMerger::new(Err(error), recovered, header.every, time.is_real()))
         }
-        log => Ok(LogMerger::new(Ok(log?), recovered, header.every, time.is_real()).rotating(rotator)),
+        log => {
+            let keeper = AccountKeeper::new(&participant.folder, header.run_text(), ACCOUNT_EVERY);
+            let merger = LogMerger::new(Ok(log?), recovered, header.every, time.is_real());
+            Ok(merger.rotating(rotator).accounting(keeper))
+        }
     }
 }
 

@@ -9,7 +9,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use super::log_rotator::LogRotator;
-use crate::log::{LatencyHistograms, LogError, LogRecord, LogRecovery, LogSegment, LogTotals, LogWriter};
+use crate::log::{
+    AccountKeeper, LatencyHistograms, LogAccount, LogError, LogRecord, LogRecovery, LogSegment, LogTotals, LogWriter,
+    segment_number_of,
+};
 use crate::wire::{Gap, Header};
 
 /// One channel's input to the log.
@@ -25,6 +28,8 @@ pub(super) struct MergeInput {
     expected: u64,
     /// The last tick received.
     last: Option<u64>,
+    /// The last tick written or left out.
+    done: Option<u64>,
     /// No sample of this tick or an earlier one can still arrive.
     through: Option<u64>,
     /// Sequence number of the first sample that could not be written; `None` while the log can be written.
@@ -45,6 +50,7 @@ impl MergeInput {
             first: recovered.segment.first(i),
             expected: recovered.segment.begins[i],
             last: recovered.last_ticks[i],
+            done: recovered.last_ticks[i],
             through: recovered.last_ticks[i],
             lost: recovered.segment.lost[i],
             thinned: recovered.segment.thinned[i],
@@ -145,6 +151,8 @@ pub(super) struct LogMerger {
     written_tick: Option<u64>,
     /// Where the log is to have several segments.
     rotator: Option<LogRotator>,
+    /// Leaves the account for the next logger.
+    keeper: Option<AccountKeeper>,
 }
 
 /// Flushes between two comparisons of the log's file with what was written to it.
@@ -184,6 +192,7 @@ impl LogMerger {
             unchecked: 0,
             written_tick: None,
             rotator: None,
+            keeper: None,
         };
         match log {
             Ok(log) => merger.log = Some(log),
@@ -195,6 +204,11 @@ impl LogMerger {
     /// The same merger, whose log goes on in another segment when `rotator` says so.
     pub fn rotating(self, rotator: Option<LogRotator>) -> Self {
         Self { rotator, ..self }
+    }
+
+    /// The same merger, which leaves its account with `keeper`.
+    pub fn accounting(self, keeper: AccountKeeper) -> Self {
+        Self { keeper: Some(keeper), ..self }
     }
 
     /// Fills the head of input `i`, if it is empty, with the next sample from `receive`. In lockstep, all
@@ -242,6 +256,7 @@ impl LogMerger {
             }
         }
         self.inputs[first].head = None;
+        self.inputs[first].done = self.inputs[first].done.max(Some(tick));
         true
     }
 
@@ -253,6 +268,27 @@ impl LogMerger {
         let Some(log) = &mut self.log else { return };
         if let Err(error) = log.flush().and_then(|()| if check { log.check_in_place() } else { Ok(()) }) {
             self.give_up(self.consumed(), &error);
+        }
+        self.keep_account();
+    }
+
+    /// Leaves the account where one is due. What could not be written belongs into no account.
+    fn keep_account(&mut self) {
+        let (Some(keeper), Some(log), None) = (&self.keeper, &self.log, self.missing_from) else { return };
+        let (current, messages) = (segment_number_of(log.path()).unwrap_or(0), log.written().iter().sum());
+        if !keeper.is_due(current, messages) {
+            return;
+        }
+        let account = LogAccount {
+            run: String::new(),
+            current,
+            place: log.place(),
+            held: self.next_segment(),
+            last_ticks: self.inputs.each_ref().map(|input| input.done),
+            timings: self.timings.as_ref().map(LatencyHistograms::state),
+        };
+        if let Some(keeper) = &mut self.keeper {
+            keeper.keep(account, messages);
         }
     }
 

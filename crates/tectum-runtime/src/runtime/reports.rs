@@ -161,6 +161,9 @@ pub struct LoggerReport {
     /// Segments that were removed because the log had reached its limit.
     #[serde(default)]
     pub removed_segments: u64,
+    /// Messages of earlier segments that this logger read before it listened: those after the last account.
+    #[serde(default)]
+    pub reread: u64,
     /// Real time: from a tick's scheduled instant to its sensing; see
     /// [`LatencyHistograms`](crate::log::LatencyHistograms).
     pub wake_up_lateness: Option<Percentiles>,
@@ -219,11 +222,13 @@ pub(super) fn reserve_space(folder: &Path, role: Role) {
     }
 }
 
-/// Removes the reserved space (`*.json.part`) of processes that ended without writing their report.
+/// Removes what processes left in the folder for themselves: the reserved space (`*.json.part`) of those that ended
+/// without writing their report, and the logger's account.
 pub fn remove_unwritten_reports(folder: &Path) {
     for role in Role::ALL {
         let _ = std::fs::remove_file(draft_of(&report_path(folder, role)));
     }
+    crate::log::remove_account(folder);
 }
 
 /// The file under which a report is written before it gets its name.

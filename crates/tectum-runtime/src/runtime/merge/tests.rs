@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
 use super::*;
-use crate::log::{LogClock, LogHeader, LogInfo, LogSegment, MessageCounts, RunLog, find, segment_path};
+use crate::log::{LogClock, LogHeader, LogInfo, LogSegment, MessageCounts, RunLog, find, remove_account, segment_path};
 use crate::scenario::Scenario;
 use crate::wire::{Command, Learning, Observation, flag};
 use proptest::prelude::*;
@@ -82,7 +82,8 @@ fn header(number: u32, every: u64, recovered: &LogRecovery) -> LogHeader {
 fn logger(folder: &Path, number: u32, every: u64) -> LogMerger {
     let recovered = LogRecovery::none(PERIOD, [FIRST; 3], FIRST).with(folder, || ());
     let log = LogWriter::create(&segment_path(folder, number), &header(number, every, &recovered));
-    LogMerger::new(log, &recovered, every, true)
+    let keeper = AccountKeeper::new(folder, header(number, every, &recovered).run_text(), 20);
+    LogMerger::new(log, &recovered, every, true).accounting(keeper)
 }
 
 /// Writes all waiting samples, as the logger's loop does. No other samples of ticks before `known` will arrive.
@@ -96,6 +97,31 @@ fn drain(merger: &mut LogMerger, waiting: &mut [VecDeque<LogRecord>; 3], known: 
         }
     }
     merger.flush();
+}
+
+/// What a logger takes over from the account is what reading all segments gives, and only the tail is read.
+#[test]
+fn an_account_spares_reading_all_but_the_tail() {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, ticks) in [(0, FIRST..70), (1, 71..100), (2, 100..TICKS)] {
+        let mut merger = logger(folder.path(), number, 1);
+        for tick in ticks {
+            let mut waiting = [0, 1, 2].map(|i| VecDeque::from([sample(i, tick)]));
+            if tick == 40 {
+                waiting[1].clear();
+            }
+            drain(&mut merger, &mut waiting, tick + 1);
+        }
+    }
+    let recover = || LogRecovery::none(PERIOD, [FIRST; 3], FIRST).with(folder.path(), || ());
+    let with_account = recover();
+    remove_account(folder.path());
+    let whole = recover();
+    assert!(with_account.read < 20, "{with_account:?}");
+    assert_eq!(whole.read, whole.segment.written.iter().sum::<u64>());
+    assert_eq!((with_account.segment, with_account.last_ticks), (whole.segment, whole.last_ticks));
+    assert_eq!((with_account.bytes, with_account.missing_from), (whole.bytes, whole.missing_from));
+    assert_eq!(with_account.timings.histograms(), whole.timings.histograms());
 }
 
 /// An event at a tick.
