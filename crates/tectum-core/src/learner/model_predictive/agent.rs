@@ -9,8 +9,8 @@ use super::belief::Belief;
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
 use super::dynamics::Dynamics;
 use super::exploration::NoiseSource;
-use super::layout::Places;
-use super::layouts::reward_layout;
+use super::layout::{Layout, Places};
+use super::layouts::{AngleReading, reward_layout, reward_readings};
 use super::linalg::dot;
 use super::memory::Memory;
 use super::model::{Model, ModelSize};
@@ -114,6 +114,9 @@ pub struct ModelPredictive {
     strange: u32,
     /// Rewards come so many ticks late.
     shift: u64,
+    /// How angles are read in the reward models, and the layouts of all readings.
+    reading: AngleReading,
+    readings: Vec<Layout>,
     alignment: Alignment,
     best: f64,
     worst: f64,
@@ -175,6 +178,8 @@ impl ModelPredictive {
             boundary_rate: 0.0,
             strange: 0,
             shift: 0,
+            reading: AngleReading::Apart,
+            readings: reward_readings(places, &spec.inputs),
             alignment: Alignment::new(&before.layout),
             best: f64::NEG_INFINITY,
             worst: f64::INFINITY,
@@ -307,6 +312,12 @@ impl ModelPredictive {
         self.shift
     }
 
+    /// Whether the reward models read angles that follow each other as those of a chain, each measured from the body
+    /// before.
+    pub fn reads_chain(&self) -> bool {
+        self.reading == AngleReading::Chain
+    }
+
     /// The last command without exploration noise, in its unit; 0 before the first plan.
     pub fn mean(&self) -> &[f64] {
         &self.mean[..self.places.commands]
@@ -367,16 +378,24 @@ fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamic
         noise_floor: config.noise_floor,
         standardise: false,
         robust: true,
+        spread: false,
+        memory: config.memory,
     };
     let dynamics = Dynamics::new(spec, places, settings, rng);
-    let layout = reward_layout(places, &spec.inputs);
+    let layout = reward_layout(places, &spec.inputs, AngleReading::Apart);
     // Rewards of many joints need products of many inputs: their number grows with the square of that of the inputs.
     let or = |value: usize, usual: usize| if value > 0 { value } else { usual };
     let products = or(config.reward_products, 14 * places.inputs * places.inputs);
     let size = ModelSize::within(&layout, 1, products, or(config.reward_features, products + 260));
     let size = ModelSize { samples: 6, ..size };
-    let settings =
-        RefitSettings { points: config.points, extra_steps: 150_000_000, standardise: true, robust: false, ..settings };
+    let settings = RefitSettings {
+        points: config.points,
+        extra_steps: 150_000_000,
+        standardise: true,
+        robust: false,
+        spread: true,
+        ..settings
+    };
     let rewards = [0, 1].map(|_| Model::new(layout.clone(), size, settings, rng));
     (dynamics, rewards)
 }

@@ -1,11 +1,16 @@
 //! The state of the learner.
 
-use super::{GuardCounts, ModelPredictive};
+use super::{AngleReading, GuardCounts, ModelPredictive};
 use crate::state::{Persist, StateVisitor};
 
 impl Persist for ModelPredictive {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.nested("dynamics", &mut self.dynamics);
+        let mut chained = self.reading == AngleReading::Chain;
+        visitor.boolean("chained", &mut chained);
+        self.reading = if chained && self.readings.len() > 1 { AngleReading::Chain } else { AngleReading::Apart };
+        let units = &self.readings[self.reading as usize].units;
+        self.rewards.iter_mut().for_each(|model| model.layout.units.copy_from_slice(units));
         let [before, after] = &mut self.rewards;
         visitor.nested("reward_before", before);
         visitor.nested("reward_after", after);

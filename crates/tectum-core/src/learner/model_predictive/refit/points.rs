@@ -10,6 +10,9 @@ use super::super::model::{MAX_MODEL_OUTPUTS, ModelFit};
 use super::{Phase, Refit};
 use crate::seed::Rng;
 
+/// The part of the points that are spread out.
+const SPREAD: f64 = 0.7;
+
 impl Refit {
     /// Reads a tick into `q` and `y`, with what it does not teach filled in by `fit`. Returns whether it teaches.
     pub(super) fn read(
@@ -57,14 +60,17 @@ impl Refit {
         self.next.features.scales.copy_from_slice(&fit.features.scales);
         self.evidence.restart(&fit.features.scales);
         self.standardise(fit, data);
-        let wanted = self.settings.points.min((end - first) as usize);
-        let newest = (wanted / 3) as u64;
         let outputs = fit.regression.outputs;
+        let wanted = self.settings.points.min((end - first) as usize);
         self.strange.clear();
-        // The newest third; of the others as many as are needed, each with equal chance.
-        let (mut left, mut needed) = (end - first - newest, wanted as u64 - newest);
+        let spread = if self.settings.spread { self.spread_out(layout, fit, data, wanted) } else { 0 };
+        // Of what is not chosen yet the newest third, and of the others as many as are needed, each with equal chance.
+        let newest = if self.settings.spread { 0 } else { (wanted / 3) as u64 };
+        let mut needed = wanted as u64 - newest - spread.min(wanted as u64);
+        let mut left = end - first - newest - spread;
         for tick in first..end {
-            let take = if tick >= end - newest {
+            let is_chosen = self.settings.spread && self.least[(tick - first) as usize] < 0.0;
+            let take = if is_chosen || tick >= end - newest {
                 true
             } else {
                 let take = rng.random_range(0..left) < needed;
@@ -86,7 +92,46 @@ impl Refit {
         }
         self.weigh_points();
         self.enter(if self.evidence.len < 8 { Phase::Idle } else { Phase::Ascend });
-        (wanted * fit.regression.len) as u64
+        (wanted * fit.regression.len) as u64 + spread * (end - first) * layout.components as u64
+    }
+
+    /// Chooses most of the `wanted` points one by one, each the farthest from those before it, over the components of
+    /// all units (Gonzalez 1985): most ticks are alike, because an arm mostly stands at its target. Marks them by a
+    /// negative distance in `least`, and returns their number.
+    fn spread_out(&mut self, layout: &Layout, fit: &ModelFit, data: &dyn Data, wanted: usize) -> u64 {
+        let [first, end] = self.range;
+        let (ticks, width, outputs) = ((end - first) as usize, layout.components, fit.regression.outputs);
+        let mut last = None;
+        for k in 0..ticks {
+            // What teaches nothing is as near as can be.
+            self.least[k] = 0.0;
+            if data.get(first + k as u64, &mut self.q, &mut self.y[..outputs]).is_some() {
+                self.least[k] = f64::INFINITY;
+                let e = &mut self.looks[k * width..(k + 1) * width];
+                layout.components(&fit.features.frequencies, &self.q, e, None);
+                last = Some(k);
+            }
+        }
+        let mut chosen = 0;
+        while let Some(at) = last.filter(|_| chosen < (SPREAD * wanted as f64) as u64) {
+            self.least[at] = -1.0;
+            chosen += 1;
+            let mut farthest = 0.0;
+            last = None;
+            for k in 0..ticks {
+                if self.least[k] <= 0.0 {
+                    continue;
+                }
+                let (a, b) = (&self.looks[k * width..(k + 1) * width], &self.looks[at * width..(at + 1) * width]);
+                let apart = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
+                self.least[k] = self.least[k].min(apart);
+                if self.least[k] > farthest {
+                    farthest = self.least[k];
+                    last = Some(k);
+                }
+            }
+        }
+        chosen
     }
 
     /// How strange the points are, compared with half of them.
