@@ -92,7 +92,7 @@ impl Refit {
         }
         self.weigh_points();
         self.enter(if self.evidence.len < 8 { Phase::Idle } else { Phase::Ascend });
-        (wanted * fit.regression.len) as u64 + spread * (end - first) * layout.components as u64
+        (wanted * fit.regression.len) as u64
     }
 
     /// Chooses most of the `wanted` points one by one, each the farthest from those before it, over the components of
