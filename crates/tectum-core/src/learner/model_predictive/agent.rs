@@ -9,7 +9,7 @@ use super::belief::Belief;
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
 use super::dynamics::Dynamics;
 use super::exploration::NoiseSource;
-use super::layout::{Layout, Places};
+use super::layout::Places;
 use super::layouts::{AngleReading, reward_layout, reward_readings};
 use super::linalg::dot;
 use super::memory::Memory;
@@ -114,9 +114,8 @@ pub struct ModelPredictive {
     strange: u32,
     /// Rewards come so many ticks late.
     shift: u64,
-    /// How angles are read in the reward models, and the layouts of all readings.
+    /// How angles are read in the reward models.
     reading: AngleReading,
-    readings: Vec<Layout>,
     alignment: Alignment,
     best: f64,
     worst: f64,
@@ -150,13 +149,12 @@ impl ModelPredictive {
         let mut rng = stream(spec.seed, "models");
         let (dynamics, [before, after]) = models(spec, places, &mut rng);
         let horizon = if config.horizon > 0 { config.horizon } else { (480 / places.len()).clamp(20, 40) };
-        let ends = |sign: f64| spec.inputs.iter().map(|_| sign).collect::<Vec<_>>();
         Self {
             middle: spec.inputs.iter().map(|r| 0.5 * (r.min + r.max)).collect(),
             half: spec.inputs.iter().map(|r| 0.5 * (r.max - r.min)).collect(),
             sigma: spec.sigma.iter().zip(&spec.limits).map(|(s, l)| s / l).collect(),
             limits: spec.limits.clone(),
-            ranges: Ranges { wraps: spec.inputs.iter().map(|r| r.wraps).collect(), low: ends(-1.0), high: ends(1.0) },
+            ranges: Ranges::of(&spec.inputs),
             memory: Memory::new(places, config.memory),
             beliefs: vec![Belief::default(); places.inputs],
             reward_belief: Belief::default(),
@@ -179,8 +177,7 @@ impl ModelPredictive {
             strange: 0,
             shift: 0,
             reading: AngleReading::Apart,
-            readings: reward_readings(places, &spec.inputs),
-            alignment: Alignment::new(&before.layout),
+            alignment: Alignment::new(reward_readings(places, &spec.inputs)),
             best: f64::NEG_INFINITY,
             worst: f64::INFINITY,
             command: [0.0; MAX_OUTPUTS],

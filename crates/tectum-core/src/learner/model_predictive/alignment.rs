@@ -13,7 +13,7 @@
 //! models are fitted anew in that reading.
 
 use super::evidence::Evidence;
-use super::layout::Layout;
+use super::layout::{Layout, Unit};
 use super::layouts::AngleReading;
 use super::memory::Memory;
 use crate::state::{Persist, StateVisitor};
@@ -48,6 +48,8 @@ pub struct RewardAssumption {
 /// Compares how late rewards may be.
 #[derive(Debug, Clone)]
 pub struct Alignment {
+    /// Those of the readings of angles, by [`AngleReading`], or one where there is one reading only.
+    layouts: Vec<Layout>,
     evidence: Evidence,
     totals: [f64; CHOICES.len()],
     /// By how much the evidence of a chain is larger than that of angles apart.
@@ -58,48 +60,53 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// For rewards of this layout.
-    pub fn new(layout: &Layout) -> Self {
+    /// For rewards of these layouts, which have units of the same number and kind.
+    pub fn new(layouts: Vec<Layout>) -> Self {
         Self {
-            evidence: Evidence::new(layout, POINTS, 1),
+            evidence: Evidence::new(&layouts[0], POINTS, 1),
             totals: [0.0; CHOICES.len()],
             chain: 0.0,
             next: 0,
-            q: vec![0.0; layout.width],
+            q: vec![0.0; layouts[0].width],
+            layouts,
         }
     }
 
     /// Weighs the next assumption. Returns what is assumed from now on once all are weighed, given what is `present`.
-    /// `layouts` are those of the readings of angles, or one where there is one reading only.
-    pub fn weigh(
-        &mut self,
-        layouts: &[Layout],
-        memory: &Memory,
-        present: RewardAssumption,
-        noise_floor: f64,
-    ) -> Option<RewardAssumption> {
+    pub fn weigh(&mut self, memory: &Memory, present: RewardAssumption, noise_floor: f64) -> Option<RewardAssumption> {
         let next = self.next as usize;
         if let Some(choice) = CHOICES.get(next) {
-            let weight = self.evidence_of(&layouts[present.reading as usize], memory, *choice, (STEPS, noise_floor));
+            let weight = self.evidence_of(present.reading, memory, *choice, (STEPS, noise_floor));
             self.totals[next] = 0.5 * self.totals[next] + weight;
         } else {
             let chain = next > CHOICES.len();
+            let reading = if chain { AngleReading::Chain } else { AngleReading::Apart };
             let choice = self.best_of(present.shift);
-            let weight = self.evidence_of(&layouts[usize::from(chain)], memory, choice, (READING_STEPS, noise_floor));
+            let weight = self.evidence_of(reading, memory, choice, (READING_STEPS, noise_floor));
             self.chain = if chain { self.chain + weight } else { 0.5 * self.chain - weight };
         }
         self.next += 1;
-        let count = CHOICES.len() + if layouts.len() > 1 { 2 } else { 0 };
+        let count = CHOICES.len() + if self.layouts.len() > 1 { 2 } else { 0 };
         (self.next as usize >= count).then(|| {
             self.next = 0;
             RewardAssumption { shift: self.decide(present.shift), reading: self.read(present.reading) }
         })
     }
 
+    /// The units of the reward models' layout in a reading that is known ([`knows`](Self::knows)).
+    pub fn units(&self, reading: AngleReading) -> &[Unit] {
+        &self.layouts[reading as usize].units
+    }
+
+    /// Whether there is such a reading.
+    pub fn knows(&self, reading: AngleReading) -> bool {
+        (reading as usize) < self.layouts.len()
+    }
+
     /// The evidence of some rewards under an assumption, after steps of ascent.
     fn evidence_of(
         &mut self,
-        layout: &Layout,
+        reading: AngleReading,
         memory: &Memory,
         (shift, after): (u64, bool),
         (steps, noise_floor): (usize, f64),
@@ -123,6 +130,7 @@ impl Alignment {
         let deviation = (squares / f64::max(n, 1.0) - mean * mean).max(0.0).sqrt();
         let mut weight = 0.0;
         if n >= 12.0 && deviation > 0.0 {
+            let layout = &self.layouts[reading as usize];
             self.evidence.restart(&layout.prior);
             for tick in chosen() {
                 if let Some(point) = memory.rewarded_point(tick, shift, after) {

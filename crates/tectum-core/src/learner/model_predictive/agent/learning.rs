@@ -206,7 +206,7 @@ impl ModelPredictive {
     /// before, the reward models begin anew.
     fn weigh_assumptions(&mut self) -> bool {
         let present = RewardAssumption { shift: self.shift, reading: self.reading };
-        let weighed = self.alignment.weigh(&self.readings, &self.memory, present, self.config.noise_floor);
+        let weighed = self.alignment.weigh(&self.memory, present, self.config.noise_floor);
         if let Some(assumed) = weighed.filter(|assumed| *assumed != present) {
             self.shift = assumed.shift;
             self.reading = assumed.reading;
@@ -214,7 +214,7 @@ impl ModelPredictive {
             self.scores = [0.0; 2];
             let rng = &mut self.rng;
             for model in &mut self.rewards {
-                model.layout.units.copy_from_slice(&self.readings[assumed.reading as usize].units);
+                model.layout.units.copy_from_slice(self.alignment.units(assumed.reading));
                 model.forget(rng);
             }
         }

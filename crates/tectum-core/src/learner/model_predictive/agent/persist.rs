@@ -8,8 +8,12 @@ impl Persist for ModelPredictive {
         visitor.nested("dynamics", &mut self.dynamics);
         let mut chained = self.reading == AngleReading::Chain;
         visitor.boolean("chained", &mut chained);
-        self.reading = if chained && self.readings.len() > 1 { AngleReading::Chain } else { AngleReading::Apart };
-        let units = &self.readings[self.reading as usize].units;
+        self.reading = if chained && self.alignment.knows(AngleReading::Chain) {
+            AngleReading::Chain
+        } else {
+            AngleReading::Apart
+        };
+        let units = self.alignment.units(self.reading);
         self.rewards.iter_mut().for_each(|model| model.layout.units.copy_from_slice(units));
         let [before, after] = &mut self.rewards;
         visitor.nested("reward_before", before);

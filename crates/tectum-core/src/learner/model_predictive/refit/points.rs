@@ -178,3 +178,60 @@ impl Refit {
         self.next.scale = if variance > 0.0 { variance.sqrt() } else { fit.scale };
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::learner::model_predictive::layout::Priors;
+    use crate::learner::model_predictive::model::{Model, ModelSize};
+    use crate::learner::model_predictive::refit::RefitSettings;
+    use crate::seed::stream;
+
+    /// An input that stands at 0.5 in nine of ten ticks, as an arm mostly stands at its target.
+    struct MostlyStill;
+
+    impl Data for MostlyStill {
+        fn range(&self) -> (u64, u64) {
+            (0, 200)
+        }
+
+        fn get(&self, tick: u64, q: &mut [f64], y: &mut [f64]) -> Option<Lesson> {
+            q[0] = if tick.is_multiple_of(10) { tick as f64 / 200.0 - 0.7 } else { 0.5 };
+            y[0] = q[0] * q[0];
+            Some(Lesson::default())
+        }
+    }
+
+    #[test]
+    fn points_that_are_spread_out_have_what_is_rare() {
+        let rare = |spread: bool| {
+            let mut layout = Layout::new(1, [1.0, 0.3, 0.3, 1e-4]);
+            layout.number(0, Some(0), Priors { linear: 0.3, square: 0.3, product: 0.3, smooth: 0.3 });
+            let settings = RefitSettings {
+                points: 20,
+                steps: 2,
+                extra_steps: 0,
+                step: 0.25,
+                width: 2.5,
+                noise_floor: 1e-7,
+                standardise: true,
+                robust: false,
+                spread,
+                memory: 200,
+            };
+            let rng = &mut stream(1, "test");
+            let mut model =
+                Model::new(layout, ModelSize { outputs: 1, pairs: 4, products: 0, samples: 1 }, settings, rng);
+            model.refit.begin();
+            model.work(&MostlyStill, 1, rng);
+            let mut q = [0.0];
+            let of = |point: usize| {
+                model.refit.evidence.point(point, &mut q);
+                u32::from(q[0] != 0.5)
+            };
+            assert_eq!(model.refit.evidence.len, 20);
+            (0..20).map(of).sum::<u32>()
+        };
+        assert!(rare(true) >= 13 && rare(false) <= 6, "{} {}", rare(true), rare(false));
+    }
+}
