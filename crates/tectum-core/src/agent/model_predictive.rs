@@ -23,11 +23,17 @@ pub struct ModelPredictiveAgent {
     improved: bool,
 }
 
+/// Units of what is no angle.
+const NO_ANGLES: [&str; 18] = [
+    "m", "cm", "mm", "um", "m/s", "cm/s", "mm/s", "rad/s", "deg/s", "m/s^2", "N", "Nm", "N m", "kg", "A", "V", "K", "s",
+];
+
 /// What an input's description says about its range.
 fn range(signal: &SignalConfig) -> InputRange {
     let radians = match signal.unit.as_str() {
         "rad" => Some(1.0),
         "deg" => Some(std::f64::consts::PI / 180.0),
+        unit if NO_ANGLES.contains(&unit) => Some(0.0),
         _ => None,
     };
     InputRange { min: signal.min, max: signal.max, wraps: signal.wraps(), radians }
@@ -298,6 +304,24 @@ mod tests {
 
         fn leave(&mut self) {
             self.1.truncate(self.1.rfind('/').unwrap_or(0));
+        }
+    }
+
+    #[test]
+    fn angles_are_read_as_the_arm_measures_them() {
+        use crate::state::{load, save, size};
+        for (name, chain) in [("arm", false), ("arm-relative", true), ("arm-relative-stops", true)] {
+            let mut original = agent(name, 1, &few_operations());
+            run((name, 1), 60, 0, &mut original, |_| ());
+            assert_eq!(original.learner().reads_chain(), chain, "{name}");
+
+            // The reading comes back with the rest, and with it what the models predict.
+            let mut bytes = vec![0; size(&mut original)];
+            save(&mut original, &mut bytes).unwrap();
+            let mut restored = agent(name, 1, &few_operations());
+            assert!(load(&mut restored, &bytes));
+            let [a, b] = [&mut original, &mut restored].map(|agent| run((name, 2), 12, 0, agent, |_| ()).to_bits());
+            assert_eq!(a, b, "{name}");
         }
     }
 

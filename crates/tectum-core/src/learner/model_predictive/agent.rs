@@ -10,7 +10,7 @@ use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
 use super::dynamics::Dynamics;
 use super::exploration::NoiseSource;
 use super::layout::Places;
-use super::layouts::reward_layout;
+use super::layouts::{AngleReading, reward_layout, reward_readings};
 use super::linalg::dot;
 use super::memory::Memory;
 use super::model::{Model, ModelSize};
@@ -114,6 +114,8 @@ pub struct ModelPredictive {
     strange: u32,
     /// Rewards come so many ticks late.
     shift: u64,
+    /// How angles are read in the reward models.
+    reading: AngleReading,
     alignment: Alignment,
     best: f64,
     worst: f64,
@@ -147,13 +149,12 @@ impl ModelPredictive {
         let mut rng = stream(spec.seed, "models");
         let (dynamics, [before, after]) = models(spec, places, &mut rng);
         let horizon = if config.horizon > 0 { config.horizon } else { (480 / places.len()).clamp(20, 40) };
-        let ends = |sign: f64| spec.inputs.iter().map(|_| sign).collect::<Vec<_>>();
         Self {
             middle: spec.inputs.iter().map(|r| 0.5 * (r.min + r.max)).collect(),
             half: spec.inputs.iter().map(|r| 0.5 * (r.max - r.min)).collect(),
             sigma: spec.sigma.iter().zip(&spec.limits).map(|(s, l)| s / l).collect(),
             limits: spec.limits.clone(),
-            ranges: Ranges { wraps: spec.inputs.iter().map(|r| r.wraps).collect(), low: ends(-1.0), high: ends(1.0) },
+            ranges: Ranges::of(&spec.inputs),
             memory: Memory::new(places, config.memory),
             beliefs: vec![Belief::default(); places.inputs],
             reward_belief: Belief::default(),
@@ -175,7 +176,8 @@ impl ModelPredictive {
             boundary_rate: 0.0,
             strange: 0,
             shift: 0,
-            alignment: Alignment::new(&before.layout),
+            reading: AngleReading::Apart,
+            alignment: Alignment::new(reward_readings(places, &spec.inputs)),
             best: f64::NEG_INFINITY,
             worst: f64::INFINITY,
             command: [0.0; MAX_OUTPUTS],
@@ -307,6 +309,12 @@ impl ModelPredictive {
         self.shift
     }
 
+    /// Whether the reward models read angles that follow each other as those of a chain, each measured from the body
+    /// before.
+    pub fn reads_chain(&self) -> bool {
+        self.reading == AngleReading::Chain
+    }
+
     /// The last command without exploration noise, in its unit; 0 before the first plan.
     pub fn mean(&self) -> &[f64] {
         &self.mean[..self.places.commands]
@@ -367,16 +375,24 @@ fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamic
         noise_floor: config.noise_floor,
         standardise: false,
         robust: true,
+        spread: false,
+        memory: config.memory,
     };
     let dynamics = Dynamics::new(spec, places, settings, rng);
-    let layout = reward_layout(places, &spec.inputs);
+    let layout = reward_layout(places, &spec.inputs, AngleReading::Apart);
     // Rewards of many joints need products of many inputs: their number grows with the square of that of the inputs.
     let or = |value: usize, usual: usize| if value > 0 { value } else { usual };
     let products = or(config.reward_products, 14 * places.inputs * places.inputs);
     let size = ModelSize::within(&layout, 1, products, or(config.reward_features, products + 260));
     let size = ModelSize { samples: 6, ..size };
-    let settings =
-        RefitSettings { points: config.points, extra_steps: 150_000_000, standardise: true, robust: false, ..settings };
+    let settings = RefitSettings {
+        points: config.points,
+        extra_steps: 150_000_000,
+        standardise: true,
+        robust: false,
+        spread: true,
+        ..settings
+    };
     let rewards = [0, 1].map(|_| Model::new(layout.clone(), size, settings, rng));
     (dynamics, rewards)
 }

@@ -73,10 +73,17 @@ pub struct InputRange {
     pub max: f64,
     /// Whether the input comes round, as an angle does.
     pub wraps: bool,
-    /// Radians in one unit of the input, if it is known to be an angle: 1 for rad, pi / 180 for degrees. Without it
-    /// the learner finds out by itself whether the input acts through its sine and cosine, and with which period, and
-    /// needs more ticks for it.
+    /// Radians in one unit of the input, if it is known to be an angle: 1 for rad, pi / 180 for degrees; 0 if it is
+    /// known to be none, as a length or a speed. Without it the learner finds out by itself whether the input acts
+    /// through its sine and cosine, and with which period, and needs more ticks for it.
     pub radians: Option<f64>,
+}
+
+impl InputRange {
+    /// Whether the input is known to be no angle.
+    pub fn is_no_angle(&self) -> bool {
+        !self.wraps && self.radians == Some(0.0)
+    }
 }
 
 /// What the learner is built from.

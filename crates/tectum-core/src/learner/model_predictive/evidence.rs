@@ -228,9 +228,12 @@ impl Evidence {
         let (n, capacity) = (self.len, self.capacity);
         for (u, unit) in layout.units[..layout.circles].iter().enumerate() {
             let w = exp(self.scales[Layout::scale(u, ScaleKind::Frequency)]);
-            let values = &self.values[unit.at * capacity..][..n];
-            for (to, x) in self.plain.iter_mut().zip(values) {
-                *to = w * x;
+            self.plain[..n].fill(0.0);
+            for (at, factor) in unit.terms.each() {
+                let factor = w * factor;
+                for (to, x) in self.plain.iter_mut().zip(&self.values[at * capacity..][..n]) {
+                    *to += factor * x;
+                }
             }
             let at = u * capacity..u * capacity + n;
             sines_and_cosines(&self.plain[..n], &mut self.sines[at.clone()], &mut self.cosines[at]);

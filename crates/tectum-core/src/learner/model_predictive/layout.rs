@@ -2,8 +2,9 @@
 //!
 //! Every model sees the same vector `q` of a tick, scaled to about [-1, 1]: inputs `z` (n), their last changes `d`
 //! (n), the commands of the two ticks before (m each), the command `u` (m); `D = 2 n + 3 m` numbers. A model sees
-//! some of them as *units*: a number itself, or an angle as cosine and sine, whose frequency is learned unless the
-//! input comes round. Its prior covariance (a kernel, Rasmussen & Williams 2006) is a sum of four parts:
+//! some of them as *units*: a number itself, an angle as cosine and sine, whose frequency is learned unless it is
+//! known, or the sum of some angles as its cosine and sine. Its prior covariance (a kernel, Rasmussen & Williams 2006)
+//! is a sum of four parts:
 //!
 //! ```text
 //! k(q, q') = b + sum_i a_i x_i.x_i' + sum_i c_i (x_i x_i')^2         linear terms and squares
@@ -48,11 +49,55 @@ impl Places {
     }
 }
 
-/// One unit: a number of `q`, as it is or as an angle.
+/// Most angles of a sum.
+pub const MOST_TERMS: usize = 4;
+
+/// What a unit's value is: a place of `q`, or a sum of angles, each a place times its frequency, with a sign.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Terms {
+    terms: [(usize, f64); MOST_TERMS],
+    len: usize,
+}
+
+impl Terms {
+    /// Place `at` itself.
+    pub fn one(at: usize) -> Self {
+        Self { terms: [(at, 1.0); MOST_TERMS], len: 1 }
+    }
+
+    /// A sum of at most [`MOST_TERMS`] places with their factors.
+    pub fn sum(of: &[(usize, f64)]) -> Self {
+        let mut terms = [(0, 0.0); MOST_TERMS];
+        terms[..of.len()].copy_from_slice(of);
+        Self { terms, len: of.len() }
+    }
+
+    /// The places and their factors.
+    #[inline]
+    pub fn each(&self) -> &[(usize, f64)] {
+        &self.terms[..self.len]
+    }
+
+    /// The factor of place `at`; 0 if it is none of them.
+    #[inline]
+    pub fn factor(&self, at: usize) -> f64 {
+        self.each().iter().find(|(place, _)| *place == at).map_or(0.0, |(_, factor)| *factor)
+    }
+
+    /// The value at `q`.
+    #[inline]
+    pub fn value(&self, q: &[f64]) -> f64 {
+        self.each().iter().fold(0.0, |sum, (at, factor)| sum + factor * q[*at])
+    }
+}
+
+/// One unit: a number of `q`, as it is or as an angle, or a sum of angles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Unit {
-    /// Its place in `q`.
+    /// Its place in `q`; of a sum the first.
     pub at: usize,
+    /// What its value is.
+    pub terms: Terms,
     /// Whether it is seen as cosine and sine.
     pub circle: bool,
     /// The first of its components.
@@ -144,15 +189,22 @@ impl Layout {
     pub fn circle(&mut self, at: usize, frequency: f64, learned: bool, group: Option<usize>, priors: Priors) {
         assert_eq!(self.circles, self.units.len(), "angles come first");
         self.circles += 1;
-        self.unit(at, Some((frequency, learned)), group, Priors { square: 0.0, ..priors });
+        self.unit(Terms::one(at), Some((frequency, learned)), group, Priors { square: 0.0, ..priors });
+    }
+
+    /// Adds the sum of angles: places with the frequency of their angle, times its sign. It stands among the angles.
+    pub fn angle_sum(&mut self, terms: &[(usize, f64)], group: Option<usize>, priors: Priors) {
+        assert_eq!(self.circles, self.units.len(), "angles come first");
+        self.circles += 1;
+        self.unit(Terms::sum(terms), Some((1.0, false)), group, Priors { square: 0.0, ..priors });
     }
 
     /// Adds place `at` as it is.
     pub fn number(&mut self, at: usize, group: Option<usize>, priors: Priors) {
-        self.unit(at, None, group, priors);
+        self.unit(Terms::one(at), None, group, priors);
     }
 
-    fn unit(&mut self, at: usize, frequency: Option<(f64, bool)>, group: Option<usize>, priors: Priors) {
+    fn unit(&mut self, terms: Terms, frequency: Option<(f64, bool)>, group: Option<usize>, priors: Priors) {
         let (w, learns) = frequency.unwrap_or((1.0, false));
         let group = group.filter(|_| priors.product > 0.0);
         let values = [priors.linear, priors.square, priors.product, priors.smooth, w];
@@ -165,7 +217,8 @@ impl Layout {
         }
         self.prior.extend(values.map(|v| if v > 0.0 { libm::log(v) } else { 0.0 }));
         self.learned.extend(scales);
-        self.units.push(Unit { at, circle: frequency.is_some(), component: self.components, group, scales });
+        let (at, circle) = (terms.each()[0].0, frequency.is_some());
+        self.units.push(Unit { at, terms, circle, component: self.components, group, scales });
         self.components += if frequency.is_some() { 2 } else { 1 };
     }
 
@@ -173,7 +226,7 @@ impl Layout {
     /// cosine and sine is `-w^2` times themselves, that of a number 0. `frequencies` has one for each angle.
     pub fn components(&self, frequencies: &[f64], q: &[f64], out: &mut [f64], slopes: Option<&mut [f64]>) {
         for (unit, w) in self.units[..self.circles].iter().zip(frequencies) {
-            let (sin, cos) = super::functions::sin_cos(w * q[unit.at]);
+            let (sin, cos) = super::functions::sin_cos(w * unit.terms.value(q));
             out[unit.component] = cos;
             out[unit.component + 1] = sin;
         }

@@ -1,31 +1,66 @@
 //! What the models of dynamics and reward look at, and their first scales.
 
 use super::config::InputRange;
-use super::layout::{Layout, Places, Priors};
+use super::layout::{Layout, MOST_TERMS, Places, Priors};
 
 /// First frequency of an input that may be an angle, for a range of [-1, 1].
 const FREQUENCY: f64 = 2.5;
 
+/// How the angles among the inputs are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AngleReading {
+    /// Each as it is: the direction of a body.
+    Apart = 0,
+    /// As running sums of those that follow each other: each measured from the body before, as joints along a chain
+    /// are.
+    Chain = 1,
+}
+
+impl AngleReading {
+    /// The terms of angle `i`: itself, or with the angles right before it, at most [`MOST_TERMS`].
+    fn terms(self, ranges: &[InputRange], i: usize) -> Vec<(usize, f64)> {
+        let of = |at: usize| frequency(&ranges[at]).map(|frequency| (at, frequency));
+        match self {
+            Self::Apart => of(i).into_iter().collect(),
+            Self::Chain => (0..=i).rev().take(MOST_TERMS).map_while(of).collect(),
+        }
+    }
+}
+
 /// Adds the inputs as angles, with twice the angle where `doubled` is above 0 (as the inertia of linked bodies has it),
 /// and then as numbers. Each input is a group of the products. What is known to be an angle is part of products as an
-/// angle alone; what may be one, mostly as a number.
-fn inputs(layout: &mut Layout, ranges: &[InputRange], priors: Priors, wrapped: Priors, doubled: f64) {
-    for (i, range) in ranges.iter().enumerate() {
-        let known = range.radians.map(|radians| radians * 0.5 * (range.max - range.min));
-        let known = if range.wraps { Some(std::f64::consts::PI) } else { known };
+/// angle alone; what may be one, mostly as a number; what is known to be none, as a number alone.
+fn inputs(
+    layout: &mut Layout,
+    ranges: &[InputRange],
+    priors: Priors,
+    wrapped: Priors,
+    (doubled, reading): (f64, AngleReading),
+) {
+    for (i, range) in ranges.iter().enumerate().filter(|(_, range)| !range.is_no_angle()) {
+        let known = frequency(range);
         let doubtful = Priors { linear: 0.1 * priors.linear, product: 0.1 * priors.product, ..priors };
-        let own = if known.is_some() { priors } else { doubtful };
-        layout.circle(i, known.unwrap_or(FREQUENCY), known.is_none(), Some(i), own);
+        match known {
+            Some(_) => layout.angle_sum(&reading.terms(ranges, i), Some(i), priors),
+            None => layout.circle(i, FREQUENCY, true, Some(i), doubtful),
+        }
         if let Some(frequency) = known.filter(|_| doubled > 0.0) {
             let of = |x: f64| doubled * x;
-            let twice = Priors { linear: of(own.linear), square: 0.0, product: of(own.product), smooth: 0.0 };
+            let twice = Priors { linear: of(priors.linear), square: 0.0, product: of(priors.product), smooth: 0.0 };
             layout.circle(i, 2.0 * frequency, false, Some(i), twice);
         }
     }
     for (i, range) in ranges.iter().enumerate() {
-        let number = Priors { product: if range.radians.is_some() { 0.0 } else { priors.product }, ..priors };
+        let known_angle = range.radians.is_some() && !range.is_no_angle();
+        let number = Priors { product: if known_angle { 0.0 } else { priors.product }, ..priors };
         layout.number(i, Some(i), if range.wraps { wrapped } else { number });
     }
+}
+
+/// The frequency of an input that is known to be an angle, for a range of [-1, 1].
+fn frequency(range: &InputRange) -> Option<f64> {
+    let known = range.radians.filter(|_| !range.is_no_angle()).map(|radians| radians * 0.5 * (range.max - range.min));
+    if range.wraps { Some(std::f64::consts::PI) } else { known }
 }
 
 /// Dynamics: everything but the angle of an input that comes round, which jumps.
@@ -33,7 +68,7 @@ pub fn dynamics_layout(places: Places, ranges: &[InputRange]) -> Layout {
     let (n, m) = (places.inputs, places.commands);
     let mut layout = Layout::new(places.len(), [1.0, 0.01, 0.03, 1e-4]);
     let priors = Priors { linear: 0.3, square: 0.0, product: 0.1, smooth: 0.3 };
-    inputs(&mut layout, ranges, priors, Priors::default(), 0.1);
+    inputs(&mut layout, ranges, priors, Priors::default(), (0.1, AngleReading::Apart));
     for i in 0..n {
         layout.number(places.change(i), None, Priors { product: 0.0, ..priors });
     }
@@ -50,12 +85,21 @@ pub fn dynamics_layout(places: Places, ranges: &[InputRange]) -> Layout {
     layout
 }
 
+/// The layouts of all readings of the angles, by [`AngleReading`]; one alone where no angles follow each other. They
+/// differ in the terms of units alone.
+pub fn reward_readings(places: Places, ranges: &[InputRange]) -> Vec<Layout> {
+    let [apart, chain] = [AngleReading::Apart, AngleReading::Chain].map(|r| reward_layout(places, ranges, r));
+    let is_same = apart.units.iter().zip(&chain.units).all(|(a, b)| a.terms == b.terms);
+    if is_same { vec![apart] } else { vec![apart, chain] }
+}
+
 /// Rewards: inputs, changes and commands of one tick.
-pub fn reward_layout(places: Places, ranges: &[InputRange]) -> Layout {
+pub fn reward_layout(places: Places, ranges: &[InputRange], reading: AngleReading) -> Layout {
     let (n, m) = (places.inputs, places.commands);
     let mut layout = Layout::new(places.len(), [1.0, 0.3, 0.3, 1e-4]);
     let priors = Priors { linear: 0.3, square: 0.3, product: 0.3, smooth: 0.3 };
-    inputs(&mut layout, ranges, priors, Priors { linear: 0.1, square: 0.1, product: 0.0, smooth: 0.0 }, 0.0);
+    let wrapped = Priors { linear: 0.1, square: 0.1, product: 0.0, smooth: 0.0 };
+    inputs(&mut layout, ranges, priors, wrapped, (0.0, reading));
     for i in 0..n {
         layout.number(places.change(i), None, Priors { product: 0.0, ..priors });
     }

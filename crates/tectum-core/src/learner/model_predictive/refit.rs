@@ -1,7 +1,7 @@
 //! The refit of a model: new scales by evidence on some ticks, then new weights from all ticks, in slices.
 //!
 //! ```text
-//! points   160: the newest third, and others at random
+//! points   160, most of them spread out, others at random; for movement 80, the newest third, others at random
 //! ascend   15 Adam steps on the evidence
 //! gather   A = sum phi phiᵀ, b_j = sum phi y_j over the memory
 //! solve    L Lᵀ = A + lambda I, w_j = A⁻¹ b_j; the noise lambda from the residuals, then once more
@@ -43,6 +43,10 @@ pub struct RefitSettings {
     pub standardise: bool,
     /// Whether points that the model in use finds strange count less.
     pub robust: bool,
+    /// Whether most points are as far from each other as can be; if not, a third of them are the newest ticks.
+    pub spread: bool,
+    /// Most ticks of the memory.
+    pub memory: usize,
 }
 
 /// What is done next.
@@ -102,6 +106,9 @@ pub struct Refit {
     strange: Vec<f64>,
     usual: f64,
     phi: Vec<f64>,
+    /// Where points are spread out: components of each tick, and its squared distance from the points chosen so far.
+    looks: Vec<f64>,
+    least: Vec<f64>,
     /// Number of refits that were completed.
     pub completed: u64,
     /// The evidence before the last step.
@@ -114,6 +121,7 @@ impl Refit {
         let (len, outputs) = (fit.regression.len, fit.regression.outputs);
         let mut next = fit.clone();
         next.features.reserve(layout);
+        let spread = if settings.spread { settings.memory } else { 0 };
         Self {
             settings,
             phase: Phase::Idle,
@@ -134,6 +142,8 @@ impl Refit {
             strange: Vec::with_capacity(settings.points),
             usual: 1.0,
             phi: vec![0.0; len],
+            looks: vec![0.0; spread * layout.components],
+            least: vec![0.0; spread],
             completed: 0,
             log_evidence: 0.0,
         }

@@ -17,6 +17,7 @@ fn layout() -> Layout {
     let priors = Priors { linear: 0.3, square: 0.2, product: 0.7, smooth: 0.3 };
     layout.circle(0, 2.0, true, Some(0), priors);
     layout.circle(1, 2.5, true, Some(1), priors);
+    layout.angle_sum(&[(0, 2.0), (1, -1.5), (4, 0.7)], Some(0), priors);
     layout.number(1, Some(1), priors);
     layout.number(2, Some(2), priors);
     layout.number(4, Some(3), priors);
@@ -131,10 +132,12 @@ fn kernel(layout: &Layout, scales: &[f64], a: &[f64], b: &[f64]) -> f64 {
     let at = |u: usize, s: ScaleKind| {
         if layout.units[u].scales[s as usize] { scales[Layout::scale(u, s)].exp() } else { 0.0 }
     };
+    // That of a sum is in its terms.
+    let frequency = |u: usize| if layout.units[u].terms.each().len() > 1 { 1.0 } else { at(u, ScaleKind::Frequency) };
     let inner = |u: usize| {
         let unit = &layout.units[u];
         if unit.circle {
-            (at(u, ScaleKind::Frequency) * (a[unit.at] - b[unit.at])).cos()
+            (frequency(u) * (unit.terms.value(a) - unit.terms.value(b))).cos()
         } else {
             a[unit.at] * b[unit.at]
         }

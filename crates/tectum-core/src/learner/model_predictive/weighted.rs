@@ -134,7 +134,10 @@ impl Weighted {
             let row = &mut jacobian[j * width..(j + 1) * width];
             for unit in &layout.units {
                 for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
-                    row[unit.at] += self.by_component[j * layout.components + c] * self.basis.slopes[c];
+                    let slope = self.by_component[j * layout.components + c] * self.basis.slopes[c];
+                    for (at, factor) in unit.terms.each() {
+                        row[*at] += factor * slope;
+                    }
                 }
             }
             let slopes = &self.slopes[j * pairs..(j + 1) * pairs];
@@ -149,9 +152,11 @@ impl Weighted {
         let pairs = features.pairs;
         self.projected.fill(0.0);
         for unit in &layout.units {
-            let to = &mut self.projected[unit.at * pairs..(unit.at + 1) * pairs];
-            for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
-                add_scaled(to, self.basis.slopes[c], &features.waves[c * pairs..(c + 1) * pairs]);
+            for (at, factor) in unit.terms.each() {
+                let to = &mut self.projected[at * pairs..(at + 1) * pairs];
+                for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
+                    add_scaled(to, factor * self.basis.slopes[c], &features.waves[c * pairs..(c + 1) * pairs]);
+                }
             }
         }
     }
@@ -213,7 +218,8 @@ impl Weighted {
         hessian.fill(0.0);
         self.wave_curves(layout, features, places, hessian);
         self.unit_curves(layout, features, places, hessian);
-        let in_products = |at: usize| layout.units.iter().any(|unit| unit.at == at && unit.group.is_some());
+        let in_products =
+            |at: usize| layout.units.iter().any(|unit| unit.terms.factor(at) != 0.0 && unit.group.is_some());
         for (row, &at) in places.iter().enumerate().filter(|(_, at)| in_products(**at)) {
             self.product_curves(layout, features, at, places, &mut hessian[row * places.len()..][..places.len()]);
         }
@@ -244,16 +250,23 @@ impl Weighted {
     fn unit_curves(&mut self, layout: &Layout, features: &ModelFeatures, places: &[usize], hessian: &mut [f64]) {
         let (parts, pairs, n) = (features.parts(layout), features.pairs, places.len());
         for (u, unit) in layout.units.iter().enumerate() {
-            let Some(r) = places.iter().position(|&at| at == unit.at) else { continue };
+            let place = |at: usize| places.iter().position(|&other| other == at);
+            let mut curve = 2.0 * self.weights[parts.squares + u];
             if unit.circle {
                 let w = features.frequencies[u];
+                curve = 0.0;
                 for c in unit.component..unit.component + 2 {
                     let slope =
                         self.by_component[c] + dot(&self.slopes[..pairs], &features.waves[c * pairs..(c + 1) * pairs]);
-                    hessian[r * n + r] -= w * w * self.basis.e[c] * slope;
+                    curve -= w * w * self.basis.e[c] * slope;
                 }
-            } else {
-                hessian[r * n + r] += 2.0 * self.weights[parts.squares + u];
+            }
+            for (at, factor) in unit.terms.each() {
+                let Some(r) = place(*at) else { continue };
+                for (at, other) in unit.terms.each() {
+                    let Some(c) = place(*at) else { continue };
+                    hessian[r * n + c] += factor * other * curve;
+                }
             }
         }
     }
@@ -267,16 +280,18 @@ impl Weighted {
         places: &[usize],
         row: &mut [f64],
     ) {
-        let mut moved = [false; 256];
-        for unit in layout.units.iter().filter(|unit| unit.at == at) {
-            moved[unit.component..unit.component + if unit.circle { 2 } else { 1 }].fill(true);
+        // The factor of the place in each component's unit.
+        let mut moved = [0.0; 256];
+        for unit in &layout.units {
+            let factor = unit.terms.factor(at);
+            moved[unit.component..unit.component + if unit.circle { 2 } else { 1 }].fill(factor);
         }
         let nodes = &features.nodes;
         let basis = &self.basis;
         for (k, node) in nodes.iter().enumerate() {
             let c = node.component as usize;
             let (value, along) = parent(node).map_or((1.0, 0.0), |p| (basis.nodes[p], self.along[p]));
-            self.along[k] = along * basis.e[c] + if moved[c] { value * basis.slopes[c] } else { 0.0 };
+            self.along[k] = along * basis.e[c] + moved[c] * value * basis.slopes[c];
         }
         self.along_adjoint[..nodes.len()].fill(0.0);
         let change = &mut self.by_component[layout.components..2 * layout.components];
@@ -286,15 +301,17 @@ impl Weighted {
             let (adjoint, turned) = (self.adjoint[k], self.along_adjoint[k]);
             if let Some(p) = parent(node) {
                 change[c] += turned * basis.nodes[p] + adjoint * self.along[p];
-                self.along_adjoint[p] += turned * basis.e[c] + if moved[c] { adjoint * basis.slopes[c] } else { 0.0 };
+                self.along_adjoint[p] += turned * basis.e[c] + moved[c] * adjoint * basis.slopes[c];
             } else {
                 change[c] += turned;
             }
         }
         for unit in layout.units.iter().filter(|unit| unit.group.is_some()) {
-            let Some(to) = places.iter().position(|&p| p == unit.at) else { continue };
-            for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
-                row[to] += change[c] * basis.slopes[c];
+            for (at, factor) in unit.terms.each() {
+                let Some(to) = places.iter().position(|p| p == at) else { continue };
+                for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
+                    row[to] += factor * change[c] * basis.slopes[c];
+                }
             }
         }
     }

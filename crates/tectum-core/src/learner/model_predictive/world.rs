@@ -8,6 +8,7 @@
 //!
 //! Where a prediction is clamped, derivatives are those without the clamp, so that a plan can leave a stop.
 
+use super::config::InputRange;
 use super::dynamics::Dynamics;
 use super::layout::Places;
 use super::linalg::{add_scaled, clip_to_concave};
@@ -47,6 +48,12 @@ pub struct Ranges {
 }
 
 impl Ranges {
+    /// Those of inputs that are scaled to [-1, 1].
+    pub fn of(inputs: &[InputRange]) -> Self {
+        let n = inputs.len();
+        Self { wraps: inputs.iter().map(|range| range.wraps).collect(), low: vec![-1.0; n], high: vec![1.0; n] }
+    }
+
     /// `z` of input `i` within its range.
     pub fn bring_in(&self, i: usize, z: f64) -> f64 {
         if self.wraps[i] { wrap(z) } else { z.clamp(self.low[i], self.high[i]) }

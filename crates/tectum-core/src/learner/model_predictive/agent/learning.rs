@@ -1,5 +1,6 @@
 //! Learning from a tick: which of its values are believed, what they teach the models, and when these are fitted anew.
 
+use super::super::alignment::RewardAssumption;
 use super::super::belief::BeliefVerdict;
 use super::super::memory::{ChangeData, Data, Entry, Lesson, RewardData};
 use super::super::model::{CONTACT, Model};
@@ -201,19 +202,30 @@ impl ModelPredictive {
         usize::from(self.scores[1] > self.scores[0])
     }
 
+    /// Weighs one of the assumptions about rewards. Returns whether all are weighed; where they then are others than
+    /// before, the reward models begin anew.
+    fn weigh_assumptions(&mut self) -> bool {
+        let present = RewardAssumption { shift: self.shift, reading: self.reading };
+        let weighed = self.alignment.weigh(&self.memory, present, self.config.noise_floor);
+        if let Some(assumed) = weighed.filter(|assumed| *assumed != present) {
+            self.shift = assumed.shift;
+            self.reading = assumed.reading;
+            self.reward_belief.calm();
+            self.scores = [0.0; 2];
+            let rng = &mut self.rng;
+            for model in &mut self.rewards {
+                model.layout.units.copy_from_slice(self.alignment.units(assumed.reading));
+                model.forget(rng);
+            }
+        }
+        weighed.is_some()
+    }
+
     /// Works on refits.
     pub(super) fn refit(&mut self) {
         if self.tick >= self.next_refit && !self.dynamics.busy() && !self.rewards.iter().any(|r| r.refit.busy()) {
-            let layout = &self.rewards[1].layout;
-            let Some(shift) = self.alignment.weigh(layout, &self.memory, self.shift, self.config.noise_floor) else {
+            if !self.weigh_assumptions() {
                 return;
-            };
-            if shift != self.shift {
-                self.shift = shift;
-                self.reward_belief.calm();
-                self.scores = [0.0; 2];
-                let rng = &mut self.rng;
-                self.rewards.iter_mut().for_each(|model| model.forget(rng));
             }
             self.forget_another_world();
             self.dynamics.begin();

@@ -1,11 +1,20 @@
 //! The state of the learner.
 
-use super::{GuardCounts, ModelPredictive};
+use super::{AngleReading, GuardCounts, ModelPredictive};
 use crate::state::{Persist, StateVisitor};
 
 impl Persist for ModelPredictive {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.nested("dynamics", &mut self.dynamics);
+        let mut chained = self.reading == AngleReading::Chain;
+        visitor.boolean("chained", &mut chained);
+        self.reading = if chained && self.alignment.knows(AngleReading::Chain) {
+            AngleReading::Chain
+        } else {
+            AngleReading::Apart
+        };
+        let units = self.alignment.units(self.reading);
+        self.rewards.iter_mut().for_each(|model| model.layout.units.copy_from_slice(units));
         let [before, after] = &mut self.rewards;
         visitor.nested("reward_before", before);
         visitor.nested("reward_after", after);

@@ -10,6 +10,9 @@ use super::super::model::{MAX_MODEL_OUTPUTS, ModelFit};
 use super::{Phase, Refit};
 use crate::seed::Rng;
 
+/// The part of the points that are spread out.
+const SPREAD: f64 = 0.7;
+
 impl Refit {
     /// Reads a tick into `q` and `y`, with what it does not teach filled in by `fit`. Returns whether it teaches.
     pub(super) fn read(
@@ -57,14 +60,17 @@ impl Refit {
         self.next.features.scales.copy_from_slice(&fit.features.scales);
         self.evidence.restart(&fit.features.scales);
         self.standardise(fit, data);
-        let wanted = self.settings.points.min((end - first) as usize);
-        let newest = (wanted / 3) as u64;
         let outputs = fit.regression.outputs;
+        let wanted = self.settings.points.min((end - first) as usize);
         self.strange.clear();
-        // The newest third; of the others as many as are needed, each with equal chance.
-        let (mut left, mut needed) = (end - first - newest, wanted as u64 - newest);
+        let spread = if self.settings.spread { self.spread_out(layout, fit, data, wanted) } else { 0 };
+        // Of what is not chosen yet the newest third, and of the others as many as are needed, each with equal chance.
+        let newest = if self.settings.spread { 0 } else { (wanted / 3) as u64 };
+        let mut needed = wanted as u64 - newest - spread.min(wanted as u64);
+        let mut left = end - first - newest - spread;
         for tick in first..end {
-            let take = if tick >= end - newest {
+            let is_chosen = self.settings.spread && self.least[(tick - first) as usize] < 0.0;
+            let take = if is_chosen || tick >= end - newest {
                 true
             } else {
                 let take = rng.random_range(0..left) < needed;
@@ -87,6 +93,45 @@ impl Refit {
         self.weigh_points();
         self.enter(if self.evidence.len < 8 { Phase::Idle } else { Phase::Ascend });
         (wanted * fit.regression.len) as u64
+    }
+
+    /// Chooses most of the `wanted` points one by one, each the farthest from those before it, over the components of
+    /// all units (Gonzalez 1985): most ticks are alike, because an arm mostly stands at its target. Marks them by a
+    /// negative distance in `least`, and returns their number.
+    fn spread_out(&mut self, layout: &Layout, fit: &ModelFit, data: &dyn Data, wanted: usize) -> u64 {
+        let [first, end] = self.range;
+        let (ticks, width, outputs) = ((end - first) as usize, layout.components, fit.regression.outputs);
+        let mut last = None;
+        for k in 0..ticks {
+            // What teaches nothing is as near as can be.
+            self.least[k] = 0.0;
+            if data.get(first + k as u64, &mut self.q, &mut self.y[..outputs]).is_some() {
+                self.least[k] = f64::INFINITY;
+                let e = &mut self.looks[k * width..(k + 1) * width];
+                layout.components(&fit.features.frequencies, &self.q, e, None);
+                last = Some(k);
+            }
+        }
+        let mut chosen = 0;
+        while let Some(at) = last.filter(|_| chosen < (SPREAD * wanted as f64) as u64) {
+            self.least[at] = -1.0;
+            chosen += 1;
+            let mut farthest = 0.0;
+            last = None;
+            for k in 0..ticks {
+                if self.least[k] <= 0.0 {
+                    continue;
+                }
+                let (a, b) = (&self.looks[k * width..(k + 1) * width], &self.looks[at * width..(at + 1) * width]);
+                let apart = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
+                self.least[k] = self.least[k].min(apart);
+                if self.least[k] > farthest {
+                    farthest = self.least[k];
+                    last = Some(k);
+                }
+            }
+        }
+        chosen
     }
 
     /// How strange the points are, compared with half of them.
@@ -131,5 +176,62 @@ impl Refit {
         let variance = squares / f64::max(count, 1.0) - mean * mean;
         self.next.center = fit.center + mean;
         self.next.scale = if variance > 0.0 { variance.sqrt() } else { fit.scale };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::learner::model_predictive::layout::Priors;
+    use crate::learner::model_predictive::model::{Model, ModelSize};
+    use crate::learner::model_predictive::refit::RefitSettings;
+    use crate::seed::stream;
+
+    /// An input that stands at 0.5 in nine of ten ticks, as an arm mostly stands at its target.
+    struct MostlyStill;
+
+    impl Data for MostlyStill {
+        fn range(&self) -> (u64, u64) {
+            (0, 200)
+        }
+
+        fn get(&self, tick: u64, q: &mut [f64], y: &mut [f64]) -> Option<Lesson> {
+            q[0] = if tick.is_multiple_of(10) { tick as f64 / 200.0 - 0.7 } else { 0.5 };
+            y[0] = q[0] * q[0];
+            Some(Lesson::default())
+        }
+    }
+
+    #[test]
+    fn points_that_are_spread_out_have_what_is_rare() {
+        let rare = |spread: bool| {
+            let mut layout = Layout::new(1, [1.0, 0.3, 0.3, 1e-4]);
+            layout.number(0, Some(0), Priors { linear: 0.3, square: 0.3, product: 0.3, smooth: 0.3 });
+            let settings = RefitSettings {
+                points: 20,
+                steps: 2,
+                extra_steps: 0,
+                step: 0.25,
+                width: 2.5,
+                noise_floor: 1e-7,
+                standardise: true,
+                robust: false,
+                spread,
+                memory: 200,
+            };
+            let rng = &mut stream(1, "test");
+            let mut model =
+                Model::new(layout, ModelSize { outputs: 1, pairs: 4, products: 0, samples: 1 }, settings, rng);
+            model.refit.begin();
+            model.work(&MostlyStill, 1, rng);
+            let mut q = [0.0];
+            let of = |point: usize| {
+                model.refit.evidence.point(point, &mut q);
+                u32::from(q[0] != 0.5)
+            };
+            assert_eq!(model.refit.evidence.len, 20);
+            (0..20).map(of).sum::<u32>()
+        };
+        assert!(rare(true) >= 13 && rare(false) <= 6, "{} {}", rare(true), rare(false));
     }
 }
