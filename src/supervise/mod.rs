@@ -17,6 +17,7 @@ mod history;
 mod in_process;
 mod learned_state;
 mod learning_progress;
+mod log_packing;
 mod policy_file;
 mod process_world;
 mod progress;
