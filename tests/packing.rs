@@ -26,7 +26,11 @@ fn layout(log: &Path) -> (bool, usize) {
 /// How many of the views' topics a file names.
 fn named_views(bytes: &[u8]) -> usize {
     let named = |topic: &str| bytes.windows(topic.len()).any(|window| window == topic.as_bytes());
-    ["/inputs", "/outputs", "/applied", "/measures", "/joint_states"].into_iter().filter(|topic| named(topic)).count()
+    let [samples, scene] = [
+        &["/inputs", "/outputs", "/applied", "/measures", "/joint_states", "/loss", "/error"][..],
+        &["/transforms", "/scene/links", "/scene/target", "/scene/path"],
+    ];
+    samples.iter().chain(scene).filter(|topic| named(topic)).count()
 }
 
 fn sizes(summary: &Value) -> (u64, Option<u64>) {
@@ -42,7 +46,7 @@ fn a_log_is_packed_when_its_run_is_over_and_can_be_continued() {
     let (bytes, before) = sizes(&first);
     assert_eq!(bytes, test_folder.log_path().metadata().unwrap().len());
     assert!(before.unwrap() > bytes, "{first}");
-    assert_eq!(layout(&test_folder.log_path()), (true, 5));
+    assert_eq!(layout(&test_folder.log_path()), (true, 11));
     let names = test_folder.run_folder().read_dir().unwrap().map(|entry| entry.unwrap().file_name());
     assert!(names.into_iter().all(|name| !name.to_string_lossy().starts_with('.')), "a draft was left");
     test_folder.tectum("replay", &["run"]).expect(0);
@@ -65,7 +69,7 @@ fn the_scenario_decides_what_is_packed() {
     let test_folder = TestFolder::new();
     // 12,000 ticks are 9 MB, which only `pack = true` packs.
     for (name, pack, views, ticks, expected) in [
-        ("asked", Some(true), true, "12000", (true, 5)),
+        ("asked", Some(true), true, "12000", (true, 11)),
         ("large", None, true, "12000", (false, 0)),
         ("never", Some(false), true, "500", (false, 0)),
         ("bare", None, false, "500", (true, 0)),

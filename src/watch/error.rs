@@ -59,8 +59,8 @@ pub enum WatchError {
     Terminal(std::io::Error),
     /// The address cannot be listened on.
     #[error(
-        "the page cannot be served at {address}: {cause}; give another address, such as --web 127.0.0.1:0, which \
-        takes any free port"
+        "nothing can be served at {address}: {cause}; give another address, such as 127.0.0.1:0, which takes any free \
+        port"
     )]
     Address {
         /// The address.
@@ -68,6 +68,11 @@ pub enum WatchError {
         /// What is wrong with it.
         cause: String,
     },
+    /// This build has no server for Foxglove.
+    #[error(
+        "this build has no server for Foxglove; build one with cargo build --release --features foxglove, or use --web"
+    )]
+    NoFoxglove,
     /// The page's address cannot be printed.
     #[error("standard output cannot be written: {0}")]
     Output(std::io::Error),

@@ -33,7 +33,7 @@ pub const SMALL_PLANNER: &str = "[learner]\nrule = \"model-predictive\"\n[learne
 /// Writes a copy of a shipped scenario with [`SMALL_PLANNER`] in place of its learner, every tick in its log, and
 /// `more` appended. Returns its path.
 pub fn planner_scenario(test_folder: &TestFolder, name: &str, more: &str) -> String {
-    let text = fs::read_to_string(format!("scenarios/{name}.toml")).unwrap();
+    let text = unpacked(&fs::read_to_string(format!("scenarios/{name}.toml")).unwrap());
     let (head, rest) = text.split_once("\n[learner]").unwrap();
     let (_, tail) = rest.split_once("\n[gate]").unwrap();
     let text = format!("{head}\n{SMALL_PLANNER}\n[gate]{tail}\n{more}");

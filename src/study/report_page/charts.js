@@ -23,6 +23,15 @@ function ticks(low, high, count) {
   return found;
 }
 
+// Round numbers for a logarithmic axis: 1, 2 and 5 of each power of ten, or the powers alone where there are many.
+function decades(low, high) {
+  const found = [];
+  for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power++) {
+    found.push(...(high / low < 200 ? [1, 2, 5] : [1]).map(n => n * 10 ** power));
+  }
+  return found.filter(value => value >= low && value <= high);
+}
+
 const WIDE = 640, HIGH = 250, LEFT = 62, RIGHT = 12, TOP = 20, BOTTOM = 38;
 
 // A frame with axes. `x` and `y` are {low, high, label, log}. Gives the SVG and the two scales.
@@ -35,7 +44,7 @@ function axes(x, y, title) {
   };
   const px = place(x, LEFT, WIDE - RIGHT), py = place(y, HIGH - BOTTOM, TOP);
   const at = axis => axis.log
-    ? ticks(Math.log10(axis.low), Math.log10(axis.high), 5).filter(n => Number.isInteger(n)).map(n => 10 ** n)
+    ? decades(axis.low, axis.high)
     : ticks(axis.low, axis.high, 6);
   for (const value of at(y)) {
     svg.append(make("line", {class: "grid", x1: LEFT, x2: WIDE - RIGHT, y1: py(value), y2: py(value)}),
