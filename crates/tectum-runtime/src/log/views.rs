@@ -14,7 +14,7 @@
 //! | `/error` | `tectum/msg/Error` | the error of the tick before, if the plant measures one |
 //! | `/budget` | `tectum/msg/Budget` | real time: how the tick was spent, us; at the time of the learning record |
 //! | `/transforms` | `foxglove.FrameTransforms` | the simulator's arm: a frame for each link and one for its end |
-//! | `/scene/links`, `/scene/target`, `/scene/path` | `foxglove.SceneUpdate` | the arm, its target, the path of its end |
+//! | `/scene/links`, `/scene/target`, `/scene/path` | `foxglove.SceneUpdate` | the arm, its target, its end's path |
 //!
 //! Readers of samples pass over them. The same messages go to viewers while a run goes on.
 

@@ -1,8 +1,8 @@
 //! The simulator's arm in space: a frame for each link, the links, the target, and the path of the end-effector, as
 //! JSON messages of the types `foxglove.FrameTransforms` and `foxglove.SceneUpdate`.
 //!
-//! A viewer that begins in the middle, or jumps in a log, gets the last message of each topic. So each message holds all
-//! that its topic shows, and what seldom changes is repeated every [`REPEATED`] ticks.
+//! A viewer that begins in the middle, or jumps in a log, gets the last message of each topic. So each message holds
+//! all that its topic shows, and what seldom changes is repeated every [`REPEATED`] ticks.
 
 use std::collections::VecDeque;
 use std::fmt::Write as _;

@@ -1,4 +1,5 @@
-//! Definitions of the views' types: in ROS 2's language, and in JSON Schema for those that Foxglove and Lichtblick draw.
+//! Definitions of the views' types: in ROS 2's language, and in JSON Schema for those that Foxglove and Lichtblick
+//! draw.
 
 use super::ViewChannel;
 
