@@ -4,6 +4,7 @@ mod analyse;
 mod bench;
 mod compare;
 mod doctor;
+mod export;
 mod film;
 mod link;
 mod log;

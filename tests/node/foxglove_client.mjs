@@ -1,5 +1,5 @@
-// Connects to `tectum watch --foxglove` with the client that Foxglove publishes, subscribes to every channel, and prints
-// what came: foxglove_client.mjs URL SUBPROTOCOL COMMANDS. Every JSON message must be JSON.
+// Connects to `tectum watch --foxglove` with the client that Foxglove publishes, subscribes to every channel, and
+// prints what came: foxglove_client.mjs URL SUBPROTOCOL COMMANDS. Every JSON message must be JSON.
 import protocol from "@foxglove/ws-protocol";
 import WebSocket from "ws";
 
