@@ -38,11 +38,11 @@ fn info_describes_a_whole_log() {
         ("duration_s", 150.0.into()),
         ("complete", true.into()),
         ("gaps", 0.into()),
-        ("started", Value::Null),
     ] {
         assert_eq!(info[key], value, "{key}: {info}");
     }
     assert!(info["machine"]["kernel"].as_str().unwrap().starts_with("Linux"));
+    assert!(info["started"].as_str().unwrap().ends_with(" UTC"), "{info}");
     assert_eq!(info["weights_hash"][1], 2999);
     for (i, topic) in ["/observation", "/command", "/learning"].into_iter().enumerate() {
         let expected = serde_json::json!({

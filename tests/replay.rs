@@ -19,7 +19,7 @@ use tectum::wire::{Command, Learning, Observation, flag};
 fn recorded(test_folder: &TestFolder, scenario: &str, more: &str, arguments: &[&str]) -> Vec<u8> {
     let text = fs::read_to_string(format!("scenarios/{scenario}.toml")).unwrap();
     let (head, _) = text.split_once("\n[log]").unwrap();
-    let text = format!("{head}\n{more}\n[log]\nevery = 1\nhash_every = 10\n");
+    let text = format!("{head}\n{more}\n[log]\nevery = 1\nhash_every = 10\npack = false\n");
     let scenario = test_folder.write_file("scenario.toml", text);
     let mut all = vec![scenario.to_str().unwrap()];
     all.extend(arguments);

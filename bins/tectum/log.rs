@@ -10,6 +10,7 @@ use tectum::log::{CsvChannel, LogError, LogInfo, PackedLog, Repair, RunLog, csv,
 use tectum::process::print_error_line;
 use tectum::runtime::exit;
 
+use super::export::{PythonExport, export_with_python};
 use super::print;
 
 #[derive(Debug, Args)]
@@ -18,7 +19,8 @@ Examples:
   tectum log info runs/arm-1                its run, whether it is whole, what it holds and what is missing
   tectum log repair runs/arm-1              makes a torn log whole
   tectum log pack runs/arm-1                puts it into compressed, indexed chunks, for viewers and archives
-  tectum log csv runs/arm-1 --out arm.csv   its observations as a table")]
+  tectum log csv runs/arm-1 --out arm.csv   its observations as a table
+  tectum log export runs/arm-1 --format lerobot --out arm   training data: a LeRobotDataset")]
 pub struct Arguments {
     #[command(subcommand)]
     work: Work,
@@ -53,7 +55,7 @@ Examples:
         /// Write the packed log there, and leave the log as it is
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
-        /// Leave out the topics that repeat the samples by name: /inputs, /outputs, /applied, /measures, /joint_states
+        /// Leave out the topics that repeat the samples for viewers: /inputs, /joint_states, /loss, /scene/links, ...
         #[arg(long)]
         no_views: bool,
     },
@@ -71,6 +73,27 @@ Examples:
         /// The file to write [default: standard output]
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
+    },
+    /// Export a log for other programs: as CSV, as a Parquet table, or as a LeRobotDataset of version 3. The last two
+    /// need the Python package of Tectum and pyarrow
+    #[command(after_help = "\
+Examples:
+  tectum log export runs/arm-1 --format csv --out arm.csv
+  tectum log export runs/arm-1 --format parquet --channel command --out commands.parquet
+  tectum log export runs/arm-1 --format lerobot --out arm-dataset
+  TECTUM_PYTHON=venv/bin/python tectum log export runs/arm-1 --format lerobot --out arm-dataset")]
+    Export {
+        /// A log, or the folder of a run, or the run's name under runs/
+        log: PathBuf,
+        /// The format
+        #[arg(long, value_enum)]
+        format: ExportFormat,
+        /// The channel, for CSV and Parquet
+        #[arg(long, value_enum, default_value_t = ChannelArgument::Observation)]
+        channel: ChannelArgument,
+        /// The file to write, or for lerobot the folder
+        #[arg(long, value_name = "PATH")]
+        out: PathBuf,
     },
 }
 
@@ -93,6 +116,17 @@ enum ChannelArgument {
     Learning,
     /// Samples missing from the log
     Gap,
+}
+
+/// What a log is exported as.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ExportFormat {
+    /// A table as text: a row a sample, columns by the scenario's names, with units
+    Csv,
+    /// The same table in Apache Parquet
+    Parquet,
+    /// Training data: a LeRobotDataset of version 3
+    Lerobot,
 }
 
 impl ChannelArgument {
@@ -129,6 +163,10 @@ pub fn main(arguments: &Arguments) -> ExitCode {
                 })
             })
         }
+        Work::Export { log, format: ExportFormat::Csv, channel, out } => {
+            find(log).and_then(|log| export(&log, channel.channel(), Some(out)).map(|()| ExitCode::SUCCESS))
+        }
+        Work::Export { log, format, channel, out } => return export_by_python(log, *format, *channel, out),
         Work::Csv { log, channel, out } => {
             find(log).and_then(|log| export(&log, channel.channel(), out.as_deref()).map(|()| ExitCode::SUCCESS))
         }
@@ -198,6 +236,20 @@ fn export(segments: &[PathBuf], channel: CsvChannel, out: Option<&Path>) -> Resu
         ));
     }
     Ok(())
+}
+
+/// Exports with the Python package, which says itself what is wrong with its input.
+fn export_by_python(log: &Path, format: ExportFormat, channel: ChannelArgument, out: &Path) -> ExitCode {
+    let name = channel.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+    let export = if format == ExportFormat::Lerobot { PythonExport::LeRobot } else { PythonExport::Parquet(name) };
+    let found = find(log).map_err(|error| error.to_string());
+    match found.and_then(|segments| export_with_python(log, &segments, &export, out)) {
+        Ok(code) => code,
+        Err(error) => {
+            print_error_line(&format!("tectum: {error}"));
+            ExitCode::from(exit::INPUT)
+        }
+    }
 }
 
 /// Whether both paths lead to the same file.

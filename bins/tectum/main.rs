@@ -4,6 +4,7 @@ mod analyse;
 mod bench;
 mod compare;
 mod doctor;
+mod export;
 mod film;
 mod link;
 mod log;
@@ -11,6 +12,7 @@ mod merge;
 mod new;
 mod policy;
 mod replay;
+mod report;
 mod reproduce;
 mod run;
 mod scenario;
@@ -72,6 +74,8 @@ enum Command {
     Analyse(analyse::Arguments),
     /// Make an animated picture of a run from its log: the arm at first, after ten seconds, and at the end
     Film(film::Arguments),
+    /// Write a page with all that a run has left, or several runs side by side: figure, tables, movements, latency
+    Report(report::Arguments),
     /// Compare the learners: how much experience each needs, and what one tick costs
     Compare(compare::Arguments),
     /// Run a scenario with all combinations of some settings, over seeds
@@ -101,6 +105,7 @@ fn main() -> ExitCode {
         Command::Reproduce(arguments) => reproduce::main(&arguments),
         Command::Analyse(arguments) => analyse::main(&arguments),
         Command::Film(arguments) => film::main(&arguments),
+        Command::Report(arguments) => report::main(&arguments),
         Command::Compare(arguments) => compare::main(&arguments),
         Command::Sweep(arguments) => sweep::main(&arguments),
         Command::Merge(arguments) => merge::main(&arguments),

@@ -13,6 +13,7 @@ pub mod film;
 mod merge;
 mod opened_study;
 pub mod replay;
+pub mod report_page;
 pub mod reproduce;
 mod study_rows;
 pub mod sweep;

@@ -17,6 +17,7 @@ mod history;
 mod in_process;
 mod learned_state;
 mod learning_progress;
+mod log_packing;
 mod policy_file;
 mod process_world;
 mod progress;
@@ -231,6 +232,7 @@ fn manifest(launch: &Launch, run_id: u64, domain: &DomainName) -> RunManifest {
         scenario_folder: launch.plan.scenario.source.folder().map(Into::into),
         domain: domain.clone(),
         launcher: std::process::id(),
+        launched_wall_ns: wall_ns(),
         checkpoint_every: launch.checkpoint_every,
         keep_checkpoints: launch.keep_checkpoints,
         stopwatch: launch.stopwatch,

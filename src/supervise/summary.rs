@@ -12,6 +12,7 @@ use super::history::{ends, history};
 use super::in_process::StudyResult;
 use super::learned_state::LearnedState;
 use super::learning_progress::{reached, rows};
+use super::log_packing;
 use super::restarts::RestartIncident;
 use super::supervisor::RunEnd;
 use crate::agent::Agent as _;
@@ -168,6 +169,8 @@ pub struct RunSummary {
     pub log_missing_from: Option<u64>,
     /// Its size, all segments, bytes.
     pub log_bytes: u64,
+    /// Its size before it was packed at the end of the run; null where it was not.
+    pub log_unpacked_bytes: Option<u64>,
     /// Every how many ticks are in it.
     pub log_every: u64,
     /// The figure; null where there is nothing to draw.
@@ -190,6 +193,11 @@ pub struct RunSummary {
     /// Real time: from the plant's waking up to its observation's being sent.
     #[serde(skip)]
     plant_work_us: Option<Percentiles>,
+}
+
+/// Size of all these files, bytes.
+pub(super) fn total_bytes(files: &[PathBuf]) -> u64 {
+    files.iter().filter_map(|file| Some(std::fs::metadata(file).ok()?.len())).sum()
 }
 
 impl WindowSummary {
@@ -257,6 +265,8 @@ impl RunSummary {
             let (is, was) = (thousands(summary.log_bytes), thousands(logger.bytes));
             let message = format!("{is} of the {was} bytes of the log are left: somebody removed or changed it");
             summary.complain(exit::INPUT, message);
+        } else if log_packing::is_wanted(&launch.plan.scenario.log, ended, summary.log_bytes) {
+            summary.pack_log(&launch.plan.scenario.log, folder);
         }
         summary.conclude();
         summary
@@ -393,7 +403,7 @@ impl RunSummary {
     /// What the log is, and the logger's report of it, if there is one. Returns the report, or an empty one.
     fn add_log(&mut self, folder: &Path, report: Option<LoggerReport>) -> LoggerReport {
         let mut segments = log::segments(folder);
-        self.log_bytes = segments.iter().filter_map(|log| Some(std::fs::metadata(log).ok()?.len())).sum();
+        self.log_bytes = total_bytes(&segments);
         self.log_segments = segments.len();
         self.log = if segments.len() > 1 { Some(folder.to_owned()) } else { segments.pop() };
         let known = report.is_some();
@@ -438,7 +448,7 @@ impl RunSummary {
         }
     }
 
-    fn complain(&mut self, code: u8, message: String) {
+    pub(super) fn complain(&mut self, code: u8, message: String) {
         if self.code == exit::OK {
             self.code = code;
         }

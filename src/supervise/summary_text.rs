@@ -95,7 +95,7 @@ impl RunSummary {
 
     /// What did not go well during the run. The scenario's warnings were printed when it began.
     fn write_warnings(&self, text: &mut String) {
-        for warning in self.warnings.iter().filter(|warning| warning.count.is_some()) {
+        for warning in self.warnings.iter().filter(|warning| warning.name != "settings") {
             let _ = writeln!(text, "{:<23} {}: {}", "warning", warning.name, warning.text);
         }
     }
@@ -153,12 +153,10 @@ impl RunSummary {
                 0 => String::new(),
                 n => format!(", the oldest {} removed at the limit", thousands(n)),
             };
-            let _ = writeln!(
-                text,
-                "log     {} ({:.1} MB{segments}{removed}{every})",
-                log.display(),
-                self.log_bytes as f64 / 1e6
-            );
+            let megabytes = |bytes: u64| format!("{:.1} MB", bytes as f64 / 1e6);
+            let packed = self.log_unpacked_bytes.map_or(String::new(), |n| format!(", packed from {}", megabytes(n)));
+            let (log, size) = (log.display(), megabytes(self.log_bytes));
+            let _ = writeln!(text, "log     {log} ({size}{packed}{segments}{removed}{every})");
         }
         if let Some(figure) = &self.figure {
             let _ = writeln!(text, "figure  {}", figure.display());

@@ -68,6 +68,11 @@ pub enum WatchError {
         /// What is wrong with it.
         cause: String,
     },
+    /// This build has no server for Foxglove.
+    #[error(
+        "this build has no server for Foxglove; build one with cargo build --release --features foxglove, or use --web"
+    )]
+    NoFoxglove,
     /// The page's address cannot be printed.
     #[error("standard output cannot be written: {0}")]
     Output(std::io::Error),

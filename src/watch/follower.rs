@@ -7,6 +7,8 @@ use tectum_view::RunView;
 use super::WatchError;
 use super::living::LivingRun;
 use super::run_watcher::RunWatcher;
+use crate::log::{LogRecord, ViewFacts};
+use crate::wire::ChannelNames;
 
 /// How often it looks for a run, s.
 const SEARCH_EVERY_S: f64 = 0.2;
@@ -32,6 +34,9 @@ pub struct Follower {
     next_search: f64,
     /// Counts the runs that were found.
     generation: u64,
+    /// Whether samples are kept for [`take_samples`](Self::take_samples), and those that are.
+    keeps_samples: bool,
+    samples: Vec<LogRecord>,
 }
 
 /// A run that is alive, with all that is mapped for it, or what is left of one that is over.
@@ -46,7 +51,9 @@ impl Follower {
     /// # Errors
     /// [`WatchError`] if there is no such run, or it is over.
     pub fn open(target: WatchTarget, wait: bool) -> Result<Self, WatchError> {
-        let mut follower = Self { target, watched: None, waits_for: String::new(), next_search: 0.0, generation: 0 };
+        let (waits_for, samples) = (String::new(), Vec::new());
+        let mut follower =
+            Self { target, watched: None, waits_for, next_search: 0.0, generation: 0, keeps_samples: false, samples };
         match follower.find() {
             Ok(run) => follower.begin(run)?,
             Err(WatchError::NoRun { .. } | WatchError::NoneLiving) if wait => {
@@ -82,7 +89,8 @@ impl Follower {
     /// Takes what has come since the last look, or looks for a run. `now` is the watcher's own time, s.
     pub fn look(&mut self, now: f64) {
         if let Some(Watched::Alive(watcher)) = &mut self.watched {
-            if !watcher.look(now) {
+            let samples = self.keeps_samples.then_some(&mut self.samples);
+            if !watcher.look(now, samples) {
                 // What is mapped is unmapped at once, so that nobody takes this process for one of the run.
                 let (view, run) = (Box::new(std::mem::take(&mut watcher.view)), watcher.id());
                 self.watched = Some(Watched::Over { view, run });
@@ -108,6 +116,25 @@ impl Follower {
             Some(Watched::Alive(watcher)) => Some(&watcher.view),
             Some(Watched::Over { view, .. }) => Some(view),
             None => None,
+        }
+    }
+
+    /// Keeps the samples of each look from now on, for those who need them as they are.
+    pub fn keep_samples(&mut self) {
+        self.keeps_samples = true;
+    }
+
+    /// The samples that were kept since the last call, in the order of their ticks.
+    pub fn take_samples(&mut self) -> Vec<LogRecord> {
+        self.samples.sort_by_key(|sample| (sample.header().map_or(0, |header| header.tick), sample.channel()));
+        std::mem::take(&mut self.samples)
+    }
+
+    /// What views of the run's samples are made of, and the names of its channels. `None` if no run is alive.
+    pub fn view_facts(&self) -> Option<(ViewFacts, ChannelNames)> {
+        match &self.watched {
+            Some(Watched::Alive(watcher)) => Some(watcher.view_facts()),
+            _ => None,
         }
     }
 

@@ -1,5 +1,5 @@
-//! Watching runs from outside: finds them, reads what they leave in shared memory, and shows it in a terminal or a
-//! browser.
+//! Watching runs from outside: finds them, reads what they leave in shared memory, and shows it in a terminal, in a
+//! browser or in Foxglove.
 //!
 //! A watcher opens nothing of iceoryx2. It maps the log rings to read and reads the launcher's copy of the boards, so
 //! that no process of the run can notice it, whatever it does: there may be any number of watchers, and they may be
@@ -8,6 +8,8 @@
 mod error;
 mod facts;
 mod follower;
+#[cfg(feature = "foxglove")]
+mod foxglove;
 mod living;
 mod run_watcher;
 mod screen_session;
@@ -18,6 +20,8 @@ mod web;
 
 pub use error::WatchError;
 pub use follower::{Follower, WatchTarget};
+#[cfg(feature = "foxglove")]
+pub use foxglove::watch_by_foxglove;
 pub use snapshot::snapshot;
 pub use terminal::{FaceEnd, watch_in_terminal};
 pub use watched_run::{WatchedRun, end_with_parent, launch_and_watch};

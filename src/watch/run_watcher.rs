@@ -12,11 +12,12 @@ use super::WatchError;
 use super::facts::{drawable_arm, facts};
 use super::living::LivingRun;
 use crate::channel::{BoardsCopy, DomainName, LogTail, MessageTail, WatchFiles};
-use crate::clock::ProcessHandle;
+use crate::clock::{ProcessHandle, monotonic_ns, wall_ns};
+use crate::log::{LogRecord, ViewFacts};
 use crate::plant::posture;
 use crate::runtime::{Mode, RunManifest};
 use crate::scenario::{ArmConfig, Plan, Scenario};
-use crate::wire::{Command, Learning, Observation, Phase, ProcessState, Role, Status, flag};
+use crate::wire::{ChannelNames, Command, Learning, Observation, Phase, ProcessState, Role, Status, flag};
 
 /// Samples of each channel that a look takes in real time: nearly all that a ring holds.
 const REALTIME_SAMPLES: u64 = 1536;
@@ -42,6 +43,8 @@ pub(super) struct RunWatcher {
     /// Sequence number of the next observation.
     expected: Option<u64>,
     samples: u64,
+    /// Offset from the run's clock to wall time, ns.
+    shift_ns: i128,
 }
 
 impl RunWatcher {
@@ -66,6 +69,7 @@ impl RunWatcher {
             newest: BoardsCopy::default(),
             processes: [const { None }; 3],
             expected: None,
+            shift_ns: wall_offset(&manifest, plan.period_ns),
             samples: if manifest.mode == Mode::Realtime { REALTIME_SAMPLES } else { LOCKSTEP_SAMPLES },
             domain,
             plan,
@@ -77,15 +81,22 @@ impl RunWatcher {
         self.run
     }
 
-    /// Takes what has come since the last look. `now` is the watcher's own time, s. False if the run is over; then
-    /// there is nothing more to look at.
-    pub fn look(&mut self, now: f64) -> bool {
+    /// What views of its samples are made of, and the names of its channels.
+    pub fn view_facts(&self) -> (ViewFacts, ChannelNames) {
+        let facts = ViewFacts::of_plan(&self.plan, self.view.facts.realtime, self.shift_ns);
+        (facts, self.plan.scenario.channels.clone())
+    }
+
+    /// Takes what has come since the last look, and adds the samples to `kept`. `now` is the watcher's own time, s.
+    /// False if the run is over; then there is nothing more to look at.
+    pub fn look(&mut self, now: f64, mut kept: Option<&mut Vec<LogRecord>>) -> bool {
         // Before anything is read, so that what was left at the very end is still read.
         let over = self.launcher.ended() || !self.domain.root().exists();
-        self.take_observations();
+        self.take_observations(kept.as_deref_mut());
         self.commands.skip_to_newest(self.samples);
         for _ in 0..self.samples {
             let Some(sample) = self.commands.receive() else { break };
+            kept.iter_mut().for_each(|kept| kept.push(LogRecord::Command(sample)));
             let header = &sample.header;
             let (tick, flags) = (header.tick, header.flags);
             self.view.command(&SeenCommand { tick, flags, published_ns: header.published_ns });
@@ -93,6 +104,7 @@ impl RunWatcher {
         self.learning.skip_to_newest(self.samples);
         for _ in 0..self.samples {
             let Some(sample) = self.learning.receive() else { break };
+            kept.iter_mut().for_each(|kept| kept.push(LogRecord::Learning(sample)));
             let header = &sample.header;
             let (tick, flags) = (header.tick, header.flags);
             let weights_norm = sample.weights_norm;
@@ -112,7 +124,7 @@ impl RunWatcher {
         !over
     }
 
-    fn take_observations(&mut self) {
+    fn take_observations(&mut self, mut kept: Option<&mut Vec<LogRecord>>) {
         self.observations.skip_to_newest(self.samples);
         let arm = drawable_arm(&self.plan).cloned();
         let mut next = self.observations.receive();
@@ -127,6 +139,7 @@ impl RunWatcher {
                 None => {}
             }
             self.expected = Some(sequence + 1);
+            kept.iter_mut().for_each(|kept| kept.push(LogRecord::Observation(sample)));
             // In lockstep only the newest is drawn.
             let drawn = self.view.facts.realtime || next.is_none();
             self.take_observation(&sample, arm.as_ref().filter(|_| drawn));
@@ -202,4 +215,14 @@ impl RunWatcher {
             "the run ended early".to_owned()
         }
     }
+}
+
+/// Offset from the clock of a run's samples to wall time, ns. In lockstep, tick 0 was when the run was launched; of a
+/// part that goes on with another run, its own first tick.
+fn wall_offset(manifest: &RunManifest, period_ns: u64) -> i128 {
+    if manifest.mode == Mode::Realtime {
+        return i128::from(wall_ns()) - i128::from(monotonic_ns());
+    }
+    let first_ns = manifest.resumed.as_ref().map_or(0, |resumed| resumed.tick * period_ns);
+    i128::from(manifest.launched_wall_ns.saturating_sub(first_ns))
 }

@@ -33,7 +33,7 @@ pub const SMALL_PLANNER: &str = "[learner]\nrule = \"model-predictive\"\n[learne
 /// Writes a copy of a shipped scenario with [`SMALL_PLANNER`] in place of its learner, every tick in its log, and
 /// `more` appended. Returns its path.
 pub fn planner_scenario(test_folder: &TestFolder, name: &str, more: &str) -> String {
-    let text = fs::read_to_string(format!("scenarios/{name}.toml")).unwrap();
+    let text = unpacked(&fs::read_to_string(format!("scenarios/{name}.toml")).unwrap());
     let (head, rest) = text.split_once("\n[learner]").unwrap();
     let (_, tail) = rest.split_once("\n[gate]").unwrap();
     let text = format!("{head}\n{SMALL_PLANNER}\n[gate]{tail}\n{more}");
@@ -69,10 +69,11 @@ impl TestFolder {
     }
 
     /// Like [`arm_scenario`](Self::arm_scenario) for any shipped scenario, with `more` appended to its text. Lines
-    /// stay where they are, for messages that name them.
+    /// stay where they are, for messages that name them. The log stays as it was written: what a test does to its bytes
+    /// would otherwise be done to compressed chunks.
     #[track_caller]
     pub fn scenario(&self, name: &str, changes: &[(&str, &str)], more: &str) -> String {
-        let text = fs::read_to_string(format!("scenarios/{name}.toml")).unwrap() + more;
+        let text = unpacked(&fs::read_to_string(format!("scenarios/{name}.toml")).unwrap()) + more;
         let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
         for (key, value) in changes {
             let line = lines.iter_mut().find(|line| line.split(" = ").next() == Some(key));
@@ -94,6 +95,17 @@ impl TestFolder {
     pub fn refused(&self, command: &str, arguments: &[&str]) -> String {
         self.tectum(command, arguments).refusal()
     }
+}
+
+/// The scenario with `pack = false` in place of the first line under `[log]` that says nothing, or at its end.
+fn unpacked(scenario: &str) -> String {
+    let mut lines: Vec<&str> = scenario.lines().collect();
+    let Some(log) = lines.iter().position(|line| *line == "[log]") else { return scenario.to_owned() };
+    match lines[log..].iter().position(|line| line.is_empty() || line.starts_with('#')) {
+        Some(free) => lines[log + free] = "pack = false",
+        None => lines.push("pack = false"),
+    }
+    lines.join("\n") + "\n"
 }
 
 /// Appends text to a file.

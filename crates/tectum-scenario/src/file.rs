@@ -85,7 +85,7 @@ pub struct PolicyConfig {
     pub noise: Noise,
 }
 
-/// `[log]`: which ticks the log contains.
+/// `[log]`: which ticks the log contains, and in which layout.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LogConfig {
@@ -102,6 +102,19 @@ pub struct LogConfig {
     /// After how many seconds what was written is synced to the disk; without it only when a segment ends.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sync_s: Option<f64>,
+    /// Whether the log is put into compressed, indexed chunks when the run has ended in good order. Without it, small
+    /// logs are.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pack: Option<bool>,
+    /// Whether a packed log repeats its samples on topics for viewers, with the scenario's names.
+    #[serde(skip_serializing_if = "is_true")]
+    pub views: bool,
+}
+
+/// Settings that are left out of a resolved scenario while they have their default leave its hash as it was before
+/// they were introduced.
+fn is_true(value: &bool) -> bool {
+    *value
 }
 
 impl Scenario {
@@ -133,6 +146,6 @@ impl Default for PolicyConfig {
 
 impl Default for LogConfig {
     fn default() -> Self {
-        Self { every: 1, hash_every: 1000, rotate: None, limit_mb: None, sync_s: None }
+        Self { every: 1, hash_every: 1000, rotate: None, limit_mb: None, sync_s: None, pack: None, views: true }
     }
 }

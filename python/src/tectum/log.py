@@ -1,7 +1,7 @@
 """Reads a run's log into numpy arrays, with the scenario's names and units.
 
 The log is MCAP with fixed-size messages whose schema stands in the log itself (docs/studies.md). So a log of another
-version can be read, too. Its messages stand by themselves, or in chunks once `tectum log pack` has packed it.
+version can be read, too. Its messages stand by themselves, or in chunks once it has been packed.
 """
 
 import json
@@ -200,7 +200,7 @@ def unpack(content: memoryview, path: Path) -> memoryview:
     try:
         import zstandard
     except ImportError:
-        raise Refused(f"{path} is packed, and zstandard is not installed: pip install 'tectum[zstd]'") from None
+        raise Refused(f"{path} is packed, and zstandard is not installed: pip install zstandard") from None
     return memoryview(zstandard.ZstdDecompressor().decompress(bytes(packed), max_output_size=size))
 
 

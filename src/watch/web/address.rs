@@ -1,4 +1,4 @@
-//! Where the page is served.
+//! Where the page is served, and the protocol for other viewers.
 
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Read as _};
@@ -6,12 +6,9 @@ use std::net::{TcpListener, ToSocketAddrs as _};
 
 use super::super::WatchError;
 
-/// The port that is taken if it is free and the user named none.
-const PORT: u16 = 8417;
-
 /// An address to listen on.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct WebAddress {
+pub(in crate::watch) struct WebAddress {
     host: String,
     port: u16,
     /// Whether any other free port will do as well.
@@ -25,11 +22,11 @@ impl std::fmt::Display for WebAddress {
 }
 
 impl WebAddress {
-    /// Reads `HOST:PORT`, `PORT`, or nothing.
-    pub fn parse(text: &str) -> Result<Self, WatchError> {
+    /// Reads `HOST:PORT`, `PORT`, or nothing: then it is `usual_port` of this machine, or another that is free.
+    pub fn parse(text: &str, usual_port: u16) -> Result<Self, WatchError> {
         let wrong = |cause: &str| WatchError::Address { address: text.to_owned(), cause: cause.to_owned() };
         if text.is_empty() {
-            return Ok(Self { host: "127.0.0.1".to_owned(), port: PORT, any_port: true });
+            return Ok(Self { host: "127.0.0.1".to_owned(), port: usual_port, any_port: true });
         }
         let (host, port) = text.rsplit_once(':').unwrap_or(("127.0.0.1", text));
         let port = port.parse().map_err(|_| wrong("it does not end with a port, a number up to 65535"))?;
@@ -64,7 +61,7 @@ impl WebAddress {
 ///
 /// # Errors
 /// When the operating system has no random bytes.
-pub(super) fn token() -> std::io::Result<String> {
+pub(in crate::watch) fn token() -> std::io::Result<String> {
     let mut bytes = [0; 16];
     std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
     Ok(bytes.iter().fold(String::new(), |mut text, byte| {
@@ -79,16 +76,17 @@ mod tests {
 
     #[test]
     fn addresses_are_read_and_wrong_ones_refused() {
-        let shown = ["", "8080", "0.0.0.0:1", "[::1]:80", "localhost:0"].map(|text| WebAddress::parse(text).unwrap());
+        let shown =
+            ["", "8080", "0.0.0.0:1", "[::1]:80", "localhost:0"].map(|text| WebAddress::parse(text, 8417).unwrap());
         let shown = shown.map(|address| address.to_string());
         assert_eq!(shown, ["127.0.0.1:8417", "127.0.0.1:8080", "0.0.0.0:1", "[::1]:80", "localhost:0"]);
         for text in ["x", "1.2.3.4", "localhost:", ":80", "::1:80", "h:70000"] {
-            let error = WebAddress::parse(text).unwrap_err().to_string();
+            let error = WebAddress::parse(text, 8417).unwrap_err().to_string();
             assert!(error.contains(text) && error.lines().count() == 1, "{error}");
         }
         let taken = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = taken.local_addr().unwrap().port();
-        let error = WebAddress::parse(&port.to_string()).unwrap().listen().unwrap_err().to_string();
+        let error = WebAddress::parse(&port.to_string(), 8417).unwrap().listen().unwrap_err().to_string();
         assert!(error.contains("another program uses the port"), "{error}");
         assert!(token().unwrap() != token().unwrap());
     }

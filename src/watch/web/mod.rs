@@ -8,9 +8,9 @@
 //! has. A request from this machine must name it as its host, so that a page of somebody else's cannot read a run
 //! through a name that leads here.
 
-mod address;
+pub(super) mod address;
 mod connection;
-mod request;
+pub(super) mod request;
 
 use std::io::ErrorKind;
 use std::net::{SocketAddr, TcpListener};
@@ -23,6 +23,8 @@ use crate::clock::{TerminationSignals, monotonic_ns};
 use address::WebAddress;
 use connection::{Connection, Served};
 
+/// The port that is taken if it is free and the user named none.
+const PORT: u16 = 8417;
 /// Time between two updates, ns.
 const UPDATE_NS: u64 = 50_000_000;
 /// Most connections at a time.
@@ -63,7 +65,7 @@ fn serve(
     signals: &TerminationSignals,
     announce: impl FnOnce(&str) -> std::io::Result<()>,
 ) -> Result<FaceEnd, WatchError> {
-    let address = WebAddress::parse(address)?;
+    let address = WebAddress::parse(address, PORT)?;
     let listener = address.listen()?;
     let failed = |cause: std::io::Error| WatchError::Address { address: address.to_string(), cause: cause.to_string() };
     listener.set_nonblocking(true).map_err(failed)?;

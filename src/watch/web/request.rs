@@ -3,13 +3,13 @@
 use std::net::SocketAddr;
 
 /// Longest head of a request, bytes.
-pub(super) const LONGEST_HEAD: usize = 8192;
+pub(in crate::watch) const LONGEST_HEAD: usize = 8192;
 /// Most header fields of a request.
 const MOST_FIELDS: usize = 64;
 
 /// The answer to a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum PageResponse {
+pub(in crate::watch) enum PageResponse {
     /// The head is not complete yet.
     NotYet,
     /// The page; without its body if the method was HEAD.
@@ -29,7 +29,7 @@ pub(super) enum PageResponse {
 }
 
 /// The answer to the request whose first bytes are `bytes`. The page is served at `local`, to whoever has `token`.
-pub(super) fn answer(bytes: &[u8], local: SocketAddr, token: Option<&str>) -> PageResponse {
+pub(in crate::watch) fn answer(bytes: &[u8], local: SocketAddr, token: Option<&str>) -> PageResponse {
     let mut fields = [httparse::EMPTY_HEADER; MOST_FIELDS];
     let mut request = httparse::Request::new(&mut fields);
     match request.parse(bytes) {
@@ -80,7 +80,7 @@ fn names_this_machine(host: &str, local: SocketAddr) -> bool {
 }
 
 /// The head of an answer with a body of `length` bytes, or of events if that is `None`.
-pub(super) fn head(status: &str, kind: &str, length: Option<usize>) -> String {
+pub(in crate::watch) fn head(status: &str, kind: &str, length: Option<usize>) -> String {
     let length = length.map_or(String::new(), |length| format!("Content-Length: {length}\r\nConnection: close\r\n"));
     format!(
         "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\n{length}Cache-Control: no-store\r\nReferrer-Policy: \

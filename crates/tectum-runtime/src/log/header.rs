@@ -74,7 +74,7 @@ pub struct LogHeader {
     pub clock: LogClock,
     /// Start of tick 0 on that clock, ns; 0 on the virtual clock.
     pub t0_ns: u64,
-    /// Wall time at that instant, ns since 1970; 0 on the virtual clock.
+    /// Wall time at that instant, ns since 1970. On the virtual clock: when the run was launched.
     pub wall_at_t0_ns: u64,
     /// What the run began with, if not with a fresh learner, and whether the learner is frozen: the record then has the
     /// keys `started_from` (the other run, as the user named it), `started_from.tick`, `started_from.check` (checksum

@@ -31,7 +31,8 @@
 //! leaves a torn log instead.
 //!
 //! `log_time` and `publish_time` of a message are its `published_ns`, converted from the run's clock to wall
-//! time by the two instants in `tectum.run`. In lockstep both are 0, so equal runs write equal messages.
+//! time by the two instants in `tectum.run`. In lockstep tick 0 has the wall time at which the run was launched, so
+//! that a log lies in time where it belongs; the samples themselves hold the run's own clock alone.
 
 mod account;
 mod chunk;
@@ -69,6 +70,7 @@ pub use recovery::LogRecovery;
 pub use repair::{Repair, TornContents, mend, repair};
 pub use segments::{RunLog, SegmentEnd, find, segments};
 pub(crate) use segments::{segment_number_of, segment_path};
+pub use views::{SampleViews, ViewChannel, ViewFacts, ViewMessage};
 pub use writer::{LogSummary, LogWriter};
 
 use crate::wire::{Command, Gap, Header, Learning, Observation};
@@ -118,6 +120,16 @@ pub enum LogRecord {
 }
 
 impl LogRecord {
+    /// Its channel: 0 observation, 1 command, 2 learning, 3 gap.
+    pub fn channel(&self) -> usize {
+        match self {
+            LogRecord::Observation(_) => 0,
+            LogRecord::Command(_) => 1,
+            LogRecord::Learning(_) => 2,
+            LogRecord::Gap(_) => 3,
+        }
+    }
+
     /// The sample's header; a gap has none.
     pub fn header(&self) -> Option<&Header> {
         match self {

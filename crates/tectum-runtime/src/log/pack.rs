@@ -5,14 +5,16 @@
 //! statement, only the layout: [`LogReader`] reads both. Views of the samples follow behind them
 //! ([`views`](super::views)). The packed log replaces the other one at once or not at all.
 
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, ErrorKind, Write};
+use std::io::{BufReader, BufWriter, ErrorKind, Seek, Write};
 use std::path::{Path, PathBuf};
 
+use mcap::records::MessageHeader;
 use serde::Serialize;
 
 use super::copier::RecordCopier;
-use super::views::LogViews;
+use super::views::{SampleViews, ViewChannel, ViewFacts};
 use super::{LogError, LogReader, MessageCounts, in_use};
 
 /// Size of a chunk's records before they are compressed, bytes. Its reader unpacks a chunk at a time.
@@ -105,14 +107,31 @@ fn copy(path: &Path, file: File, end: u64, views: bool, target: &mut File) -> Re
     while copier.copy_record()? {}
     if views {
         let mut log = LogReader::open(path)?;
-        let mut views = copier.write(|mcap| LogViews::declare(&log, mcap))?;
+        let mut views = SampleViews::new(ViewFacts::of_log(&log));
+        let channels = copier.write(|mcap| declare(&views, mcap))?;
         for record in log.by_ref() {
             let record = record?;
-            copier.write(|mcap| views.write(&record, mcap))?;
+            copier.write(|mcap| {
+                views.take(&record, |message| {
+                    let (channel_id, sequence) = (channels[message.channel], message.sequence as u32);
+                    let (log_time, publish_time) = (message.ns, message.ns);
+                    let header = MessageHeader { channel_id, sequence, log_time, publish_time };
+                    mcap.write_to_known_channel(&header, message.data)
+                })
+            })?;
         }
     }
     copier.finish()?;
     sink.flush().map_err(|error| LogError::write(path, error))
+}
+
+/// Declares the topics of the views; returns the ids of their channels.
+fn declare<W: Write + Seek>(views: &SampleViews, mcap: &mut mcap::Writer<W>) -> mcap::McapResult<Vec<u16>> {
+    let declare = |channel: &ViewChannel| {
+        let schema = mcap.add_schema(channel.schema_name, channel.schema_encoding, channel.schema.as_bytes())?;
+        mcap.add_channel(schema, channel.topic, channel.encoding, &BTreeMap::new())
+    };
+    views.channels().iter().map(declare).collect()
 }
 
 /// Reads the log in `file`, which messages name `path`, to its end, and counts its messages.
@@ -183,6 +202,7 @@ mod tests {
         let of = |topic: &str| messages.iter().filter(|m| m.channel.topic == topic).collect::<Vec<_>>();
         let measures = of("/measures");
         assert_eq!((measures.len(), of("/inputs").len(), of("/joint_states").len()), (100, 100, 0));
+        assert_eq!(of("/loss")[7].data[4..8], (-7.0_f32).to_le_bytes());
         assert_eq!(measures[7].log_time, 7);
         assert_eq!(measures[7].data[4..8], 7.0_f32.to_le_bytes());
         let schema = measures[0].channel.schema.as_ref().unwrap();

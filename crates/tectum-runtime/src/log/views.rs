@@ -1,4 +1,4 @@
-//! Views: what a packed log holds beside its samples, for programs that draw curves by name.
+//! Views: what a packed log holds beside its samples, for programs that draw curves by name, and the arm in space.
 //!
 //! A sample is an array of numbers, and replay needs it as it was. A person looks for `theta_1` and its unit. So a
 //! packed log repeats the numbers on topics whose messages have the scenario's names as fields:
@@ -10,214 +10,277 @@
 //! | `/measures` | `tectum/msg/Measures` | reward and measures of the tick before |
 //! | `/outputs` | `tectum/msg/Outputs` | mean and drawn command |
 //! | `/joint_states` | `sensor_msgs/msg/JointState` | the inputs in rad, as ROS programs expect them |
+//! | `/loss` | `tectum/msg/Loss` | the loss of the tick before: the reward with its sign turned |
+//! | `/error` | `tectum/msg/Error` | the error of the tick before, if the plant measures one |
+//! | `/budget` | `tectum/msg/Budget` | real time: how the tick was spent, us; at the time of the learning record |
+//! | `/transforms` | `foxglove.FrameTransforms` | the simulator's arm: a frame for each link and one for its end |
+//! | `/scene/links`, `/scene/target`, `/scene/path` | `foxglove.SceneUpdate` | the arm, its target, its end's path |
 //!
-//! Readers of samples pass over them.
+//! Readers of samples pass over them. The same messages go to viewers while a run goes on.
 
-use std::collections::BTreeMap;
-use std::io::{Seek, Write};
+mod cdr;
+mod scene;
+mod schemas;
 
-use mcap::McapResult;
-use mcap::records::MessageHeader;
+use super::{LogReader, LogRecord};
+use crate::scenario::{ArmConfig, Plan, Scenario, SignalConfig};
+use crate::wire::{Header, flag};
+use cdr::CdrMessage;
+use scene::ArmScene;
+use schemas::{JOINT_STATE, definition};
 
-use super::{ENCAPSULATION, LogReader, LogRecord};
-use crate::scenario::SignalConfig;
-use crate::wire::Header;
+/// Ticks whose instants are kept until their learning record has come.
+const KEPT_TICKS: usize = 64;
 
-const JOINT_STATE: &str = "\
-std_msgs/Header header
-string[] name
-float64[] position
-float64[] velocity
-float64[] effort
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-";
+/// What views are made of.
+#[derive(Debug, Clone, Default)]
+pub struct ViewFacts {
+    /// The inputs of an observation, in order.
+    pub inputs: Vec<SignalConfig>,
+    /// The outputs of a command, in order.
+    pub outputs: Vec<SignalConfig>,
+    /// Names of the measures, in order.
+    pub measures: Vec<String>,
+    /// Index of the measure that is the error.
+    pub error: Option<usize>,
+    /// Unit of the error; empty if it is not known.
+    pub error_unit: String,
+    /// The simulator's arm, if the inputs tell its posture.
+    pub arm: Option<ArmConfig>,
+    /// Period of the tick, ns, in real time; in lockstep no time is spent.
+    pub period_ns: Option<u64>,
+    /// Offset from the run's clock to wall time, ns.
+    pub shift_ns: i128,
+}
 
-/// The views of a log, and the channels of the file to which they are written.
-pub(super) struct LogViews {
-    inputs: usize,
-    outputs: usize,
-    measures: usize,
+/// A topic of a view.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ViewChannel {
+    /// The topic.
+    pub topic: &'static str,
+    /// How its messages are encoded: `cdr` or `json`.
+    pub encoding: &'static str,
+    /// The type of its messages.
+    pub schema_name: &'static str,
+    /// The language of the type's definition: `ros2msg` or `jsonschema`.
+    pub schema_encoding: &'static str,
+    /// The type's definition.
+    pub schema: String,
+}
+
+/// A message of a view.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ViewMessage<'a> {
+    /// Index of its channel in [`SampleViews::channels`].
+    pub channel: usize,
+    /// Sequence number of the sample from which it was made.
+    pub sequence: u64,
+    /// Wall time of that sample, ns since 1970; in lockstep counted from the wall time of tick 0.
+    pub ns: u64,
+    /// The encoded message.
+    pub data: &'a [u8],
+}
+
+impl ViewFacts {
+    /// The facts that a log states of its run. Of a scenario that this build cannot read, arm and error are not known.
+    pub fn of_log(log: &LogReader) -> Self {
+        let list = |key: &str| log.run(key).unwrap_or_default().to_owned();
+        let signals = |key: &str| serde_json::from_str(&list(key)).unwrap_or_default();
+        let instant = |key: &str| log.run(key).and_then(|ns| ns.parse::<i128>().ok()).unwrap_or(0);
+        let plan = Scenario::parse(log.scenario(), "scenario.toml").and_then(Scenario::plan).ok();
+        let realtime = log.run("clock") == Some(super::LogClock::Monotonic.name());
+        let facts = plan.map(|plan| Self::of_plan(&plan, realtime, 0)).unwrap_or_default();
+        Self {
+            inputs: signals("inputs"),
+            outputs: signals("outputs"),
+            measures: serde_json::from_str(&list("measures")).unwrap_or_default(),
+            shift_ns: instant("wall_at_t0_ns") - instant("t0_ns"),
+            ..facts
+        }
+    }
+
+    /// The facts of a plan's run, whose clock is `shift_ns` before wall time.
+    pub fn of_plan(plan: &Plan, realtime: bool, shift_ns: i128) -> Self {
+        let arm = plan.scenario.plant.arm.as_ref();
+        let drawable = |arm: &&ArmConfig| !arm.open_loop && plan.inputs.len() == 2 + arm.lengths.len();
+        Self {
+            inputs: plan.inputs.clone(),
+            outputs: plan.outputs.clone(),
+            measures: plan.measures.clone(),
+            error: plan.error,
+            error_unit: if arm.is_some() { "m".to_owned() } else { String::new() },
+            arm: arm.filter(drawable).cloned(),
+            period_ns: realtime.then_some(plan.period_ns),
+            shift_ns,
+        }
+    }
+}
+
+/// Indices of the channels that not every run has.
+#[derive(Debug, Clone, Copy, Default)]
+struct OptionalChannels {
+    error: Option<usize>,
+    budget: Option<usize>,
+    /// The first of four: transforms, links, target and path.
+    scene: Option<usize>,
+}
+
+/// The instants of a tick, ns: of its schedule, its observation and its command.
+#[derive(Debug, Clone, Copy, Default)]
+struct TickStamps {
+    tick: u64,
+    scheduled: u64,
+    observed: u64,
+    commanded: u64,
+}
+
+/// The views of a run's samples.
+#[derive(Debug)]
+pub struct SampleViews {
+    facts: ViewFacts,
+    channels: Vec<ViewChannel>,
+    optional: OptionalChannels,
     /// Names and indices of the inputs in rad.
     joints: Vec<(String, usize)>,
-    /// Channels of inputs, applied commands, measures, outputs and joint states.
-    channels: [u16; 5],
-    /// Offset from the run's clock to wall time, ns.
-    shift_ns: i128,
-    data: Vec<u8>,
+    scene: Option<ArmScene>,
+    stamps: [TickStamps; KEPT_TICKS],
+    cdr: CdrMessage,
 }
 
-/// A field of a message: its name, as ROS allows it, and a comment.
-type Field = (String, String);
+/// Indices of the channels that every run has.
+const INPUTS: usize = 0;
+const APPLIED: usize = 1;
+const MEASURES: usize = 2;
+const OUTPUTS: usize = 3;
+const JOINT_STATES: usize = 4;
+const LOSS: usize = 5;
 
-impl LogViews {
-    /// Declares the views of `log` in `mcap`.
-    pub fn declare<W: Write + Seek>(log: &LogReader, mcap: &mut mcap::Writer<W>) -> McapResult<Self> {
-        let signals = |key: &str| log.run(key).and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default();
-        let (inputs, outputs): (Vec<SignalConfig>, Vec<SignalConfig>) = (signals("inputs"), signals("outputs"));
-        let measures: Vec<String> =
-            log.run("measures").and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default();
-        let named = |signals: &[SignalConfig], after: &str| -> Vec<Field> {
+impl SampleViews {
+    /// The views that these facts allow.
+    pub fn new(facts: ViewFacts) -> Self {
+        let named = |signals: &[SignalConfig], after: &str| -> Vec<(String, String)> {
             signals.iter().map(|s| (format!("{}{after}", s.name), s.unit.clone())).collect()
         };
-        let reward = std::iter::once(("reward".to_owned(), String::new()));
-        let of_measures = reward.chain(measures.iter().map(|name| (name.clone(), String::new()))).collect();
-        let of_outputs = [named(&outputs, "_mean"), named(&outputs, "_drawn")].concat();
-        let mut declare = |topic: &str, name: &str, fields: Vec<Field>| {
-            let schema = mcap.add_schema(name, "ros2msg", definition(fields).as_bytes())?;
-            mcap.add_channel(schema, topic, "cdr", &BTreeMap::new())
-        };
-        let channels = [
-            declare("/inputs", "tectum/msg/Inputs", named(&inputs, ""))?,
-            declare("/applied", "tectum/msg/Applied", named(&outputs, ""))?,
-            declare("/measures", "tectum/msg/Measures", of_measures)?,
-            declare("/outputs", "tectum/msg/Outputs", of_outputs)?,
+        let bare = |name: &str| (name.to_owned(), String::new());
+        let measures = std::iter::once(bare("reward")).chain(facts.measures.iter().map(|name| bare(name))).collect();
+        let outputs = [named(&facts.outputs, "_mean"), named(&facts.outputs, "_drawn")].concat();
+        let mut channels = vec![
+            numbers("/inputs", "tectum/msg/Inputs", named(&facts.inputs, "")),
+            numbers("/applied", "tectum/msg/Applied", named(&facts.outputs, "")),
+            numbers("/measures", "tectum/msg/Measures", measures),
+            numbers("/outputs", "tectum/msg/Outputs", outputs),
+            ViewChannel {
+                schema: JOINT_STATE.to_owned(),
+                ..numbers("/joint_states", "sensor_msgs/msg/JointState", vec![])
+            },
+            numbers("/loss", "tectum/msg/Loss", vec![("loss".to_owned(), "a tick".to_owned())]),
         ];
-        let schema = mcap.add_schema("sensor_msgs/msg/JointState", "ros2msg", JOINT_STATE.as_bytes())?;
-        let joint_states = mcap.add_channel(schema, "/joint_states", "cdr", &BTreeMap::new())?;
-        let [a, b, c, d] = channels;
-        let instant = |key: &str| log.run(key).and_then(|ns| ns.parse::<i128>().ok()).unwrap_or(0);
-        let joints = inputs.iter().enumerate().filter(|(_, input)| input.unit == "rad");
-        Ok(Self {
-            inputs: inputs.len(),
-            outputs: outputs.len(),
-            measures: measures.len(),
+        let mut add = |channel: ViewChannel| {
+            channels.push(channel);
+            channels.len() - 1
+        };
+        let error = facts.error.map(|_| {
+            let field = ("error".to_owned(), facts.error_unit.clone());
+            add(numbers("/error", "tectum/msg/Error", vec![field]))
+        });
+        let budget = facts.period_ns.map(|_| {
+            let stages = ["sensing", "answer", "learning", "slack"];
+            let fields = stages.map(|stage| (format!("{stage}_us"), "us".to_owned()));
+            add(numbers("/budget", "tectum/msg/Budget", fields.to_vec()))
+        });
+        let scene = facts.arm.as_ref().map(|_| schemas::scene_channels().map(&mut add)[0]);
+        let joints = facts.inputs.iter().enumerate().filter(|(_, input)| input.unit == "rad");
+        Self {
             joints: joints.map(|(i, input)| (input.name.clone(), i)).collect(),
-            channels: [a, b, c, d, joint_states],
-            shift_ns: instant("wall_at_t0_ns") - instant("t0_ns"),
-            data: Vec::new(),
-        })
+            scene: facts.arm.clone().map(ArmScene::new),
+            channels,
+            optional: OptionalChannels { error, budget, scene },
+            stamps: [TickStamps::default(); KEPT_TICKS],
+            cdr: CdrMessage::default(),
+            facts,
+        }
     }
 
-    /// Writes the views of a sample.
-    pub fn write<W: Write + Seek>(&mut self, record: &LogRecord, mcap: &mut mcap::Writer<W>) -> McapResult<()> {
+    /// The topics, in the order of their indices.
+    pub fn channels(&self) -> &[ViewChannel] {
+        &self.channels
+    }
+
+    /// Makes the views of a sample, and hands each to `emit`. Samples come in the order of their ticks.
+    ///
+    /// # Errors
+    /// The first error of `emit`.
+    pub fn take<E>(
+        &mut self,
+        record: &LogRecord,
+        mut emit: impl FnMut(ViewMessage<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let (inputs, outputs, measures) =
+            (self.facts.inputs.len(), self.facts.outputs.len(), self.facts.measures.len());
+        let Some(header) = record.header() else { return Ok(()) };
+        let (sequence, ns) = (header.sequence, self.wall_ns(header.published_ns));
+        let mut send = |channel: usize, data: &[u8]| emit(ViewMessage { channel, sequence, ns, data });
+        let stamps = &mut self.stamps[header.tick as usize % KEPT_TICKS];
         match record {
             LogRecord::Observation(s) => {
-                self.numbers(mcap, 0, &s.header, &[&s.inputs[..self.inputs]])?;
-                self.numbers(mcap, 1, &s.header, &[&s.applied[..self.outputs]])?;
-                self.numbers(mcap, 2, &s.header, &[&[s.reward], &s.measures[..self.measures]])?;
-                if self.joints.is_empty() { Ok(()) } else { self.joint_state(mcap, &s.header, &s.inputs) }
+                let (scheduled, observed) = (header.scheduled_ns, header.published_ns);
+                *stamps = TickStamps { tick: header.tick, scheduled, observed, commanded: 0 };
+                send(INPUTS, self.cdr.numbers(&[&s.inputs[..inputs]]))?;
+                send(APPLIED, self.cdr.numbers(&[&s.applied[..outputs]]))?;
+                send(MEASURES, self.cdr.numbers(&[&[s.reward], &s.measures[..measures]]))?;
+                if !self.joints.is_empty() {
+                    send(JOINT_STATES, self.cdr.joint_state(ns, &self.joints, &s.inputs))?;
+                }
+                if header.flags & flag::FIRST == 0 {
+                    send(LOSS, self.cdr.numbers(&[&[-s.reward]]))?;
+                    if let (Some(channel), Some(index)) = (self.optional.error, self.facts.error) {
+                        send(channel, self.cdr.numbers(&[&[s.measures[index]]]))?;
+                    }
+                }
+                match (&mut self.scene, self.optional.scene) {
+                    (Some(scene), Some(first)) => scene.take(s, ns, |i, data| send(first + i, data)),
+                    _ => Ok(()),
+                }
             }
             LogRecord::Command(s) => {
-                self.numbers(mcap, 3, &s.header, &[&s.mean[..self.outputs], &s.drawn[..self.outputs]])
+                if stamps.tick == header.tick {
+                    stamps.commanded = header.published_ns;
+                }
+                send(OUTPUTS, self.cdr.numbers(&[&s.mean[..outputs], &s.drawn[..outputs]]))
             }
-            LogRecord::Learning(_) | LogRecord::Gap(_) => Ok(()),
+            LogRecord::Learning(_) => match (self.optional.budget, self.facts.period_ns) {
+                (Some(channel), Some(period)) => match budget(stamps, header, period) {
+                    Some(stages) => send(channel, self.cdr.numbers(&[&stages])),
+                    None => Ok(()),
+                },
+                _ => Ok(()),
+            },
+            LogRecord::Gap(_) => Ok(()),
         }
     }
 
-    fn wall_ns(&self, header: &Header) -> u64 {
-        (i128::from(header.published_ns) + self.shift_ns).clamp(0, i128::from(u64::MAX)) as u64
-    }
-
-    fn numbers<W: Write + Seek>(
-        &mut self,
-        mcap: &mut mcap::Writer<W>,
-        view: usize,
-        header: &Header,
-        values: &[&[f32]],
-    ) -> McapResult<()> {
-        self.begin();
-        for value in values.iter().flat_map(|values| values.iter()) {
-            self.data.extend(value.to_le_bytes());
-        }
-        self.end(mcap, view, header)
-    }
-
-    fn joint_state<W: Write + Seek>(
-        &mut self,
-        mcap: &mut mcap::Writer<W>,
-        header: &Header,
-        inputs: &[f32],
-    ) -> McapResult<()> {
-        let ns = self.wall_ns(header);
-        self.begin();
-        self.data.extend(((ns / 1_000_000_000) as i32).to_le_bytes());
-        self.data.extend(((ns % 1_000_000_000) as u32).to_le_bytes());
-        let joints = std::mem::take(&mut self.joints);
-        self.text("");
-        self.length(joints.len());
-        joints.iter().for_each(|(name, _)| self.text(name));
-        self.length(joints.len());
-        self.align(8);
-        joints.iter().for_each(|(_, i)| self.data.extend(f64::from(inputs[*i]).to_le_bytes()));
-        self.joints = joints;
-        // No velocities, no efforts.
-        self.length(0);
-        self.length(0);
-        self.end(mcap, 4, header)
-    }
-
-    fn begin(&mut self) {
-        self.data.clear();
-        self.data.extend(ENCAPSULATION);
-    }
-
-    fn end<W: Write + Seek>(&self, mcap: &mut mcap::Writer<W>, view: usize, header: &Header) -> McapResult<()> {
-        let ns = self.wall_ns(header);
-        let channel_id = self.channels[view];
-        let header = MessageHeader { channel_id, sequence: header.sequence as u32, log_time: ns, publish_time: ns };
-        mcap.write_to_known_channel(&header, &self.data)
-    }
-
-    /// CDR aligns a number to its size, counted from behind the encapsulation.
-    fn align(&mut self, size: usize) {
-        while !(self.data.len() - ENCAPSULATION.len()).is_multiple_of(size) {
-            self.data.push(0);
-        }
-    }
-
-    fn length(&mut self, n: usize) {
-        self.align(4);
-        self.data.extend((n as u32).to_le_bytes());
-    }
-
-    fn text(&mut self, text: &str) {
-        self.length(text.len() + 1);
-        self.data.extend(text.as_bytes());
-        self.data.push(0);
+    fn wall_ns(&self, ns: u64) -> u64 {
+        (i128::from(ns) + self.facts.shift_ns).clamp(0, i128::from(u64::MAX)) as u64
     }
 }
 
-/// A message of 32-bit floating-point numbers, in ROS 2's language. A field's name has lower-case letters, digits and
-/// single underscores; the scenario's own name and the unit follow as a comment.
-fn definition(fields: Vec<Field>) -> String {
-    let mut names: Vec<String> = Vec::new();
-    let mut text = String::new();
-    for (name, unit) in fields {
-        let words = name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
-        let mut field = words.collect::<Vec<_>>().join("_").to_ascii_lowercase();
-        if !field.starts_with(|c: char| c.is_ascii_lowercase()) {
-            field.insert_str(0, "value_");
-        }
-        while names.contains(&field) {
-            field.push('x');
-        }
-        let comment = if field == name { unit } else { format!("{name} {unit}") };
-        text += &format!("float32 {field} # {}\n", comment.replace('\n', " "));
-        names.push(field);
+/// How the tick of a learning record was spent, us: sensing, answer, learning, slack. `None` if observation or command
+/// of the tick are not known.
+fn budget(stamps: &TickStamps, learned: &Header, period_ns: u64) -> Option<[f32; 4]> {
+    if stamps.tick != learned.tick || stamps.commanded == 0 {
+        return None;
     }
-    text
+    let ends = [stamps.observed, stamps.commanded, learned.published_ns, stamps.scheduled + period_ns];
+    let mut begin = stamps.scheduled;
+    Some(ends.map(|end| {
+        let us = end.saturating_sub(begin) as f32 / 1e3;
+        begin = end;
+        us
+    }))
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn fields_are_names_that_ros_allows() {
-        let field = |name: &str, unit: &str| (name.to_owned(), unit.to_owned());
-        let fields =
-            vec![field("theta_1", "rad"), field("Speed (left)", "m/s"), field("2nd", ""), field("theta__1", "")];
-        assert_eq!(
-            definition(fields),
-            "float32 theta_1 # rad\nfloat32 speed_left # Speed (left) m/s\nfloat32 value_2nd # 2nd \n\
-             float32 theta_1x # theta__1 \n"
-        );
-    }
+/// A channel whose messages are 32-bit floating-point numbers with these names and units.
+fn numbers(topic: &'static str, schema_name: &'static str, fields: Vec<(String, String)>) -> ViewChannel {
+    let schema = definition(fields);
+    ViewChannel { topic, encoding: "cdr", schema_name, schema_encoding: "ros2msg", schema }
 }

@@ -268,6 +268,9 @@ fn header(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> LogH
     let newest = segments(&participant.folder).last().and_then(|path| segment_number_of(path));
     let number = newest.map_or(0, |number| number + 1).max(session.incarnation());
     header.segment = LogSegment { number, ..recovered.segment };
+    // A part of a run that goes on with another one begins when it was launched, at its own first tick.
+    let first_ns = manifest.resumed.as_ref().map_or(0, |resumed| resumed.tick * participant.plan.period_ns);
+    header.wall_at_t0_ns = manifest.launched_wall_ns.saturating_sub(first_ns);
     if manifest.mode == Mode::Realtime {
         header.clock = LogClock::Monotonic;
         header.t0_ns = time.scheduled(0);

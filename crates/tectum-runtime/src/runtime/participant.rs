@@ -55,6 +55,9 @@ pub struct RunManifest {
     pub domain: DomainName,
     /// The launcher's process id.
     pub launcher: u32,
+    /// Wall time when the run was launched, ns since 1970; 0 if the launcher did not say.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub launched_wall_ns: u64,
     /// Ticks between checkpoints; 0: only at the end, and when one is requested.
     #[serde(default)]
     pub checkpoint_every: u64,

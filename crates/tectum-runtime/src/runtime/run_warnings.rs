@@ -50,8 +50,16 @@ impl RunWarning {
 
     /// A warning about the scenario's settings, in one sentence.
     pub fn of_settings(text: &str) -> Self {
-        let (name, text) = ("settings".to_owned(), text.to_owned());
-        Self { name, signal: None, text, count: None, of: None, failure: false }
+        Self::uncounted("settings", text)
+    }
+
+    /// A warning about the log, which is whole, in one sentence.
+    pub fn of_log(text: &str) -> Self {
+        Self::uncounted("log", text)
+    }
+
+    fn uncounted(name: &str, text: &str) -> Self {
+        Self { name: name.to_owned(), signal: None, text: text.to_owned(), count: None, of: None, failure: false }
     }
 
     /// Its name, with that of its signal: unique in a run.
