@@ -31,7 +31,7 @@ pub(super) fn open(bytes: &[u8], local: SocketAddr, token: Option<&str>) -> Open
     match answer(bytes, local, token) {
         PageResponse::NotYet => return Opening::NotYet,
         PageResponse::Refusal(status, text) => return refused(status, text),
-        PageResponse::Page { .. } | PageResponse::Events => {}
+        PageResponse::Page { .. } | PageResponse::Events | PageResponse::Metrics { .. } => {}
     }
     let mut fields = [httparse::EMPTY_HEADER; MOST_FIELDS];
     let mut request = httparse::Request::new(&mut fields);
