@@ -5,6 +5,7 @@ mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use serde_json::Value;
 use support::{TECTUM, TestFolder, append};
@@ -91,8 +92,8 @@ fn an_endless_run_stays_within_its_limits() {
     assert!(summary["log_removed_segments"].as_u64() >= Some(2), "{summary}");
     assert!(summary["log_bytes"].as_u64() <= Some(1_200_000), "{summary}");
     assert_eq!(summary["failure"], Value::Null, "{summary}");
-    // Each segment of 100 kB begins with an account, so that no more than one of them is read again.
-    assert!((1..1_000).contains(&summary["log_reread"].as_u64().unwrap()), "{summary}");
+    // Each segment of 100 kB begins with an account, so that no more than one of them is read again, or nothing.
+    assert!(summary["log_reread"].as_u64() < Some(1_000), "{summary}");
     let size: u64 = segments(&folder).iter().map(|path| fs::metadata(path).unwrap().len()).sum();
     assert_eq!(summary["log_bytes"].as_u64(), Some(size));
     let checkpoints = fs::read_dir(folder.join("checkpoints")).unwrap().count();
@@ -110,7 +111,7 @@ fn an_endless_run_stays_within_its_limits() {
 #[test]
 #[ignore = "takes minutes; src/channel has a test of the boards alone"]
 fn restarts_have_no_bound() {
-    let test_folder = TestFolder::new();
+    let test_folder = TestFolder::with_watchdog(Duration::from_secs(600));
     let file = test_folder.arm_scenario(&[("every", "1")]);
     let whole = run(&test_folder, &[&file, "--ticks", "20000", "--out", "whole"]);
     let at: Vec<String> = (1..=270).map(|i| (60 * i).to_string()).collect();
@@ -124,6 +125,7 @@ fn restarts_have_no_bound() {
     assert_eq!(killed["weights_hash"], whole["weights_hash"]);
     let restarts = killed["restarts"].as_array().unwrap();
     assert!(restarts.len() > 256, "{}", restarts.len());
+    println!("{} restarts in {} s", restarts.len(), killed["seconds"]);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The processes of a run: starts them, detects how each ended, and kills those that do not end by themselves.
 
+use std::io::ErrorKind;
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -141,7 +142,13 @@ impl ChildProcesses {
         for variable in service_notifier::VARIABLES {
             command.env_remove(variable);
         }
-        let mut child = command.spawn().map_err(|cause| failed(program, &cause.to_string()))?;
+        let mut child = command.spawn().map_err(|cause| match cause.kind() {
+            // Nobody would look for the cause behind `Resource temporarily unavailable`.
+            ErrorKind::WouldBlock => {
+                failed(program, "the limit on this user's processes and threads is reached; raise it (ulimit -u)")
+            }
+            _ => failed(program, &cause.to_string()),
+        })?;
         let shown = self.shows(role);
         let stderr = ErrorOutput::of(child.stderr.take(), role, shown, Arc::clone(&self.watch_files));
         let process = ProcessHandle::of(child.id());

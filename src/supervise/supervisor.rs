@@ -22,6 +22,9 @@ const ABORT_LIMIT: Duration = Duration::from_millis(200);
 const FAILURE_STOP_LIMIT: Duration = Duration::from_secs(5);
 /// After the planned end: how long the last samples may take to reach the disk.
 const CLOSE_LIMIT: Duration = Duration::from_secs(60);
+/// How long the end of a killed process may take, ns. One that waits in the kernel for a disk that does not answer
+/// cannot be killed.
+const KILL_LIMIT_NS: u64 = 10_000_000_000;
 /// How often the launcher reads the status boards, ns: often enough to end a lockstep run promptly. In real
 /// time it reads them seldom, because its processor time adds to the latency of the control loop. Deaths and
 /// signals wake it at once.
@@ -54,6 +57,8 @@ pub struct Supervisor<W> {
     set_up_limit: Duration,
     /// Whether set-up has a limit.
     set_up_is_limited: bool,
+    /// When each process was killed as hung, ns; `None` for one that was not, or has ended.
+    killed_at: [Option<u64>; 3],
     /// Why the run ends before its last tick, if it does.
     ended: Option<RunOutcome>,
     /// The first failure that no restart repaired.
@@ -92,6 +97,7 @@ impl<W: SupervisedWorld> Supervisor<W> {
             poll_ns: if rules.realtime { POLL_REALTIME_NS } else { POLL_NS },
             set_up_limit: Duration::from_secs_f64(rules.restart.set_up_s),
             set_up_is_limited: !rules.waits,
+            killed_at: [None; 3],
             ended: None,
             failure: None,
             deaths: Vec::new(),
@@ -177,6 +183,7 @@ impl<W: SupervisedWorld> Supervisor<W> {
     /// Handles deaths and signals. True when the run must end early.
     fn poll(&mut self) -> bool {
         for death in self.world.reap() {
+            self.killed_at[death.failure.role as usize] = None;
             self.deaths.push(death.failure.clone());
             let running = self.ended.is_none() && self.control.phase() == Phase::Run;
             let requested = self.fault_injector.take_restart(death.failure.role);
@@ -241,6 +248,10 @@ impl<W: SupervisedWorld> Supervisor<W> {
             if !self.world.has_child(role) {
                 continue;
             }
+            if let Some(killed) = self.killed_at[role as usize] {
+                self.await_kill(role, now - killed);
+                continue;
+            }
             let board = self.world.status(role);
             let hangs = match board.state() {
                 _ if self.fault_injector.is_stopped(role) => false,
@@ -253,7 +264,20 @@ impl<W: SupervisedWorld> Supervisor<W> {
             if hangs {
                 self.world.say(&format!("tectum: the {} gives no sign of life any more and is killed", role.name()));
                 self.world.act(role, ProcessAction::KillGroup);
+                self.killed_at[role as usize] = Some(now);
             }
+        }
+    }
+
+    /// Ends the run if a process that was killed `ago` ns before is still there: nobody can wait for it.
+    fn await_kill(&mut self, role: Role, ago: u64) {
+        if ago > KILL_LIMIT_NS {
+            let message = format!(
+                "the {} gives no sign of life and cannot be killed: it waits for a disk or a device that does not \
+                 answer",
+                role.name()
+            );
+            self.fail(ProcessFailure::new(role, message));
         }
     }
 

@@ -61,6 +61,11 @@ impl TestFolder {
         Self(tectum_testkit::TestFolder::new())
     }
 
+    /// A folder whose programs may take longer than the usual [`WATCHDOG`].
+    pub fn with_watchdog(watchdog: std::time::Duration) -> Self {
+        Self(tectum_testkit::TestFolder::new().with_watchdog(watchdog))
+    }
+
     /// Writes a copy of `scenarios/paper.toml` with other values for some keys, and returns its path. The paper's
     /// rule is quick. Of a key that occurs several times, the first occurrence is changed.
     #[track_caller]

@@ -1,9 +1,9 @@
 //! The logger's loop: receives all samples of the run, merges them by tick, and writes them into one log.
 //!
 //! A restarted logger writes a new segment of the log (see [`crate::log`]). It takes over the account that the logger
-//! before it left, reads what was written after it, and states which samples are missing between them and the first sample that it receives. When the disk is full,
-//! it continues to receive, so that no process waits for it in vain, and closes the log with a statement of the
-//! samples that are missing.
+//! before it left, reads what was written after it, and states which samples are missing between the existing segments
+//! and the first sample that it receives. When the disk is full, it continues to receive, so that no process waits for
+//! it in vain, and closes the log with a statement of the samples that are missing.
 
 use std::collections::BTreeMap;
 
