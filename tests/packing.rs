@@ -112,7 +112,8 @@ fn the_torn_segment_of_a_killed_logger_stays_and_the_next_one_is_packed() {
     assert_eq!(summary["log_segments"], 2);
     let segment = |name: &str| tectum::log::LogReader::open(&test_folder.run_folder().join(name)).unwrap();
     let (mut torn, mut whole) = (segment("log.mcap"), segment("log-1.mcap"));
-    (torn.by_ref().for_each(drop), whole.by_ref().for_each(drop));
+    torn.by_ref().for_each(drop);
+    whole.by_ref().for_each(drop);
     assert_eq!([torn.finished(), torn.packed(), whole.finished(), whole.packed()], [false, false, true, true]);
     test_folder.tectum("replay", &["run"]).expect(0);
 }
