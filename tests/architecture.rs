@@ -1,8 +1,8 @@
-//! Holds the layout that ARCHITECTURE.md states: which room may use which, which crate needs what, and the form of the
+//! Holds the layout that ARCHITECTURE.md states: which module may use which, which crate needs what, and the form of the
 //! files.
 //!
-//! The table of rooms lists them from the bottom up. A room may use only rooms that stand above its own row (so there
-//! is no circle), only those that its row names, and its row names no room that it does not use.
+//! The table of modules lists them from the bottom up. A module may use only modules that stand above its own row (so there
+//! is no circle), only those that its row names, and its row names no module that it does not use.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -92,45 +92,45 @@ fn used(code: &str) -> BTreeSet<String> {
     names
 }
 
-/// The folders that hold rooms: the lower ones are the crate `tectum-runtime`.
-const ROOMS: [&str; 2] = ["crates/tectum-runtime/src", "src"];
+/// The folders that hold modules: the lower ones are the crate `tectum-runtime`.
+const MODULES: [&str; 2] = ["crates/tectum-runtime/src", "src"];
 
-/// What each room under [`ROOMS`] uses of the others.
-fn arrows(rooms: &BTreeSet<String>) -> BTreeMap<String, BTreeSet<String>> {
+/// What each module under [`MODULES`] uses of the others.
+fn arrows(modules: &BTreeSet<String>) -> BTreeMap<String, BTreeSet<String>> {
     let mut arrows: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
-    let sources = ROOMS.map(|folder| root().join(folder));
+    let sources = MODULES.map(|folder| root().join(folder));
     for (src, file) in sources.iter().flat_map(|src| files(src, &[".rs"]).into_iter().map(move |file| (src, file))) {
         let inside = file.strip_prefix(src).unwrap();
-        let room = inside.components().next().unwrap().as_os_str().to_string_lossy().replace(".rs", "");
+        let module = inside.components().next().unwrap().as_os_str().to_string_lossy().replace(".rs", "");
         let tests = file.file_name().unwrap().to_string_lossy().ends_with("tests.rs");
-        if matches!(room.as_str(), "lib" | "build") || tests {
+        if matches!(module.as_str(), "lib" | "build") || tests {
             continue;
         }
         let mut uses = used(&code(&file));
-        uses.retain(|name| *name != room && rooms.contains(name));
-        arrows.entry(room).or_default().extend(uses);
+        uses.retain(|name| *name != module && modules.contains(name));
+        arrows.entry(module).or_default().extend(uses);
     }
     arrows
 }
 
 #[test]
 fn rooms_use_exactly_what_the_table_lists() {
-    let table = table("room");
-    let rooms: BTreeSet<String> = table.iter().map(|(room, _)| room.clone()).collect();
-    let arrows = arrows(&rooms);
+    let table = table("module");
+    let modules: BTreeSet<String> = table.iter().map(|(module, _)| module.clone()).collect();
+    let arrows = arrows(&modules);
     let mut wrong = Vec::new();
-    for room in arrows.keys().filter(|room| !rooms.contains(*room)) {
-        wrong.push(format!("the room {room} is not in the table"));
+    for module in arrows.keys().filter(|module| !modules.contains(*module)) {
+        wrong.push(format!("the module {module} is not in the table"));
     }
-    for (i, (room, allowed)) in table.iter().enumerate() {
-        let Some(uses) = arrows.get(room) else {
-            wrong.push(format!("the table has {room}, and src has not"));
+    for (i, (module, allowed)) in table.iter().enumerate() {
+        let Some(uses) = arrows.get(module) else {
+            wrong.push(format!("the table has {module}, and src has not"));
             continue;
         };
-        wrong.extend(uses.difference(allowed).map(|other| format!("{room} uses {other}, which its row does not name")));
-        wrong.extend(allowed.difference(uses).map(|other| format!("{room} does not use {other}, which its row names")));
-        let below: BTreeSet<String> = table[..i].iter().map(|(room, _)| room.clone()).collect();
-        wrong.extend(allowed.difference(&below).map(|other| format!("{room} stands above {other} in the table")));
+        wrong.extend(uses.difference(allowed).map(|other| format!("{module} uses {other}, which its row does not name")));
+        wrong.extend(allowed.difference(uses).map(|other| format!("{module} does not use {other}, which its row names")));
+        let below: BTreeSet<String> = table[..i].iter().map(|(module, _)| module.clone()).collect();
+        wrong.extend(allowed.difference(&below).map(|other| format!("{module} stands above {other} in the table")));
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }

@@ -223,7 +223,8 @@ fn metrics_tell_of_a_run_its_restart_and_its_end() {
     watcher.end();
 
     // The page's server has them, too.
-    let watcher = WebWatcher::start(&folder, &["--wait", "--web", "127.0.0.1:0"]);
+    // A run that is never begun: the newest living one may be another test's.
+    let watcher = WebWatcher::start(&folder, &["never", "--wait", "--web", "127.0.0.1:0"]);
     assert_eq!(metric(&watcher.get("/metrics", watcher.host()), "tectum_run_alive"), 0.0);
     watcher.end();
     let refused = folder.tectum("watch", &["--wait", "--metrics", "nowhere"]).expect(2).stderr;

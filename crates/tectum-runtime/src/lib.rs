@@ -1,6 +1,6 @@
 //! The runtime of [Tectum](https://docs.rs/tectum): what the processes of a run exchange, and the loops that they run.
 //!
-//! The rooms from the bottom up: `run_folder` finds a run; [`wire`] defines the samples; [`clock`] is the operating
+//! The modules from the bottom up: `run_folder` finds a run; [`wire`] defines the samples; [`clock`] is the operating
 //! system; [`channel`] is the shared memory (iceoryx2); [`checkpoint`] keeps whole states in files; [`log`] writes and
 //! reads MCAP; [`runtime`] holds the loops of plant, controller and logger, the gate, and runs inside one process;
 //! [`reference`] tests what was learned; [`timing`] times calls and exchanges.

@@ -1,7 +1,7 @@
 //! Statistics of many values: percentiles of durations, the spread over seeds, quartiles, straight lines, and means
 //! over windows of ticks.
 //!
-//! A leaf: it knows nothing of ticks, logs or runs, so that every room may use it.
+//! A leaf: it knows nothing of ticks, logs or runs, so that every module may use it.
 
 mod percentiles;
 mod quartiles;
