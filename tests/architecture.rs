@@ -1,8 +1,8 @@
-//! Holds the layout that ARCHITECTURE.md states: which module may use which, which crate needs what, and the form of the
-//! files.
+//! Holds the layout that ARCHITECTURE.md states: which module may use which, which crate needs what, and the form of
+//! the files.
 //!
-//! The table of modules lists them from the bottom up. A module may use only modules that stand above its own row (so there
-//! is no circle), only those that its row names, and its row names no module that it does not use.
+//! The table of modules lists them from the bottom up. A module may use only modules that stand above its own row (so
+//! there is no circle), only those that its row names, and its row names no module that it does not use.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -114,7 +114,7 @@ fn arrows(modules: &BTreeSet<String>) -> BTreeMap<String, BTreeSet<String>> {
 }
 
 #[test]
-fn rooms_use_exactly_what_the_table_lists() {
+fn modules_use_exactly_what_the_table_lists() {
     let table = table("module");
     let modules: BTreeSet<String> = table.iter().map(|(module, _)| module.clone()).collect();
     let arrows = arrows(&modules);
@@ -127,8 +127,12 @@ fn rooms_use_exactly_what_the_table_lists() {
             wrong.push(format!("the table has {module}, and src has not"));
             continue;
         };
-        wrong.extend(uses.difference(allowed).map(|other| format!("{module} uses {other}, which its row does not name")));
-        wrong.extend(allowed.difference(uses).map(|other| format!("{module} does not use {other}, which its row names")));
+        wrong.extend(
+            uses.difference(allowed).map(|other| format!("{module} uses {other}, which its row does not name")),
+        );
+        wrong.extend(
+            allowed.difference(uses).map(|other| format!("{module} does not use {other}, which its row names")),
+        );
         let below: BTreeSet<String> = table[..i].iter().map(|(module, _)| module.clone()).collect();
         wrong.extend(allowed.difference(&below).map(|other| format!("{module} stands above {other} in the table")));
     }

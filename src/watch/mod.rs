@@ -3,7 +3,8 @@
 //!
 //! A watcher opens nothing of iceoryx2. It maps the log rings to read and reads the launcher's copy of the boards, so
 //! that no process of the run can notice it, whatever it does: there may be any number of watchers, and they may be
-//! stopped or killed. [`tectum_view`] has the state and the faces; this module has clocks, files, sockets and terminals.
+//! stopped or killed. [`tectum_view`] has the state and the faces; this module has clocks, files, sockets and
+//! terminals.
 
 mod error;
 mod facts;
