@@ -84,7 +84,7 @@ impl InputRing {
 
     /// The final encoder for 2^`power` features, as a line and as a plane, on every path. A line of n units needs n
     /// exponentials, a plane about `2 sqrt n`: its cost per feature falls with n.
-    pub fn growth(&self, power: u32) -> impl Iterator<Item = CallCase<'_, GrowthKey>> {
+    pub fn growth(&self, power: u32) -> Vec<CallCase<'_, GrowthKey>> {
         let axis = |input, units| Axis { input, units, min: -1.0, max: 1.0, radius: 0.5 };
         let slow = power / 2;
         let shapes = [
@@ -92,10 +92,11 @@ impl InputRing {
             ("encode a plane", Map::Plane(axis(0, 1 << slow), axis(1, 1 << (power - slow)))),
         ];
         let cases = shapes.into_iter().flat_map(|shape| SimdPath::all().map(move |path| (shape, path)));
-        cases.map(move |((what, map), path)| {
+        let case = |((what, map), path): ((&str, Map), SimdPath)| {
             let key = GrowthKey { what: what.to_owned(), path, features: 1 << power, outputs: 1 };
             self.kernel_case(key, &[map], path)
-        })
+        };
+        cases.map(case).collect()
     }
 }
 

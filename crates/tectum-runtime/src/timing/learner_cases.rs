@@ -66,12 +66,13 @@ pub fn rule_versions() -> Vec<CallCase<'static, (String, String)>> {
 
 /// The paper's rule for 2^`power` features on every path. The cost is linear in features times outputs, as long
 /// as weights and trace stay in a cache.
-pub fn rule_growth(outputs: usize, power: u32) -> impl Iterator<Item = CallCase<'static, GrowthKey>> {
-    SimdPath::all().map(move |path| {
+pub fn rule_growth(outputs: usize, power: u32) -> Vec<CallCase<'static, GrowthKey>> {
+    let case = |path| {
         let what = format!("learn and answer, {outputs} outputs");
         let key = GrowthKey { what, path, features: 1 << power, outputs: outputs as u64 };
         one_pass(key, outputs, 1 << power, path)
-    })
+    };
+    SimdPath::all().map(case).collect()
 }
 
 /// A plant and its controller in the middle of a run, and the observations of the ticks before.

@@ -1,8 +1,9 @@
 //! Timed loops: what `tectum bench` and the criterion benches measure call by call, and exchanges over bare transports.
 //!
 //! They stand below the benches because loops of nanoseconds must be compiled with full optimisation, and the benches
-//! around them need none. `calls.rs` times batches of calls in turns; `encoder_cases.rs` and `learner_cases.rs` are
-//! what is called. `exchange.rs` exchanges samples with a peer process over a bare transport, `tick_times.rs` turns
+//! around them need none. For the same reason their functions give lists and no iterators, whose closures would be
+//! compiled where they are used. `calls.rs` times batches of calls in turns; `encoder_cases.rs` and `learner_cases.rs`
+//! are what is called. `exchange.rs` exchanges samples with a peer process over a bare transport, `tick_times.rs` turns
 //! instants into latencies, and `cache_evictor.rs` makes the caches cold between ticks.
 
 mod cache_evictor;
