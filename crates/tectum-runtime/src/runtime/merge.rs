@@ -319,7 +319,12 @@ impl LogMerger {
             Ok(next)
         });
         match next {
-            Ok(next) => (self.log, self.before, self.first_tick) = (Some(next), segment, tick),
+            Ok(next) => {
+                (self.log, self.before, self.first_tick) = (Some(next), segment, tick);
+                // With the account: one stretch of samples may fill several segments, and a logger that is killed in it
+                // would leave them all to be read again.
+                self.flush();
+            }
             Err(error) => self.give_up(tick, &error),
         }
     }
