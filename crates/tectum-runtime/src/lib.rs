@@ -3,7 +3,7 @@
 //! The modules from the bottom up: `run_folder` finds a run; [`wire`] defines the samples; [`clock`] is the operating
 //! system; [`channel`] is the shared memory (iceoryx2); [`checkpoint`] keeps whole states in files; [`log`] writes and
 //! reads MCAP; [`runtime`] holds the loops of plant, controller and logger, the gate, and runs inside one process;
-//! [`reference`] tests what was learned; [`timing`] times calls and exchanges.
+//! [`reference`](mod@reference) tests what was learned; [`timing`] times calls and exchanges.
 //!
 //! The crate is a part of `tectum`, which re-exports what a plant, a controller, a tracker or a reader of logs needs.
 //! Depend on `tectum`: everything else that is public here serves Tectum's own programs and may change at any time. It

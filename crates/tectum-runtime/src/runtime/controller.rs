@@ -84,7 +84,7 @@ impl<A: Agent> Controller<A> {
     /// Credit goes to the applied command. When the command was not applied at all, or observations are missing in
     /// between, nothing may be learned. An observation with a value that is not finite, or beyond any range that a
     /// scenario may have, is answered with zero. The scenario's faults act on the observation first. When they leave
-    /// no observation of this tick, the command has the flag [`flag::UNHEARD`].
+    /// no observation of this tick, the command has the flag [`flag::UNHEARD`](crate::wire::flag::UNHEARD).
     pub fn respond(&mut self, observation: &Observation, command: &mut Command) {
         self.tick.respond(&mut self.agent, observation, command);
     }
