@@ -103,11 +103,10 @@ pub(crate) fn body_changes(arm: &ArmConfig) -> Vec<ArmEvent> {
 pub(crate) fn reach(arm: &ArmConfig, switch: &[Snapshot]) -> Option<Reach> {
     let first = switch.first().filter(|_| !arm.open_loop)?;
     let joints = arm.lengths.len();
-    let mirrored = arm.mirrored(first.tick);
     Some(Reach {
         from: first.tick,
         // Where it is, not where it is said to be.
-        target: [0, 1].map(|i| f64::from(first.inputs[i]) * if mirrored[i] { -1.0 } else { 1.0 }),
+        target: arm.reported_target(first.tick, [first.inputs[0], first.inputs[1]]).map(f64::from),
         postures: switch.iter().map(|s| posture(&arm.at(s.tick), &s.inputs[2..2 + joints])).collect(),
     })
 }

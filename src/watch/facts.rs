@@ -36,7 +36,7 @@ pub(super) fn facts(folder: &Path, manifest: &RunManifest, plan: &Plan) -> RunFa
         min: signal.min as f32,
         max: signal.max as f32,
     };
-    let arm = drawable_arm(plan);
+    let arm = plan.drawable_arm();
     let name = folder.file_name().map(|name| name.to_string_lossy().into_owned());
     RunFacts {
         name: name.unwrap_or_else(|| folder.display().to_string()),
@@ -49,18 +49,13 @@ pub(super) fn facts(folder: &Path, manifest: &RunManifest, plan: &Plan) -> RunFa
         outputs: plan.outputs.iter().map(range).collect(),
         measures: plan.measures.clone(),
         error: plan.error,
-        error_unit: if plan.scenario.plant.arm.is_some() { "m".to_owned() } else { String::new() },
+        error_unit: plan.error_unit().to_owned(),
         arm: arm.map(arm_frame),
         changes: arm.map_or_else(Vec::new, |arm| {
             body_changes(arm).into_iter().map(|change| (change.tick, change.label)).collect()
         }),
         flags: EVENTS.iter().map(|(bit, text)| (*bit, (*text).to_owned())).collect(),
     }
-}
-
-/// The arm of a plan, if its inputs tell its posture.
-pub(super) fn drawable_arm(plan: &Plan) -> Option<&ArmConfig> {
-    plan.scenario.plant.arm.as_ref().filter(|arm| !arm.open_loop && plan.inputs.len() == 2 + arm.lengths.len())
 }
 
 /// The square that holds the arm's targets and its base with half its reach around: it seldom bends further.

@@ -9,7 +9,7 @@ use std::fs::File;
 use tectum_view::{RunView, SeenCommand, SeenLearning, SeenObservation, SeenProcess, WatchedState};
 
 use super::WatchError;
-use super::facts::{drawable_arm, facts};
+use super::facts::facts;
 use super::living::LivingRun;
 use crate::channel::{BoardsCopy, DomainName, LogTail, MessageTail, WatchFiles};
 use crate::clock::{ProcessHandle, monotonic_ns, wall_ns};
@@ -126,7 +126,7 @@ impl RunWatcher {
 
     fn take_observations(&mut self, mut kept: Option<&mut Vec<LogRecord>>) {
         self.observations.skip_to_newest(self.samples);
-        let arm = drawable_arm(&self.plan).cloned();
+        let arm = self.plan.drawable_arm().cloned();
         let mut next = self.observations.receive();
         for number in 1..=self.samples {
             let Some(sample) = next else { break };
@@ -153,8 +153,7 @@ impl RunWatcher {
         if let Some(arm) = arm.filter(|_| inputs.iter().all(|x| x.is_finite())) {
             points = posture(&arm.at(header.tick), &inputs[2..]).iter().map(|p| p.map(|x| x as f32)).collect();
             // Where it is, not where it is said to be.
-            let mirrored = arm.mirrored(header.tick);
-            target = Some([0, 1].map(|i| if mirrored[i] { -inputs[i] } else { inputs[i] }));
+            target = Some(arm.reported_target(header.tick, [inputs[0], inputs[1]]));
         }
         self.view.observe(&SeenObservation {
             tick: header.tick,

@@ -196,6 +196,17 @@ impl Plan {
         Encoder::new(&self.maps, self.scenario.encoder.normalise).with_scalars(&self.scalars)
     }
 
+    /// The arm, if its inputs tell its posture: the target's position, and then an angle for each joint.
+    pub fn drawable_arm(&self) -> Option<&ArmConfig> {
+        let arm = self.scenario.plant.arm.as_ref();
+        arm.filter(|arm| !arm.open_loop && self.inputs.len() == 2 + arm.lengths.len())
+    }
+
+    /// The unit of the measure `error`; empty where it is not known.
+    pub fn error_unit(&self) -> &'static str {
+        if self.scenario.plant.arm.is_some() { "m" } else { "" }
+    }
+
     /// The arm, if it is the simulator's: another program's arm is only known from its samples.
     pub fn simulated_arm(&self) -> Option<&ArmConfig> {
         let plant = &self.scenario.plant;

@@ -157,10 +157,7 @@ struct Movements {
 
 impl Movements {
     fn new(plan: Option<&Plan>) -> Self {
-        let arm = plan.and_then(|plan| {
-            let arm = plan.scenario.plant.arm.as_ref()?;
-            (!arm.open_loop && plan.inputs.len() == 2 + arm.lengths.len()).then(|| arm.clone())
-        });
+        let arm = plan.and_then(Plan::drawable_arm).cloned();
         let changes = arm.as_ref().map_or_else(Vec::new, body_changes).into_iter().take(MOST_CHANGES);
         let mut beginnings = vec![(0, "at the beginning".to_owned())];
         beginnings.extend(changes.map(|change| (change.tick, format!("after: {}", change.label))));
@@ -176,8 +173,7 @@ impl Movements {
         }
         let millimetres = |x: f64| (1e3 * x).round() as i32;
         let pose = || {
-            let mirrored = arm.mirrored(tick);
-            let target = [0, 1].map(|i| f64::from(if mirrored[i] { -inputs[i] } else { inputs[i] }));
+            let target = arm.reported_target(tick, [inputs[0], inputs[1]]).map(f64::from);
             Pose {
                 tick,
                 points: posture(&arm.at(tick), &inputs[2..]).iter().map(|p| p.map(millimetres)).collect(),

@@ -51,7 +51,7 @@ pub(super) fn collect(folder: &Path) -> Result<Value, ReportPageError> {
         "settings": text(&scenario_file),
         "facts": facts(&manifest, digest.as_ref()),
         "marks": plan.as_ref().map(marks),
-        "error_unit": plan.as_ref().map_or("", |plan| if plan.scenario.plant.arm.is_some() { "m" } else { "" }),
+        "error_unit": plan.as_ref().map_or("", Plan::error_unit),
         "log": digest.as_ref().map(LogDigest::to_json),
     }))
 }

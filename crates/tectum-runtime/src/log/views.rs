@@ -101,15 +101,13 @@ impl ViewFacts {
 
     /// The facts of a plan's run, whose clock is `shift_ns` before wall time.
     pub fn of_plan(plan: &Plan, realtime: bool, shift_ns: i128) -> Self {
-        let arm = plan.scenario.plant.arm.as_ref();
-        let drawable = |arm: &&ArmConfig| !arm.open_loop && plan.inputs.len() == 2 + arm.lengths.len();
         Self {
             inputs: plan.inputs.clone(),
             outputs: plan.outputs.clone(),
             measures: plan.measures.clone(),
             error: plan.error,
-            error_unit: if arm.is_some() { "m".to_owned() } else { String::new() },
-            arm: arm.filter(drawable).cloned(),
+            error_unit: plan.error_unit().to_owned(),
+            arm: plan.drawable_arm().cloned(),
             period_ns: realtime.then_some(plan.period_ns),
             shift_ns,
         }

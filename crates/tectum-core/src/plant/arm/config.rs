@@ -169,6 +169,12 @@ impl ArmConfig {
         [MirrorAxis::X, MirrorAxis::Y]
             .map(|axis| self.mirror.iter().filter(|m| m.axis == axis && m.tick <= tick).count() % 2 == 1)
     }
+
+    /// How the target at `target`, m, is reported in `tick`; of one that is reported, where it is.
+    pub fn reported_target(&self, tick: u64, target: [f32; 2]) -> [f32; 2] {
+        let mirrored = self.mirrored(tick);
+        [0, 1].map(|axis| if mirrored[axis] { -target[axis] } else { target[axis] })
+    }
 }
 
 impl Default for ArmConfig {

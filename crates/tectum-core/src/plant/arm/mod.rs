@@ -159,10 +159,7 @@ impl Arm {
 
     /// Writes the inputs: the reported target, and the angles.
     fn write_inputs(&self, tick: u64, inputs: &mut [f32]) {
-        let mirrored = self.config.mirrored(tick);
-        for (input, (x, mirrored)) in inputs.iter_mut().zip(self.target.into_iter().zip(mirrored)) {
-            *input = if mirrored { -x } else { x };
-        }
+        inputs[..2].copy_from_slice(&self.config.reported_target(tick, self.target));
         if !self.config.open_loop {
             inputs[2..2 + self.joints].copy_from_slice(self.angles());
         }

@@ -72,8 +72,7 @@ impl ArmScene {
         }
         let new_target = observation.header.flags & flag::NEW_TARGET != 0;
         if new_target || self.since >= REPEATED {
-            let mirrored = self.arm.mirrored(tick);
-            let target = [0, 1].map(|i| f64::from(if mirrored[i] { -inputs[i] } else { inputs[i] }));
+            let target = self.arm.reported_target(tick, [inputs[0], inputs[1]]).map(f64::from);
             send(2, self.target(target, ns).as_bytes())?;
         }
         if self.since >= REPEATED {
