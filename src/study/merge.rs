@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::compare::{Comparison, compare};
 use super::reproduce::{ReproduceSettings, arm, eye, open_loop, outlook};
-use super::study_rows::{ROWS_FILE, StudyRows, read};
+use super::study_rows::{ROWS_FILE, StudyRows, read, rows_file};
 use super::sweep::{Sweep, sweep};
 use super::{StudyEnd, StudyError, StudyHead, StudyPlace};
 
@@ -23,9 +23,7 @@ pub struct MergedStudy {
 /// # Errors
 /// When the files are of different studies or builds, have different results of a run, or do not have all runs.
 pub fn merge(files: &[PathBuf], out: Option<&Path>) -> Result<MergedStudy, StudyError> {
-    // A study's folder stands for its rows.
-    let rows = |path: &PathBuf| if path.is_dir() { path.join(ROWS_FILE) } else { path.clone() };
-    let files: Vec<PathBuf> = files.iter().map(rows).collect();
+    let files: Vec<PathBuf> = files.iter().map(|path| rows_file(path)).collect();
     let head = StudyRows::merged(&files)?.head;
     study_of(&head, StudyPlace::Merge(files), out, true)
 }

@@ -27,6 +27,11 @@ const FORMAT: u32 = 1;
 /// The field of a result that holds times, as of [`compare`](super::compare).
 const TIMES: &str = "costs";
 
+/// The file of rows that `path` stands for: a study's folder stands for its rows.
+pub(super) fn rows_file(path: &Path) -> PathBuf {
+    if path.is_dir() { path.join(ROWS_FILE) } else { path.to_owned() }
+}
+
 /// Seeds from the first to before the last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SeedRange {

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::merge::study_of;
-use super::study_rows::{ROWS_FILE, StudyRow, first_difference, read, without_times};
+use super::study_rows::{ROWS_FILE, StudyRow, first_difference, read, rows_file, without_times};
 use super::{SeedRange, StudyError, StudyHead, StudyPlace};
 use crate::runtime::exit;
 
@@ -67,10 +67,7 @@ impl Verification {
         let mut text = format!("{study}: {equal} of {compared} runs are equal, bit for bit");
         match &self.made_again[..] {
             [] if first + second > 0 => {
-                text += &format!(
-                    "; {first} runs are only in the first result, {second} only \
-                in the second"
-                )
+                text += &format!("; {first} runs are only in the first result, {second} only in the second");
             }
             [] => {}
             seeds => {
@@ -119,11 +116,6 @@ pub fn verify(files: &[PathBuf], share: f64, progress: bool) -> Result<Verificat
         second.extend(results(rows));
     }
     compare([&head, &StudyHead { build, ..head.clone() }], &first, &second)
-}
-
-/// The file of rows that `path` stands for.
-fn rows_file(path: &Path) -> PathBuf {
-    if path.is_dir() { path.join(ROWS_FILE) } else { path.to_owned() }
 }
 
 /// Results by run, without times.

@@ -9,7 +9,7 @@ use crate::wire::{Command, MAX_OUTPUTS, Observation, OutputValues, flag};
 /// A plant behind its gate: the plant's half of every tick, without clock and transport.
 ///
 /// The work is that of `PlantTick`, which knows the plant as `dyn Plant`: so it is compiled once, in this crate, for
-/// every plant. One call through the plant's table takes about a nanosecond.
+/// every plant.
 #[derive(Debug, Clone)]
 pub struct PlantSide<P> {
     body: P,
