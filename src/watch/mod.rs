@@ -6,6 +6,7 @@
 //! stopped or killed. [`tectum_view`] has the state and the faces; this module has clocks, files, sockets and
 //! terminals.
 
+mod address;
 mod error;
 mod facts;
 mod follower;
@@ -15,6 +16,7 @@ mod living;
 mod run_watcher;
 mod screen_session;
 mod snapshot;
+mod socket_server;
 mod terminal;
 mod watched_run;
 mod web;

@@ -10,12 +10,7 @@ mod feed;
 mod handshake;
 mod protocol;
 
-use std::io::ErrorKind;
-use std::net::{SocketAddr, TcpListener};
-
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
-
-use super::web::address::{WebAddress, token};
+use super::socket_server::{SocketFace, SocketServer, run_face};
 use super::{FaceEnd, Follower, WatchError};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use client::Client;
@@ -39,34 +34,15 @@ pub fn watch_by_foxglove(
     signals: &TerminationSignals,
     announce: impl FnOnce(&str) -> std::io::Result<()>,
 ) -> Result<FaceEnd, WatchError> {
-    let address = WebAddress::parse(address, PORT)?;
-    let listener = address.listen()?;
-    let failed = |cause: std::io::Error| WatchError::Address { address: address.to_string(), cause: cause.to_string() };
-    listener.set_nonblocking(true).map_err(failed)?;
-    let local = listener.local_addr().map_err(failed)?;
-    let token = if local.ip().is_loopback() { None } else { Some(token().map_err(failed)?) };
-    let query = token.as_ref().map_or(String::new(), |token| format!("?token={token}"));
-    announce(&format!("ws://{local}/{query}")).map_err(WatchError::Output)?;
+    let server = SocketServer::open(address, PORT)?;
+    announce(&server.link("ws", "")).map_err(WatchError::Output)?;
     follower.keep_samples();
-    let mut server = FoxgloveServer { listener, local, token, clients: Vec::new(), feed: None, generation: 0 };
-    let began = monotonic_ns();
-    let mut next = began;
-    while signals.received() == 0 {
-        server.serve(next);
-        let now = monotonic_ns();
-        if now >= next {
-            next = now + LOOK_NS;
-            follower.look((now - began) as f64 / 1e9);
-            server.update(follower, now);
-        }
-    }
-    Ok(FaceEnd::Signal(signals.received()))
+    let mut face = FoxgloveFace { server, clients: Vec::new(), feed: None, generation: 0 };
+    Ok(run_face(&mut face, follower, signals, LOOK_NS))
 }
 
-struct FoxgloveServer {
-    listener: TcpListener,
-    local: SocketAddr,
-    token: Option<String>,
+struct FoxgloveFace {
+    server: SocketServer,
     clients: Vec<Client>,
     /// The channels of the run that is watched.
     feed: Option<SampleFeed>,
@@ -74,37 +50,21 @@ struct FoxgloveServer {
     generation: u64,
 }
 
-impl FoxgloveServer {
-    /// Takes what comes, and writes what can be written, until the instant `until`, ns.
-    fn serve(&mut self, until: u64) {
-        let wait = until.saturating_sub(monotonic_ns());
-        let limit = Timespec { tv_sec: (wait / 1_000_000_000) as i64, tv_nsec: (wait % 1_000_000_000) as i64 };
-        let mut fds = vec![PollFd::new(&self.listener, PollFlags::IN)];
-        fds.extend(self.clients.iter().map(|client| {
-            let writes = if client.has_output() { PollFlags::OUT } else { PollFlags::empty() };
-            PollFd::new(client.stream(), PollFlags::IN | writes)
-        }));
-        let _ = poll(&mut fds, Some(&limit));
-        let ready: Vec<bool> = fds[1..].iter().map(|fd| !fd.revents().is_empty()).collect();
-        drop(fds);
+impl SocketFace for FoxgloveFace {
+    fn serve(&mut self, _follower: &Follower, until: u64) {
+        let sockets = self.clients.iter().map(|client| (client.stream(), client.has_output()));
+        let ready = self.server.wait(sockets, until);
         let now = monotonic_ns();
         for (client, _) in self.clients.iter_mut().zip(ready).filter(|(_, ready)| *ready) {
-            if client.serve(self.local, self.token.as_deref()) {
+            if client.serve(self.server.local, self.server.token.as_deref()) {
                 client.welcome(self.feed.as_ref(), self.generation);
             }
         }
         self.clients.retain(|client| client.is_open(now));
-        while self.clients.len() < MOST_CLIENTS {
-            match self.listener.accept() {
-                Ok((stream, _)) => self.clients.extend(Client::new(stream, now)),
-                Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(_) => return,
-            }
-        }
+        self.server.accept(&mut self.clients, MOST_CLIENTS, |stream| Client::new(stream, now));
     }
 
-    /// Hands every client what is new.
-    fn update(&mut self, follower: &mut Follower, now: u64) {
+    fn update(&mut self, follower: &mut Follower, now: u64, _seconds: f64) {
         if self.generation != follower.generation()
             && let Some((facts, channels)) = follower.view_facts()
         {

@@ -8,19 +8,14 @@
 //! has. A request from this machine must name it as its host, so that a page of somebody else's cannot read a run
 //! through a name that leads here.
 
-pub(super) mod address;
 mod connection;
 pub(super) mod request;
 
-use std::io::ErrorKind;
-use std::net::{SocketAddr, TcpListener};
-
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use tectum_view::{metrics, page};
 
+use super::socket_server::{SocketFace, SocketServer, run_face};
 use super::{FaceEnd, Follower, WatchError};
 use crate::clock::{TerminationSignals, monotonic_ns};
-use address::WebAddress;
 use connection::{Connection, Served};
 
 /// The port that is taken if it is free and the user named none.
@@ -65,83 +60,38 @@ fn serve(
     signals: &TerminationSignals,
     announce: impl FnOnce(&str) -> std::io::Result<()>,
 ) -> Result<FaceEnd, WatchError> {
-    let address = WebAddress::parse(address, PORT)?;
-    let listener = address.listen()?;
-    let failed = |cause: std::io::Error| WatchError::Address { address: address.to_string(), cause: cause.to_string() };
-    listener.set_nonblocking(true).map_err(failed)?;
-    let local = listener.local_addr().map_err(failed)?;
-    let token = if local.ip().is_loopback() { None } else { Some(address::token().map_err(failed)?) };
+    let server = SocketServer::open(address, PORT)?;
     let path = if page.is_some() { "" } else { "metrics" };
-    announce(&link(local, path, token.as_deref())).map_err(WatchError::Output)?;
-    let mut server = Server { listener, local, token, page, connections: Vec::new() };
-    let began = monotonic_ns();
-    let mut next = began;
-    while signals.received() == 0 {
-        server.serve(next, follower);
-        let now = monotonic_ns();
-        if now >= next {
-            next = now + UPDATE_NS;
-            let seconds = (now - began) as f64 / 1e9;
-            follower.look(seconds);
-            server.update(follower, seconds);
-        }
-    }
-    Ok(FaceEnd::Signal(signals.received()))
+    announce(&server.link("http", path)).map_err(WatchError::Output)?;
+    let mut face = WebFace { server, page, connections: Vec::new() };
+    Ok(run_face(&mut face, follower, signals, UPDATE_NS))
 }
 
-fn link(local: SocketAddr, path: &str, token: Option<&str>) -> String {
-    format!("http://{local}/{path}{}", token.map_or(String::new(), |token| format!("?token={token}")))
-}
-
-struct Server {
-    listener: TcpListener,
-    local: SocketAddr,
-    token: Option<String>,
+struct WebFace {
+    server: SocketServer,
     page: Option<String>,
     connections: Vec<Connection>,
 }
 
-impl Server {
-    /// Takes what comes, and writes what can be written, until the instant `until`, ns.
-    fn serve(&mut self, until: u64, follower: &Follower) {
+impl SocketFace for WebFace {
+    fn serve(&mut self, follower: &Follower, until: u64) {
+        let sockets = self.connections.iter().map(|connection| (connection.stream(), connection.has_output()));
+        let ready = self.server.wait(sockets, until);
         let now = monotonic_ns();
-        let wait = until.saturating_sub(now);
-        let limit = Timespec { tv_sec: (wait / 1_000_000_000) as i64, tv_nsec: (wait % 1_000_000_000) as i64 };
-        let mut fds = vec![PollFd::new(&self.listener, PollFlags::IN)];
-        fds.extend(self.connections.iter().map(|connection| {
-            let writes = if connection.has_output() { PollFlags::OUT } else { PollFlags::empty() };
-            PollFd::new(connection.stream(), PollFlags::IN | writes)
-        }));
-        let _ = poll(&mut fds, Some(&limit));
-        let ready: Vec<bool> = fds[1..].iter().map(|fd| !fd.revents().is_empty()).collect();
-        drop(fds);
-        let now = monotonic_ns();
-        let (page, token) = (self.page.as_deref(), self.token.as_deref());
-        let served = Served { page, metrics: &|| metrics(follower.view()), local: self.local, token };
+        let (page, token) = (self.page.as_deref(), self.server.token.as_deref());
+        let served = Served { page, metrics: &|| metrics(follower.view()), local: self.server.local, token };
         for (connection, _) in self.connections.iter_mut().zip(ready).filter(|(_, ready)| *ready) {
             connection.serve(&served);
         }
         self.connections.retain(|connection| connection.is_open(now));
-        self.accept(now);
+        self.server.accept(&mut self.connections, MOST_CONNECTIONS, |stream| Connection::new(stream, now));
     }
 
-    fn accept(&mut self, now: u64) {
-        // More wait in the listener's queue until there is room.
-        while self.connections.len() < MOST_CONNECTIONS {
-            match self.listener.accept() {
-                Ok((stream, _)) => self.connections.extend(Connection::new(stream, now)),
-                Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(_) => return,
-            }
-        }
-    }
-
-    /// Sends every reader what is new.
-    fn update(&mut self, follower: &Follower, now: f64) {
+    fn update(&mut self, follower: &mut Follower, _now: u64, seconds: f64) {
         for connection in &mut self.connections {
             match follower.view() {
-                Some(view) => connection.update(view, follower.generation(), now),
-                None => connection.notice(follower.waits_for(), now),
+                Some(view) => connection.update(view, follower.generation(), seconds),
+                None => connection.notice(follower.waits_for(), seconds),
             }
         }
     }

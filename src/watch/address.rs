@@ -1,14 +1,14 @@
-//! Where the page is served, and the protocol for other viewers.
+//! Where the faces that serve over sockets listen, and the token that clients of other machines need.
 
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Read as _};
 use std::net::{TcpListener, ToSocketAddrs as _};
 
-use super::super::WatchError;
+use super::WatchError;
 
 /// An address to listen on.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(in crate::watch) struct WebAddress {
+pub(super) struct WebAddress {
     host: String,
     port: u16,
     /// Whether any other free port will do as well.
@@ -61,7 +61,7 @@ impl WebAddress {
 ///
 /// # Errors
 /// When the operating system has no random bytes.
-pub(in crate::watch) fn token() -> std::io::Result<String> {
+pub(super) fn token() -> std::io::Result<String> {
     let mut bytes = [0; 16];
     std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
     Ok(bytes.iter().fold(String::new(), |mut text, byte| {
