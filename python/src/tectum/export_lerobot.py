@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from .errors import Refused
+from .exporting import need_pyarrow, run_command
 from .layouts import Flag
 from .log import Log, read_log
 
@@ -93,11 +94,7 @@ def episodes(columns: Columns, task: str) -> list[dict[str, Any]]:
 
 def export(run: str, out: str) -> dict[str, Any]:
     """Writes the dataset of the log of `run` into the new folder `out`. Returns what was written."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise Refused("pyarrow is not installed; pip install pyarrow") from None
+    pyarrow = need_pyarrow()
     folder = Path(out)
     if folder.exists():
         raise Refused(f"{folder} exists already; give a folder that does not")
@@ -148,15 +145,7 @@ def export(run: str, out: str) -> dict[str, Any]:
 
 def main() -> int:
     """The command. Exit code 2 for bad input."""
-    if len(sys.argv) != 3 or sys.argv[1].startswith("-"):
-        print("usage: python -m tectum.export_lerobot RUN OUT", file=sys.stderr)
-        return 2
-    try:
-        print(json.dumps(export(sys.argv[1], sys.argv[2])))
-    except (Refused, OSError) as error:
-        print(f"tectum: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command("python -m tectum.export_lerobot RUN OUT", (2,), export)
 
 
 if __name__ == "__main__":

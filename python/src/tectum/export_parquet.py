@@ -13,16 +13,13 @@ from typing import Any
 import numpy as np
 
 from .errors import Refused
+from .exporting import need_pyarrow, run_command
 from .log import read_log
 
 
 def export(run: str, out: str, channel: str = "observation") -> dict[str, Any]:
     """Writes the table into the new file `out`. Returns what was written."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise Refused("pyarrow is not installed; pip install pyarrow") from None
+    pyarrow = need_pyarrow()
     file = Path(out)
     if file.exists():
         raise Refused(f"{file} exists already; give a file that does not")
@@ -41,15 +38,7 @@ def export(run: str, out: str, channel: str = "observation") -> dict[str, Any]:
 
 def main() -> int:
     """The command. Exit code 2 for bad input."""
-    if len(sys.argv) not in (3, 4) or sys.argv[1].startswith("-"):
-        print("usage: python -m tectum.export_parquet RUN OUT [CHANNEL]", file=sys.stderr)
-        return 2
-    try:
-        print(json.dumps(export(*sys.argv[1:])))
-    except (Refused, OSError) as error:
-        print(f"tectum: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command("python -m tectum.export_parquet RUN OUT [CHANNEL]", (2, 3), export)
 
 
 if __name__ == "__main__":
