@@ -70,7 +70,7 @@ impl Drop for FoxgloveWatcher {
 
 fn run(folder: &TestFolder, mode: &str) -> Process {
     let scenario = folder.endless_scenario(mode);
-    let mut run = folder.run(&[&scenario, "--mode", mode]);
+    let mut run = folder.run(&[&scenario, "--mode", mode, "--ticks", "1e9"]);
     run.wait_until_ticking();
     run
 }
@@ -110,6 +110,9 @@ fn frame(stream: &mut impl std::io::Read) -> (u8, Vec<u8>) {
 const UPGRADE: &str = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
     Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: foxglove.websocket.v1\r\n";
 
+/// More bytes than wait for a client that does not read: its queue, and the sockets' buffers.
+const MORE_THAN_WAITS: usize = 16 << 20;
+
 /// A lockstep run makes more than a client can hold that reads nothing. It is told afterwards what it lost.
 #[test]
 fn who_does_not_read_loses_the_oldest_and_holds_up_nobody() {
@@ -119,21 +122,35 @@ fn who_does_not_read_loses_the_oldest_and_holds_up_nobody() {
     assert!(watcher.ask("").1.starts_with("HTTP/1.1 426"));
     let (stream, head) = watcher.ask(UPGRADE);
     assert!(head.starts_with("HTTP/1.1 101"), "{head}");
-    // The client subscribes to all that there can be.
-    let each: Vec<String> = (0..20).map(|i| format!("{{\"id\": {i}, \"channelId\": {}}}", 1000 + i)).collect();
-    let subscribe = format!("{{\"op\": \"subscribe\", \"subscriptions\": [{}]}}", each.join(","));
-    (&stream).write_all(&text_frame(&subscribe)).unwrap();
-    // The run goes on, whoever reads.
-    running.wait_until_tick(20_000);
     let mut reader = BufReader::new(stream);
+    // It is told of the channels once the server has found the run, and subscribes to all of them.
+    let channels = loop {
+        let (_, content) = frame(&mut reader);
+        let message: Value = serde_json::from_slice(&content).unwrap();
+        if message["op"] == "advertise" {
+            break message["channels"].as_array().unwrap().clone();
+        }
+    };
+    let each: Vec<_> = channels.iter().map(|c| serde_json::json!({"id": c["id"], "channelId": c["id"]})).collect();
+    let subscribe = serde_json::json!({"op": "subscribe", "subscriptions": each}).to_string();
+    reader.get_mut().write_all(&text_frame(&subscribe)).unwrap();
     let began = Instant::now();
-    let told = loop {
-        assert!(began.elapsed() < WATCHDOG, "it was not told of what was dropped");
-        let (code, content) = frame(&mut reader);
-        if code == 1 {
-            let message: Value = serde_json::from_slice(&content).unwrap();
-            if message["op"] == "status" && message["id"] == "dropped" {
-                break message["message"].as_str().unwrap().to_owned();
+    let told = 'told: loop {
+        // For so long nothing is read, and the run goes on. What a client is sent is more than what is logged.
+        let log = folder.path().join("run/log.mcap");
+        let length = || std::fs::metadata(&log).unwrap().len();
+        let enough = length() + MORE_THAN_WAITS as u64;
+        running.wait_until("a log that is longer by what can wait", || length() >= enough);
+        let mut read = 0;
+        while read < MORE_THAN_WAITS {
+            assert!(began.elapsed() < WATCHDOG, "it was not told of what was dropped");
+            let (code, content) = frame(&mut reader);
+            read += content.len();
+            if code == 1 {
+                let message: Value = serde_json::from_slice(&content).unwrap();
+                if message["op"] == "status" && message["id"] == "dropped" {
+                    break 'told message["message"].as_str().unwrap().to_owned();
+                }
             }
         }
     };
