@@ -68,9 +68,10 @@ impl Drop for FoxgloveWatcher {
     }
 }
 
-fn run(folder: &TestFolder, mode: &str) -> Process {
-    let scenario = folder.endless_scenario(mode);
-    let mut run = folder.run(&[&scenario, "--mode", mode, "--ticks", "1e9"]);
+/// A run in lockstep of which every tick is logged, so that it makes many messages on a busy machine, too.
+fn run(folder: &TestFolder) -> Process {
+    let scenario = folder.arm_scenario(&[("ticks", "3_000_000"), ("every", "1")]);
+    let mut run = folder.run(&[&scenario, "--mode", "lockstep"]);
     run.wait_until_ticking();
     run
 }
@@ -117,7 +118,7 @@ const MORE_THAN_WAITS: usize = 16 << 20;
 #[test]
 fn who_does_not_read_loses_the_oldest_and_holds_up_nobody() {
     let folder = TestFolder::new();
-    let mut running = run(&folder, "lockstep");
+    let mut running = run(&folder);
     let watcher = FoxgloveWatcher::start(&folder, &["--foxglove", "127.0.0.1:0"]);
     assert!(watcher.ask("").1.starts_with("HTTP/1.1 426"));
     let (stream, head) = watcher.ask(UPGRADE);
