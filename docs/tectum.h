@@ -167,7 +167,8 @@ typedef struct tectum_status {
     uint32_t pid;
     /* Heartbeat: counts the process's updates of its board. A count that does not change for long is a hang. */
     uint64_t beat;
-    /* Plant: one more than the tick at whose start the announced or last checkpoint is taken; 0 before the first. */
+    /* One more than the tick at whose start a checkpoint is taken; 0 before the first. Plant: the one that it has
+     * announced last. Controller: its own last one. */
     uint64_t checkpoint;
     /* Ticks done. */
     uint64_t ticks;

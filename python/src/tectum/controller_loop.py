@@ -223,6 +223,7 @@ class ControllerLoop(ControllerCore, TickLoop):
             self.store.store(self.count, self.whole_state())
         if checkpoint:
             self.checkpoints.write(observation.header.tick + 1, self.count, self.whole_state())
+            self.ports.status.checkpoint = observation.header.tick + 2
         if real:
             self.measure(observation.header.scheduled_ns, arrived, answered, improved)
         self.publish()

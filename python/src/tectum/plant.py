@@ -27,6 +27,8 @@ MISSED, SKIPPED, UNHEARD, LATE, NEW_TARGET = (
     int(flag) for flag in (Flag.MISSED, Flag.SKIPPED, Flag.UNHEARD, Flag.LATE, Flag.NEW_TARGET)
 )
 ENDS = {"terminated": int(Flag.TERMINATED), "truncated": int(Flag.TRUNCATED)}
+# How often a checkpoint is announced again. A controller may write none at all.
+MOST_REPEATS = 8
 EPISODE_END = int(Flag.TERMINATED | Flag.TRUNCATED)
 COUNTED = {
     "missed": MISSED,
@@ -112,6 +114,8 @@ class PlantLoop(TickLoop):
         self.checkpoints = Checkpoints(run, "plant")
         # Checkpoints that had been asked for when the last one was announced.
         self.asked = run.control.get().checkpoints
+        # The last one that was written, as it is announced, and how often the announced one may be announced again.
+        self.written, self.repeats = 0, 0
 
     @property
     def process(self) -> Participant:
@@ -274,13 +278,32 @@ class PlantLoop(TickLoop):
     def checkpoint(self, tick: int) -> None:
         """Writes the checkpoint that was announced for this tick, and announces the next one."""
         status, every = self.participant.status, self.checkpoints.every
-        if self.remembers and status.checkpoint == tick + 1:
+        announced = status.checkpoint
+        if self.remembers and announced == tick + 1:
             self.checkpoints.write(tick, status.sent, self.whole_state(tick))
+            self.written = announced
         # One tick ahead, before the observation is sent: the controller takes its own after its command.
         asked = self.run.control.get().checkpoints
         if asked != self.asked or (every > 0 and (tick + 1) % every == 0):
-            self.asked, status.checkpoint = asked, tick + 2
-            self.participant.publish_status()
+            self.repeats = MOST_REPEATS if self.remembers and self.run.real else 0
+        elif self.passed_over(announced, tick):
+            self.repeats -= 1
+        else:
+            return
+        self.asked, status.checkpoint = asked, tick + 2
+        self.participant.publish_status()
+
+    def passed_over(self, announced: int, tick: int) -> bool:
+        """Whether plant or controller, in real time, have passed over the tick of the announced checkpoint. A run goes
+        on from a pair only, so it is announced again."""
+        if self.repeats == 0:
+            return False
+        self.participant.returned(self.participant.controller, Role.CONTROLLER)
+        controller = self.participant.controller.get()
+        ours, theirs = self.written == announced, controller.checkpoint == announced
+        if ours and theirs:
+            self.repeats = 0
+        return (not ours and announced <= tick) or (not theirs and controller.ticks + 1 >= announced)
 
     # --- the loop ----------------------------------------------------------------------------------------------
 

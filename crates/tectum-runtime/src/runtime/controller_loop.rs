@@ -403,6 +403,7 @@ impl<A: Agent> ControllerLoop<A> {
         if checkpoint {
             let next = header.tick + 1;
             self.writer.write(next, self.state.checkpoint(next, &self.session.participant));
+            self.session.status.checkpoint = next + 1;
         }
         let (every, state) = (self.save_every, &mut self.state);
         if state.count.is_multiple_of(every) && !self.crash_store.store(state.count, |to| state::save(state, to)) {

@@ -11,6 +11,7 @@
 //! that reward, encodes, draws command k and sends it.
 
 mod budget;
+mod checkpoint_schedule;
 mod command_inbox;
 mod controller;
 mod controller_loop;

@@ -7,6 +7,7 @@
 
 use hdrhistogram::Histogram;
 
+use super::checkpoint_schedule::CheckpointSchedule;
 use super::command_inbox::CommandInbox;
 use super::peer_monitor::PeerMonitor;
 use super::stopwatch::Stopwatch;
@@ -138,16 +139,13 @@ struct PlantLoop<P> {
     backoff: Backoff,
     /// The run's number of ticks.
     ticks: u64,
-    /// Ticks between checkpoints; 0 for none.
-    checkpoint_every: u64,
+    checkpoints: CheckpointSchedule,
     /// The next tick to begin.
     tick: u64,
     /// Whether the plant has advanced through all ticks before `tick`.
     advanced: bool,
     /// Whether the plant has already acted in the tick before `tick`, because it acts within the tick.
     acted: bool,
-    /// Checkpoints that had been requested when the last one was announced.
-    checkpoints_requested: u32,
     /// Ticks skipped in a row.
     overruns: u64,
     /// Whether this is the first tick after a restart. The time for which the process was dead is no overrun.
@@ -189,11 +187,10 @@ impl<P: Plant> PlantLoop<P> {
             real,
             backoff: Backoff::default(),
             ticks: session.participant.plan.scenario.ticks,
-            checkpoint_every: manifest.checkpoint_every,
+            checkpoints: CheckpointSchedule::new(manifest.checkpoint_every, session.checkpoints_requested(), real),
             tick: manifest.resumed.as_ref().map_or(0, |resumed| resumed.tick),
             advanced: true,
             acted: false,
-            checkpoints_requested: session.checkpoints_requested(),
             overruns: 0,
             first_after_restart: restarted || state.side.report().forgot_at.is_some(),
             gave_up: None,
@@ -241,7 +238,7 @@ impl<P: Plant> PlantLoop<P> {
             return Ok(false);
         }
         let late = if self.state.side.report().late > late_before { flag::LATE } else { 0 };
-        self.checkpoint();
+        self.checkpoint()?;
         self.observe(late, skipped);
         self.send(woken)?;
         self.act()?;
@@ -363,22 +360,22 @@ impl<P: Plant> PlantLoop<P> {
     }
 
     /// Writes the checkpoint that was announced for this tick, and announces the next one.
-    fn checkpoint(&mut self) {
-        if self.session.status.checkpoint == self.tick + 1 {
+    fn checkpoint(&mut self) -> Result<(), RuntimeError> {
+        let announced = self.session.status.checkpoint;
+        if self.checkpoints.is_due(announced, self.tick) {
             self.state.expected = self.inbox.expected;
             self.writer.write(self.tick, self.state.checkpoint(self.tick, &self.session.participant));
         }
-        // A checkpoint is announced one tick ahead, before the observation is sent. The controller then takes
-        // its own checkpoint after its command.
         let requested = self.session.checkpoints_requested();
-        let next = self.tick + 1;
-        if requested != self.checkpoints_requested
-            || self.checkpoint_every > 0 && next.is_multiple_of(self.checkpoint_every)
-        {
-            self.checkpoints_requested = requested;
-            self.session.status.checkpoint = next + 1;
+        let controller = || {
+            self.controller.check(&mut self.ports.controller, &self.session)?;
+            Ok(self.ports.controller.get())
+        };
+        if let Some(next) = self.checkpoints.next(announced, self.tick, requested, controller)? {
+            self.session.status.checkpoint = next;
             self.session.publish_status();
         }
+        Ok(())
     }
 
     /// Senses and fills the observation of the tick.

@@ -31,8 +31,8 @@ sample! {
         /// Heartbeat: counts the process's updates of its board. A count that does not change for long is a
         /// hang.
         beat: u64,
-        /// Plant: one more than the tick at whose start the announced or last checkpoint is taken; 0 before the
-        /// first.
+        /// One more than the tick at whose start a checkpoint is taken; 0 before the first. Plant: the one that it has
+        /// announced last. Controller: its own last one.
         checkpoint: u64,
         /// Ticks done.
         ticks: u64,
