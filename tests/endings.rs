@@ -127,6 +127,19 @@ fn a_killed_process_ends_the_run_with_a_message() {
 }
 
 /// A process receives SIGTERM from another process than the launcher.
+/// A process that does not end when the run is interrupted is killed. That it leaves no report is said.
+#[test]
+fn a_process_that_does_not_end_is_killed_and_named() {
+    let test_folder = TestFolder::new();
+    let mut run = start(&test_folder, "realtime", Progress::MidRun);
+    signal_process(run.child_pid("tectum-logger"), "STOP");
+    run.signal("INT");
+    let outcome = run.wait().expect(130);
+    let message = "tectum: the logger has not ended in time and is killed; it leaves no report";
+    assert!(outcome.stderr.contains(message) && outcome.json()["lost"].is_null(), "{outcome:#?}");
+    assert_no_debris(&test_folder.run_folder());
+}
+
 #[test]
 fn a_terminated_process_ends_the_run() {
     let test_folder = TestFolder::new();

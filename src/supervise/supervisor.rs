@@ -339,6 +339,11 @@ impl<W: SupervisedWorld> Supervisor<W> {
         }
         self.enter(Phase::Abort);
         if !self.await_end(ABORT_LIMIT) {
+            let remaining: Vec<Role> = Role::ALL.into_iter().filter(|&role| self.world.has_child(role)).collect();
+            for role in remaining {
+                let name = role.name();
+                self.world.say(&format!("tectum: the {name} has not ended in time and is killed; it leaves no report"));
+            }
             self.world.kill_all();
         }
         self.poll();
