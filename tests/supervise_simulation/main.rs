@@ -3,7 +3,11 @@
 //! refuses to start a process, or has no memory. After each run the rules are checked that hold whatever happens.
 //!
 //! A failure names its seed; `TECTUM_SIMULATE=SEED` runs that one alone and prints what happened in it, and
-//! `TECTUM_SIMULATE=A..B` runs a range.
+//! `TECTUM_SIMULATE=A..B` runs a range, on all cores:
+//!
+//! ```text
+//! TECTUM_SIMULATE=0..100000 cargo test --test supervise_simulation      # a minute on two cores
+//! ```
 //!
 //! It found that a set-up which takes longer than `set_up_s`, as one by hand does, had all processes killed as hung
 //! when ticks began, and that after Ctrl-C a restarted process that was still setting up kept the others from
@@ -23,7 +27,7 @@ use tectum::wire::{ProcessState, Role};
 use world::{SimulatedWorld, World};
 
 /// Seeds in the usual test.
-const SEEDS: u64 = 100_000;
+const SEEDS: u64 = 20_000;
 
 /// The seeds of `TECTUM_SIMULATE`, and whether it names one alone.
 fn seeds() -> (Range<u64>, bool) {
@@ -90,36 +94,51 @@ impl Census {
         self.finished_after_a_loss += u64::from(lost && Role::ALL.iter().any(finished));
     }
 
-    /// Whether every kind of run occurred often enough for the rules to have been tried.
-    fn is_rich(&self, seeds: u64) -> bool {
-        let kinds = [
-            self.complete,
-            self.signal,
-            self.failed,
-            self.never_ran,
-            self.restarts,
-            self.killed_as_hung,
-            self.finished_after_a_loss,
-        ];
-        kinds.iter().all(|&count| count > seeds / 200)
+    fn kinds(&mut self) -> [&mut u64; 7] {
+        let Self { complete, signal, failed, never_ran, restarts, killed_as_hung, finished_after_a_loss } = self;
+        [complete, signal, failed, never_ran, restarts, killed_as_hung, finished_after_a_loss]
     }
+
+    fn add(&mut self, mut part: Self) {
+        self.kinds().into_iter().zip(part.kinds()).for_each(|(sum, count)| *sum += *count);
+    }
+
+    /// Whether every kind of run occurred often enough for the rules to have been tried.
+    fn is_rich(&mut self, seeds: u64) -> bool {
+        self.kinds().into_iter().all(|count| *count > seeds / 200)
+    }
+}
+
+/// What the worlds of these seeds came to, or what does not hold and for which seed.
+fn census(seeds: impl Iterator<Item = u64>, told: bool) -> Result<Census, String> {
+    let mut census = Census::default();
+    for seed in seeds {
+        let seen =
+            simulate(seed).map_err(|what| format!("seed {seed}: {what}\nTECTUM_SIMULATE={seed} runs it alone"))?;
+        if told {
+            eprintln!("{}", seen.account());
+        }
+        census.count(&seen);
+    }
+    Ok(census)
 }
 
 #[test]
 fn whatever_happens_the_run_ends_as_it_must() {
     let (seeds, told) = seeds();
     let count = seeds.end - seeds.start;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let parts: Vec<_> = std::thread::scope(|scope| {
+        let part = |i| {
+            let seeds = seeds.clone().skip(i).step_by(threads);
+            scope.spawn(move || census(seeds, told))
+        };
+        let running: Vec<_> = (0..threads).map(part).collect();
+        running.into_iter().map(|part| part.join().unwrap()).collect()
+    });
     let mut census = Census::default();
-    for seed in seeds {
-        match simulate(seed) {
-            Ok(seen) => {
-                if told {
-                    eprintln!("{}", seen.account());
-                }
-                census.count(&seen);
-            }
-            Err(what) => panic!("seed {seed}: {what}\nTECTUM_SIMULATE={seed} runs it alone"),
-        }
+    for part in parts {
+        census.add(part.unwrap_or_else(|what| panic!("{what}")));
     }
     assert!(count < 1000 || census.is_rich(count), "{census:?}");
     eprintln!("{count} seeds: {census:?}");
