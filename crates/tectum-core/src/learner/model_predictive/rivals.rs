@@ -7,8 +7,8 @@
 //! | wave | a square wave on each command |
 //! | goal | straight to a posture of large reward, for the inputs that do not move now |
 //!
-//! The goal is found by the learned reward: of some remembered ticks, the moving inputs are combined with the other
-//! inputs of now (a target), and the combination of the largest predicted reward is taken. From there it climbs to a
+//! The goal is found by the learned reward: of some remembered ticks, the inputs that commands move are combined with
+//! the other inputs of now (a target, a blocked joint), and the combination of the largest predicted reward is taken. From there it climbs to a
 //! posture whose reward is largest around it (`posture.rs`). The first rivals after a new target are goals: before the
 //! plan has gone its way, another way costs least. How fast the rival goes is drawn on a logarithmic scale. The way
 //! there follows from damped least squares on the learned dynamics, `u = (JᵀJ + e I)⁻¹ Jᵀ (goal - z)`, with the effect
@@ -32,6 +32,8 @@ const GOALS: u32 = 6;
 const CLIMB: usize = 5;
 /// Natural logarithm of the slowest way to a goal, as a part of the largest command: 3 %.
 const SLOWEST: f64 = -3.5;
+/// An input is held where commands move it by less than this part of what they move others.
+const HELD: f64 = 0.01;
 /// Remembered postures that are compared.
 const POSTURES: usize = 32;
 
@@ -103,6 +105,8 @@ fn approach(
     let q = &mut q[..places.len()];
     let mut next = [0.0; 2 * MAX_INPUTS + 2 * MAX_OUTPUTS];
     let next = &mut next[..nx];
+    q[..nx].copy_from_slice(start);
+    let moving = world.commanded(q, moving);
     for _ in 0..POSTURES {
         let tick = rng.random_range(memory.first..memory.stored);
         q.fill(0.0);
@@ -138,6 +142,22 @@ fn approach(
 }
 
 impl LearnedWorld<'_> {
+    /// Those of the inputs `moving` that a command moves from `q`; all of them where none shows. A blocked joint is
+    /// where it is.
+    fn commanded(&mut self, q: &[f64], moving: u32) -> u32 {
+        self.dynamics_jacobian(q);
+        let width = self.places.len();
+        let mut effects = [0.0; MAX_INPUTS];
+        for (i, effect) in effects.iter_mut().enumerate().filter(|(i, _)| moving >> i & 1 == 1) {
+            let row = &self.scratch.dynamics[i * width..(i + 1) * width];
+            let each = (0..self.places.commands).flat_map(|j| (0..3).map(move |ago| (j, ago)));
+            *effect = each.map(|(j, ago)| row[self.places.command(j, ago)].abs()).sum();
+        }
+        let least = HELD * effects.iter().fold(0.0, |a: f64, b| a.max(*b));
+        let bits = (0..MAX_INPUTS).filter(|i| effects[*i] > least).fold(0, |bits, i| bits | 1 << i);
+        if bits == 0 { moving } else { bits }
+    }
+
     /// The command that brings moving inputs from `q` to `goal`, by damped least squares.
     fn towards(&mut self, q: &[f64], goal: &[f64], moving: u32, u: &mut [f64]) {
         let (n, m, width) = (self.places.inputs, self.places.commands, self.places.len());
