@@ -165,8 +165,8 @@ impl Model {
         self.fit.regression.update(&self.phi, &errors[..outputs], || normal(rng));
     }
 
-    /// How well the fit of a single output predicts the ticks from `first` to `end`, by about [`SAMPLE`] of them. `None`
-    /// where fewer than 20 teach.
+    /// How well the fit of a single output predicts the ticks from `first` to `end`, by about [`SAMPLE`] of them.
+    /// `None` where fewer than 20 teach.
     pub fn accuracy(&mut self, data: &dyn Data, first: u64, end: u64, q: &mut [f64]) -> Option<Accuracy> {
         let step = (end.saturating_sub(first) / SAMPLE).max(1) as usize;
         let (mut y, mut sums) = ([0.0], [0.0; 4]);

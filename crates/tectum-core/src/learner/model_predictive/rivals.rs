@@ -8,11 +8,11 @@
 //! | goal | straight to a posture of large reward, for the inputs that do not move now |
 //!
 //! The goal is found by the learned reward: of some remembered ticks, the inputs that commands move are combined with
-//! the other inputs of now (a target, a blocked joint), and the combination of the largest predicted reward is taken. From there it climbs to a
-//! posture whose reward is largest around it (`posture.rs`). The first rivals after a new target are goals: before the
-//! plan has gone its way, another way costs least. How fast the rival goes is drawn on a logarithmic scale. The way
-//! there follows from damped least squares on the learned dynamics, `u = (JᵀJ + e I)⁻¹ Jᵀ (goal - z)`, with the effect
-//! `J` of a command summed over the ticks in which it acts.
+//! the other inputs of now (a target, a blocked joint), and the combination of the largest predicted reward is taken.
+//! From there it climbs to a posture whose reward is largest around it (`posture.rs`). The first rivals after a new
+//! target are goals: before the plan has gone its way, another way costs least. How fast the rival goes is drawn on a
+//! logarithmic scale. The way there follows from damped least squares on the learned dynamics,
+//! `u = (JᵀJ + e I)⁻¹ Jᵀ (goal - z)`, with the effect `J` of a command summed over the ticks in which it acts.
 
 use rand::RngExt as _;
 
