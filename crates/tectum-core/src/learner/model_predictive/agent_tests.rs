@@ -15,13 +15,24 @@ struct Reach {
     tick: u64,
     reward: f64,
     applied: f64,
+    /// What a command of 1 moves.
+    gain: f64,
     /// Factors of inputs, commands and rewards.
     units: [f64; 3],
 }
 
 impl Reach {
     fn new(units: [f64; 3]) -> Self {
-        Self { rng: stream(7, "targets"), position: 0.0, target: 0.0, tick: 0, reward: 0.0, applied: 0.0, units }
+        Self {
+            rng: stream(7, "targets"),
+            position: 0.0,
+            target: 0.0,
+            tick: 0,
+            reward: 0.0,
+            applied: 0.0,
+            gain: 0.4,
+            units,
+        }
     }
 
     /// One tick, with `change` applied to the reward that is reported. Returns the command and the true reward.
@@ -38,7 +49,7 @@ impl Reach {
         self.applied = command[0];
         agent.improve();
         let u = command[0] / self.units[1];
-        self.position = (self.position + 0.4 * u).clamp(-1.0, 1.0);
+        self.position = (self.position + self.gain * u).clamp(-1.0, 1.0);
         let apart = self.position - self.target;
         self.reward = -(apart * apart + 0.02 * u * u);
         self.tick += 1;
@@ -154,4 +165,15 @@ fn a_wild_reward_and_unusable_inputs_do_no_harm() {
     let (lost, _) = run([1.0; 3], 260, |tick, r| if (120..170).contains(&tick) { f64::NAN } else { r });
     assert!(lost.iter().all(|r| r.is_finite()));
     assert!((a - mean(&lost, 140, 260)).abs() < 0.25 * a.abs());
+}
+
+#[test]
+fn what_a_joint_did_before_it_blocked_no_longer_teaches() {
+    let (mut plant, mut agent) = (Reach::new([1.0; 3]), agent([1.0; 3]));
+    for tick in 0..200 {
+        plant.gain = if tick < 120 { 0.4 } else { 0.0 };
+        plant.tick(&mut agent, |_, r| r);
+    }
+    assert!(agent.counts.alarms > 0);
+    assert_eq!(agent.counts.worlds, 1);
 }

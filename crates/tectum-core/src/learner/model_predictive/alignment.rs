@@ -111,7 +111,7 @@ impl Alignment {
         (shift, after): (u64, bool),
         (steps, noise_floor): (usize, f64),
     ) -> f64 {
-        let (first, end) = (memory.first.max(memory.stored.saturating_sub(600)) + MOST_LATE, memory.stored);
+        let (first, end) = (memory.rewards_from().max(memory.stored.saturating_sub(600)) + MOST_LATE, memory.stored);
         let complete = |tick: &u64| {
             memory.is_rewarded(*tick)
                 && !memory.near_boundary(*tick, MOST_LATE)

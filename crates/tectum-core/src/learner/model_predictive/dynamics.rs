@@ -138,7 +138,7 @@ impl Dynamics {
 
     /// Makes an input's model less certain.
     pub fn doubt(&mut self, i: usize) {
-        self.models[i].fit.regression.doubt(10.0, 3.0);
+        self.models[i].fit.regression.doubt(1000.0, 30.0);
     }
 }
 

@@ -32,8 +32,10 @@ pub struct Memory {
     capacity: usize,
     /// Number of ticks ever stored.
     pub stored: u64,
-    /// The first tick that still counts.
+    /// The oldest tick that is left.
     pub first: u64,
+    /// The first tick that still teaches: how each input moves, and then the reward.
+    from: Vec<u64>,
     before: Vec<f64>,
     after: Vec<f64>,
     changes: Vec<f64>,
@@ -71,6 +73,7 @@ impl Memory {
             capacity,
             stored: 0,
             first: 0,
+            from: vec![0; places.inputs + 1],
             before: vec![0.0; capacity * places.len()],
             after: vec![0.0; capacity * places.len()],
             changes: vec![0.0; capacity * places.inputs],
@@ -93,6 +96,21 @@ impl Memory {
         self.stamps[at] = 2 * entry.tick + u64::from(entry.boundary);
         self.stored += 1;
         self.first = self.first.max(self.stored.saturating_sub(self.capacity as u64));
+    }
+
+    /// The first tick that still teaches how an input moves; or the reward, whose number is that of the inputs.
+    pub fn from(&self, part: usize) -> u64 {
+        self.from[part].max(self.first)
+    }
+
+    /// The first reward that still teaches.
+    pub fn rewards_from(&self) -> u64 {
+        self.from(self.places.inputs)
+    }
+
+    /// What came before `tick` no longer teaches that part.
+    pub fn forget(&mut self, part: usize, tick: u64) {
+        self.from[part] = tick;
     }
 
     /// The reward of `tick` no longer teaches, or does so after all.
@@ -161,7 +179,7 @@ pub struct ChangeData<'a> {
 
 impl Data for ChangeData<'_> {
     fn range(&self) -> (u64, u64) {
-        (self.memory.first, self.memory.stored)
+        (self.memory.from(self.input), self.memory.stored)
     }
 
     fn get(&self, tick: u64, q: &mut [f64], y: &mut [f64]) -> Option<Lesson> {
@@ -190,7 +208,7 @@ pub struct RewardData<'a> {
 
 impl Data for RewardData<'_> {
     fn range(&self) -> (u64, u64) {
-        (self.memory.first, self.memory.stored)
+        (self.memory.rewards_from(), self.memory.stored)
     }
 
     fn get(&self, tick: u64, q: &mut [f64], y: &mut [f64]) -> Option<Lesson> {
@@ -209,6 +227,7 @@ impl Persist for Memory {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.number("stored", &mut self.stored);
         visitor.number("first", &mut self.first);
+        visitor.numbers("from", &mut self.from);
         visitor.numbers("before", &mut self.before);
         visitor.numbers("after", &mut self.after);
         visitor.numbers("changes", &mut self.changes);

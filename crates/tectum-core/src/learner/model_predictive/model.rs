@@ -78,6 +78,32 @@ impl ModelSize {
     }
 }
 
+/// Ticks by which an accuracy is measured.
+pub const SAMPLE: u64 = 100;
+
+/// How well a fit predicts some ticks, in its units.
+#[derive(Debug, Clone, Copy)]
+pub struct Accuracy {
+    /// Variance of the output.
+    pub variance: f64,
+    /// Mean squared error.
+    pub error: f64,
+}
+
+impl Accuracy {
+    /// Variances below this one are rounding.
+    const STILL: f64 = 1e-8;
+
+    /// Whether a fit with this accuracy on new ticks, and another on `older` ones, has learned a world in which the
+    /// older ones did not happen. Where the output no longer varies, as that of a blocked joint, its error counts by
+    /// the older ones' variance.
+    pub fn leaves_behind(&self, older: &Self) -> bool {
+        let varies = self.variance > Self::STILL;
+        let most = if varies { 0.1 * self.variance } else { 0.03 * older.variance };
+        self.error < most && older.variance > Self::STILL && older.error > 0.3 * older.variance
+    }
+}
+
 impl Model {
     /// A model that knows nothing.
     pub fn new(layout: Layout, size: ModelSize, settings: RefitSettings, rng: &mut Rng) -> Self {
@@ -139,31 +165,25 @@ impl Model {
         self.fit.regression.update(&self.phi, &errors[..outputs], || normal(rng));
     }
 
-    /// The part of the outputs' variance that the fit leaves unexplained in the ticks from `first` to `end`, at most
-    /// 100 of them: the largest of all outputs that move. `None` where there are fewer than 20 ticks.
-    pub fn unexplained(&mut self, data: &dyn Data, first: u64, end: u64, q: &mut [f64]) -> Option<f64> {
-        let outputs = self.outputs();
-        let step = (end.saturating_sub(first) / 100).max(1) as usize;
-        let mut y = [0.0; MAX_MODEL_OUTPUTS];
-        let mut sums = [[0.0; 4]; MAX_MODEL_OUTPUTS];
+    /// How well the fit of a single output predicts the ticks from `first` to `end`, by about [`SAMPLE`] of them.
+    /// `None` where fewer than 20 teach.
+    pub fn accuracy(&mut self, data: &dyn Data, first: u64, end: u64, q: &mut [f64]) -> Option<Accuracy> {
+        let step = (end.saturating_sub(first) / SAMPLE).max(1) as usize;
+        let (mut y, mut sums) = ([0.0], [0.0; 4]);
         for tick in (first..end).step_by(step) {
-            let Some(lesson) = data.get(tick, q, &mut y[..outputs]) else { continue };
-            self.fit.features.evaluate(&self.layout, q, &mut self.basis, &mut self.phi);
-            self.fit.regression.predict(&self.phi, &mut self.predicted[..outputs]);
-            for j in (0..outputs).filter(|j| lesson.missing & (1 << j) == 0) {
-                let error = lesson.heed(j, self.error(j, y[j]));
-                let value = (y[j] - self.fit.center) / self.fit.scale;
-                for (sum, x) in sums[j].iter_mut().zip([1.0, value, value * value, error * error]) {
+            let Some(lesson) = data.get(tick, q, &mut y) else { continue };
+            if lesson.missing & 1 == 0 {
+                self.fit.features.evaluate(&self.layout, q, &mut self.basis, &mut self.phi);
+                self.fit.regression.predict(&self.phi, &mut self.predicted[..1]);
+                let error = lesson.heed(0, self.error(0, y[0]));
+                let value = (y[0] - self.fit.center) / self.fit.scale;
+                for (sum, x) in sums.iter_mut().zip([1.0, value, value * value, error * error]) {
                     *sum += x;
                 }
             }
         }
-        let parts =
-            sums[..outputs].iter().filter(|sums| sums[0] >= 20.0).filter_map(|[count, sum, squares, errors]| {
-                let variance = squares - sum * sum / count;
-                (variance > 1e-8 * count).then(|| errors / variance)
-            });
-        parts.reduce(f64::max)
+        let [count, sum, squares, errors] = sums;
+        (count >= 20.0).then(|| Accuracy { variance: (squares - sum * sum / count) / count, error: errors / count })
     }
 
     /// The planner's function from now on: the mean and a part of what the sample differs.

@@ -27,7 +27,7 @@ pub struct StepCost {
 }
 
 /// Operations of a model's value, and of its Jacobian.
-fn of_model(model: &Model, width: u64) -> [u64; 2] {
+pub fn of_model(model: &Model, width: u64) -> [u64; 2] {
     let features = &model.fit.features;
     let (waves, products) = (features.pairs as u64, features.nodes.len() as u64);
     let (outputs, components) = (model.outputs() as u64, model.layout.components as u64);

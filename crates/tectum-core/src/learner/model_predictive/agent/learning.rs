@@ -3,7 +3,8 @@
 use super::super::alignment::RewardAssumption;
 use super::super::belief::BeliefVerdict;
 use super::super::memory::{ChangeData, Data, Entry, Lesson, RewardData};
-use super::super::model::{CONTACT, Model};
+use super::super::model::{CONTACT, Model, SAMPLE};
+use super::super::operations::of_model;
 use super::super::world::{CHANGE, Ranges};
 use super::ModelPredictive;
 use crate::MAX_INPUTS;
@@ -16,6 +17,8 @@ const STRANGE: f64 = 9.0;
 const RARE: f64 = 0.1;
 /// So many strange rewards in a row are left out at most.
 const MOST_STRANGE: u32 = 12;
+/// After an alarm, every so many ticks it is asked whether older ones still teach.
+const LOOK: u64 = 10;
 
 impl ModelPredictive {
     /// Learns from the last tick.
@@ -223,7 +226,12 @@ impl ModelPredictive {
 
     /// Works on refits.
     pub(super) fn refit(&mut self) {
-        if self.tick >= self.next_refit && !self.dynamics.busy() && !self.rewards.iter().any(|r| r.refit.busy()) {
+        let busy = self.dynamics.busy() || self.rewards.iter().any(|r| r.refit.busy());
+        // Models that have adapted show by themselves that the world is another one; they need not wait for a refit.
+        if !busy && self.memory.stored % LOOK == self.changed_at % LOOK && self.forget_another_world() {
+            self.next_refit = self.tick;
+        }
+        if self.tick >= self.next_refit && !busy {
             if !self.weigh_assumptions() {
                 return;
             }
@@ -252,29 +260,33 @@ impl ModelPredictive {
         }
     }
 
-    /// After an alarm: ticks from before it are left out from now on, if the models have adapted to those since the
-    /// alarm, and now leave much of the older ones unexplained.
-    fn forget_another_world(&mut self) {
-        let (first, change, end) = (self.memory.first, self.changed_at, self.memory.stored);
-        if change <= first || end < change + 30 || end > change + 300 {
-            return;
+    /// After an alarm: ticks from before it no longer teach how an input moves, or the reward, if the model has adapted
+    /// to those since the alarm, and now leaves much of the older ones unexplained. Returns whether that is so.
+    fn forget_another_world(&mut self) -> bool {
+        let (change, end) = (self.changed_at, self.memory.stored);
+        if change == 0 || end < change + 30 || end > change + 300 {
+            return false;
         }
-        let better = self.better();
-        let memory = &self.memory;
-        let rewards = RewardData { memory, after: better == 1, shift: self.shift };
-        let q = &mut self.after;
-        let mut another = |model: &mut Model, data: &dyn Data| {
-            let new = model.unexplained(data, change, end, q).unwrap_or(1.0);
-            let old = model.unexplained(data, first, change, q).unwrap_or(0.0);
-            new < 0.1 && old > 0.3
-        };
-        let mut changed = another(&mut self.rewards[better], &rewards);
-        for (input, model) in self.dynamics.models.iter_mut().enumerate() {
-            changed |= self.dynamics.moving & (1 << input) != 0 && another(model, &ChangeData { memory, input });
+        let (n, better, shift) = (self.places.inputs, self.better(), self.shift);
+        let mut changed = false;
+        for part in 0..=n {
+            let (memory, first) = (&self.memory, self.memory.from(part));
+            let moves = ChangeData { memory, input: part };
+            let rewards = RewardData { memory, after: better == 1, shift };
+            let (model, data): (&mut Model, &dyn Data) = match part {
+                _ if part == n => (&mut self.rewards[better], &rewards),
+                _ if self.dynamics.moves(part) => (&mut self.dynamics.models[part], &moves),
+                _ => continue,
+            };
+            let [older, newer] =
+                [(first, change), (change, end)].map(|(a, b)| model.accuracy(data, a, b, &mut self.after));
+            self.budget.spent += 2 * SAMPLE * of_model(model, 0)[0];
+            if newer.zip(older).is_some_and(|(newer, older)| newer.leaves_behind(&older)) {
+                self.memory.forget(part, change);
+                changed = true;
+            }
         }
-        if changed {
-            self.memory.first = change;
-            self.counts.worlds += 1;
-        }
+        self.counts.worlds += u64::from(changed);
+        changed
     }
 }
