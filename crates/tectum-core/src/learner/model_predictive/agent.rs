@@ -364,7 +364,7 @@ impl Differences<'_> {
 }
 
 /// The models of a learner that knows nothing: movement, reward before the tick, reward after it.
-pub fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamics, [Model; 2]) {
+fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamics, [Model; 2]) {
     let config = &spec.config;
     let settings = RefitSettings {
         points: config.points / 2,

@@ -18,7 +18,7 @@
 //! | `refit.rs`, `model.rs`, `memory.rs` | fitting anew in slices, the models, the ticks that were seen | |
 //! | `weighted.rs`, `world.rs` | predictions with their derivatives | Griewank & Walther 2008 |
 //! | `planner.rs`, `box_qp.rs` | control-limited iLQR | Tassa, Mansard & Todorov 2014 |
-//! | `rivals.rs`, `posture.rs` | where other plans begin; postures at rest | Bertsekas 1982 |
+//! | `rivals.rs` | where other plans begin | |
 //! | `belief.rs`, `exploration.rs` | outliers and alarms; noise | |
 //! | `operations.rs` | what a tick's work takes | |
 //! | `agent.rs` | what happens in a tick | |
@@ -72,7 +72,6 @@ mod memory;
 mod model;
 mod operations;
 mod planner;
-mod posture;
 mod refit;
 mod regression;
 mod rivals;

@@ -5,18 +5,15 @@
 //! | zeros | none |
 //! | disturbed | the plan and a square wave on each command |
 //! | wave | a square wave on each command |
-//! | goal | straight to a posture of large reward, for the inputs that do not move now |
+//! | goal | straight to the best of some remembered postures, for the inputs that do not move now |
 //!
 //! The goal is found by the learned reward: of some remembered ticks, the inputs that commands move are combined with
 //! the other inputs of now (a target, a blocked joint), and the combination of the largest predicted reward is taken.
-//! From there it climbs to a posture whose reward is largest around it (`posture.rs`). The first rivals after a new
-//! target are goals: before the plan has gone its way, another way costs least. How fast the rival goes is drawn on a
-//! logarithmic scale. The way there follows from damped least squares on the learned dynamics,
-//! `u = (JᵀJ + e I)⁻¹ Jᵀ (goal - z)`, with the effect `J` of a command summed over the ticks in which it acts.
+//! The way there follows from damped least squares on the learned dynamics, `u = (JᵀJ + e I)⁻¹ Jᵀ (goal - z)`, with the
+//! effect `J` of a command summed over the ticks in which it acts.
 
 use rand::RngExt as _;
 
-use super::functions::exp;
 use super::linalg::{add_scaled, cholesky, dot, packed, solve_lower, solve_lower_transposed};
 use super::memory::Memory;
 use super::planner::CommandPlan;
@@ -25,27 +22,14 @@ use crate::seed::Rng;
 use crate::{MAX_INPUTS, MAX_OUTPUTS};
 
 /// Number of kinds.
-const KINDS: u32 = 4;
-/// Rivals after a new target that are goals.
-const GOALS: u32 = 6;
-/// Steps of a goal's climb.
-const CLIMB: usize = 5;
-/// Natural logarithm of the slowest way to a goal, as a part of the largest command: 3 %.
-const SLOWEST: f64 = -3.5;
+pub const KINDS: u32 = 4;
 /// An input is held where commands move it by less than this part of what they move others.
 const HELD: f64 = 0.01;
 /// Remembered postures that are compared.
 const POSTURES: usize = 32;
 
-/// The kind of rival that follows on `kind`: all in turn, but for [`GOALS`] goals after a `new_target`, which are
-/// numbered downwards.
-pub fn next(kind: u32, new_target: bool) -> u32 {
-    let kind = if new_target { KINDS + GOALS - 1 } else { kind };
-    if kind >= KINDS { kind - 1 } else { (kind + 1) % KINDS }
-}
-
 /// Writes the commands from which a rival of `kind` begins, in the first state of `plan`. The bits of `moving` are the
-/// inputs that move. Returns about how many steps of the world that took, evaluated and expanded.
+/// inputs that move.
 pub fn draw(
     kind: u32,
     rng: &mut Rng,
@@ -53,7 +37,7 @@ pub fn draw(
     (memory, moving): (&Memory, u32),
     plan: &CommandPlan,
     rival: &mut CommandPlan,
-) -> [u64; 2] {
+) {
     let start = plan.state(0);
     rival.mu = 1e-3;
     match kind {
@@ -66,12 +50,8 @@ pub fn draw(
             rival.commands.fill(0.0);
             add_wave(rng, rival, world.places.commands);
         }
-        _ => {
-            approach(rng, world, memory, moving, start, rival);
-            return [(rival.horizon + CLIMB) as u64, CLIMB as u64];
-        }
+        _ => approach(rng, world, memory, moving, start, rival),
     }
-    [0; 2]
 }
 
 /// Adds a square wave of random period, phase and height to each command.
@@ -119,11 +99,7 @@ fn approach(
             goal[..n].copy_from_slice(&q[..n]);
         }
     }
-    q.fill(0.0);
-    q[..n].copy_from_slice(&goal[..n]);
-    world.climb(q, moving, CLIMB);
-    goal[..n].copy_from_slice(&q[..n]);
-    let reach = exp(rng.random_range(SLOWEST..0.0));
+    let reach = rng.random_range(0.1..1.0);
     rival.states[..nx].copy_from_slice(start);
     for t in 0..rival.horizon {
         q[..nx].copy_from_slice(&rival.states[t * nx..(t + 1) * nx]);
@@ -188,20 +164,5 @@ impl LearnedWorld<'_> {
         } else {
             u.fill(0.0);
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn goals_follow_a_new_target_and_then_all_kinds_in_turn() {
-        let (mut kind, mut kinds) = (next(1, true), Vec::new());
-        for _ in 0..GOALS + KINDS {
-            kinds.push(kind.min(KINDS - 1));
-            kind = next(kind, false);
-        }
-        assert_eq!(kinds, [3, 3, 3, 3, 3, 3, 0, 1, 2, 3]);
     }
 }

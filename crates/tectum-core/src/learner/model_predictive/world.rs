@@ -68,14 +68,11 @@ pub fn wrap(z: f64) -> f64 {
 /// Scratch memory of a learned world.
 #[derive(Debug, Clone)]
 pub struct WorldScratch {
-    /// The point at which the reward model looks.
-    pub after: Vec<f64>,
+    after: Vec<f64>,
     /// Jacobian of the changes.
     pub dynamics: Vec<f64>,
-    /// The reward's gradient by that point.
-    pub gradient: Vec<f64>,
-    /// The reward's Hessian over the active places.
-    pub small: Vec<f64>,
+    gradient: Vec<f64>,
+    small: Vec<f64>,
     copy: Vec<f64>,
     vectors: Vec<f64>,
     chain: Vec<f64>,
@@ -230,34 +227,23 @@ impl World for LearnedWorld<'_> {
 }
 
 impl LearnedWorld<'_> {
-    /// Gradient and concave Hessian of the reward by its model's point, which is in `after`: over all places, and over
-    /// the active ones. Returns whether the reward changes there.
-    pub fn curve_reward(&mut self) -> bool {
-        let WorldScratch { after, gradient, small, copy, vectors, active, .. } = &mut *self.scratch;
-        let order = active.len();
-        let small = &mut small[..order * order];
-        let Model { layout, fit, weighted, .. } = &mut *self.reward;
-        let value = weighted.hessian(layout, &fit.features, after, active, gradient, small);
-        let slope = believed(self.reward, value, self.best, self.caution).1;
-        if slope == 0.0 {
-            return false;
-        }
-        clip_to_concave(small, order, copy, vectors);
-        small.iter_mut().chain(gradient.iter_mut()).for_each(|x| *x *= slope);
-        true
-    }
-
     /// Gradient and Hessian of the reward by `q`; the reward model's point is in `after`.
     fn expand_reward(&mut self, jacobian: &[f64], gradient: &mut [f64], hessian: &mut [f64]) {
         let (n, width) = (self.places.inputs, self.places.len());
+        let WorldScratch { after, gradient: by_look, small, copy, vectors, chain, product, active, .. } =
+            &mut *self.scratch;
+        let order = active.len();
+        let small = &mut small[..order * order];
+        let Model { layout, fit, weighted, .. } = &mut *self.reward;
+        let value = weighted.hessian(layout, &fit.features, after, active, by_look, small);
+        let slope = believed(self.reward, value, self.best, self.caution).1;
         gradient.fill(0.0);
         hessian.fill(0.0);
-        if !self.curve_reward() {
+        if slope == 0.0 {
             return;
         }
-        let WorldScratch { gradient: by_look, small, chain, product, active, .. } = &mut *self.scratch;
-        let order = active.len();
-        let small = &small[..order * order];
+        clip_to_concave(small, order, copy, vectors);
+        small.iter_mut().chain(by_look.iter_mut()).for_each(|x| *x *= slope);
         if !self.after {
             gradient.copy_from_slice(by_look);
             for (r, &row) in active.iter().enumerate() {

@@ -46,12 +46,12 @@ impl ModelPredictive {
             self.planner.improve(&mut world, &mut self.plan);
         }
         self.budget.spend_work(began, self.planner.work);
-        for rival in 0..self.rivals {
+        for _ in 0..self.rivals {
             if !self.budget.has_iteration(self.plan.horizon) {
                 break;
             }
-            self.rival_kind = rivals::next(self.rival_kind, self.boundary && rival == 0);
-            let work = rivals::draw(
+            self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
+            rivals::draw(
                 self.rival_kind,
                 &mut self.rng,
                 &mut world,
@@ -59,7 +59,6 @@ impl ModelPredictive {
                 &self.plan,
                 &mut self.rival,
             );
-            self.budget.spend_work([0; 2], work);
             work_on_rival(
                 (&mut self.planner, &mut self.budget),
                 &mut world,
