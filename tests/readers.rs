@@ -1,5 +1,5 @@
-//! Packed logs in readers that are not this project's: `@mcap/core`, which reads by the index alone, with the decoder of
-//! Foxglove and Lichtblick, and the Python packages `mcap`, `mcap-ros2-support` and `rosbags`.
+//! Packed logs in readers that are not this project's: `@mcap/core`, which reads by the index alone, with the decoder
+//! of Foxglove and Lichtblick, and the Python packages `mcap`, `mcap-ros2-support` and `rosbags`.
 //!
 //! ```text
 //! npm install --prefix target/node @mcap/core fzstd @foxglove/rosmsg @foxglove/rosmsg2-serialization

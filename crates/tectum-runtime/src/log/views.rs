@@ -14,7 +14,7 @@
 //! | `/error` | `tectum/msg/Error` | the error of the tick before, if the plant measures one |
 //! | `/budget` | `tectum/msg/Budget` | real time: how the tick was spent, us; at the time of the learning record |
 //! | `/transforms` | `tf2_msgs/msg/TFMessage` | the simulator's arm: a frame for each link and one for its end |
-//! | `/scene/links`, `-/target`, `-/path` | `visualization_msgs/msg/MarkerArray` | the arm, its target, its end's path |
+//! | `/scene/links`, `-/target`, `-/path` | `visualization_msgs/msg/MarkerArray` | arm, target, path of its end |
 //!
 //! All are CDR with definitions in ROS 2's language, as the samples are: some readers refuse a file with another
 //! encoding. Readers of samples pass over them. The same messages go to viewers while a run goes on.
