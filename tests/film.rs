@@ -125,6 +125,8 @@ fn a_film_is_a_gif_or_a_video_by_its_name() {
     let height = u64::from(u16::from_le_bytes([gif[8], gif[9]]));
     let got = fs::read_to_string(test_folder.path().join("film.mp4")).unwrap();
     assert_eq!(got.trim().parse::<u64>().unwrap(), 100 * 3 * 960 * height);
+    let permissions = |name: &str| fs::metadata(test_folder.path().join(name)).unwrap().permissions();
+    assert_eq!(permissions("film.mp4"), permissions("film.GIF"));
 }
 
 /// The README's picture is what its command makes today, byte for byte.

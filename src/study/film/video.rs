@@ -1,7 +1,8 @@
 //! A film as MP4: ffmpeg gets the frames as they are, through its standard input.
 
-use std::fs::File;
+use std::fs::{File, Permissions};
 use std::io::{ErrorKind, Read as _, Seek as _, Write as _};
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -33,7 +34,9 @@ fn not_started(error: &std::io::Error) -> FilmError {
 pub(super) fn write(film: &Film, path: &Path) -> Result<usize, FilmError> {
     let failed = |error: std::io::Error| ReportError::Write { path: path.to_owned(), error };
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let draft = tempfile::Builder::new().suffix(".mp4").tempfile_in(folder).map_err(failed)?;
+    // Others may read it as far as the user's mask allows, as any other file.
+    let open = Permissions::from_mode(0o666);
+    let draft = tempfile::Builder::new().suffix(".mp4").permissions(open).tempfile_in(folder).map_err(failed)?;
     // A file, and no pipe, which would fill up while nobody reads.
     let mut said = tempfile::tempfile().map_err(failed)?;
     let mut frames = film.frames();
