@@ -1,4 +1,9 @@
-//! `tectum log export`: tables, and a LeRobotDataset that is read back with pyarrow.
+//! `tectum log export`: tables, and a LeRobotDataset that is read back with pyarrow and, on command, by LeRobot.
+//!
+//! ```text
+//! python3 -m venv ../lerobot && ../lerobot/bin/pip install lerobot pyarrow           # 5 GB with PyTorch
+//! TECTUM_LEROBOT_PYTHON=../lerobot/bin/python TECTUM_PYTHON=... cargo test --test export lerobot_itself -- --ignored
+//! ```
 
 mod support;
 
@@ -49,4 +54,17 @@ fn a_dataset_holds_every_tick_whose_reward_is_known() {
     let checked = folder.start(python::python(), &[&script, "set", "a.parquet", "run"]).wait().expect(0).json();
     assert_eq!(checked["lengths"], serde_json::json!([80, 80, 80, 59]));
     assert_eq!(checked["faults"], serde_json::json!([]));
+}
+
+#[test]
+#[ignore = "needs Python with lerobot: TECTUM_LEROBOT_PYTHON, and with tectum and pyarrow: TECTUM_PYTHON"]
+fn lerobot_itself_loads_the_dataset() {
+    let folder = TestFolder::new();
+    recorded(&folder);
+    folder.tectum("log", &["export", "run", "--format", "lerobot", "--out", "set"]).expect(0);
+    let lerobot = std::env::var("TECTUM_LEROBOT_PYTHON").expect("TECTUM_LEROBOT_PYTHON names an interpreter");
+    let loaded = folder.start(&lerobot, &[&python::script("check_lerobot.py"), "set"]).wait().expect(0).json();
+    assert_eq!((&loaded["episodes"], &loaded["frames"]), (&4.into(), &299.into()));
+    assert_eq!(loaded["batch"], serde_json::json!({"observation.state": [32, 2, 6], "action": [32, 8, 4]}));
+    assert_eq!(loaded["faults"], serde_json::json!([]));
 }

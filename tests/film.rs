@@ -3,6 +3,7 @@
 mod support;
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
 
 use serde_json::Value;
 use support::TestFolder;
@@ -75,6 +76,68 @@ fn a_runs_film_is_an_animated_picture_without_script() {
     let text = test_folder.tectum("film", &[log.to_str().unwrap(), "--out", "again.svg"]).expect(0).stdout;
     assert!(text.contains("After the joint blocks") && text.contains("film  again.svg ("), "{text}");
     assert_eq!(svg, fs::read_to_string(test_folder.path().join("again.svg")).unwrap());
+}
+
+/// A GIF holds what the SVG holds, ffmpeg gets every frame, and both names are known before the log is read.
+#[test]
+fn a_film_is_a_gif_or_a_video_by_its_name() {
+    let test_folder = TestFolder::new();
+    ran(&test_folder, &[("every", "1"), ("tick", "640")], "1000");
+    let json = test_folder.tectum("film", &["run", "-o", "film.GIF", "--json"]).expect(0).json();
+    let gif = fs::read(test_folder.path().join("film.GIF")).unwrap();
+    assert_eq!((&json["bytes"], &json["panels"][2]["caption"]), (&gif.len().into(), &"After the joint blocks".into()));
+    assert!(gif.starts_with(b"GIF89a") && gif.ends_with(b";") && gif.len() < 1_500_000, "{} bytes", gif.len());
+    // 960 pixels wide; 80 ticks a reach, and a fifth of the film is its end.
+    assert_eq!(gif[6..8], 960_u16.to_le_bytes());
+    assert_eq!(
+        gif.windows(4).filter(|bytes| *bytes == b"\x21\xf9\x04\x04" || *bytes == b"\x21\xf9\x04\x05").count(),
+        100
+    );
+
+    let message = test_folder.refused("film", &["run", "-o", "film.png"]);
+    assert!(message.contains("film.png is no name of a film") && message.ends_with(".svg, .gif or .mp4"), "{message}");
+
+    // A program in ffmpeg's place, which counts what it gets.
+    let programs = test_folder.path().join("programs");
+    fs::create_dir(&programs).unwrap();
+    let film = |path: &str| {
+        let mut command = std::process::Command::new(support::TECTUM);
+        command.args(["film", "run", "-o", "film.mp4"]).env("PATH", path).current_dir(test_folder.path());
+        test_folder.start_command(command).wait()
+    };
+    let message = film(programs.to_str().unwrap()).refusal();
+    assert!(
+        message.contains("ffmpeg, which writes MP4, is not installed") && message.contains("film.gif"),
+        "{message}"
+    );
+    let ffmpeg = programs.join("ffmpeg");
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+    let install = |script: &str| {
+        fs::write(&ffmpeg, format!("#!/bin/sh\n[ \"$1\" = -version ] && exit\n{script}\n")).unwrap();
+        fs::set_permissions(&ffmpeg, fs::Permissions::from_mode(0o755)).unwrap();
+    };
+    install("echo Unknown encoder >&2; exit 1");
+    let message = film(&path).refusal();
+    assert!(message.contains("failed: Unknown encoder"), "{message}");
+    assert!(!test_folder.path().join("film.mp4").exists());
+    install("for last; do :; done\nwc -c > \"$last\"");
+    film(&path).expect(0);
+    let height = u64::from(u16::from_le_bytes([gif[8], gif[9]]));
+    let got = fs::read_to_string(test_folder.path().join("film.mp4")).unwrap();
+    assert_eq!(got.trim().parse::<u64>().unwrap(), 100 * 3 * 960 * height);
+    let permissions = |name: &str| fs::metadata(test_folder.path().join(name)).unwrap().permissions();
+    assert_eq!(permissions("film.mp4"), permissions("film.GIF"));
+}
+
+/// The README's picture is what its command makes today, byte for byte.
+#[test]
+fn the_film_in_the_readme_is_current() {
+    let test_folder = TestFolder::new();
+    test_folder.run(&["arm"]).wait().expect(0);
+    test_folder.tectum("film", &["run"]).expect(0);
+    let made = fs::read_to_string(test_folder.run_folder().join("film.svg")).unwrap();
+    let shown = fs::read_to_string("docs/figures/film.svg").unwrap();
+    assert!(made == shown, "make it anew: tectum run arm; tectum film runs/arm-1 --out docs/figures/film.svg");
 }
 
 #[test]

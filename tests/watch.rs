@@ -5,6 +5,8 @@ mod support;
 use support::terminal::TestTerminal;
 use support::web_watcher::WebWatcher;
 use support::{Process, TECTUM, TestFolder, WATCHDOG, domain, has_ended, program, read_json, shared_memory};
+use tectum::clock::TerminationSignals;
+use tectum::watch::{Follower, WatchTarget, watch_in_terminal};
 
 /// A run in real time that lasts until the test ends it.
 fn long_run(folder: &TestFolder) -> Process {
@@ -75,6 +77,41 @@ fn whatever_ends_a_watcher_the_terminal_is_left_as_it_was() {
         let text = terminal.text();
         assert!(!text.contains("\x1b[0;3") && !text.contains("\x1b[0;1;3"), "colours in spite of NO_COLOR");
     }
+    end(run);
+}
+
+/// The watcher of the next test. It panics once it has drawn a few screens of the run in the current folder.
+#[test]
+#[ignore = "the next test starts it in a terminal of its own"]
+fn watcher_that_panics() {
+    let signals = TerminationSignals::install().unwrap();
+    let mut follower = Follower::open(WatchTarget::Named("run".into()), false).unwrap();
+    let mut screens = 0;
+    let end = watch_in_terminal(&mut follower, &signals, || {
+        screens += 1;
+        assert!(screens < 5, "a panic on purpose");
+        false
+    });
+    unreachable!("{end:?}");
+}
+
+/// A panic leaves the terminal as it was, and before its message, which the alternate screen would take with it.
+#[test]
+fn a_panic_leaves_the_terminal_as_it_was_and_its_message_on_it() {
+    let folder = TestFolder::new();
+    let run = long_run(&folder);
+    let terminal = TestTerminal::new([80, 24]);
+    let before = format!("{:?}", terminal.settings());
+    let program = std::env::current_exe().unwrap();
+    let arguments = ["--exact", "watcher_that_panics", "--ignored", "--nocapture", "--test-threads", "1"];
+    let watcher = terminal.start_program(program.to_str().unwrap(), &folder, &arguments, true);
+    watcher.wait().expect(101);
+    terminal.assert_restored();
+    assert_eq!(format!("{:?}", terminal.settings()), before);
+    let text = terminal.text();
+    let (on_screen, after) = text.rsplit_once("\x1b[?1049l").unwrap();
+    assert!(on_screen.contains("real time, seed 1"), "it drew no screen: {on_screen:?}");
+    assert!(after.contains("a panic on purpose") && !on_screen.contains("on purpose"), "{after:?}");
     end(run);
 }
 

@@ -2,7 +2,7 @@
 //! names of the protocol; a reader that does not read loses the oldest messages and holds up nobody.
 //!
 //! ```text
-//! npm install --prefix target/node @foxglove/ws-protocol ws
+//! npm install --prefix target/node @foxglove/ws-protocol ws @foxglove/rosmsg @foxglove/rosmsg2-serialization
 //! TECTUM_NODE_MODULES=$PWD/target/node/node_modules cargo test --features foxglove --test watch_foxglove -- --ignored
 //! ```
 #![cfg(feature = "foxglove")]
@@ -161,7 +161,7 @@ fn who_does_not_read_loses_the_oldest_and_holds_up_nobody() {
 }
 
 #[test]
-#[ignore = "needs node with @foxglove/ws-protocol and ws"]
+#[ignore = "needs node with Foxglove's packages and ws"]
 fn the_client_of_foxglove_itself_reads_a_run() {
     let folder = TestFolder::new();
     let mut running = folder.run(&["arm", "--mode", "realtime", "--ticks", "100000"]);
@@ -179,7 +179,7 @@ fn the_client_of_foxglove_itself_reads_a_run() {
         }
         assert_eq!(seen["keys"]["/transforms"], serde_json::json!(["transforms"]));
         for topic in ["/scene/links", "/scene/target", "/scene/path"] {
-            assert_eq!(seen["keys"][topic], serde_json::json!(["deletions", "entities"]), "{seen}");
+            assert_eq!(seen["keys"][topic], serde_json::json!(["markers"]), "{seen}");
         }
     }
     end(running);

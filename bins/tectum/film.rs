@@ -7,7 +7,7 @@ use clap::Args;
 use tectum::log;
 use tectum::process::print_error_line;
 use tectum::runtime::exit;
-use tectum::study::film::{FilmError, WrittenFilm, film};
+use tectum::study::film::{FilmError, WrittenFilm, check_name, film, write};
 
 use super::print;
 
@@ -19,16 +19,18 @@ const FILM_FILE: &str = "film.svg";
 Examples:
   tectum run                             the arm learns to reach, and a joint blocks; every tick is in the log
   tectum film runs/arm-1                 three reaches of that run as an animated SVG: runs/arm-1/film.svg
-  tectum film arm-1 --out reach.svg      the same by the run's name, into another file
+  tectum film arm-1 -o reach.gif         the same by the run's name, as a GIF, for slides and chats
+  tectum film arm-1 -o reach.mp4         as a video, where ffmpeg is installed
   tectum film log.mcap --json            one JSON object on standard output
 
-The film has no script, so that it plays wherever an SVG can be shown as an image.")]
+The SVG has no script, so that it plays wherever an SVG can be shown as an image. It is the sharpest and smallest of the
+three.")]
 pub struct Arguments {
     /// A log, or the folder of a run, or the run's name under runs/
     #[arg(value_name = "RUN")]
     log: PathBuf,
-    /// The film's file [default: film.svg beside the log]
-    #[arg(long, value_name = "FILE")]
+    /// The film's file, which ends with .svg, .gif or .mp4 [default: film.svg beside the log]
+    #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -47,8 +49,9 @@ pub fn main(arguments: &Arguments) -> ExitCode {
 
 fn make(arguments: &Arguments) -> Result<WrittenFilm, FilmError> {
     let log = log::find(&arguments.log)?;
-    let film = film(&log, true)?;
     let file = arguments.out.clone().unwrap_or_else(|| log[0].with_file_name(FILM_FILE));
-    let bytes = film.write(&file)?;
+    check_name(&file)?;
+    let film = film(&log, true)?;
+    let bytes = write(&film, &file)?;
     Ok(WrittenFilm::new(&film, &file, bytes))
 }

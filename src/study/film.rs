@@ -1,5 +1,7 @@
 //! The film of a run from its log: the arm's reaches are read, and three of them are shown.
 
+mod video;
+
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -68,6 +70,21 @@ pub enum FilmError {
     /// The film cannot be written.
     #[error(transparent)]
     Report(#[from] ReportError),
+    /// The file's name says nothing that a film can be.
+    #[error("{} is no name of a film; its end is the format, so let it end with .svg, .gif or .mp4", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+    },
+    /// There is no ffmpeg.
+    #[error("ffmpeg, which writes MP4, is not installed; install it, or write a film.gif or a film.svg")]
+    NoFfmpeg,
+    /// ffmpeg failed.
+    #[error("ffmpeg, which writes MP4, failed: {said}; write a film.gif or a film.svg")]
+    Ffmpeg {
+        /// What it said last.
+        said: String,
+    },
 }
 
 /// A film that was written.
@@ -119,6 +136,48 @@ impl WrittenFilm {
             [panel.caption.clone(), from, seconds(panel.seconds), centimetres(panel.end_error_m)]
         }));
         format!("{}\nfilm  {} ({} bytes)\n", columns(&rows), self.file.display(), thousands(self.bytes as u64))
+    }
+}
+
+/// Writes `film` to `path`, in place of a file that is there, in the format that the name ends with: `.svg`, `.gif`, or
+/// `.mp4` where ffmpeg is installed. Gives its size in bytes.
+///
+/// # Errors
+/// [`FilmError::Format`] for another name, [`FilmError::NoFfmpeg`] and [`FilmError::Ffmpeg`] for MP4, and
+/// [`FilmError::Report`] if the file cannot be written.
+pub fn write(film: &Film, path: &Path) -> Result<usize, FilmError> {
+    match format_of(path)? {
+        FilmFormat::Mp4 => video::write(film, path),
+        FilmFormat::Picture => Ok(film.write(path)?),
+    }
+}
+
+/// How a film is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum FilmFormat {
+    /// SVG or GIF, by the report.
+    Picture,
+    Mp4,
+}
+
+/// The format that the name of a film's file ends with.
+fn format_of(path: &Path) -> Result<FilmFormat, FilmError> {
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
+    match extension.as_deref() {
+        Some("svg" | "gif") => Ok(FilmFormat::Picture),
+        Some("mp4") => Ok(FilmFormat::Mp4),
+        _ => Err(FilmError::Format { path: path.to_owned() }),
+    }
+}
+
+/// Requires that a film can be written to `path`, before the log is read.
+///
+/// # Errors
+/// [`FilmError::Format`] for a name that ends with something else, [`FilmError::NoFfmpeg`] for MP4 without ffmpeg.
+pub fn check_name(path: &Path) -> Result<(), FilmError> {
+    match format_of(path)? {
+        FilmFormat::Mp4 => video::check(),
+        FilmFormat::Picture => Ok(()),
     }
 }
 

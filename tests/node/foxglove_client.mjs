@@ -1,11 +1,13 @@
 // Connects to `tectum watch --foxglove` with the client that Foxglove publishes, subscribes to every channel, and
-// prints what came: foxglove_client.mjs URL SUBPROTOCOL COMMANDS. Every JSON message must be JSON.
+// prints what came: foxglove_client.mjs URL SUBPROTOCOL COMMANDS. Every message is decoded, as Foxglove decodes it.
+import rosmsg from "@foxglove/rosmsg";
+import { MessageReader } from "@foxglove/rosmsg2-serialization";
 import protocol from "@foxglove/ws-protocol";
 import WebSocket from "ws";
 
 const [url, subprotocol, commands] = process.argv.slice(2);
 const client = new protocol.FoxgloveClient({ ws: new WebSocket(url, [subprotocol]) });
-const channels = new Map(), counts = {}, keys = {};
+const channels = new Map(), decoders = {}, counts = {}, keys = {};
 let info;
 client.on("error", error => {
   console.error(String(error));
@@ -14,9 +16,10 @@ client.on("error", error => {
 client.on("serverInfo", message => { info = message; });
 client.on("advertise", list => list.forEach(channel => channels.set(client.subscribe(channel.id), channel)));
 client.on("message", ({ subscriptionId, data }) => {
-  const { topic, encoding } = channels.get(subscriptionId);
+  const { topic, schema } = channels.get(subscriptionId);
   counts[topic] = (counts[topic] ?? 0) + 1;
-  if (encoding === "json") keys[topic] = Object.keys(JSON.parse(new TextDecoder().decode(data)));
+  decoders[topic] ??= new MessageReader(rosmsg.parse(schema, { ros2: true }));
+  keys[topic] = Object.keys(decoders[topic].readMessage(data));
   if (counts["/command"] >= Number(commands) && counts["/budget"] >= Number(commands) - 1) {
     console.log(JSON.stringify({ info, counts, keys }));
     process.exit(0);

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pyarrow.parquet as parquet
 import tectum
 
@@ -47,8 +48,10 @@ def main(folder, table, run):
         check("episode", set(columns["episode_index"][begin:end]) == {row["episode_index"]})
         check("done", not columns["next.done"][begin : end - 1].any())
         check("mean", np.allclose(row["stats/action/mean"], columns["action"][begin:end].mean(axis=0)))
-    tasks = parquet.read_table(folder / "meta/tasks.parquet")
-    check("tasks", tasks["task_index"].to_pylist() == [0] and len(episodes) == info["total_episodes"])
+    # As LeRobot reads them: the texts are the index of a frame of pandas.
+    tasks = pandas.read_parquet(folder / "meta/tasks.parquet")
+    check("tasks", tasks["task_index"].tolist() == [0] and tasks.index[0] == episodes[0]["tasks"][0])
+    check("episodes", len(episodes) == info["total_episodes"])
     check("table", parquet.read_table(table)["theta_1 (rad)"].to_pylist() == log.columns()["theta_1 (rad)"].tolist())
     print(json.dumps({"lengths": [row["length"] for row in episodes], "faults": faults}))
 

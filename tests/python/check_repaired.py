@@ -7,21 +7,13 @@ import json
 import sys
 from collections import Counter
 
-from mcap.decoder import DecoderFactory
 from mcap.reader import SeekingReader
-from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
-
-
-class JsonDecoderFactory(DecoderFactory):
-    """For the views of the arm in space, which are JSON."""
-
-    def decoder_for(self, message_encoding, schema):
-        return json.loads if message_encoding == "json" else None
+from mcap_ros2.decoder import DecoderFactory
 
 
 def main(path):
     with open(path, "rb") as file:
-        reader = SeekingReader(file, decoder_factories=[Ros2DecoderFactory(), JsonDecoderFactory()], validate_crcs=True)
+        reader = SeekingReader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
         summary = reader.get_summary()
         stated = {summary.channels[i].topic: n for i, n in summary.statistics.channel_message_counts.items()}
         messages, last = Counter(), None

@@ -47,8 +47,13 @@ impl TestTerminal {
     /// Starts `tectum` in it, as the leader of a session of its own, whose terminal it is. With `colours` false,
     /// `NO_COLOR` is set.
     pub fn start(&self, folder: &TestFolder, arguments: &[&str], colours: bool) -> Process {
+        self.start_program(super::TECTUM, folder, arguments, colours)
+    }
+
+    /// Starts another program in it in the same way.
+    pub fn start_program(&self, program: &str, folder: &TestFolder, arguments: &[&str], colours: bool) -> Process {
         let mut command = Command::new("setsid");
-        command.arg("-c").arg(super::TECTUM).args(arguments).env("TERM", "xterm").current_dir(folder.path());
+        command.arg("-c").arg(program).args(arguments).env("TERM", "xterm").current_dir(folder.path());
         if colours {
             command.env_remove("NO_COLOR");
         } else {

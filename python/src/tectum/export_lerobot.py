@@ -118,7 +118,11 @@ def export(run: str, out: str) -> dict[str, Any]:
     write(DATA.format(chunk_index=0, file_index=0), pyarrow.table({n: array(v) for n, v in columns.items()}))
     write(EPISODES, pyarrow.Table.from_pylist(rows))
     # LeRobot reads the tasks with pandas, and takes their texts from its index.
-    index = {"index_columns": ["__index_level_0__"], "columns": [], "column_indexes": [], "pandas_version": "2.0.0"}
+    kinds = (("task_index", "task_index", "int64", "int64"), (None, "__index_level_0__", "unicode", "object"))
+    keys = ("name", "field_name", "pandas_type", "numpy_type")
+    described = [{**dict(zip(keys, kind, strict=True)), "metadata": None} for kind in kinds]
+    index: dict[str, Any] = {"index_columns": ["__index_level_0__"], "columns": described, "column_indexes": []}
+    index["pandas_version"] = "2.0.0"
     tasks = pyarrow.table({"task_index": pyarrow.array([0]), "__index_level_0__": pyarrow.array([task])})
     write("meta/tasks.parquet", tasks.replace_schema_metadata({"pandas": json.dumps(index)}))
     info = {

@@ -35,9 +35,9 @@ impl SampleFeed {
         channels.extend(views.channels().iter().map(|view| FoxgloveChannel {
             id: 0,
             topic: view.topic.to_owned(),
-            encoding: view.encoding,
+            encoding: "cdr",
             schema_name: view.schema_name.to_owned(),
-            schema_encoding: view.schema_encoding,
+            schema_encoding: "ros2msg",
             schema: view.schema.clone(),
         }));
         channels.iter_mut().zip(first..).for_each(|(channel, id)| channel.id = id);

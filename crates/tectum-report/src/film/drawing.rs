@@ -7,13 +7,10 @@ use std::fmt::Write as _;
 
 use super::keyframes::{Timeline, Trail, coordinate, point, points};
 use super::layout::{
-    CURVE_BOTTOM, CURVE_LEFT, CURVE_RIGHT, CURVE_TOP, CurveAxes, FOOTER, HEIGHT, PADDING, PANEL_HEIGHT, PANEL_WIDTH,
-    Pixel, SCENE_BOTTOM, View, WIDTH, panel_corner,
+    CURVE_BOTTOM, CURVE_LEFT, CURVE_RIGHT, CURVE_TOP, CurveAxes, DOTS_M, FOOTER, HEIGHT, PADDING, PANEL_HEIGHT,
+    PANEL_WIDTH, Pixel, SCENE_BOTTOM, View, WIDTH, panel_corner,
 };
 use super::{Film, FilmPanel, centimetres, seconds};
-
-/// Distance between the dots behind the arm, m.
-const DOTS_M: f64 = 0.5;
 
 const STYLE: &str = "\
 text{font-family:system-ui,-apple-system,'Segoe UI',Roboto,'Helvetica Neue',Arial,sans-serif}\
@@ -93,7 +90,7 @@ fn description(film: &Film) -> String {
 }
 
 /// `12 to 16 s`.
-fn interval(film: &Film, panel: &FilmPanel) -> String {
+pub(super) fn interval(film: &Film, panel: &FilmPanel) -> String {
     let [from, to] = panel.seconds(film.period_s).map(seconds);
     format!("{} to {to}", from.trim_end_matches(" s"))
 }
@@ -138,7 +135,7 @@ fn footer(film: &Film, timeline: &Timeline) -> String {
 }
 
 /// The film's speed in words.
-fn speed(speed: f64) -> String {
+pub(super) fn speed(speed: f64) -> String {
     match speed {
         1.0 => "in real time".to_owned(),
         fast if fast > 1.0 => format!("{fast:.1} times real speed"),
@@ -147,14 +144,14 @@ fn speed(speed: f64) -> String {
 }
 
 /// Distance from the end-effector to the target at the beginning of each tick and at the end of the last, m.
-fn distances(panel: &FilmPanel) -> impl Iterator<Item = f64> {
+pub(super) fn distances(panel: &FilmPanel) -> impl Iterator<Item = f64> {
     let target = panel.reach.reach.target;
     let ends = panel.reach.reach.postures.iter().filter_map(|posture| posture.last());
     ends.map(move |end| (end[0] - target[0]).hypot(end[1] - target[1]))
 }
 
 /// Mean of the distances at the ends of the reach's ticks, m.
-fn mean_distance(panel: &FilmPanel) -> f64 {
+pub(super) fn mean_distance(panel: &FilmPanel) -> f64 {
     distances(panel).skip(1).sum::<f64>() / panel.reach.ticks().max(1) as f64
 }
 

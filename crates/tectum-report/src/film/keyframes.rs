@@ -36,11 +36,18 @@ impl Timeline {
 
     /// The tick that each keyframe shows, within a reach of `ticks` ticks.
     fn shown(&self, ticks: u64) -> impl Iterator<Item = usize> {
-        let Self { ticks: longest, moving, all, .. } = *self;
-        (0..=all).map(move |frame| {
-            let tick = (frame.min(moving) as f64 * longest as f64 / moving as f64).round() as u64;
-            tick.min(ticks) as usize
-        })
+        (0..=self.all).map(move |frame| self.tick(frame, ticks))
+    }
+
+    /// The tick that a keyframe shows, within a reach of `ticks` ticks.
+    pub fn tick(&self, frame: u64, ticks: u64) -> usize {
+        let tick = (frame.min(self.moving) as f64 * self.ticks as f64 / self.moving as f64).round() as u64;
+        tick.min(ticks) as usize
+    }
+
+    /// How many frames a loop has, each shown for the same time.
+    pub fn frames(&self) -> u64 {
+        self.all
     }
 
     /// A list of values for an animation: `write` writes the value of a tick.

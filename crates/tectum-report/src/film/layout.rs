@@ -24,6 +24,8 @@ pub(super) const CURVE_LEFT: f64 = 46.0;
 pub(super) const CURVE_RIGHT: f64 = PANEL_WIDTH - PADDING;
 pub(super) const CURVE_TOP: f64 = 352.0;
 pub(super) const CURVE_BOTTOM: f64 = 400.0;
+/// Distance between the dots behind the arm, m.
+pub(super) const DOTS_M: f64 = 0.5;
 /// Room around the arm for the target's ring and the width of the segments, px.
 const ROOM: f64 = 16.0;
 

@@ -1,20 +1,25 @@
-//! The film of a run: one animated SVG with three reaches of the arm side by side, at the beginning of the run,
+//! The film of a run: one animated picture with three reaches of the arm side by side, at the beginning of the run,
 //! after ten seconds, and at the end.
 //!
 //! A [`ReachSelector`] chooses the reaches from all reaches of a run, [`Film`] is what the picture shows, and
-//! [`Film::to_svg`] draws it. The animation is SMIL (`<animate>`) without any script, because code hosts show SVG
-//! as an image and images run no script. A viewer that does not animate shows the last posture and the whole path.
-//! So does one whose user asked for reduced motion. The same film gives the same bytes.
+//! [`Film::to_svg`] draws it. [`Film::frames`] draws the same as pixels, and [`Film::to_gif`] puts those into a file,
+//! for programs that do not animate an SVG. The SVG's animation is SMIL (`<animate>`) without any script, because code
+//! hosts show SVG as an image and images run no script. A viewer that does not animate shows the last posture and the
+//! whole path. So does one whose user asked for reduced motion. The same film gives the same bytes.
 
 mod drawing;
+mod frames;
+mod gif;
 mod keyframes;
 mod layout;
+mod raster;
 mod selection;
 
 use std::path::Path;
 
 use super::ReportError;
 
+pub use frames::FilmFrames;
 pub use selection::{EARLY_REACHES, LATE_REACHES, ReachSelector, RecordedReach, SelectedReaches};
 
 /// What the film shows.
@@ -59,15 +64,31 @@ impl Film {
         drawing::svg(self)
     }
 
-    /// Writes the film to `path`, in place of a file that is there. Gives its size in bytes.
+    /// The film's frames as pixels.
+    pub fn frames(&self) -> FilmFrames<'_> {
+        FilmFrames::new(self)
+    }
+
+    /// The film as an animated GIF.
+    ///
+    /// # Errors
+    ///
+    /// [`ReportError::Draw`] if the film is larger than the format allows.
+    pub fn to_gif(&self) -> Result<Vec<u8>, ReportError> {
+        gif::gif(self.frames()).map_err(|error| ReportError::Draw(error.to_string()))
+    }
+
+    /// Writes the film to `path`, in place of a file that is there: as GIF if its name ends with `.gif`, else as SVG.
+    /// Gives its size in bytes.
     ///
     /// # Errors
     ///
     /// [`ReportError::Write`] if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<usize, ReportError> {
-        let svg = self.to_svg();
-        std::fs::write(path, &svg).map_err(|error| ReportError::Write { path: path.to_owned(), error })?;
-        Ok(svg.len())
+        let gif = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gif"));
+        let bytes = if gif { self.to_gif()? } else { self.to_svg().into_bytes() };
+        std::fs::write(path, &bytes).map_err(|error| ReportError::Write { path: path.to_owned(), error })?;
+        Ok(bytes.len())
     }
 }
 
@@ -131,6 +152,35 @@ mod tests {
         assert!(!svg.contains("<script") && !svg.contains("href"), "an image may run and load nothing");
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "numbers only");
         assert!(svg.len() < 150_000, "{} bytes", svg.len());
+    }
+
+    /// The frames of a GIF as a reader that is no writer shows them.
+    #[test]
+    fn a_gif_shows_the_frames_one_after_the_other() {
+        let film = film();
+        let bytes = film.to_gif().unwrap();
+        assert_eq!(bytes, film.to_gif().unwrap());
+        let mut options = ::gif::DecodeOptions::new();
+        options.set_color_output(::gif::ColorOutput::RGBA);
+        let mut decoder = options.read_info(&bytes[..]).unwrap();
+        let mut frames = film.frames();
+        let [width, height] = frames.size();
+        assert_eq!([decoder.width(), decoder.height()].map(usize::from), [width, height]);
+        let (mut shown, mut count) = (vec![[0; 3]; width * height], 0);
+        while let Some(frame) = decoder.read_next_frame().unwrap() {
+            let side = usize::from(frame.width);
+            assert_eq!(f64::from(frame.delay) / 100.0, (100.0 * frames.frame_s()).round() / 100.0);
+            for (i, pixel) in frame.buffer.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
+                let [x, y] = [usize::from(frame.left) + i % side, usize::from(frame.top) + i / side];
+                shown[y * width + x].copy_from_slice(&pixel[..3]);
+            }
+            let drawn = frames.draw_next().unwrap();
+            let off = |(a, b): (&[u8; 3], &[u8; 3])| (0..3).map(|i| a[i].abs_diff(b[i])).max().unwrap();
+            let worst = shown.iter().zip(drawn).map(off).max().unwrap();
+            assert!(worst <= 50, "frame {count}: a colour is {worst} of 255 off");
+            count += 1;
+        }
+        assert!(frames.draw_next().is_none() && count == frames.count() && count > 20, "{count}");
     }
 
     #[test]

@@ -128,8 +128,8 @@ fn copy(path: &Path, file: File, end: u64, views: bool, target: &mut File) -> Re
 /// Declares the topics of the views; returns the ids of their channels.
 fn declare<W: Write + Seek>(views: &SampleViews, mcap: &mut mcap::Writer<W>) -> mcap::McapResult<Vec<u16>> {
     let declare = |channel: &ViewChannel| {
-        let schema = mcap.add_schema(channel.schema_name, channel.schema_encoding, channel.schema.as_bytes())?;
-        mcap.add_channel(schema, channel.topic, channel.encoding, &BTreeMap::new())
+        let schema = mcap.add_schema(channel.schema_name, "ros2msg", channel.schema.as_bytes())?;
+        mcap.add_channel(schema, channel.topic, "cdr", &BTreeMap::new())
     };
     views.channels().iter().map(declare).collect()
 }

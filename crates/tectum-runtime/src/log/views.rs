@@ -13,10 +13,11 @@
 //! | `/loss` | `tectum/msg/Loss` | the loss of the tick before: the reward with its sign turned |
 //! | `/error` | `tectum/msg/Error` | the error of the tick before, if the plant measures one |
 //! | `/budget` | `tectum/msg/Budget` | real time: how the tick was spent, us; at the time of the learning record |
-//! | `/transforms` | `foxglove.FrameTransforms` | the simulator's arm: a frame for each link and one for its end |
-//! | `/scene/links`, `/scene/target`, `/scene/path` | `foxglove.SceneUpdate` | the arm, its target, its end's path |
+//! | `/transforms` | `tf2_msgs/msg/TFMessage` | the simulator's arm: a frame for each link and one for its end |
+//! | `/scene/links`, `-/target`, `-/path` | `visualization_msgs/msg/MarkerArray` | arm, target, path of its end |
 //!
-//! Readers of samples pass over them. The same messages go to viewers while a run goes on.
+//! All are CDR with definitions in ROS 2's language, as the samples are: some readers refuse a file with another
+//! encoding. Readers of samples pass over them. The same messages go to viewers while a run goes on.
 
 mod cdr;
 mod scene;
@@ -27,7 +28,7 @@ use crate::scenario::{ArmConfig, Plan, Scenario, SignalConfig};
 use crate::wire::{Header, flag};
 use cdr::CdrMessage;
 use scene::ArmScene;
-use schemas::{JOINT_STATE, definition};
+use schemas::definition;
 
 /// Ticks whose instants are kept until their learning record has come.
 const KEPT_TICKS: usize = 64;
@@ -58,13 +59,9 @@ pub struct ViewFacts {
 pub struct ViewChannel {
     /// The topic.
     pub topic: &'static str,
-    /// How its messages are encoded: `cdr` or `json`.
-    pub encoding: &'static str,
-    /// The type of its messages.
+    /// The type of its messages, which are encoded in CDR.
     pub schema_name: &'static str,
-    /// The language of the type's definition: `ros2msg` or `jsonschema`.
-    pub schema_encoding: &'static str,
-    /// The type's definition.
+    /// The type's definition in ROS 2's language (`ros2msg`).
     pub schema: String,
 }
 
@@ -167,10 +164,7 @@ impl SampleViews {
             numbers("/applied", "tectum/msg/Applied", named(&facts.outputs, "")),
             numbers("/measures", "tectum/msg/Measures", measures),
             numbers("/outputs", "tectum/msg/Outputs", outputs),
-            ViewChannel {
-                schema: JOINT_STATE.to_owned(),
-                ..numbers("/joint_states", "sensor_msgs/msg/JointState", vec![])
-            },
+            schemas::joint_state_channel(),
             numbers("/loss", "tectum/msg/Loss", vec![("loss".to_owned(), "a tick".to_owned())]),
         ];
         let mut add = |channel: ViewChannel| {
@@ -279,6 +273,5 @@ fn budget(stamps: &TickStamps, learned: &Header, period_ns: u64) -> Option<[f32;
 
 /// A channel whose messages are 32-bit floating-point numbers with these names and units.
 fn numbers(topic: &'static str, schema_name: &'static str, fields: Vec<(String, String)>) -> ViewChannel {
-    let schema = definition(fields);
-    ViewChannel { topic, encoding: "cdr", schema_name, schema_encoding: "ros2msg", schema }
+    ViewChannel { topic, schema_name, schema: definition(fields) }
 }
