@@ -137,7 +137,7 @@ fn a_process_that_does_not_end_is_killed_and_named() {
     let outcome = run.wait().expect(130);
     let message = "tectum: the logger has not ended in time and is killed; it leaves no report";
     assert!(outcome.stderr.contains(message) && outcome.json()["lost"].is_null(), "{outcome:#?}");
-    assert_no_debris(&test_folder.run_folder());
+    assert_no_debris(test_folder.run_folder());
 }
 
 #[test]
