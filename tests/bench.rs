@@ -277,7 +277,9 @@ fn bad_input_is_refused_in_one_sentence() {
         let outcome = bench(&test_folder, arguments).expect(2);
         assert!(outcome.stderr.contains(words) && outcome.stdout.is_empty(), "{arguments:?} {outcome:?}");
     }
-    // The hidden command `peer`, started by hand, has no bench to answer.
+    // The hidden command `peer` of a bench that was killed meanwhile, and so is not its parent any more.
+    bench(&test_folder, &["peer", "--over", "iceoryx2-event", "--domain", "1", "--parent", "1"]).expect(0);
+    // Started by hand it has no bench to answer.
     let outcome = bench(&test_folder, &["peer", "--over", "futex"]);
     assert!(outcome.code == Some(4) && outcome.stderr.contains("the other process of futex"), "{outcome:?}");
     for command in ["latency", "lockstep", "encoder", "learner", "all"] {

@@ -153,6 +153,9 @@ struct PeerArguments {
     /// Number of the iceoryx2 domain
     #[arg(long)]
     domain: Option<u64>,
+    /// Process id of the bench that has started it
+    #[arg(long)]
+    parent: Option<u32>,
 }
 
 fn transport(name: &str) -> Result<Transport, String> {
@@ -167,7 +170,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Command::Learner(arguments) => calls(arguments, bench::learner),
         Command::All(arguments) => all(arguments),
         Command::Peer(arguments) => {
-            serve(arguments.over, arguments.domain).map(|()| String::new()).map_err(BenchError::from)
+            serve(arguments.over, arguments.domain, arguments.parent).map(|()| String::new()).map_err(BenchError::from)
         }
     };
     match result {

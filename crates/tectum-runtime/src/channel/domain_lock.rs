@@ -12,7 +12,7 @@ use std::path::Path;
 
 use super::ChannelError;
 use super::domain::{DomainName, LOCK_FILE, SHM, remove_domain};
-use super::own_files::{is_own_folder, open_own};
+use super::own_files::{is_own, open_own};
 use crate::clock::pause;
 
 /// How often [`DomainLock::take_in`] tries.
@@ -36,8 +36,8 @@ impl DomainLock {
         for _ in 0..ATTEMPTS {
             match DirBuilder::new().mode(0o700).create(&root) {
                 Err(error) if error.kind() != ErrorKind::AlreadyExists => return Err(error),
-                // Another process may remove it right now.
-                Err(_) if root.symlink_metadata().is_ok() && !is_own_folder(&root) => {
+                // Looked at once: another process may remove it at any moment.
+                Err(_) if root.symlink_metadata().is_ok_and(|metadata| !metadata.is_dir() || !is_own(&metadata)) => {
                     return Err(std::io::Error::new(ErrorKind::PermissionDenied, "it belongs to another user"));
                 }
                 _ => {}

@@ -293,6 +293,8 @@ mod tests {
                     }
                 });
             }
+            // A panic below must end the other threads, too.
+            let _end = EndOfCleaning(&done);
             for round in 0..200 {
                 let name = DomainName::of(round % 3);
                 let lock = DomainLock::take_in(shm.path(), &name).unwrap();
@@ -302,8 +304,16 @@ mod tests {
                 assert!(file.exists() && name.root_in(shm.path()).join(LOCK_FILE).exists(), "round {round}");
                 drop(lock);
             }
-            done.store(true, Ordering::Relaxed);
         });
+    }
+
+    /// Ends the cleaning threads when it is dropped.
+    struct EndOfCleaning<'a>(&'a AtomicBool);
+
+    impl Drop for EndOfCleaning<'_> {
+        fn drop(&mut self) {
+            self.0.store(true, Ordering::Relaxed);
+        }
     }
 
     /// What a user can place in shared memory to make another user's clean-up do harm.

@@ -214,7 +214,7 @@ impl Drop for PeerExchange {
 fn set_up(transport: Transport) -> Result<(TransportEnd<Observation, Command>, Child), TimingError> {
     let io = |cause: std::io::Error| failed(transport, cause);
     let mut program = Program::new(std::env::current_exe().map_err(io)?);
-    program.args(["bench", "peer", "--over", transport.name()]);
+    program.args(["bench", "peer", "--over", transport.name(), "--parent", &std::process::id().to_string()]);
     program.process_group(0).stdin(Stdio::null()).stdout(Stdio::null());
     match transport {
         Transport::Event | Transport::Poll => {

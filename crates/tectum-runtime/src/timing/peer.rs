@@ -22,16 +22,19 @@ impl From<TransportError> for PeerEnd {
     }
 }
 
-/// Runs the peer over `transport`. The descriptors come through standard input and output; iceoryx2 needs the
-/// number of its domain instead.
+/// Runs the peer over `transport` for the bench `parent`, a process id. The descriptors come through standard input and
+/// output; iceoryx2 needs the number of its domain instead.
 ///
 /// # Errors
 /// [`TimingError::Peer`] when the transport cannot be set up or fails, as it does when no bench has started this
 /// process.
-pub fn serve(transport: Transport, domain: Option<u64>) -> Result<(), TimingError> {
+pub fn serve(transport: Transport, domain: Option<u64>, parent: Option<u32>) -> Result<(), TimingError> {
     let failed = |cause: String| TimingError::Peer { transport: transport.name(), cause };
-    let parent = rustix::process::getppid().and_then(|parent| ProcessHandle::of(parent.as_raw_pid() as u32));
-    let parent = parent.ok_or_else(|| failed("it has no parent".to_owned()))?;
+    let bench = parent.ok_or_else(|| failed("it is started by a bench only".to_owned()))?;
+    // A bench that was killed meanwhile is the parent no more, and its number may be that of another process.
+    let parent = ProcessHandle::of(bench);
+    let is_ours = rustix::process::getppid().is_some_and(|pid| u32::try_from(pid.as_raw_pid()) == Ok(bench));
+    let Some(parent) = parent.filter(|_| is_ours) else { return Ok(()) };
     let mut end = open(transport, domain).map_err(|error| failed(error.to_string()))?;
     precise_timers();
     let mut command = Command::default();
