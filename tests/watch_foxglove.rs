@@ -136,12 +136,15 @@ fn who_does_not_read_loses_the_oldest_and_holds_up_nobody() {
     let subscribe = serde_json::json!({"op": "subscribe", "subscriptions": each}).to_string();
     reader.get_mut().write_all(&text_frame(&subscribe)).unwrap();
     let began = Instant::now();
+    let log = folder.path().join("run/log.mcap");
+    let length = || std::fs::metadata(&log).unwrap().len();
+    let mut unread = 48 << 20;
     let told = 'told: loop {
-        // For so long nothing is read, and the run goes on. What a client is sent is more than what is logged.
-        let log = folder.path().join("run/log.mcap");
-        let length = || std::fs::metadata(&log).unwrap().len();
-        let enough = length() + MORE_THAN_WAITS as u64;
+        // For so long nothing is read, and the run goes on. A run may be much quicker than the server of this build,
+        // which then has sent little; so the next time is longer.
+        let enough = length() + unread;
         running.wait_until("a log that is longer by what can wait", || length() >= enough);
+        unread *= 2;
         let mut read = 0;
         while read < MORE_THAN_WAITS {
             assert!(began.elapsed() < WATCHDOG, "it was not told of what was dropped");
