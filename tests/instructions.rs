@@ -14,10 +14,9 @@ use nix::sys::ptrace;
 use nix::sys::signal::Signal;
 use nix::sys::wait::{WaitStatus, waitpid};
 use nix::unistd::Pid;
-use tectum::runtime::{Controller, PlantSide};
+use tectum::runtime::Simulation;
 use tectum::scenario::Scenario;
 use tectum::simd::SimdPath;
-use tectum::wire::{self, Observation};
 
 /// The environment variable that names the part to count, when the program is started to be counted.
 const PART: &str = "TECTUM_COUNTED_PART";
@@ -29,12 +28,12 @@ const COUNTED: u64 = 4;
 
 /// The recorded numbers: part, path, and instructions a tick of the paper's arm in the release and in the test profile.
 const RECORDED: [(&str, &str, [u64; 2]); 6] = [
-    ("encode", "sse2", [1570, 1659]),
-    ("encode", "avx2", [921, 1224]),
-    ("respond", "sse2", [6690, 7632]),
-    ("respond", "avx2", [3290, 5242]),
-    ("tick", "sse2", [7884, 11986]),
-    ("tick", "avx2", [4484, 9596]),
+    ("encode", "sse2", [1654, 1659]),
+    ("encode", "avx2", [997, 1224]),
+    ("respond", "sse2", [7049, 7632]),
+    ("respond", "avx2", [3641, 5242]),
+    ("tick", "sse2", [9730, 11986]),
+    ("tick", "avx2", [6322, 9596]),
 ];
 
 /// The largest tolerated difference, in percent.
@@ -107,31 +106,30 @@ fn run_counted_part(part: &str) {
     let (what, path) = part.split_once(' ').unwrap();
     let path = SimdPath::all().find(|here| here.to_string() == path).unwrap();
     let plan = Scenario::find("paper").unwrap().plan().unwrap();
-    let mut plant = PlantSide::new(plan.simulated_plant().unwrap(), &plan);
-    let mut controller = Controller::new(&plan).on(path);
+    // What the programs run is compiled in the runtime, and this test, as the library, without optimisation.
+    let mut run = Simulation::new(&plan, plan.simulated_plant().unwrap()).on(path);
     let mut encoder = plan.encoder().on(path);
     let mut features = encoder.features();
-    let (mut observation, mut command) = (Observation::default(), wire::Command::default());
-    let mut tick = |tick: u64| {
-        plant.observe(tick, 0, 0, &mut observation);
-        controller.respond(&observation, &mut command);
-        controller.after_command(&observation);
-        plant.step(tick, Some(&command));
+    let mut tick = |run: &mut Simulation| {
+        let observation = *run.sense();
+        run.answer();
+        run.improve();
+        run.advance();
         observation
     };
-    let seen: Vec<_> = (0..BEFORE).map(&mut tick).skip((BEFORE - COUNTED) as usize).collect();
+    let seen: Vec<_> = (0..BEFORE).map(|_| tick(&mut run)).skip((BEFORE - COUNTED) as usize).collect();
     println!("ready");
     std::io::stdin().read_line(&mut String::new()).unwrap();
     mark();
     mark();
     match what {
         "encode" => seen.iter().for_each(|seen| encoder.encode(&seen.inputs[..6], &mut features)),
-        "tick" => (BEFORE..BEFORE + COUNTED).for_each(|k| _ = tick(k)),
+        "tick" => (0..COUNTED).for_each(|_| _ = tick(&mut run)),
         _ => {
             let mut observation = seen[0];
             for k in BEFORE..BEFORE + COUNTED {
                 observation.header.tick = k;
-                controller.respond(&observation, &mut command);
+                run.answer_to(&observation);
             }
         }
     }
