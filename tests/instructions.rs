@@ -110,7 +110,7 @@ fn run_counted_part(part: &str) {
     let mut run = Simulation::new(&plan, plan.simulated_plant().unwrap()).on(path);
     let mut encoder = plan.encoder().on(path);
     let mut features = encoder.features();
-    let mut tick = |run: &mut Simulation| {
+    let tick = |run: &mut Simulation| {
         let observation = *run.sense();
         run.answer();
         run.improve();
