@@ -147,16 +147,22 @@ impl WrittenFilm {
 /// [`FilmError::Report`] if the file cannot be written.
 pub fn write(film: &Film, path: &Path) -> Result<usize, FilmError> {
     match format_of(path)? {
+        FilmFormat::Svg => Ok(write_file(path, film.to_svg().as_bytes())?),
+        FilmFormat::Gif => Ok(write_file(path, &film.to_gif()?)?),
         FilmFormat::Mp4 => video::write(film, path),
-        FilmFormat::Picture => Ok(film.write(path)?),
     }
+}
+
+fn write_file(path: &Path, bytes: &[u8]) -> Result<usize, ReportError> {
+    std::fs::write(path, bytes).map_err(|error| ReportError::Write { path: path.to_owned(), error })?;
+    Ok(bytes.len())
 }
 
 /// How a film is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum FilmFormat {
-    /// SVG or GIF, by the report.
-    Picture,
+    Svg,
+    Gif,
     Mp4,
 }
 
@@ -164,7 +170,8 @@ enum FilmFormat {
 fn format_of(path: &Path) -> Result<FilmFormat, FilmError> {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     match extension.as_deref() {
-        Some("svg" | "gif") => Ok(FilmFormat::Picture),
+        Some("svg") => Ok(FilmFormat::Svg),
+        Some("gif") => Ok(FilmFormat::Gif),
         Some("mp4") => Ok(FilmFormat::Mp4),
         _ => Err(FilmError::Format { path: path.to_owned() }),
     }
@@ -177,7 +184,7 @@ fn format_of(path: &Path) -> Result<FilmFormat, FilmError> {
 pub fn check_name(path: &Path) -> Result<(), FilmError> {
     match format_of(path)? {
         FilmFormat::Mp4 => video::check(),
-        FilmFormat::Picture => Ok(()),
+        FilmFormat::Svg | FilmFormat::Gif => Ok(()),
     }
 }
 

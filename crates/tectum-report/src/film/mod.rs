@@ -15,8 +15,6 @@ mod layout;
 mod raster;
 mod selection;
 
-use std::path::Path;
-
 use super::ReportError;
 
 pub use frames::FilmFrames;
@@ -76,19 +74,6 @@ impl Film {
     /// [`ReportError::Draw`] if the film is larger than the format allows.
     pub fn to_gif(&self) -> Result<Vec<u8>, ReportError> {
         gif::gif(self.frames()).map_err(|error| ReportError::Draw(error.to_string()))
-    }
-
-    /// Writes the film to `path`, in place of a file that is there: as GIF if its name ends with `.gif`, else as SVG.
-    /// Gives its size in bytes.
-    ///
-    /// # Errors
-    ///
-    /// [`ReportError::Write`] if the file cannot be written.
-    pub fn write(&self, path: &Path) -> Result<usize, ReportError> {
-        let gif = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gif"));
-        let bytes = if gif { self.to_gif()? } else { self.to_svg().into_bytes() };
-        std::fs::write(path, &bytes).map_err(|error| ReportError::Write { path: path.to_owned(), error })?;
-        Ok(bytes.len())
     }
 }
 
@@ -181,6 +166,15 @@ mod tests {
             count += 1;
         }
         assert!(frames.draw_next().is_none() && count == frames.count() && count > 20, "{count}");
+    }
+
+    #[test]
+    fn pixels_have_the_colours_of_the_svg() {
+        let svg = film().to_svg();
+        for [r, g, b] in frames::COLOURS.into_iter().chain([frames::PAGE, frames::PANEL]) {
+            let colour = format!("#{r:02x}{g:02x}{b:02x}");
+            assert!(svg.contains(&colour), "{colour}");
+        }
     }
 
     #[test]

@@ -184,10 +184,7 @@ impl ArmScene {
             rgb: [0.84, 0.37, 0.0],
             points: &self.no_points,
         };
-        self.cdr.begin();
-        self.cdr.length(1);
-        append(&mut self.cdr, &marker, ns);
-        self.cdr.bytes()
+        single(&mut self.cdr, &marker, ns)
     }
 
     /// The way of the end-effector since its target appeared.
@@ -202,11 +199,16 @@ impl ArmScene {
             rgb: [0.34, 0.71, 0.91],
             points: &self.path,
         };
-        self.cdr.begin();
-        self.cdr.length(1);
-        append(&mut self.cdr, &marker, ns);
-        self.cdr.bytes()
+        single(&mut self.cdr, &marker, ns)
     }
+}
+
+/// A message with one marker.
+fn single<'a>(cdr: &'a mut CdrMessage, marker: &Marker, ns: u64) -> &'a [u8] {
+    cdr.begin();
+    cdr.length(1);
+    append(cdr, marker, ns);
+    cdr.bytes()
 }
 
 /// Appends a `visualization_msgs/msg/Marker` that stays until another one replaces it.
