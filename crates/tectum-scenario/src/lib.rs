@@ -185,8 +185,15 @@ impl Plan {
         ShippedAgent::of(&self.learner_spec(), || self.encoder(), self.scenario.policy.noise)
     }
 
-    /// The scenario's simulated plant, or `None` when the plant is another program.
+    /// The scenario's simulated plant, or `None` when the plant is another program, even one that the same table
+    /// describes.
     pub fn simulated_plant(&self) -> Option<SimulatedPlant> {
+        self.described_plant().filter(|_| crate::programs::is_simulator(&self.scenario.plant.program))
+    }
+
+    /// The plant that the scenario describes, whichever program is started for it: the simulator may be started by a
+    /// script.
+    pub fn described_plant(&self) -> Option<SimulatedPlant> {
         let (plant, period_s) = (&self.scenario.plant, self.scenario.period_ms / 1000.0);
         Some(SimulatedPlant::new(&plant.body()?, &plant.timing, period_s, self.scenario.seed))
     }

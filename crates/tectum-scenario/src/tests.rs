@@ -42,6 +42,16 @@ fn assert_bounds(plan: &Plan) {
     }
 }
 
+/// A program may use the simulator's table and be another body: what runs in its place would be another experiment.
+#[test]
+fn another_programs_plant_is_not_simulated_in_its_place() {
+    let text = |program: &str| format!("name = \"own\"\n[plant]\nprogram = \"{program}\"\n[plant.arm]\n");
+    let plan = |program| Scenario::parse(&text(program), "own.toml").unwrap().plan().unwrap();
+    let own = plan("bin/my-arm");
+    assert!(own.simulated_plant().is_none() && own.described_plant().is_some());
+    assert!(plan("bin/tectum-simulator").simulated_plant().is_some());
+}
+
 /// Whether a text has 1 to `max_chars` characters.
 fn fits(text: &str, max_chars: usize) -> bool {
     (1..=max_chars).contains(&text.chars().count())

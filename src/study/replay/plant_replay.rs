@@ -15,7 +15,6 @@ use super::stamps::StampChecker;
 use crate::plant::{EpisodeEnd, JointState, Outcome, Plant, SimulatedPlant};
 use crate::runtime::PlantSide;
 use crate::scenario::Plan;
-use crate::scenario::programs::is_simulator;
 use crate::state::{Persist, StateVisitor};
 use crate::wire::{Command, MAX_INPUTS, Observation, OutputValues, flag};
 
@@ -137,8 +136,7 @@ pub(super) struct PlantReplay {
 impl PlantReplay {
     /// The beginning of a run of `plan`.
     pub fn new(plan: &Plan) -> Self {
-        // Another program may use the simulator's settings and still be another plant.
-        let body = plan.simulated_plant().filter(|_| is_simulator(&plan.scenario.plant.program));
+        let body = plan.simulated_plant();
         let simulated = body.is_some();
         let own = plan.scenario.plant.servos.as_ref().map(|_| PlantOwnLimits::default());
         let logged = ReplayedPlant::Logged {

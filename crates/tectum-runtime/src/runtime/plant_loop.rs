@@ -50,7 +50,7 @@ pub fn run_plant<P: Plant>(participant: Participant, body: P) -> Result<PlantRep
 pub fn run_simulator(participant: Participant) -> Result<PlantReport, RuntimeError> {
     let body = participant
         .plan
-        .simulated_plant()
+        .described_plant()
         .ok_or_else(|| RuntimeError::NotSimulated(participant.plan.scenario.plant.program.clone()))?;
     run_plant(participant, body)
 }
