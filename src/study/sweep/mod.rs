@@ -5,6 +5,7 @@
 //! losses, errors, and the hash of what was learned. So a row is a function of scenario, settings and seed.
 
 mod definition;
+mod labels;
 mod run;
 mod settings;
 mod table;
@@ -19,9 +20,10 @@ use serde::Serialize;
 use super::opened_study::OpenedStudy;
 use super::{KeptJob, SeedRange, StudyEnd, StudyError, StudyHead, StudyPart, StudyPlace, WorkerPool};
 use crate::clock::{machine_facts, monotonic_ns};
-use crate::report::figure::{SweepFigureRow, draw_sweep};
+use crate::report::figure::{SweepFigure, SweepFigureRow, draw_sweep};
 use crate::scenario::{Plan, Scenario};
 use crate::stats::Spread;
+use labels::labels;
 use run::SweepRun;
 use settings::{Combination, combinations};
 
@@ -48,7 +50,7 @@ pub struct Sweep {
 }
 
 /// One combination of settings over all seeds.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 struct SweepRow {
     /// Values by key, in TOML.
     settings: BTreeMap<String, String>,
@@ -92,6 +94,10 @@ pub struct SweepResult {
     /// The tables.
     csv: Vec<PathBuf>,
     #[serde(skip)]
+    error_unit: &'static str,
+    #[serde(skip)]
+    period_s: f64,
+    #[serde(skip)]
     names: Vec<String>,
     #[serde(skip)]
     runs: Vec<Vec<SweepRun>>,
@@ -133,6 +139,8 @@ pub fn sweep(sweep: &Sweep) -> Result<StudyEnd<SweepResult>, StudyError> {
         folder: folder.path().to_owned(),
         figure: path("figure.svg"),
         csv: vec![path("sweep.csv"), path("curves.csv")],
+        error_unit: combinations.first().map_or("", |one| one.plan.error_unit()),
+        period_s: combinations.first().map_or(0.0, |one| one.plan.period_ns as f64 / 1e9),
         names: combinations.iter().map(|one| one.name.clone()).collect(),
         runs,
     };
@@ -169,11 +177,14 @@ impl SweepResult {
         table::write_tables(self)?;
         let seeds = super::reproduce::seeds_in_words(&self.seeds);
         let loss = |run: &SweepRun| run.ends().map_or(f64::NAN, |ends| ends[1].loss);
-        let rows: Vec<SweepFigureRow> = (self.names.iter().zip(&self.runs))
-            .map(|(name, runs)| SweepFigureRow { name: name.clone(), values: runs.iter().map(loss).collect() })
-            .collect();
+        let rows = labels(&self.rows).into_iter().zip(&self.runs).map(|(name, runs)| SweepFigureRow {
+            name,
+            values: runs.iter().map(loss).collect(),
+            runs: runs.iter().map(|run| run.windows.clone()).collect(),
+        });
         let title = format!("Sweep over {}, {seeds}: a dot per seed, a bar at the median", self.scenario);
-        draw_sweep(&title, "loss a tick over the last twentieth of the run", &rows, &self.figure)?;
+        let (unit, period_s) = (self.error_unit.to_owned(), self.period_s);
+        draw_sweep(&SweepFigure { title, unit, period_s, rows: rows.collect() }, &self.figure)?;
         super::error::write_file(&self.folder.join("result.json"), self.to_json())
     }
 

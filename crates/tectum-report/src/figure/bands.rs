@@ -19,7 +19,7 @@ pub(super) struct Axes<'a> {
     pub x: Option<String>,
     /// The y axis goes at least so far.
     pub top: f64,
-    pub y: &'a str,
+    pub y: String,
     /// A dashed line across at this x, with its name.
     pub mark: Option<(f64, &'a str)>,
     /// Dashed levels along, with their names.
@@ -47,12 +47,32 @@ impl Band {
 
 /// Draws `bands` on one set of axes, with a legend above.
 pub(super) fn draw(bands: &[Band], axes: &Axes, area: &Area) -> Result<(), ReportError> {
-    let (legend, rest) = area.split_vertically(px(LEGEND_HEIGHT));
+    let (strip, rest) = area.split_vertically(px(LEGEND_HEIGHT));
+    legend(bands, &strip)?;
+    draw_axes(bands, axes, &rest)
+}
+
+fn legend(bands: &[Band], strip: &Area) -> Result<(), ReportError> {
+    let mut x = px(MARGIN + LEFT_LABELS + 6);
+    let y = px(LEGEND_HEIGHT) * 3 / 5;
+    for band in bands {
+        let style = band.colour.stroke_width(fine(1.9));
+        strip.draw(&PathElement::new([(x, y), (x + px(22), y)], style)).map_err(refused)?;
+        let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
+        strip.draw(&Text::new(band.name.clone(), (x + px(28), y), text)).map_err(refused)?;
+        // Letters are about half as wide as they are tall.
+        x += px(28 + 26) + px(band.name.chars().count() as u32 * 13 / 2);
+    }
+    Ok(())
+}
+
+/// Draws `bands` on one set of axes, for a figure that names their colours elsewhere.
+pub(super) fn draw_axes(bands: &[Band], axes: &Axes, area: &Area) -> Result<(), ReportError> {
     let values = || bands.iter().flat_map(|b| &b.points).flat_map(|p| p.1).filter(|&y| drawable(y));
     let top = values().chain(axes.levels.iter().map(|l| l.0)).fold(axes.top, f64::max);
     let low = values().fold(0.0, f64::min);
     let high = low + 1.06 * if top > low { top - low } else { 1.0 };
-    let mut chart = ChartBuilder::on(&rest)
+    let mut chart = ChartBuilder::on(area)
         .margin_left(px(MARGIN))
         .margin_right(px(MARGIN + 4))
         .margin_bottom(px(if axes.x.is_some() { 6 } else { 2 }))
@@ -62,7 +82,7 @@ pub(super) fn draw(bands: &[Band], axes: &Axes, area: &Area) -> Result<(), Repor
         .map_err(refused)?;
     let bare = |_: &f64| String::new();
     let label_x: &dyn Fn(&f64) -> String = if axes.x.is_some() { &label } else { &bare };
-    mesh(&mut chart, 9, label_x, axes.x.clone().unwrap_or_default(), axes.y)?;
+    mesh(&mut chart, 9, label_x, axes.x.clone().unwrap_or_default(), axes.y.clone())?;
     let dashed = |line: [(f64, f64); 2], weight: f64| {
         DashedPathElement::new(line, fine(4.0), fine(3.0), INK.mix(0.6).stroke_width(fine(weight)))
     };
@@ -77,7 +97,6 @@ pub(super) fn draw(bands: &[Band], axes: &Axes, area: &Area) -> Result<(), Repor
         let text = Text::new(name.to_owned(), (shift, px(3)), anchored(font(12.0, INK), h, VPos::Top));
         chart.draw_series([EmptyElement::at((x, high)) + text]).map_err(refused)?;
     }
-    let mut x = px(MARGIN + LEFT_LABELS + 6);
     for band in bands {
         let style = band.colour.stroke_width(fine(1.9));
         // A value that is none breaks the curve instead of bending it.
@@ -88,12 +107,6 @@ pub(super) fn draw(bands: &[Band], axes: &Axes, area: &Area) -> Result<(), Repor
             chart.draw_series([Polygon::new(outline, band.colour.mix(0.22).filled())]).map_err(refused)?;
             chart.draw_series(LineSeries::new(edge(1), style)).map_err(refused)?;
         }
-        let y = px(LEGEND_HEIGHT) * 3 / 5;
-        legend.draw(&PathElement::new([(x, y), (x + px(22), y)], style)).map_err(refused)?;
-        let text = anchored(font(12.0, INK), HPos::Left, VPos::Center);
-        legend.draw(&Text::new(band.name.clone(), (x + px(28), y), text)).map_err(refused)?;
-        // Letters are about half as wide as they are tall.
-        x += px(28 + 26) + px(band.name.chars().count() as u32 * 13 / 2);
     }
     Ok(())
 }

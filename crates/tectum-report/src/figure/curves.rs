@@ -132,7 +132,7 @@ fn optimum(history: &RunHistory, clock: &TimeAxis, value: fn(&OptimumSpan) -> f6
 /// Windows put together until each holds the end of a target, if there are such ends at all. A window that is
 /// shorter than a target shows either its beginning, far away, or its end, and a curve of such windows shows
 /// nothing else.
-fn by_target(windows: &[Window]) -> Vec<Window> {
+pub(super) fn by_target(windows: &[Window]) -> Vec<Window> {
     let mut joined: Vec<Window> = Vec::with_capacity(windows.len());
     if windows.iter().all(|w| w.ends == 0) {
         return windows.to_vec();

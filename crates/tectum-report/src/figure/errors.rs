@@ -51,7 +51,7 @@ pub fn draw_miss(figure: &ErrorFigure, path: &Path) -> Result<(), ReportError> {
                 end: if end > 0.0 { end } else { 1.0 },
                 top,
                 x: Some("trials (millions)".to_owned()),
-                y: &figure.y,
+                y: figure.y.clone(),
                 mark: None,
                 levels: &figure.levels,
             };

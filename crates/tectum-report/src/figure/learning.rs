@@ -22,12 +22,6 @@ const IN_A_ROW: usize = 2;
 /// Losses above this are cut off: what a diverged learner does needs no room.
 const HIGHEST: f64 = 2.0;
 
-const GREEN: RGBColor = RGBColor(0, 158, 115);
-const ORANGE: RGBColor = RGBColor(230, 159, 0);
-const PURPLE: RGBColor = RGBColor(204, 121, 167);
-/// In the order of the caller's numbers; GREY for more than there are.
-const COLOURS: [RGBColor; 6] = [VERMILION, ORANGE, SKY, GREEN, BLUE, PURPLE];
-
 /// The figure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LearningFigure {
@@ -55,7 +49,7 @@ pub struct LearningPanel {
 pub struct LearnerCurve {
     /// Name in the legend.
     pub name: String,
-    /// Number of its colour.
+    /// Number of its colour; there are six, and grey for more.
     pub colour: usize,
     /// In the order of ticks.
     pub points: Vec<CurvePoint>,
@@ -144,7 +138,7 @@ fn legend(panel: &LearningPanel, strip: &Area) -> Result<(), ReportError> {
 }
 
 fn colour(curve: &LearnerCurve) -> RGBColor {
-    COLOURS.get(curve.colour).copied().unwrap_or(GREY)
+    SERIES.get(curve.colour).copied().unwrap_or(GREY)
 }
 
 /// The axes of a panel in an area: logarithms along and up, labelled by hand, because the library's own

@@ -68,7 +68,8 @@ fn curves(figure: &LossFigure, area: &Area) -> Result<(), ReportError> {
     let mark = figure.mark.as_ref().map(|(tick, what)| (clock.at(*tick), what.as_str()));
     let (upper, lower) = area.split_vertically(px((SIZE.1 - TITLE_HEIGHT) / 2));
     let sums: Vec<_> = figure.runs.iter().map(cumulative).collect();
-    let axes = Axes { end: clock.end, x: None, top: 0.0, y: "cumulative loss (thousands)", mark, levels: &[] };
+    let y = "cumulative loss (thousands)".to_owned();
+    let axes = Axes { end: clock.end, x: None, top: 0.0, y, mark, levels: &[] };
     bands::draw(&[Band::of("cumulative loss", BLUE, &sums)], &axes, &upper)?;
     let losses = [
         Band::of("with exploration noise", GREY, &each(&|w| w.loss)),
@@ -77,7 +78,7 @@ fn curves(figure: &LossFigure, area: &Area) -> Result<(), ReportError> {
     let axes = Axes {
         x: Some(clock.label()),
         top: 0.0,
-        y: "loss per tick",
+        y: "loss per tick".to_owned(),
         mark: mark.map(|(x, _)| (x, "")),
         end: clock.end,
         levels: &[],

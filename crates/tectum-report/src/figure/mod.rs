@@ -22,7 +22,7 @@ pub use loss::{LossFigure, draw_loss};
 pub use movements::{MovementDots, MovementsFigure, SpeedProfile, draw as draw_movements};
 pub use scales::{AxisScales, draw_scales};
 pub use seed_postures::{PosturesFigure, PosturesRow, SeedPostures, draw_ways};
-pub use sweep::{SweepFigureRow, draw_sweep};
+pub use sweep::{SweepFigure, SweepFigureRow, draw_sweep};
 
 use super::{OptimumSpan, ReportError, RunHistory};
 use plotters::coord::Shift;
@@ -46,6 +46,11 @@ const VERMILION: RGBColor = RGBColor(213, 94, 0);
 const GREY: RGBColor = RGBColor(140, 140, 140);
 const INK: RGBColor = RGBColor(40, 40, 40);
 const FAINT: RGBColor = RGBColor(228, 228, 228);
+const GREEN: RGBColor = RGBColor(0, 158, 115);
+const ORANGE: RGBColor = RGBColor(230, 159, 0);
+const PURPLE: RGBColor = RGBColor(204, 121, 167);
+/// Of things that are compared in one figure, in their order.
+const SERIES: [RGBColor; 6] = [VERMILION, ORANGE, SKY, GREEN, BLUE, PURPLE];
 
 /// Points of a curve, x and y.
 pub type Polyline = Vec<(f64, f64)>;

@@ -7,16 +7,7 @@ const CAPTION: u32 = 24;
 const LEGEND: u32 = 20;
 const LEFT: u32 = 70;
 const BOTTOM: u32 = 46;
-const COLOURS: [RGBColor; 8] = [
-    VERMILION,
-    BLUE,
-    RGBColor(0, 158, 115),
-    RGBColor(230, 159, 0),
-    RGBColor(204, 121, 167),
-    SKY,
-    RGBColor(90, 90, 90),
-    GREY,
-];
+const COLOURS: [RGBColor; 8] = [VERMILION, BLUE, GREEN, ORANGE, PURPLE, SKY, RGBColor(90, 90, 90), GREY];
 
 /// One pair of axes.
 #[derive(Debug, Clone)]

@@ -59,7 +59,7 @@ pub fn draw_ways(figure: &PosturesFigure, path: &Path) -> Result<(), ReportError
                 end: if end > 0.0 { end } else { 1.0 },
                 x: Some("trials (millions)".to_owned()),
                 top: 0.0,
-                y: "mean error (m)",
+                y: "mean error (m)".to_owned(),
                 mark: None,
                 levels: &[],
             };
