@@ -103,16 +103,19 @@ pub fn pack(path: &Path, out: Option<&Path>, views: bool) -> Result<PackedLog, L
 fn copy(path: &Path, file: File, end: u64, views: bool, target: &mut File) -> Result<(), LogError> {
     let mut sink = BufWriter::new(target);
     let options = mcap::WriteOptions::new().compression(Some(mcap::Compression::Zstd)).chunk_size(Some(CHUNK_BYTES));
-    let mut copier = RecordCopier::begin(path, BufReader::new(file), &mut sink, end, options)?;
+    let mut log = LogReader::open(path)?;
+    let mut sample_views = SampleViews::new(ViewFacts::of_log(&log));
+    // A packed log may have views. They are made anew, or are not wanted.
+    let topics = sample_views.channels().iter().map(|channel| channel.topic);
+    let copier = RecordCopier::begin(path, BufReader::new(file), &mut sink, end, options)?;
+    let mut copier = copier.without(topics);
     while copier.copy_record()? {}
     if views {
-        let mut log = LogReader::open(path)?;
-        let mut views = SampleViews::new(ViewFacts::of_log(&log));
-        let channels = copier.write(|mcap| declare(&views, mcap))?;
+        let channels = copier.write(|mcap| declare(&sample_views, mcap))?;
         for record in log.by_ref() {
             let record = record?;
             copier.write(|mcap| {
-                views.take(&record, |message| {
+                sample_views.take(&record, |message| {
                     let (channel_id, sequence) = (channels[message.channel], message.sequence as u32);
                     let (log_time, publish_time) = (message.ns, message.ns);
                     let header = MessageHeader { channel_id, sequence, log_time, publish_time };
@@ -205,6 +208,13 @@ mod tests {
         assert_eq!(of("/loss")[7].data[4..8], (-7.0_f32).to_le_bytes());
         assert_eq!(measures[7].log_time, 7);
         assert_eq!(measures[7].data[4..8], 7.0_f32.to_le_bytes());
+        // Packed again they are there once, or not at all.
+        for (views, count) in [(true, messages.len()), (false, 100)] {
+            let again = folder.path().join(format!("again-{views}.mcap"));
+            pack(&packed, Some(&again), views).unwrap();
+            let bytes = std::fs::read(&again).unwrap();
+            assert_eq!((mcap::MessageStream::new(&bytes).unwrap().count(), records(&again)), (count, records(&path)));
+        }
         let schema = measures[0].channel.schema.as_ref().unwrap();
         assert_eq!(std::str::from_utf8(&schema.data).unwrap(), "float32 reward # \nfloat32 error # \n");
     }
