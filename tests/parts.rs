@@ -211,6 +211,33 @@ fn plants_of_ones_own_are_swept() {
     assert_eq!(own[1]["weights_hash"][1], run["weights_hash"], "{sweep}\n{run}");
 }
 
+/// GNU parallel as docs/clusters.md has it: four parts, of which one is killed and started again.
+#[test]
+#[ignore = "needs GNU parallel (apt-get install parallel)"]
+fn gnu_parallel_starts_a_killed_part_again() {
+    let test_folder = TestFolder::new();
+    run(&test_folder, &[&COMPARE, &["--seeds", "6000..6008", "--out", "whole"]]);
+    let compare = COMPARE.join(" ");
+    let job = format!(
+        "part() {{ \"{TECTUM}\" {compare} --seeds $1..$(($1 + 2)) --part $1.jsonl > $1.json; }}
+if [ $1 = 6004 ] && [ ! -e killed ]; then
+    part $1 & until [ \"$(cat $1.jsonl 2> /dev/null | wc -l)\" -ge 2 ]; do :; done
+    pkill -KILL -P $! && touch killed
+    wait $!
+else
+    part $1
+fi"
+    );
+    test_folder.write_file("job.sh", job);
+    let parallel = ["--will-cite", "--retries", "3", "-j", "4", "sh job.sh {}", ":::", "6000", "6002", "6004", "6006"];
+    test_folder.start("parallel", &parallel).wait().expect(0);
+    assert!(test_folder.path().join("killed").exists());
+    let parts = ["6000.jsonl", "6002.jsonl", "6004.jsonl", "6006.jsonl"];
+    run(&test_folder, &[&["merge"], &parts, &["--out", "merged", "--json"]]);
+    let [whole, merged] = ["whole", "merged"].map(|name| test_folder.path().join(name));
+    assert_same(&whole, &merged, &["compare.csv", "curves.csv", "figure.svg"]);
+}
+
 /// `xargs` shares a comparison out to four processes, as a scheduler does to machines. Together they are equal to one
 /// process's result, a changed result is found, and a part of the seeds can be made again.
 #[test]

@@ -61,6 +61,14 @@ pub enum LinkError {
         /// What the two have to share.
         hint: &'static str,
     },
+    /// Nobody sends back what `tectum link ping` sends.
+    #[error("nothing came back from {address} for {seconds} s; start `tectum link ping --listen ADDRESS` there")]
+    NoEcho {
+        /// The address.
+        address: String,
+        /// How long it was tried.
+        seconds: u64,
+    },
     /// The clocks cannot be compared.
     #[error("the offset between the clocks is not known: {address} answered no round trip for {seconds} s")]
     Clock {
@@ -78,6 +86,9 @@ pub enum LinkError {
     /// A thread cannot be started.
     #[error("no thread can be started: {0}; look at the limits of the system (ulimit -u)")]
     Thread(std::io::Error),
+    /// Signals cannot be heard.
+    #[error("signals cannot be heard: {0}")]
+    Signals(std::io::Error),
     /// A file of the run cannot be written.
     #[error("{} cannot be written: {cause}", path.display())]
     File {
@@ -109,7 +120,7 @@ impl LinkError {
         match self {
             Self::Refused(_) => exit::MISMATCH,
             Self::Ended(_) => exit::PROCESS,
-            Self::Random(_) | Self::Thread(_) => exit::ERROR,
+            Self::Random(_) | Self::Thread(_) | Self::Signals(_) => exit::ERROR,
             Self::Runtime(error) => error.exit_code(),
             Self::Launch(error) => error.exit_code(),
             _ => exit::INPUT,

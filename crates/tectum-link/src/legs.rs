@@ -11,14 +11,15 @@ use crate::LinkError;
 use crate::clock_offset::ClockOffset;
 use crate::connection::StrangerCounts;
 
-/// Names of the legs, in the order of the way; the last one is the whole way.
-const NAMES: [&str; 6] = [
+/// Names of the legs, in the order of the way; then the whole way, and the network's part of it.
+const NAMES: [&str; 7] = [
     "plant_to_link_us",
     "network_to_controller_us",
     "controllers_machine_us",
     "network_to_plant_us",
     "link_to_plant_us",
     "observation_to_command_us",
+    "network_both_ways_us",
 ];
 
 /// The instants of one observation and its command, on the clock of the plant's machine, ns.
@@ -39,8 +40,8 @@ pub struct Instants {
 }
 
 /// A histogram for each leg. The two legs over the network lie between clocks, so that they are known only to the
-/// uncertainty of the offset; the others are not affected by it.
-pub struct Legs([Histogram<u64>; 6]);
+/// uncertainty of the offset; the others are not affected by it, and neither is their sum.
+pub struct Legs([Histogram<u64>; 7]);
 
 impl Default for Legs {
     fn default() -> Self {
@@ -56,6 +57,8 @@ impl Legs {
             leg.saturating_record(ends[1].saturating_sub(ends[0]));
         }
         self.0[5].saturating_record(at.given.saturating_sub(at.published));
+        let there = at.sent_there.saturating_sub(at.received_there);
+        self.0[6].saturating_record(at.received.saturating_sub(at.sent).saturating_sub(there));
     }
 
     /// Percentiles of each leg, us.

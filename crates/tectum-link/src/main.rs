@@ -6,6 +6,7 @@
 
 #![warn(missing_docs)]
 
+mod bad_network;
 mod carrier;
 mod clock_offset;
 mod connection;
@@ -15,22 +16,29 @@ mod handshake;
 mod legs;
 mod message;
 mod plant_side;
+mod round_trip;
 mod seal;
 mod stand_in;
 #[cfg(feature = "zenoh")]
 mod zenoh_carrier;
 
+use std::net::SocketAddr;
+use std::ops::Range;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use tectum::clock::TerminationSignals;
 use tectum::process::{print_error_line, print_result};
 use tectum::runtime::{Mode, Participant, exit};
 use tectum::scenario::{Plan, Scenario};
 use tectum::supervise::{Launch, LearnedState, RunSummary, StandIn, run};
 
+use bad_network::BadNetwork;
 use carrier::Endpoint;
 use error::LinkError;
+use round_trip::PingSettings;
 use seal::{LinkSide, SharedKey, random};
 use stand_in::StandInSettings;
 
@@ -43,6 +51,11 @@ Examples:
                                         on the machine that has the plant
   tectum-link controller arm --mode realtime --connect udp/192.168.7.2:7447 --key link.key
                                         on the one that has the controller
+  tectum-link ping --listen udp/192.168.7.2:7447
+  tectum-link ping --connect udp/192.168.7.2:7447
+                                        what the network takes, before there is a run
+  tectum-link network --listen 127.0.0.1:7448 --to 127.0.0.1:7447 --loss 0.05 --delay-ms 20
+                                        a bad network between two ends, to try a link on
 
 Exit codes are those of tectum run.")]
 struct Arguments {
@@ -58,6 +71,10 @@ enum LinkCommand {
     Controller(RunArguments),
     /// Print a new shared key
     Key,
+    /// Measure how long a datagram takes to the other machine and back, without a run
+    Ping(PingArguments),
+    /// Carry the datagrams of a link, and lose and delay some of them: a bad network to try it on
+    Network(NetworkArguments),
     /// Take the place of the process on the other machine, in a run that the launcher has made
     #[command(hide = true)]
     StandIn(StandInArguments),
@@ -126,6 +143,67 @@ struct StandInArguments {
     run: PathBuf,
 }
 
+#[derive(Debug, Args)]
+struct PingArguments {
+    /// Send back what comes to this address of this machine, until Ctrl-C
+    #[arg(long, value_name = "ADDRESS", conflicts_with = "connect", required_unless_present = "connect")]
+    listen: Option<String>,
+    /// Measure to this address of the other machine, where `ping --listen` runs: udp/IP:PORT (zenoh), raw/IP:PORT
+    #[arg(long, value_name = "ADDRESS")]
+    connect: Option<String>,
+    /// Number of datagrams
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    count: u64,
+    /// Time from one datagram to the next, ms
+    #[arg(long, value_name = "MS", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..=60_000))]
+    every_ms: u64,
+    /// Size of each, bytes; an observation has about as many
+    #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u64).range(16..=8000))]
+    bytes: u64,
+    /// How long to wait for the other end, s
+    #[arg(long, value_name = "S", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=86400))]
+    wait: u64,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct NetworkArguments {
+    /// Where the end that connects goes to: IP:PORT
+    #[arg(long, value_name = "ADDRESS")]
+    listen: SocketAddr,
+    /// The end that listens: IP:PORT
+    #[arg(long, value_name = "ADDRESS")]
+    to: SocketAddr,
+    /// Share of the datagrams that are lost, each way: 0 to 1
+    #[arg(long, value_name = "SHARE", default_value = "0", value_parser = share)]
+    loss: f64,
+    /// Delay each way, ms
+    #[arg(long, value_name = "MS", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=60_000))]
+    delay_ms: u64,
+    /// Nothing passes in this time, s after the first datagram
+    #[arg(long, value_name = "FROM..UNTIL", value_parser = seconds_range)]
+    cut: Option<Range<f64>>,
+    /// Seed of what is lost
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Print one JSON object at the end
+    #[arg(long)]
+    json: bool,
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let share: Option<f64> = text.parse().ok().filter(|share| (0.0..=1.0).contains(share));
+    share.ok_or_else(|| "give a share from 0 to 1, such as 0.05".to_owned())
+}
+
+fn seconds_range(text: &str) -> Result<Range<f64>, String> {
+    let seconds = |text: &str| text.parse().ok().filter(|s: &f64| (0.0..=1e6).contains(s));
+    let range = text.split_once("..").and_then(|(from, until)| Some(seconds(from)?..seconds(until)?));
+    range.filter(|range| range.start < range.end).ok_or_else(|| "give seconds, such as 10..13".to_owned())
+}
+
 impl Meeting {
     fn endpoint(&self) -> Result<Endpoint, LinkError> {
         match (&self.listen, &self.connect) {
@@ -157,6 +235,8 @@ fn main() -> ExitCode {
         LinkCommand::Plant(arguments) => launch(LinkSide::Plant, &arguments),
         LinkCommand::Controller(arguments) => launch(LinkSide::Controller, &arguments),
         LinkCommand::Key => print_key(),
+        LinkCommand::Ping(arguments) => ping(&arguments),
+        LinkCommand::Network(arguments) => network(&arguments),
         LinkCommand::StandIn(arguments) => stand_in(&arguments),
     };
     outcome.unwrap_or_else(|error| {
@@ -168,6 +248,41 @@ fn main() -> ExitCode {
 fn print_key() -> Result<ExitCode, LinkError> {
     let digits: String = random::<32>()?.iter().map(|byte| format!("{byte:02x}")).collect();
     print(&(digits + "\n"))
+}
+
+fn ping(arguments: &PingArguments) -> Result<ExitCode, LinkError> {
+    let signals = TerminationSignals::install().map_err(LinkError::Signals)?;
+    if let Some(listen) = &arguments.listen {
+        round_trip::answer(&Endpoint::parse(listen, true)?, &signals)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let endpoint = Endpoint::parse(arguments.connect.as_deref().unwrap_or_default(), false)?;
+    let settings = PingSettings {
+        count: arguments.count,
+        every: Duration::from_millis(arguments.every_ms),
+        bytes: arguments.bytes as usize,
+        wait: Duration::from_secs(arguments.wait),
+    };
+    let trips = round_trip::measure(&endpoint, settings, &signals)?;
+    print(&if arguments.json { json(&trips) } else { trips.to_text() })
+}
+
+fn network(arguments: &NetworkArguments) -> Result<ExitCode, LinkError> {
+    let signals = TerminationSignals::install().map_err(LinkError::Signals)?;
+    let network = BadNetwork {
+        listen: arguments.listen,
+        to: arguments.to,
+        loss: arguments.loss,
+        delay: Duration::from_millis(arguments.delay_ms),
+        cut: arguments.cut.clone(),
+        seed: arguments.seed,
+    };
+    let counts = network.carry(&signals)?;
+    print(&if arguments.json { json(&counts) } else { counts.to_text() })
+}
+
+fn json(result: &impl serde::Serialize) -> String {
+    serde_json::to_string_pretty(result).unwrap_or_default() + "\n"
 }
 
 /// Prints to standard output. What cannot be printed is no success.

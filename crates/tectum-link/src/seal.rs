@@ -76,6 +76,11 @@ pub fn random<const N: usize>() -> Result<[u8; N], LinkError> {
     Ok(bytes)
 }
 
+/// Whether a datagram is one of a link without a key.
+pub fn is_open(datagram: &[u8]) -> bool {
+    datagram.len() >= HEADER && datagram[..4] == MAGIC && datagram[5] == 0
+}
+
 /// Makes the datagrams of one session.
 pub struct Sealer {
     key: Option<SharedKey>,
