@@ -4,17 +4,17 @@
 //! listens. What is lost follows from a seed. It counts what it lost; where the link has no key, also how many of these
 //! were observations and commands, so that a run's misses can be held against it.
 
-use std::net::{SocketAddr, UdpSocket};
+use std::net::{IpAddr, SocketAddr, UdpSocket};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use rand::RngExt as _;
 use serde::Serialize;
 use tectum::clock::{TerminationSignals, monotonic_ns, precise_timers, sleep_until};
-use tectum::seed::stream;
+use tectum::seed::{Rng, stream};
 
 use crate::LinkError;
 use crate::message::Message;
@@ -64,7 +64,7 @@ pub struct NetworkCounts {
 
 impl NetworkCounts {
     /// As text for people.
-    pub fn to_text(&self) -> String {
+    pub fn to_text(self) -> String {
         let line = |name, WayCounts { passed, lost, samples_lost }: WayCounts| {
             format!("{name}: {passed} datagrams passed, {lost} lost, {samples_lost} of them samples\n")
         };
@@ -72,94 +72,152 @@ impl NetworkCounts {
     }
 }
 
-/// One way through the network.
-struct Way {
-    network: BadNetwork,
-    name: &'static str,
-    /// When the first datagram came, ns.
-    began: Arc<OnceLock<u64>>,
-    ends: Arc<AtomicBool>,
+/// A datagram on its way.
+struct Delayed {
+    /// When it is to be passed on, ns.
+    due_ns: u64,
+    bytes: Vec<u8>,
+    from: Arc<UdpSocket>,
+    to: SocketAddr,
 }
 
-/// A datagram, and when it is to be passed on.
-type Delayed = (u64, Vec<u8>);
+/// What all threads share.
+struct Traffic {
+    network: BadNetwork,
+    /// When the first datagram came, ns.
+    began: OnceLock<u64>,
+    /// The end that connects, as it was last heard. One that opens its way anew has a new address, and gets a new one
+    /// towards the other end, as from a router.
+    client: Mutex<Option<SocketAddr>>,
+    counts: Mutex<NetworkCounts>,
+    ends: AtomicBool,
+}
 
 impl BadNetwork {
     /// Carries datagrams until a signal comes.
     ///
     /// # Errors
-    /// When the address cannot be used, or the system has no thread.
+    /// When the address cannot be used.
     pub fn carry(&self, signals: &TerminationSignals) -> Result<NetworkCounts, LinkError> {
         let failed =
             |cause: std::io::Error| LinkError::Carrier { address: self.listen.to_string(), cause: cause.to_string() };
-        let any = SocketAddr::new(if self.to.is_ipv4() { [0, 0, 0, 0].into() } else { [0; 8].into() }, 0);
-        let (near, far) = (UdpSocket::bind(self.listen).map_err(failed)?, UdpSocket::bind(any).map_err(failed)?);
-        for socket in [&near, &far] {
-            socket.set_read_timeout(Some(LOOK)).map_err(failed)?;
-        }
+        let near = UdpSocket::bind(self.listen).map_err(failed)?;
+        near.set_read_timeout(Some(LOOK)).map_err(failed)?;
+        let near = Arc::new(near);
         precise_timers();
-        // Where the end that connects was last heard.
-        let (known, began, ends) =
-            (Arc::new(Mutex::new(None)), Arc::new(OnceLock::new()), Arc::new(AtomicBool::new(false)));
-        let way = |name| Way { network: self.clone(), name, began: Arc::clone(&began), ends: Arc::clone(&ends) };
-        let (there, back) = (way("to the listener"), way("to the connecting end"));
-        let (heard, to) = (Arc::clone(&known), self.to);
-        let hear = move |from| *heard.lock().unwrap_or_else(PoisonError::into_inner) = Some(from);
-        let knows = move || *known.lock().unwrap_or_else(PoisonError::into_inner);
-        let (near_in, near_out, far_in, far_out) =
-            (near.try_clone().map_err(failed)?, near, far.try_clone().map_err(failed)?, far);
+        let traffic = Traffic {
+            network: self.clone(),
+            began: OnceLock::new(),
+            client: Mutex::new(None),
+            counts: Mutex::default(),
+            ends: AtomicBool::new(false),
+        };
         std::thread::scope(|scope| {
-            let (later_there, due_there) = channel();
-            let (later_back, due_back) = channel();
-            scope.spawn(move || pass_on(&due_there, &far_out, || Some(to)));
-            scope.spawn(move || pass_on(&due_back, &near_out, knows));
-            let there = scope.spawn(move || there.take(&near_in, &later_there, hear));
-            let back = scope.spawn(move || back.take(&far_in, &later_back, |_| ()));
+            let ((later_there, due_there), (later_back, due_back)) = (channel(), channel());
+            scope.spawn(move || pass_on(&due_there));
+            scope.spawn(move || pass_on(&due_back));
+            let (clients, new_clients) = channel();
+            let (traffic, there) = (&traffic, Arc::clone(&near));
+            scope.spawn(move || traffic.take_there(&there, &later_there, &clients));
             while signals.received() == 0 {
-                std::thread::park_timeout(LOOK);
+                let Ok((client, far)) = new_clients.recv_timeout(LOOK) else { continue };
+                let (near, later) = (Arc::clone(&near), later_back.clone());
+                scope.spawn(move || traffic.take_back(client, &far, &near, &later));
             }
-            ends.store(true, Ordering::Relaxed);
-            let counts = |way: std::thread::ScopedJoinHandle<'_, WayCounts>| way.join().unwrap_or_default();
-            Ok(NetworkCounts { to_listener: counts(there), to_connecting: counts(back) })
-        })
+            traffic.ends.store(true, Ordering::Relaxed);
+        });
+        Ok(*traffic.counts())
     }
 }
 
-impl Way {
-    /// Takes datagrams from `socket`, and hands on those that are not lost.
-    fn take(&self, socket: &UdpSocket, later: &Sender<Delayed>, hear: impl Fn(SocketAddr)) -> WayCounts {
-        let mut random = stream(self.network.seed, self.name);
-        let (mut counts, mut bytes) = (WayCounts::default(), vec![0; LONGEST]);
-        let delay_ns = self.network.delay.as_nanos() as u64;
+impl Traffic {
+    fn counts(&self) -> MutexGuard<'_, NetworkCounts> {
+        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn client(&self) -> MutexGuard<'_, Option<SocketAddr>> {
+        self.client.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes what the end that connects sends.
+    fn take_there(&self, near: &UdpSocket, later: &Sender<Delayed>, clients: &Sender<(SocketAddr, Arc<UdpSocket>)>) {
+        let (mut random, mut bytes) = (stream(self.network.seed, "to the end that listens"), vec![0; LONGEST]);
+        let mut far: Option<Arc<UdpSocket>> = None;
         while !self.ends.load(Ordering::Relaxed) {
             // Errors are time-outs, and what ICMP says of an end that is not there yet.
-            let Ok((length, from)) = socket.recv_from(&mut bytes) else { continue };
-            hear(from);
-            let now = monotonic_ns();
-            let since_s = (now - self.began.get_or_init(|| now).min(&now)) as f64 / 1e9;
-            let cut = self.network.cut.as_ref().is_some_and(|cut| cut.contains(&since_s));
-            // Drawn in any case, so that a cut changes nothing else.
-            if random.random::<f64>() < self.network.loss || cut {
-                counts.lost += 1;
-                counts.samples_lost += u64::from(is_sample(&bytes[..length]));
-            } else if later.send((now + delay_ns, bytes[..length].to_vec())).is_ok() {
-                counts.passed += 1;
+            let Ok((length, from)) = near.recv_from(&mut bytes) else { continue };
+            if self.client().replace(from) != Some(from) {
+                far = self.far_socket().ok();
+                let _ = far.as_ref().map(|far| clients.send((from, Arc::clone(far))));
             }
+            let Some(far) = &far else { continue };
+            let datagram = &bytes[..length];
+            let due_ns = self.due(datagram, &mut random, |counts| &mut counts.to_listener);
+            self.hand_on(later, due_ns, datagram, far, self.network.to);
         }
-        counts
+    }
+
+    /// Takes what the end that listens sends to this client, until there is another one.
+    fn take_back(&self, client: SocketAddr, far: &UdpSocket, near: &Arc<UdpSocket>, later: &Sender<Delayed>) {
+        let (mut random, mut bytes) = (stream(self.network.seed, "to the end that connects"), vec![0; LONGEST]);
+        while !self.ends.load(Ordering::Relaxed) && *self.client() == Some(client) {
+            let Ok((length, _)) = far.recv_from(&mut bytes) else { continue };
+            let datagram = &bytes[..length];
+            let due_ns = self.due(datagram, &mut random, |counts| &mut counts.to_connecting);
+            self.hand_on(later, due_ns, datagram, near, client);
+        }
+    }
+
+    fn hand_on(
+        &self,
+        later: &Sender<Delayed>,
+        due_ns: Option<u64>,
+        datagram: &[u8],
+        from: &Arc<UdpSocket>,
+        to: SocketAddr,
+    ) {
+        if let Some(due_ns) = due_ns {
+            // At the end nobody passes it on.
+            let _ = later.send(Delayed { due_ns, bytes: datagram.to_vec(), from: Arc::clone(from), to });
+        }
+    }
+
+    fn far_socket(&self) -> std::io::Result<Arc<UdpSocket>> {
+        let any: IpAddr = if self.network.to.is_ipv4() { [0, 0, 0, 0].into() } else { [0; 16].into() };
+        let socket = UdpSocket::bind((any, 0))?;
+        socket.set_read_timeout(Some(LOOK))?;
+        Ok(Arc::new(socket))
+    }
+
+    /// When a datagram is to be passed on, ns; `None` if it is lost.
+    fn due(
+        &self,
+        datagram: &[u8],
+        random: &mut Rng,
+        way: impl FnOnce(&mut NetworkCounts) -> &mut WayCounts,
+    ) -> Option<u64> {
+        let now = monotonic_ns();
+        let since_s = (now - self.began.get_or_init(|| now).min(&now)) as f64 / 1e9;
+        let cut = self.network.cut.as_ref().is_some_and(|cut| cut.contains(&since_s));
+        // Drawn in any case, so that a cut changes nothing else.
+        let lost = random.random::<f64>() < self.network.loss || cut;
+        let (mut counts, sample) = (self.counts(), is_sample(datagram));
+        let counts = way(&mut counts);
+        counts.passed += u64::from(!lost);
+        counts.lost += u64::from(lost);
+        counts.samples_lost += u64::from(lost && sample);
+        (!lost).then_some(now + self.network.delay.as_nanos() as u64)
     }
 }
 
 /// Passes datagrams on when they are due, until nobody hands on more.
-fn pass_on(due: &Receiver<Delayed>, socket: &UdpSocket, to: impl Fn() -> Option<SocketAddr>) {
-    while let Ok((at, bytes)) = due.recv() {
-        if at > monotonic_ns() {
-            sleep_until(at);
+fn pass_on(due: &Receiver<Delayed>) {
+    while let Ok(Delayed { due_ns, bytes, from, to }) = due.recv() {
+        if due_ns > monotonic_ns() {
+            sleep_until(due_ns);
         }
-        if let Some(to) = to() {
-            // The end may not be there yet.
-            let _ = socket.send_to(&bytes, to);
-        }
+        // The end may not be there yet.
+        let _ = from.send_to(&bytes, to);
     }
 }
 

@@ -22,6 +22,7 @@ use crate::carrier::{Carrier, Endpoint};
 use crate::clock_offset::{ClockOffset, OffsetEstimator};
 use crate::message::{EchoMessage, Hello, Message, PART, ReportPart};
 use crate::seal::{LinkSide, ReplayWindow, Sealer, SharedKey, random};
+use crate::silence_notice::SilenceNotice;
 
 /// How often the thread looks around.
 const LOOK: Duration = Duration::from_millis(20);
@@ -364,6 +365,7 @@ impl Shared {
     /// The thread that says hello, measures the clocks, and opens the way anew when nothing is heard.
     fn keep(&self) {
         let (mut greeted, mut pinged, mut renewed, mut complained) = (0, 0, monotonic_ns(), false);
+        let mut silence = SilenceNotice::default();
         while !self.ends.load(Ordering::Relaxed) {
             let now = monotonic_ns();
             if now - greeted >= HELLO_NS {
@@ -385,6 +387,9 @@ impl Shared {
                     renewed = monotonic_ns();
                 }
                 self.watch_for_intruders(carrier);
+            }
+            if self.state().peer.is_some() {
+                silence.look(silent).iter().for_each(|line| print_error_line(line));
             }
             if unopened > 0 && !complained {
                 print_error_line(

@@ -18,6 +18,7 @@ mod message;
 mod plant_side;
 mod round_trip;
 mod seal;
+mod silence_notice;
 mod stand_in;
 #[cfg(feature = "zenoh")]
 mod zenoh_carrier;

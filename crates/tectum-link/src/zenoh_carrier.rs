@@ -89,6 +89,9 @@ fn open_session(endpoint: &Endpoint, side: LinkSide, receive: &Receive) -> zenoh
         ("connect/timeout_ms", "1000"),
         ("connect/exit_on_failure", "false"),
         ("transport/link/tx/lease", "3000"),
+        // An opening whose datagram was lost would keep the end waiting for 10 s.
+        ("transport/unicast/open_timeout", "1000"),
+        ("transport/unicast/accept_timeout", "1000"),
     ] {
         config.insert_json5(key, value)?;
     }

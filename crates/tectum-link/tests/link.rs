@@ -3,129 +3,17 @@
 //!
 //! Without zenoh the carrier is bare UDP (`cargo test -p tectum-link --no-default-features`); with it, both are tried.
 
-use std::net::{SocketAddr, UdpSocket};
-use std::path::PathBuf;
+mod common;
+
 use std::process::Command;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
-use serde_json::Value;
-use tectum_testkit::{Process, TestFolder, program, read_json, stop_process_for};
-
-const LINK: &str = env!("CARGO_BIN_EXE_tectum-link");
-
-/// The carriers of this build.
-fn carriers() -> &'static [&'static str] {
-    if cfg!(feature = "zenoh") { &["raw", "udp"] } else { &["raw"] }
-}
-
-/// An address on loopback that nobody uses.
-fn address(carrier: &str) -> String {
-    let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    format!("{carrier}/127.0.0.1:{port}")
-}
-
-/// One machine: a folder, and the run in it.
-struct Machine {
-    folder: TestFolder,
-    side: &'static str,
-}
-
-impl Machine {
-    fn new(side: &'static str) -> Self {
-        Self { folder: TestFolder::new(), side }
-    }
-
-    fn start(&self, meeting: [&str; 2], more: &[&str]) -> Process {
-        let mut command = Command::new(LINK);
-        command.args([self.side, "arm", "--out", "run", "--json"]).args(meeting).args(more);
-        self.folder.start_command(command)
-    }
-
-    fn report(&self) -> Value {
-        read_json(self.folder.run_folder().join("link.json"))
-    }
-
-    fn file(&self, name: &str, text: &str) -> PathBuf {
-        self.folder.write_file(name, text)
-    }
-}
-
-/// Plant and controller on two machines, both started.
-fn pair(carrier: &str, more: &[&str]) -> ([Machine; 2], [Process; 2]) {
-    let address = address(carrier);
-    let machines = [Machine::new("plant"), Machine::new("controller")];
-    let runs = [machines[0].start(["--listen", &address], more), machines[1].start(["--connect", &address], more)];
-    (machines, runs)
-}
-
-/// A network between the two machines that loses datagrams: one in `one_in`, by a fixed random sequence.
-struct LossyNetwork {
-    address: String,
-    ends: Arc<AtomicBool>,
-    relay: Option<JoinHandle<()>>,
-}
-
-impl LossyNetwork {
-    /// A way to the plant's machine at `plant` (`raw/IP:PORT`).
-    fn to(plant: &str, one_in: u64) -> Self {
-        let plant: SocketAddr = plant.trim_start_matches("raw/").parse().unwrap();
-        let near = UdpSocket::bind("127.0.0.1:0").unwrap();
-        let address = format!("raw/{}", near.local_addr().unwrap());
-        let far = UdpSocket::bind("127.0.0.1:0").unwrap();
-        for socket in [&near, &far] {
-            socket.set_nonblocking(true).unwrap();
-        }
-        let ends = Arc::new(AtomicBool::new(false));
-        let stop = Arc::clone(&ends);
-        let relay = std::thread::spawn(move || {
-            let (mut controller, mut bytes, mut random) = (None, [0; 9000], 2010_u64);
-            let mut lost = || {
-                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                (random >> 33) % one_in == 0
-            };
-            while !stop.load(Ordering::Relaxed) {
-                let mut idle = true;
-                if let Ok((length, from)) = near.recv_from(&mut bytes) {
-                    (idle, controller) = (false, Some(from));
-                    // Nobody may be there yet.
-                    let _ = if lost() { Ok(0) } else { far.send_to(&bytes[..length], plant) };
-                }
-                if let (Ok((length, _)), Some(controller)) = (far.recv_from(&mut bytes), controller) {
-                    idle = false;
-                    let _ = if lost() { Ok(0) } else { near.send_to(&bytes[..length], controller) };
-                }
-                if idle {
-                    std::thread::park_timeout(Duration::from_micros(100));
-                }
-            }
-        });
-        Self { address, ends, relay: Some(relay) }
-    }
-}
-
-impl Drop for LossyNetwork {
-    fn drop(&mut self) {
-        self.ends.store(true, Ordering::Relaxed);
-        self.relay.take().map(JoinHandle::join);
-    }
-}
-
-/// Plant and controller with a network between them that loses one datagram in `one_in`.
-fn pair_over(one_in: u64, more: &[&str]) -> (LossyNetwork, [Machine; 2], [Process; 2]) {
-    let address = address("raw");
-    let network = LossyNetwork::to(&address, one_in);
-    let machines = [Machine::new("plant"), Machine::new("controller")];
-    let runs =
-        [machines[0].start(["--listen", &address], more), machines[1].start(["--connect", &network.address], more)];
-    (network, machines, runs)
-}
+use common::{LINK, Machine, address, carriers, pair, pair_over};
+use tectum_testkit::{Process, TestFolder, program, stop_process_for};
 
 #[test]
 fn what_the_network_loses_is_missed_and_nothing_else() {
-    let (_network, machines, runs) = pair_over(20, &["--ticks", "200"]);
+    let (_network, machines, runs) = pair_over(&["--loss", "0.05"], &["--ticks", "200"]);
     let [plant, _] = runs.map(|run| run.wait().expect(0).json());
     let lost = machines[0].report()["commands_lost"].as_u64().unwrap();
     let missed = plant["missed"].as_u64().unwrap();
@@ -139,7 +27,7 @@ fn in_lockstep_a_lossy_network_changes_no_number() {
     let alone = TestFolder::new();
     let arguments = ["run", "arm", "--ticks", "300", "--out", "run", "--json"];
     let alone = alone.start(program("tectum"), &arguments).wait().expect(0).json();
-    let (_network, machines, runs) = pair_over(10, &["--mode", "lockstep", "--ticks", "300"]);
+    let (_network, machines, runs) = pair_over(&["--loss", "0.1"], &["--mode", "lockstep", "--ticks", "300"]);
     for run in runs {
         assert_eq!(run.wait().expect(0).json()["weights_hash"], alone["weights_hash"]);
     }
