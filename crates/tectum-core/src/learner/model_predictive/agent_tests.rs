@@ -58,12 +58,16 @@ impl Reach {
 }
 
 fn agent(units: [f64; 3]) -> ModelPredictive {
+    seeded(units, 3)
+}
+
+fn seeded(units: [f64; 3], seed: u64) -> ModelPredictive {
     let range = InputRange { min: -units[0], max: units[0], wraps: false, radians: None };
     ModelPredictive::new(&ModelPredictiveSpec {
         inputs: vec![range; 2],
         limits: vec![units[1]],
         sigma: vec![0.02 * units[1]],
-        seed: 3,
+        seed,
         config: ModelPredictiveConfig {
             horizon: 8,
             memory: 400,
@@ -89,12 +93,20 @@ fn run(units: [f64; 3], ticks: usize, mut change: impl FnMut(u64, f64) -> f64) -
 
 #[test]
 fn it_learns_to_reach() {
-    let (rewards, _) = run([1.0; 3], 200, |_, r| r);
-    // Each target has twenty ticks, and moves take less than ten. Standing still in the middle gives -0.27.
-    for target in 5..10 {
-        let settled = mean(&rewards, 20 * target + 10, 20 * target + 20);
-        assert!(settled > -0.004, "target {target}: {settled}");
+    // Each target has twenty ticks, and moves take less than ten. Standing still in the middle gives -0.27. The sixth
+    // or seventh may come too early for a few.
+    let mut missed = Vec::new();
+    for seed in 1..=8 {
+        let (mut plant, mut agent) = (Reach::new([1.0; 3]), seeded([1.0; 3], seed));
+        let rewards: Vec<f64> = (0..200).map(|_| plant.tick(&mut agent, |_, r| r).1).collect();
+        for target in 5..10 {
+            let settled = mean(&rewards, 20 * target + 10, 20 * target + 20);
+            if settled <= -0.004 {
+                missed.push((seed, target, settled));
+            }
+        }
     }
+    assert!(missed.len() <= 2 && missed.iter().all(|missed| missed.1 <= 6), "{missed:?}");
 }
 
 #[test]
@@ -176,4 +188,36 @@ fn what_a_joint_did_before_it_blocked_no_longer_teaches() {
     }
     assert!(agent.counts.alarms > 0);
     assert_eq!(agent.counts.worlds, 1);
+}
+
+#[test]
+fn a_command_that_moves_nothing_rests() {
+    let range = InputRange { min: -1.0, max: 1.0, wraps: false, radians: None };
+    let mut agent = ModelPredictive::new(&ModelPredictiveSpec {
+        inputs: vec![range; 2],
+        limits: vec![1.0; 2],
+        sigma: vec![0.02; 2],
+        seed: 3,
+        config: ModelPredictiveConfig { horizon: 8, reward_features: 150, ..ModelPredictiveConfig::default() },
+    });
+    let mut plant = Reach::new([1.0; 3]);
+    let (mut applied, mut largest) = ([0.0; 2], 0.0_f64);
+    for tick in 0..140 {
+        let new_target = tick % 20 == 0;
+        if new_target {
+            plant.target = plant.rng.random_range(-0.9..0.9);
+        }
+        let flags = TickFlags { new_target, ..TickFlags::default() };
+        let inputs = [plant.target, plant.position];
+        let mut command = [0.0; 2];
+        agent.act(&Observed { inputs: &inputs, reward: plant.reward, applied: &applied, flags }, &mut command);
+        applied = command;
+        agent.improve();
+        plant.position = (plant.position + plant.gain * command[0]).clamp(-1.0, 1.0);
+        plant.reward = -(plant.position - plant.target).powi(2) - 0.02 * command[0] * command[0];
+        if tick >= 80 {
+            largest = largest.max(agent.mean()[1].abs());
+        }
+    }
+    assert!(largest < 0.2, "{largest}");
 }

@@ -1,21 +1,29 @@
-//! How late rewards come, and how angles are to be read: the marginal likelihood of a few rewards under each
+//! How late rewards come, and how angles are to be read: the marginal likelihood of some rewards under each
 //! assumption.
 //!
 //! A reward may belong to the inputs after its tick or to those before it, or to a tick 1 to 3 earlier than the one
 //! with which it came, where a camera or a computation takes its time. Before each refit, a Gaussian process with the
-//! kernel of the reward model is fitted to the same 60 rewards with the points of each assumption, by a few steps of
+//! kernel of the reward model is fitted to the same 120 rewards with the points of each assumption, by a few steps of
 //! ascent of its evidence (Rasmussen & Williams 2006, chapter 5). The evidences are added up over the refits, and old
 //! ones fade.
 //!
 //! Where angles follow each other in the inputs, they may be directions of bodies, or each be measured from the body
 //! before, as the joints of most arms are. The reward of the second arm is that of the first in running sums of the
-//! angles ([`AngleReading`]). Which of the two it is follows from the evidence in the same way, and then both reward
-//! models are fitted anew in that reading.
+//! angles ([`AngleReading`]). Which of the two it is follows from the evidence in the same way. When an assumption
+//! changes, both reward models begin anew.
+//!
+//! The rewards are those of remembered ticks that lie far from each other. At equal intervals they are mostly those of
+//! an arm that stands at its target, which fit any assumption: then the evidence of a reading had the wrong sign on
+//! three of six arms after 643 ticks, and models that were exact were thrown away. The steps of ascent are shared out
+//! over some ticks.
 
 use super::evidence::Evidence;
-use super::layout::{Layout, Unit};
+use super::functions::exp;
+use super::layout::{Layout, ScaleKind, Unit};
 use super::layouts::AngleReading;
 use super::memory::Memory;
+use super::spread::spread_out;
+use crate::MAX_INPUTS;
 use crate::state::{Persist, StateVisitor};
 
 /// Assumptions: ticks that a reward comes late, and whether it depends on the inputs after the tick. A reward of the
@@ -24,17 +32,22 @@ const CHOICES: [(u64, bool); 5] = [(0, true), (0, false), (1, true), (2, true), 
 /// Largest lateness, ticks.
 pub const MOST_LATE: u64 = 3;
 /// Rewards that are compared.
-const POINTS: usize = 60;
+const POINTS: usize = 120;
+/// Fewer say nothing.
+const LEAST_POINTS: usize = 12;
 /// Steps of ascent.
-const STEPS: usize = 8;
-/// Advantage of rewards that are in time, and by what another lateness must be better, in units of evidence: that of a
-/// third of a nat for each of the rewards.
-const BONUS: f64 = 20.0;
+const STEPS: u32 = 8;
+/// Advantage of rewards that are in time, and by what another lateness must be better, in units of evidence: so much
+/// for each of the rewards, and not less than for 60 of them.
+const BONUS: f64 = 1.0 / 3.0;
 
 /// Steps of ascent for a reading of the angles.
-const READING_STEPS: usize = 20;
+const READING_STEPS: u32 = 10;
 /// By how much evidence another reading must be better.
 const READING_GAIN: f64 = 3.0;
+
+/// The oldest ticks of a full memory, which will be forgotten before all assumptions are weighed, are left out.
+const SOON_FORGOTTEN: u64 = 32;
 
 /// What is assumed about rewards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,7 +58,7 @@ pub struct RewardAssumption {
     pub reading: AngleReading,
 }
 
-/// Compares how late rewards may be.
+/// Compares assumptions about rewards.
 #[derive(Debug, Clone)]
 pub struct Alignment {
     /// Those of the readings of angles, by [`AngleReading`], or one where there is one reading only.
@@ -54,43 +67,99 @@ pub struct Alignment {
     totals: [f64; CHOICES.len()],
     /// By how much the evidence of a chain is larger than that of angles apart.
     chain: f64,
-    /// The next assumption to weigh.
+    /// The assumption that is weighed: how late rewards are, then each reading.
     next: u32,
-    q: Vec<f64>,
+    /// Steps that were made for it, and the evidence before the last of them.
+    steps: u32,
+    weight: f64,
+    /// The remembered ticks of the rewards that are compared, and their number.
+    ticks: [u64; POINTS],
+    count: u32,
+    /// Operations of this tick.
+    pub spent: u64,
+    // Scratch memory: components of each remembered tick, and its squared distance from the ticks chosen so far.
+    looks: Vec<f64>,
+    least: Vec<f64>,
 }
 
 impl Alignment {
-    /// For rewards of these layouts, which have units of the same number and kind.
-    pub fn new(layouts: Vec<Layout>) -> Self {
+    /// For at most `memory` remembered rewards of these layouts, which have units of the same number and kind.
+    pub fn new(layouts: Vec<Layout>, memory: usize) -> Self {
         Self {
             evidence: Evidence::new(&layouts[0], POINTS, 1),
             totals: [0.0; CHOICES.len()],
             chain: 0.0,
             next: 0,
-            q: vec![0.0; layouts[0].width],
+            steps: 0,
+            weight: 0.0,
+            ticks: [0; POINTS],
+            count: 0,
+            spent: 0,
+            looks: vec![0.0; memory * layouts[0].components],
+            least: vec![0.0; memory],
             layouts,
         }
     }
 
-    /// Weighs the next assumption. Returns what is assumed from now on once all are weighed, given what is `present`.
-    pub fn weigh(&mut self, memory: &Memory, present: RewardAssumption, noise_floor: f64) -> Option<RewardAssumption> {
-        let next = self.next as usize;
-        if let Some(choice) = CHOICES.get(next) {
-            let weight = self.evidence_of(present.reading, memory, *choice, (STEPS, noise_floor));
-            self.totals[next] = 0.5 * self.totals[next] + weight;
-        } else {
-            let chain = next > CHOICES.len();
-            let reading = if chain { AngleReading::Chain } else { AngleReading::Apart };
-            let choice = self.best_of(present.shift);
-            let weight = self.evidence_of(reading, memory, choice, (READING_STEPS, noise_floor));
-            self.chain = if chain { self.chain + weight } else { 0.5 * self.chain - weight };
+    /// Weighs assumptions, one after the other, as far as a tick's `operations` go, and a step at least. Returns what
+    /// is assumed from now on once all are weighed, given what is `present`.
+    pub fn weigh(
+        &mut self,
+        memory: &Memory,
+        present: RewardAssumption,
+        noise_floor: f64,
+        operations: u64,
+    ) -> Option<RewardAssumption> {
+        self.spent = 0;
+        if self.next == 0 && self.steps == 0 {
+            self.choose_ticks(memory, present.shift);
         }
-        self.next += 1;
         let count = CHOICES.len() + if self.layouts.len() > 1 { 2 } else { 0 };
-        (self.next as usize >= count).then(|| {
-            self.next = 0;
-            RewardAssumption { shift: self.decide(present.shift), reading: self.read(present.reading) }
-        })
+        loop {
+            let next = self.next as usize;
+            let (reading, choice, steps) = match CHOICES.get(next) {
+                Some(choice) => (present.reading, *choice, STEPS),
+                None if next == CHOICES.len() => (AngleReading::Apart, self.best_of(present.shift), READING_STEPS),
+                None => (AngleReading::Chain, self.best_of(present.shift), READING_STEPS),
+            };
+            if self.steps == 0 {
+                self.take_points(memory, reading, choice);
+            }
+            let layout = &self.layouts[reading as usize];
+            if self.evidence.len >= LEAST_POINTS {
+                self.weight = self.evidence.step(layout, 2.5, 0.3, noise_floor).unwrap_or(self.weight);
+                self.spent += self.evidence.cost(layout);
+                self.steps += 1;
+            }
+            let cost = self.evidence.cost(layout);
+            if self.steps >= steps || self.evidence.len < LEAST_POINTS {
+                self.conclude();
+            }
+            if self.next as usize == count {
+                self.next = 0;
+                return Some(RewardAssumption {
+                    shift: self.decide(present.shift),
+                    reading: self.read(present.reading),
+                });
+            }
+            if self.spent + cost > operations {
+                return None;
+            }
+        }
+    }
+
+    /// Adds the evidence of an assumption to what was known of it, and goes on to the next one.
+    fn conclude(&mut self) {
+        let next = self.next as usize;
+        if let Some(total) = self.totals.get_mut(next) {
+            *total = 0.5 * *total + self.weight;
+        } else if next == CHOICES.len() {
+            self.chain = 0.5 * self.chain - self.weight;
+        } else {
+            self.chain += self.weight;
+        }
+        self.steps = 0;
+        self.next += 1;
     }
 
     /// The units of the reward models' layout in a reading that is known ([`knows`](Self::knows)).
@@ -103,46 +172,48 @@ impl Alignment {
         (reading as usize) < self.layouts.len()
     }
 
-    /// The evidence of some rewards under an assumption, after steps of ascent.
-    fn evidence_of(
-        &mut self,
-        reading: AngleReading,
-        memory: &Memory,
-        (shift, after): (u64, bool),
-        (steps, noise_floor): (usize, f64),
-    ) -> f64 {
-        let (first, end) = (memory.rewards_from().max(memory.stored.saturating_sub(600)) + MOST_LATE, memory.stored);
-        let complete = |tick: &u64| {
-            memory.is_rewarded(*tick)
-                && !memory.near_boundary(*tick, MOST_LATE)
-                && memory.rewarded_point(*tick, MOST_LATE, true).is_some()
-        };
-        let count = (first..end).filter(complete).count();
-        let step = count.div_ceil(POINTS).max(1);
-        let chosen = || (first..end).filter(complete).step_by(step);
-        let (mut n, mut sum, mut squares) = (0.0, 0.0, 0.0);
-        for tick in chosen() {
-            let reward = memory.reward(tick) - memory.reward(chosen().next().unwrap_or(tick));
-            (n, sum, squares) = (n + 1.0, sum + reward, squares + reward * reward);
+    /// Chooses the ticks whose rewards are compared, far from each other if rewards come `shift` ticks late.
+    fn choose_ticks(&mut self, memory: &Memory, shift: u64) {
+        let layout = &self.layouts[0];
+        let forgotten = if memory.first > 0 { memory.first + SOON_FORGOTTEN } else { 0 };
+        let (first, end) = (memory.rewards_from().max(forgotten), memory.stored);
+        let (width, least) = (layout.components, &mut self.least[..end.saturating_sub(first) as usize]);
+        let mut frequencies = [0.0; MAX_INPUTS];
+        for (u, frequency) in frequencies.iter_mut().enumerate().take(layout.circles) {
+            *frequency = exp(layout.prior[Layout::scale(u, ScaleKind::Frequency)]);
         }
-        let origin = chosen().next().map_or(0.0, |tick| memory.reward(tick));
-        let mean = sum / f64::max(n, 1.0);
-        let deviation = (squares / f64::max(n, 1.0) - mean * mean).max(0.0).sqrt();
-        let mut weight = 0.0;
-        if n >= 12.0 && deviation > 0.0 {
-            let layout = &self.layouts[reading as usize];
-            self.evidence.restart(&layout.prior);
-            for tick in chosen() {
-                if let Some(point) = memory.rewarded_point(tick, shift, after) {
-                    self.q.copy_from_slice(point);
-                    self.evidence.push(&self.q, &[(memory.reward(tick) - origin - mean) / deviation], 1.0);
+        for (k, least) in least.iter_mut().enumerate() {
+            let tick = first + k as u64;
+            *least = 0.0;
+            if is_complete(memory, tick)
+                && let Some(q) = memory.rewarded_point(tick, shift, true)
+            {
+                *least = f64::INFINITY;
+                layout.components(&frequencies, q, &mut self.looks[k * width..(k + 1) * width], None);
+            }
+        }
+        spread_out(&self.looks, width, least, POINTS as u64);
+        self.spent += (least.len() * POINTS * width) as u64;
+        self.count = 0;
+        for (tick, _) in (first..).zip(&*least).filter(|(_, least)| **least < 0.0) {
+            self.ticks[self.count as usize] = tick;
+            self.count += 1;
+        }
+    }
+
+    /// Begins to compare: the chosen rewards with their points under an assumption.
+    fn take_points(&mut self, memory: &Memory, reading: AngleReading, (shift, after): (u64, bool)) {
+        self.weight = 0.0;
+        self.evidence.restart(&self.layouts[reading as usize].prior);
+        let ticks = &self.ticks[..self.count as usize];
+        let [origin, mean, deviation] = moments(memory, ticks);
+        if deviation > 0.0 {
+            for tick in ticks {
+                if let Some(point) = memory.rewarded_point(*tick, shift, after) {
+                    self.evidence.push(point, &[(memory.reward(*tick) - origin - mean) / deviation], 1.0);
                 }
             }
-            for _ in 0..steps {
-                weight = self.evidence.step(layout, 2.5, 0.3, noise_floor).unwrap_or(weight);
-            }
         }
-        weight
     }
 
     /// The assumption of this lateness that is best so far.
@@ -164,13 +235,34 @@ impl Alignment {
     }
 
     fn decide(&self, present: u64) -> u64 {
+        let bonus = BONUS * f64::from(self.count.max(60));
         let of = |shift: u64| {
             let each = CHOICES.iter().zip(self.totals).filter(|((s, _), _)| *s == shift);
-            each.map(|(_, total)| total).fold(f64::NEG_INFINITY, f64::max) + if shift == 0 { BONUS } else { 0.0 }
+            each.map(|(_, total)| total).fold(f64::NEG_INFINITY, f64::max) + if shift == 0 { bonus } else { 0.0 }
         };
         let best = (0..=MOST_LATE).max_by(|a, b| of(*a).total_cmp(&of(*b)).then(b.cmp(a))).unwrap_or(present);
-        if of(best) > of(present) + BONUS { best } else { present }
+        if of(best) > of(present) + bonus { best } else { present }
     }
+}
+
+/// Whether a remembered reward has a point under each assumption about its lateness.
+fn is_complete(memory: &Memory, tick: u64) -> bool {
+    memory.is_rewarded(tick)
+        && !memory.near_boundary(tick, MOST_LATE)
+        && memory.rewarded_point(tick, MOST_LATE, true).is_some()
+}
+
+/// The rewards of some ticks: the first of them, the mean of what they differ from it, and their standard deviation.
+fn moments(memory: &Memory, ticks: &[u64]) -> [f64; 3] {
+    let origin = ticks.first().map_or(0.0, |tick| memory.reward(*tick));
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for tick in ticks {
+        let reward = memory.reward(*tick) - origin;
+        (sum, squares) = (sum + reward, squares + reward * reward);
+    }
+    let n = (ticks.len() as f64).max(1.0);
+    let mean = sum / n;
+    [origin, mean, (squares / n - mean * mean).max(0.0).sqrt()]
 }
 
 impl Persist for Alignment {
@@ -178,6 +270,83 @@ impl Persist for Alignment {
         visitor.numbers("totals", &mut self.totals);
         visitor.number("chain", &mut self.chain);
         visitor.number("next", &mut self.next);
-        self.next = self.next.min(CHOICES.len() as u32 + 1);
+        let most = CHOICES.len() + if self.layouts.len() > 1 { 1 } else { 0 };
+        self.next = self.next.min(most as u32);
+        visitor.number("steps", &mut self.steps);
+        visitor.number("weight", &mut self.weight);
+        visitor.numbers("ticks", &mut self.ticks);
+        visitor.number("points", &mut self.count);
+        self.count = self.count.min(POINTS as u32);
+        visitor.nested("evidence", &mut self.evidence);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::learner::model_predictive::config::InputRange;
+    use crate::learner::model_predictive::layout::Places;
+    use crate::learner::model_predictive::layouts::reward_readings;
+    use crate::learner::model_predictive::memory::{Entry, Lesson};
+    use crate::learner::model_predictive::model::normal;
+    use crate::seed::stream;
+    use rand::RngExt as _;
+    use std::f64::consts::PI;
+
+    const TRIAL: u64 = 80;
+
+    /// What an arm of three segments remembers that has reached eight targets: it goes there within ten ticks, and then
+    /// stands, but for noise.
+    fn remembered(is_chain: bool, ranges: &[InputRange], places: Places) -> Memory {
+        let rng = &mut stream(5, "test");
+        let mut memory = Memory::new(places, 1000);
+        let (mut angles, mut goal, mut target) = ([0.0_f64; 3], [0.0; 3], [0.0; 2]);
+        let end = |angles: &[f64; 3]| {
+            let mut direction = 0.0;
+            angles.iter().fold([0.0, 0.0], |[x, y], angle| {
+                direction = if is_chain { direction + angle } else { *angle };
+                [x + 0.5 * direction.cos(), y + 0.5 * direction.sin()]
+            })
+        };
+        for tick in 0..8 * TRIAL {
+            if tick.is_multiple_of(TRIAL) {
+                goal = std::array::from_fn(|_| rng.random_range(-2.0..2.0));
+                target = end(&goal).map(|x| x + 0.02 * normal(rng));
+            }
+            let mut after = vec![0.0; places.len()];
+            let mut effort = 0.0;
+            for (j, (angle, goal)) in angles.iter_mut().zip(&goal).enumerate() {
+                let u = (0.3 * (goal - *angle) + 0.03 * normal(rng)).clamp(-1.0, 1.0);
+                *angle += u;
+                effort += u * u;
+                (after[2 + j], after[places.state() + j]) = (*angle / PI, u);
+            }
+            (after[0], after[1]) = (target[0] / ranges[0].max, target[1] / ranges[0].max);
+            let [x, y] = end(&angles);
+            let reward = -(x - target[0]).powi(2) - (y - target[1]).powi(2) - 0.01 * effort;
+            let changes = vec![0.0; places.inputs];
+            let lesson = Lesson::default();
+            let boundary = tick.is_multiple_of(TRIAL);
+            memory.push(&Entry { before: &after, after: &after, changes: &changes, reward, lesson, tick, boundary });
+            memory.set_rewarded(tick, true);
+        }
+        memory
+    }
+
+    #[test]
+    fn the_reading_is_that_of_the_arm() {
+        let places = Places { inputs: 5, commands: 3 };
+        let length = InputRange { min: -2.0, max: 2.0, wraps: false, radians: Some(0.0) };
+        let angle = InputRange { min: -PI, max: PI, wraps: false, radians: Some(1.0) };
+        let ranges = [length, length, angle, angle, angle];
+        for right in [AngleReading::Apart, AngleReading::Chain] {
+            let memory = remembered(right == AngleReading::Chain, &ranges, places);
+            for present in [AngleReading::Apart, AngleReading::Chain] {
+                let mut alignment = Alignment::new(reward_readings(places, &ranges), 1000);
+                let assumed = RewardAssumption { shift: 0, reading: present };
+                let found = (0..20).find_map(|_| alignment.weigh(&memory, assumed, 1e-7, 20_000_000)).expect("weighed");
+                assert_eq!(found.reading, right, "{present:?}, {}", alignment.chain);
+            }
+        }
     }
 }

@@ -13,7 +13,8 @@
 //! | `features.rs` | explicit features of that kernel | Rahimi & Recht 2007; Yu et al. 2016 |
 //! | `regression.rs` | posterior of the weights, by recursion | Bishop 2006; MacKay 1992 |
 //! | `evidence.rs` | marginal likelihood of the scales | Rasmussen & Williams 2006, chapter 5 |
-//! | `alignment.rs` | how late rewards come | |
+//! | `alignment.rs` | how late rewards come, how angles are read | |
+//! | `spread.rs` | points far from each other | Gonzalez 1985 |
 //! | `dynamics.rs` | the models of movement | |
 //! | `refit.rs`, `model.rs`, `memory.rs` | fitting anew in slices, the models, the ticks that were seen | |
 //! | `weighted.rs`, `world.rs` | predictions with their derivatives | Griewank & Walther 2008 |
@@ -75,6 +76,7 @@ mod planner;
 mod refit;
 mod regression;
 mod rivals;
+mod spread;
 mod weighted;
 mod world;
 

@@ -209,7 +209,9 @@ impl ModelPredictive {
     /// before, the reward models begin anew.
     fn weigh_assumptions(&mut self) -> bool {
         let present = RewardAssumption { shift: self.shift, reading: self.reading };
-        let weighed = self.alignment.weigh(&self.memory, present, self.config.noise_floor);
+        let operations = self.budget.for_refits((self.config.refit_operations * 1e6) as u64);
+        let weighed = self.alignment.weigh(&self.memory, present, self.config.noise_floor, operations);
+        self.budget.spent += self.alignment.spent;
         if let Some(assumed) = weighed.filter(|assumed| *assumed != present) {
             self.shift = assumed.shift;
             self.reading = assumed.reading;
@@ -245,7 +247,7 @@ impl ModelPredictive {
                 }
             }
             self.refits += 1;
-            self.next_refit = self.tick + (0.35 * self.tick as f64).min(1000.0) as u64 + 5;
+            self.next_refit = self.tick + (0.35 * self.tick as f64).min(1000.0) as u64 + 10;
         }
         let mut left = self.budget.for_refits((self.config.refit_operations * 1e6) as u64);
         let better = self.better();

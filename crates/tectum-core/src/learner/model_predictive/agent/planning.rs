@@ -32,6 +32,7 @@ impl ModelPredictive {
             after: better == 1,
             best,
             caution: if self.frozen { CAUTION_AT_REST } else { CAUTION },
+            idle: 0,
             ranges: &self.ranges,
             scratch: &mut self.scratch,
         };
@@ -39,6 +40,7 @@ impl ModelPredictive {
         self.after[..nx].copy_from_slice(&self.state);
         self.after[nx..].copy_from_slice(&self.command[..m]);
         world.step(&self.after, &mut self.start);
+        world.find_idle(&self.after);
         self.plan.shift();
         let began = self.planner.work;
         self.planner.roll_out(&mut world, &mut self.plan, &self.start);

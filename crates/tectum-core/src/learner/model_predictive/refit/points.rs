@@ -7,6 +7,7 @@ use super::super::features::BasisValues;
 use super::super::layout::Layout;
 use super::super::memory::{Data, Lesson};
 use super::super::model::{MAX_MODEL_OUTPUTS, ModelFit};
+use super::super::spread::spread_out;
 use super::{Phase, Refit};
 use crate::seed::Rng;
 
@@ -95,13 +96,11 @@ impl Refit {
         (wanted * fit.regression.len) as u64
     }
 
-    /// Chooses most of the `wanted` points one by one, each the farthest from those before it, over the components of
-    /// all units (Gonzalez 1985): most ticks are alike, because an arm mostly stands at its target. Marks them by a
+    /// Chooses most of the `wanted` points, far from each other over the components of all units. Marks them by a
     /// negative distance in `least`, and returns their number.
     fn spread_out(&mut self, layout: &Layout, fit: &ModelFit, data: &dyn Data, wanted: usize) -> u64 {
         let [first, end] = self.range;
         let (ticks, width, outputs) = ((end - first) as usize, layout.components, fit.regression.outputs);
-        let mut last = None;
         for k in 0..ticks {
             // What teaches nothing is as near as can be.
             self.least[k] = 0.0;
@@ -109,29 +108,9 @@ impl Refit {
                 self.least[k] = f64::INFINITY;
                 let e = &mut self.looks[k * width..(k + 1) * width];
                 layout.components(&fit.features.frequencies, &self.q, e, None);
-                last = Some(k);
             }
         }
-        let mut chosen = 0;
-        while let Some(at) = last.filter(|_| chosen < (SPREAD * wanted as f64) as u64) {
-            self.least[at] = -1.0;
-            chosen += 1;
-            let mut farthest = 0.0;
-            last = None;
-            for k in 0..ticks {
-                if self.least[k] <= 0.0 {
-                    continue;
-                }
-                let (a, b) = (&self.looks[k * width..(k + 1) * width], &self.looks[at * width..(at + 1) * width]);
-                let apart = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum();
-                self.least[k] = self.least[k].min(apart);
-                if self.least[k] > farthest {
-                    farthest = self.least[k];
-                    last = Some(k);
-                }
-            }
-        }
-        chosen
+        spread_out(&self.looks, width, &mut self.least[..ticks], (SPREAD * wanted as f64) as u64)
     }
 
     /// How strange the points are, compared with half of them.
