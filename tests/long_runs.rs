@@ -16,6 +16,8 @@ use std::time::{Duration, Instant};
 
 use support::{TECTUM, TestFolder, append, assert_no_debris, children, domain, shared_memory};
 
+/// Of what memory is measured.
+const MEASURED: [&str; 5] = ["/dev/shm", "launcher", "tectum-controller", "tectum-logger", "tectum-simulator"];
 /// Memory that may come and go, bytes: pages of libraries, stacks, buffers of the allocator.
 const SLACK: u64 = 2 << 20;
 /// Time between two readings of a process's memory.
@@ -111,8 +113,9 @@ fn measured_run(ticks: u64, every: &str, faults: &str) -> serde_json::Value {
         }
         false
     });
-    // The processes of the last readings are already at their end.
-    readings.retain(|memory| memory.len() == 5 && memory.values().all(|&bytes| bytes > 0));
+    // The processes of the last readings are already at their end, and one that has just been started still has the
+    // launcher's name.
+    readings.retain(|memory| memory.keys().eq(MEASURED) && memory.values().all(|&bytes| bytes > 0));
     let tenth = readings.len() / 10;
     assert!(tenth > 5, "the run is too short to be measured: {} readings", readings.len());
     let (early, late) = (most(&readings[..tenth]), most(&readings[readings.len() - tenth..]));
