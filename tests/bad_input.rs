@@ -39,8 +39,8 @@ fn unknown_and_broken_scenarios_are_refused() {
         format!(
             "tectum: there is no scenario \"nowhere.toml\": no file {}/nowhere.toml exists, and no built-in scenario \
              has that name; the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, \
-             todorov, open-loop-3, open-loop-4, office, pendulum, cart-pole, so101, so101-emulated, servo-simulated, \
-             servo-emulated and servo-vision",
+             todorov, open-loop-3, open-loop-4, office, pendulum, cart-pole, so101, so101-emulated, so101-planar, \
+             servo-simulated, servo-emulated and servo-vision",
             test_folder.path().display()
         )
     );

@@ -1,72 +1,18 @@
-//! The bridge on the emulated chain, in virtual time: replacing the simulator, learning, limits, and the effect of each
-//! fault.
-//!
-//! The effects of faults must equal `tests/snapshots/servo_faults.txt`. A change of that table is a change of the
-//! bridge's reaction to faults and must be reviewed there. To write it anew: `TECTUM_BLESS=1 cargo test --test bridge`.
+//! The bridge on the emulated chain, in virtual time: replacing the simulator, learning, limits, and the checks before
+//! torque. `tests/bridge_faults.rs` has the effects of faults.
 
-#[path = "support/snapshot.rs"]
-mod snapshot;
+#[path = "support/virtual_bridge.rs"]
+mod virtual_bridge;
 
-use std::fmt::Write as _;
 use std::sync::{Arc, Mutex};
 
-use snapshot::assert_snapshot;
-use tectum::runtime::{Controller, PlantSide};
-use tectum::scenario::{EmulatorConfig, Plan, Scenario};
-use tectum::servo::bridge::{Bridge, BridgeError, SafetyState, TripCause, joints_of};
-use tectum::servo::bus::{Bus, BusError};
-use tectum::servo::emulator::{EmulatedChain, EmulatedPort, SteppedClock};
+use tectum::scenario::{EmulatorConfig, Scenario};
+use tectum::servo::bridge::{SafetyState, joints_of};
+use tectum::servo::emulator::{EmulatedChain, SteppedClock};
 use tectum::servo::model::{Protocol, ServoModel};
 use tectum::servo::tools::calibrate;
-use tectum::wire::{Command, Learning, MAX_OUTPUTS, Observation, Vision, flag};
-
-/// The plan of `scenarios/servo-emulated.toml` with this emulator, this number of ticks, and `change` applied to its
-/// text.
-fn plan(emulator: &str, ticks: u64, change: impl FnOnce(String) -> String) -> Plan {
-    let text = std::fs::read_to_string("scenarios/servo-emulated.toml").unwrap();
-    let (head, tail) = text.split_once("\n[plant.emulator]\n").unwrap();
-    let (_, tail) = tail.split_once("[encoder]").unwrap();
-    let text = change(format!("{head}\n[plant.emulator]\n{emulator}\n[encoder]{tail}"));
-    let mut scenario = Scenario::parse(&text, "bridge").unwrap();
-    scenario.ticks = ticks;
-    scenario.plan().unwrap()
-}
-
-/// A bridge on an emulated chain.
-struct Setup {
-    chain: Arc<Mutex<EmulatedChain>>,
-    clock: SteppedClock,
-    bridge: Bridge,
-}
-
-/// A bridge on the chain that the plan describes.
-fn set_up(plan: &Plan) -> Setup {
-    let servos = plan.scenario.plant.servos.as_ref().unwrap();
-    let ids: Vec<u8> = joints_of(plan).unwrap().iter().map(|joint| joint.id).collect();
-    let ideal = EmulatorConfig::default();
-    let settings = plan.scenario.plant.emulator.as_ref().unwrap_or(&ideal);
-    let chain = EmulatedChain::new(servos.protocol, &ids, servos.baud, settings, plan.scenario.seed);
-    set_up_on(plan, chain).unwrap()
-}
-
-/// A bridge on any chain, which may differ from the plan's.
-fn set_up_on(plan: &Plan, chain: EmulatedChain) -> Result<Setup, BridgeError> {
-    let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
-    let bridge = Bridge::new(plan, bus_to(&chain, &clock, plan), joints_of(plan)?, Box::new(|_| {}))?;
-    Ok(Setup { chain, clock, bridge })
-}
-
-/// The plan's host side of the bus.
-fn bus_to(chain: &Arc<Mutex<EmulatedChain>>, clock: &SteppedClock, plan: &Plan) -> Bus {
-    let servos = plan.scenario.plant.servos.as_ref().unwrap();
-    let (port, now) = (EmulatedPort::new(Arc::clone(chain), clock.clone(), servos.baud), clock.clone());
-    Bus::over(Box::new(port), servos.protocol, Bridge::budget(plan), Box::new(move || now.now()))
-}
-
-/// A scenario's text with another protocol.
-fn with_protocol(text: &str, protocol: Protocol) -> String {
-    text.replace("\"dynamixel\" ", &format!("\"{}\" ", protocol.name()))
-}
+use tectum::wire::{MAX_OUTPUTS, Observation, Vision, flag};
+use virtual_bridge::{bus_to, plan, run, run_learning, set_up, set_up_on, with_protocol};
 
 /// The error at the end of a target, averaged over the targets of the last quarter of the run.
 fn end_error(observations: &[Observation]) -> f64 {
@@ -74,47 +20,6 @@ fn end_error(observations: &[Observation]) -> f64 {
     let ends: Vec<f64> =
         late.iter().filter(|o| o.header.flags & flag::NEW_TARGET != 0).map(|o| f64::from(o.measures[0])).collect();
     ends.iter().sum::<f64>() / ends.len() as f64
-}
-
-/// One run in virtual time. `command_arrives` decides for every tick whether the bridge receives the command. Returns
-/// the observations, whether any servo had torque at the end of each tick, and the bridge.
-fn run(plan: &Plan, setup: Setup, command_arrives: impl FnMut(u64) -> bool) -> (Vec<Observation>, Vec<bool>, Bridge) {
-    let (all, torque, bridge, _) = run_learning(plan, setup, command_arrives);
-    (all, torque, bridge)
-}
-
-/// The same, and returns the learning sample of each tick as well.
-fn run_learning(
-    plan: &Plan,
-    setup: Setup,
-    mut command_arrives: impl FnMut(u64) -> bool,
-) -> (Vec<Observation>, Vec<bool>, Bridge, Vec<Learning>) {
-    let Setup { chain, clock, bridge } = setup;
-    let mut t0 = clock.now();
-    let mut side = PlantSide::new(bridge, plan);
-    let mut controller = Controller::new(plan);
-    let (mut observation, mut command) = (Observation::default(), Command::default());
-    let (mut all, mut torque, mut learned) = (Vec::new(), Vec::new(), Vec::new());
-    for tick in 0..plan.scenario.ticks {
-        side.observe(tick, 0, 0, &mut observation);
-        all.push(observation);
-        controller.respond(&observation, &mut command);
-        controller.after_command(&observation);
-        let mut learning = Learning::default();
-        controller.record(&observation, &mut learning);
-        learned.push(learning);
-        let before = clock.now();
-        let arrives = command_arrives(tick);
-        // A test may let time pass here, as if the process had been stopped.
-        t0 += clock.now() - before;
-        side.apply(tick, arrives.then_some(&command), true);
-        let end = t0 + (tick + 1) * plan.period_ns;
-        assert!(clock.now() <= end, "tick {tick}: the bus took longer than the tick");
-        clock.step_to(end);
-        torque.push(chain.lock().unwrap().state(end).iter().any(|servo| servo.torque));
-        side.finish_step(tick);
-    }
-    (all, torque, side.into_body(), learned)
 }
 
 #[test]
@@ -363,132 +268,6 @@ fn late_answers_are_not_taken_for_the_next_request() {
     }
 }
 
-/// A panic with torque on, here in the callback for messages, turns torque off before the process ends.
-#[test]
-fn a_panic_turns_torque_off() {
-    let plan = plan("", 100, |text| text);
-    let servos = plan.scenario.plant.servos.as_ref().unwrap();
-    let chain = EmulatedChain::new(servos.protocol, &[1, 2, 3, 4], servos.baud, &EmulatorConfig::default(), 1);
-    let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
-    let bus = bus_to(&chain, &clock, &plan);
-    let had_torque = Arc::new(Mutex::new(false));
-    let (observed, now, result) = (Arc::clone(&chain), clock.clone(), Arc::clone(&had_torque));
-    let report = move |text: &str| {
-        if text.contains("torque is on") {
-            *result.lock().unwrap() = observed.lock().unwrap().state(now.now()).iter().all(|servo| servo.torque);
-            panic!("a panic like any other");
-        }
-    };
-    let mut bridge = Bridge::new(&plan, bus, joints_of(&plan).unwrap(), Box::new(report)).unwrap();
-    bridge.arm().unwrap();
-    let setup = Setup { chain: Arc::clone(&chain), clock: clock.clone(), bridge };
-    let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run(&plan, setup, |_| true)));
-    assert!(ended.is_err() && *had_torque.lock().unwrap(), "it did not panic with torque on");
-    assert!(chain.lock().unwrap().state(clock.now()).iter().all(|servo| !servo.torque));
-}
-
-/// An hour with all faults at once. The applied command is always within limits, no tick takes longer than its period,
-/// and no servo has torque in a tick whose flags say that torque is off.
-#[test]
-fn an_hour_of_mixed_faults_stays_within_limits() {
-    let mixed: String = ["no-reply", "bad-checksum", "wrong-id", "slow", "cable-out"]
-        .map(|kind| format!("[[plant.emulator.faults]]\nkind = \"{kind}\"\nprobability = 0.001\n"))
-        .concat();
-    let plan = plan(&mixed, 72_000, |text| text.replace("\"learned-reward\"", "\"paper\""));
-    let mut setup = set_up(&plan);
-    setup.bridge.arm().unwrap();
-    let key = setup.bridge.arm_request();
-    let (all, torque, bridge) = run(&plan, setup, |tick| {
-        // The operator arms the bridge again every ten seconds.
-        key.store(tick % 200 == 0, std::sync::atomic::Ordering::Relaxed);
-        tick % 1009 > 8
-    });
-    let most = 0.01 * 1.0001;
-    for (observation, on) in all[1..].iter().zip(&torque) {
-        let off = observation.header.flags & (flag::UNARMED | flag::TRIPPED) != 0;
-        assert!(observation.applied.iter().all(|u| u.abs() <= most), "{:?}", observation.applied);
-        assert!(!off || observation.applied == [0.0; MAX_OUTPUTS], "tick {}", observation.header.tick);
-        assert!(!(off && *on) || observation.header.flags & flag::BLIND != 0, "tick {}", observation.header.tick);
-    }
-    let with_torque = torque.iter().filter(|on| **on).count();
-    assert!(
-        bridge.report.blind > 10 && with_torque > 36_000,
-        "{} blind, {with_torque} with torque, {:?}",
-        bridge.report.blind,
-        bridge.report.events
-    );
-}
-
-/// The faults of the table: name, and the keys of the emulator's fault from tick 100 to tick 200.
-const FAULTS: [(&str, &str); 9] = [
-    ("none", ""),
-    ("no-reply", "kind = \"no-reply\""),
-    ("bad-checksum", "kind = \"bad-checksum\""),
-    ("wrong-id", "kind = \"wrong-id\""),
-    ("slow", "kind = \"slow\"\ndelay_ms = 30.0"),
-    ("cable-out", "kind = \"cable-out\""),
-    ("overload", "kind = \"overload\""),
-    ("brown-out", "kind = \"brown-out\""),
-    ("hot", "kind = \"hot\""),
-];
-
-/// Runs one fault and describes its effect in a line. With `no_commands`, the bridge receives no commands during the
-/// fault.
-fn row(name: &str, emulator: &str, protocol: &str, no_commands: bool) -> String {
-    let plan = plan(emulator, 400, |text| text.replace("\"dynamixel\" ", &format!("\"{protocol}\" ")));
-    let mut setup = set_up(&plan);
-    setup.bridge.arm().unwrap();
-    let (all, torque, bridge) = run(&plan, setup, |tick| !no_commands || !(100..200).contains(&tick));
-    for observation in &all {
-        assert!(observation.applied.iter().all(|u| u.abs() <= 0.0101), "{name}: {:?}", observation.applied);
-    }
-    // Who fell silent is named.
-    for event in bridge.report.events.iter().filter(|event| event.cause == TripCause::BusLost) {
-        assert_eq!(event.servo, Some(2), "{name}");
-    }
-    let off = (100..400).find(|&tick| !torque[tick]);
-    let back = off.and_then(|off| (off..400).find(|&tick| torque[tick]));
-    let mut causes: Vec<String> = bridge.report.events.iter().map(|event| event.cause.to_string()).collect();
-    causes.dedup();
-    let at = |tick: Option<usize>| tick.map_or("-".to_owned(), |tick| format!("{} ms", (tick as i64 - 99) * 50));
-    format!(
-        "{protocol:<10} {name:<14} {:>6} blind  torque off after {:>8}, on again after {:>8}  {}",
-        bridge.report.blind,
-        at(off),
-        at(back),
-        causes.join(", ")
-    )
-}
-
-#[test]
-fn each_fault_has_its_recorded_effect() {
-    let mut table = String::from("A fault from tick 100 to tick 200 of 400, of 50 ms each: what it does.\n\n");
-    for protocol in ["dynamixel", "feetech"] {
-        for (name, fault) in FAULTS {
-            let text = match fault {
-                "" => String::new(),
-                fault => format!("[[plant.emulator.faults]]\n{fault}\nservo = 2\nfrom_s = 5.0\nuntil_s = 10.0\n"),
-            };
-            writeln!(table, "{}", row(name, &text, protocol, false)).unwrap();
-        }
-        writeln!(table, "{}", row("commands away", "", protocol, true)).unwrap();
-    }
-    table += "\nA loss at tick 100 of 400, of 50 ms each, over at tick 120 (by itself, or when armed by hand).\n\n";
-    for protocol in [Protocol::Dynamixel, Protocol::Feetech] {
-        for (name, loss) in [
-            ("cable out", Loss::CableOut),
-            ("asleep", Loss::Asleep),
-            ("frozen", Loss::Frozen),
-            ("guard dead", Loss::GuardDead),
-        ] {
-            for rearm in ["automatic", "by-hand"] {
-                writeln!(table, "{}", loss_row(name, loss, protocol, rearm)).unwrap();
-            }
-        }
-    }
-    assert_snapshot("tests/snapshots/servo_faults.txt", &table);
-}
-
 /// A joint stands at the end of its range next to the encoder's 0, where a reading may come from the other end of the
 /// turn. No goal leads the long way round.
 #[test]
@@ -657,65 +436,4 @@ fn calibrate_asks_again_what_failed() {
     hand.steps = Vec::from(steps).into_iter();
     let joint = calibrate(&mut bus, &[1], 6.0, &mut hand, &mut Vec::new()).unwrap().joints.remove(0);
     assert_eq!((joint.zero, joint.direction, joint.raw_ends()), (2000, 1, Some([1000, 3000])));
-}
-
-/// What happens to a bridge that loses its port, its guard, or time, from tick 100 on.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Loss {
-    CableOut,
-    Asleep,
-    Frozen,
-    GuardDead,
-}
-
-/// Runs a loss that is over at tick 120, and describes its effect in a line.
-fn loss_row(name: &str, loss: Loss, protocol: Protocol, rearm: &str) -> String {
-    let plan = plan("", 400, |text| {
-        with_protocol(&text, protocol).replace("armed = true ", &format!("rearm = \"{rearm}\"\narmed = true "))
-    });
-    let servos = plan.scenario.plant.servos.clone().unwrap();
-    let chain = EmulatedChain::new(protocol, &[1, 2, 3, 4], servos.baud, &EmulatorConfig::default(), 1);
-    let (chain, clock) = (Arc::new(Mutex::new(chain)), SteppedClock::default());
-    let mut bus = bus_to(&chain, &clock, &plan);
-    let (line, now) = (Arc::clone(&chain), clock.clone());
-    bus.set_opener(Box::new(move || {
-        let out = line.lock().unwrap().is_cable_out();
-        if out {
-            return Err(BusError::NoPort("arm".to_owned()));
-        }
-        Ok(Box::new(EmulatedPort::new(Arc::clone(&line), now.clone(), servos.baud)))
-    }));
-    let mut bridge = Bridge::new(&plan, bus, joints_of(&plan).unwrap(), Box::new(|_| {})).unwrap();
-    let tick_now = Arc::new(std::sync::atomic::AtomicU64::new(0));
-    let at = |tick: &Arc<std::sync::atomic::AtomicU64>| tick.load(std::sync::atomic::Ordering::Relaxed);
-    let (of_guard, of_clock) = (Arc::clone(&tick_now), Arc::clone(&tick_now));
-    bridge.set_guard(Box::new(move |_| loss != Loss::GuardDead || at(&of_guard) < 100));
-    bridge.set_sleep_clock(Box::new(
-        move || if loss == Loss::Asleep && at(&of_clock) >= 100 { 3_600_000_000_000 } else { 0 },
-    ));
-    bridge.arm().unwrap();
-    let (line, time) = (Arc::clone(&chain), clock.clone());
-    let setup = Setup { chain, clock, bridge };
-    let (_, torque, bridge) = run(&plan, setup, |tick| {
-        tick_now.store(tick, std::sync::atomic::Ordering::Relaxed);
-        match (loss, tick) {
-            (Loss::CableOut, 100) => line.lock().unwrap().pull_cable(),
-            (Loss::CableOut, 120) => line.lock().unwrap().put_cable_back(),
-            (Loss::Frozen, 100) => time.step_to(time.now() + 500_000_000),
-            _ => {}
-        }
-        true
-    });
-    let off = (100..400).find(|&tick| !torque[tick]);
-    let back = off.and_then(|off| (off..400).find(|&tick| torque[tick]));
-    let mut causes: Vec<String> = bridge.report.events.iter().map(|event| event.cause.to_string()).collect();
-    causes.dedup();
-    let at = |tick: Option<usize>| tick.map_or("-".to_owned(), |tick| format!("{} ms", (tick as i64 - 99) * 50));
-    format!(
-        "{:<10} {name:<14} {rearm:<9}  torque off after {:>8}, on again after {:>8}  {}",
-        protocol.name(),
-        at(off),
-        at(back),
-        causes.join(", ")
-    )
 }

@@ -1,5 +1,5 @@
-//! The arm SO-101 on emulated servos: in lockstep it is a function of scenario and seed, in real time it runs behind a
-//! pseudo-terminal, and its gripper is held.
+//! The arm SO-101 on emulated servos, whole and in a plane: in lockstep it is a function of scenario and seed, in real
+//! time it runs behind a pseudo-terminal, and what is held stays where it is.
 
 #[path = "support/emulator.rs"]
 mod emulator;
@@ -12,15 +12,35 @@ use tectum::scenario::Scenario;
 
 /// `scenarios/so101-emulated.toml` with a quick learner and `change` applied to its text.
 fn scenario(test_folder: &TestFolder, change: impl FnOnce(String) -> String) -> String {
-    let text = std::fs::read_to_string("scenarios/so101-emulated.toml").unwrap();
+    changed(test_folder, "so101-emulated", change)
+}
+
+/// The same of the scenario `name`.
+fn changed(test_folder: &TestFolder, name: &str, change: impl FnOnce(String) -> String) -> String {
+    let text = std::fs::read_to_string(format!("scenarios/{name}.toml")).unwrap();
     let text = change(text.replace("rule = \"model-predictive\"", "rule = \"paper\""));
     test_folder.write_file("so101.toml", text).to_str().unwrap().to_owned()
 }
 
 #[test]
 fn in_lockstep_it_is_a_function_of_scenario_and_seed() {
+    let columns = ["target_y", "target_z", "shoulder_pan", "wrist_roll", "error", "end_z", "bus_write_us"];
+    is_a_function_of_scenario_and_seed("so101-emulated", &columns, &["gripper"]);
+}
+
+#[test]
+fn in_a_plane_it_is_a_function_of_scenario_and_seed() {
+    let columns = ["target_x", "target_z", "shoulder_lift", "wrist_flex", "error", "end_z", "bus_write_us"];
+    is_a_function_of_scenario_and_seed(
+        "so101-planar",
+        &columns,
+        &["target_y", "shoulder_pan", "wrist_roll", "gripper"],
+    );
+}
+
+fn is_a_function_of_scenario_and_seed(name: &str, columns: &[&str], missing: &[&str]) {
     let test_folder = TestFolder::new();
-    let scenario = scenario(&test_folder, |text| text);
+    let scenario = changed(&test_folder, name, |text| text);
     let result = |name: &str, seed: &str| {
         let run = ["run", &scenario, "--mode", "lockstep", "--ticks", "300", "--seed", seed, "--name", name, "--json"];
         test_folder.start(TECTUM, &run).wait().expect(0);
@@ -34,10 +54,10 @@ fn in_lockstep_it_is_a_function_of_scenario_and_seed() {
     };
     let (one, again, other) = (result("one", "1"), result("again", "1"), result("other", "2"));
     let head = one.lines().find(|line| line.contains("target_z")).expect("a head");
-    for column in ["shoulder_pan", "wrist_roll", "error", "end_z", "bus_write_us"] {
+    for column in columns {
         assert!(head.contains(column), "{column}: {head}");
     }
-    assert!(!head.contains("gripper"), "{head}");
+    assert!(missing.iter().all(|column| !head.contains(column)), "{head}");
     // The run's id and the writer's times differ; what was measured does not.
     let samples = |text: &str| -> Vec<String> {
         let stamps = |line: &str| line.split(',').skip(2).collect::<Vec<_>>().join(",");
@@ -50,6 +70,16 @@ fn in_lockstep_it_is_a_function_of_scenario_and_seed() {
 /// The gripper has torque and stays where it stood when torque came on; the other joints move within their stops.
 #[test]
 fn in_real_time_five_joints_move_and_the_gripper_is_held() {
+    the_others_are_held("so101-emulated", &[1, 2, 3, 4, 5]);
+}
+
+#[test]
+fn in_a_plane_pan_and_roll_are_held_too() {
+    the_others_are_held("so101-planar", &[2, 3, 4]);
+}
+
+/// Runs the scenario `name` in real time: the servos `moving` move, and no other.
+fn the_others_are_held(name: &str, moving: &[usize]) {
     let test_folder = TestFolder::new();
     let arguments = ["--protocol", "feetech", "--ids", "1,2,3,4,5,6", "--link", "arm", "--trace"];
     let mut emulator = Emulator::start(&test_folder, &arguments);
@@ -64,7 +94,7 @@ fn in_real_time_five_joints_move_and_the_gripper_is_held() {
     while take(&mut emulator)[6].is_null() {}
     emulator.send_command("hand 6 2400");
     while take(&mut emulator)[6]["position"] != 2400.0 {}
-    let scenario = scenario(&test_folder, |text| {
+    let scenario = changed(&test_folder, name, |text| {
         text.replace("port = \"emulator\"  ", "port = \"arm\"  ").replace("sigma = 0.1 ", "sigma = 0.5 ")
     });
     let run = test_folder.run(&[&scenario, "--ticks", "60", "--json"]);
@@ -75,7 +105,9 @@ fn in_real_time_five_joints_move_and_the_gripper_is_held() {
     emulator.send_command("state");
     let servos = take(&mut emulator);
     assert_eq!(servos[6]["position"], 2400.0, "the gripper moved");
-    assert!((1..=5).any(|id| servos[id]["position"] != 2048.0), "{servos:?}");
+    for id in 1..=5 {
+        assert_eq!(servos[id]["position"] != 2048.0, moving.contains(&id), "servo {id}: {servos:?}");
+    }
     assert!(servos[1..].iter().all(|servo| servo["torque"] == false), "{servos:?}");
     assert_no_debris(test_folder.run_folder());
 }

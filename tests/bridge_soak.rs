@@ -1,5 +1,6 @@
-//! A soak of the bridge: bridges, guards, launchers and `jog` are killed, stopped and hung up, and cables are pulled
-//! out and put back, at random instants, on emulated chains of both protocols.
+//! A soak of the bridge: bridges, guards, controllers, launchers and `jog` are killed, stopped and hung up, their
+//! terminals are closed, and cables are pulled out and put back, at random instants, on emulated chains of both
+//! protocols.
 //!
 //! After each fault it requires that torque goes off where that is promised, that no shaft turned further than
 //! `max_speed` times five periods without an instruction, that every process ends or goes on, and at the end that
@@ -17,13 +18,14 @@ mod support;
 
 use std::collections::BTreeMap;
 use std::io::BufRead as _;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use emulator::Emulator;
 use rand::RngExt as _;
 use serde_json::Value;
+use support::terminal::TestTerminal;
 use support::{Process, TECTUM, TestFolder, WATCHDOG, children, domain, has_ended, shared_memory, signal_process};
 use tectum::seed::{Rng, stream};
 use tectum::servo::model::STEP;
@@ -36,10 +38,20 @@ const MAX_SPEED: f64 = 1.0;
 const TICKS: &str = "100000";
 
 /// Faults after which the run goes on.
-const PASSING: [&str; 6] = ["bridge KILL", "bridge STOP", "bridge TSTP", "cable", "answers lost", "controller KILL"];
+const PASSING: [&str; 8] = [
+    "bridge KILL",
+    "bridge STOP",
+    "bridge TSTP",
+    "cable",
+    "answers lost",
+    "controller KILL",
+    "controller STOP",
+    "launcher STOP",
+];
 /// Faults that end the run.
-const FINAL: [&str; 9] = [
+const FINAL: [&str; 11] = [
     "bridge HUP",
+    "bridge INT",
     "bridge QUIT",
     "bridge TERM",
     "guard KILL",
@@ -47,10 +59,13 @@ const FINAL: [&str; 9] = [
     "launcher TERM",
     "launcher HUP",
     "launcher KILL",
+    TERMINAL,
     "cable, then launcher INT",
 ];
-/// Signals to `jog`.
-const JOG: [&str; 5] = ["KILL", "STOP", "HUP", "TERM", "cable"];
+/// Faults of `jog`.
+const JOG: [&str; 7] = ["KILL", "STOP", "HUP", "TERM", "QUIT", "cable", TERMINAL];
+/// The terminal in which the program runs is closed.
+const TERMINAL: &str = "terminal closed";
 
 /// An emulated chain of four servos, and what it has said of itself.
 struct Arm {
@@ -188,11 +203,15 @@ impl Soak {
         self.faults.values().sum()
     }
 
-    fn start(&mut self) -> Process {
+    /// Starts a run, in a terminal if there is one.
+    fn start(&mut self, terminal: Option<&TestTerminal>) -> Process {
         self.sessions += 1;
         let name = format!("session-{}", self.sessions);
         let run = ["run", self.scenario.as_str(), "--ticks", TICKS, "--out", &name];
-        let mut run = self.folder.start(TECTUM, &run);
+        let mut run = match terminal {
+            Some(terminal) => terminal.start(&self.folder, &run, true),
+            None => self.folder.start(TECTUM, &run),
+        };
         let folder = self.folder.path().join(&name);
         run.wait_until("the run's manifest", || folder.join("run.json").exists());
         self.domains.push(domain(&folder));
@@ -201,7 +220,9 @@ impl Soak {
 
     /// A run with some passing faults and a final one.
     fn session(&mut self) {
-        let mut run = self.start();
+        let end = self.one_of(&FINAL);
+        let terminal = (end == TERMINAL).then(|| TestTerminal::new([80, 24]));
+        let mut run = self.start(terminal.as_ref());
         self.arm.wait_for_torque(true, "the start of a run");
         for _ in 0..self.rng.random_range(0..4) {
             self.pause(1.5);
@@ -210,8 +231,7 @@ impl Soak {
             self.arm.wait_for_torque(true, fault);
         }
         self.pause(1.5);
-        let fault = self.one_of(&FINAL);
-        self.last(run, fault);
+        self.last(run, end, terminal);
     }
 
     fn passing(&mut self, run: &mut Process, fault: &str) {
@@ -230,16 +250,31 @@ impl Soak {
                 *self.faults.entry(fault.to_owned()).or_default() += 1;
                 return;
             }
+            "controller STOP" => {
+                let controller = run.child_pid("tectum-controller");
+                signal_process(controller, "STOP");
+                self.safe(fault, &[1, 2, 3, 4], since);
+                return signal_process(controller, "CONT");
+            }
+            // The processes go on without it.
+            "launcher STOP" => {
+                run.signal("STOP");
+                self.pause(1.5);
+                run.signal("CONT");
+                *self.faults.entry(fault.to_owned()).or_default() += 1;
+                return;
+            }
             signal => signal_process(run.child_pid("tectum-bridge"), &signal["bridge ".len()..]),
         }
         self.safe(fault, &[1, 2, 3, 4], since);
     }
 
-    fn last(&mut self, mut run: Process, fault: &str) {
+    fn last(&mut self, mut run: Process, fault: &str, terminal: Option<TestTerminal>) {
         let since = Instant::now();
         let (who, signal) = fault.rsplit_once(' ').unwrap();
         let mut processes = children(run.id());
         match who {
+            "terminal" => terminal.expect("a terminal").hang_up(),
             "bridge" => signal_process(run.child_pid("tectum-bridge"), signal),
             "guard" => {
                 let guards = children(run.child_pid("tectum-bridge"));
@@ -270,55 +305,49 @@ impl Soak {
     }
 
     /// Starts a motion of the second joint, and returns when it has torque. A loaded machine may refuse one.
-    fn start_jog(&mut self) -> Child {
+    fn start_jog(&mut self) -> (Process, TestTerminal) {
         // Towards the middle, so that the joint has room.
         self.arm.unattended();
         let at = self.arm.servos[1]["position"].as_f64().unwrap().rem_euclid(4096.0);
         let by = if at > 2048.0 { "-1.5" } else { "1.5" };
+        let jog = ["jog", "--port", "arm", "--protocol", self.protocol, "--id", "2", "--by", by, "--speed", "0.2"];
         for _ in 0..5 {
-            let mut jog = Command::new(BRIDGE)
-                .args(["jog", "--port", "arm", "--protocol", self.protocol, "--id", "2", "--by", by, "--speed", "0.2"])
-                .current_dir(self.folder.path())
-                .stdin(Stdio::null())
-                .stderr(Stdio::piped())
-                .stdout(Stdio::null())
-                .spawn()
-                .unwrap();
-            loop {
-                self.arm.unattended();
-                if self.arm.servos[1]["torque"] == true {
-                    return jog;
-                }
-                if jog.try_wait().unwrap().is_some() {
-                    println!("{}: jog: {:?}", self.protocol, std::io::read_to_string(jog.stderr.take().unwrap()));
-                    break;
-                }
-                std::thread::park_timeout(Duration::from_millis(20));
+            let terminal = TestTerminal::new([80, 24]);
+            let mut process = terminal.start_program(BRIDGE, &self.folder, &jog, true);
+            let arm = &mut self.arm;
+            process.wait_until_or_end("torque of `jog`", || {
+                arm.unattended();
+                arm.servos[1]["torque"] == true
+            });
+            if self.arm.servos[1]["torque"] == true {
+                return (process, terminal);
             }
+            println!("{}: jog: {:?}", self.protocol, terminal.text());
         }
         panic!("jog was refused five times");
     }
 
     /// One motion of a joint, in which `jog` meets a fault.
     fn jog(&mut self) {
-        let mut jog = self.start_jog();
+        let (jog, terminal) = self.start_jog();
         self.pause(1.0);
-        let (signal, since) = (self.one_of(&JOG), Instant::now());
-        match signal {
+        let (fault, since) = (self.one_of(&JOG), Instant::now());
+        match fault {
             "cable" => {
                 self.arm.emulator.send_command("unplug");
                 self.pause(1.0);
                 self.arm.emulator.send_command("plug");
             }
-            signal => signal_process(jog.id(), signal),
+            TERMINAL => terminal.hang_up(),
+            signal => jog.signal(signal),
         }
-        self.safe(&format!("jog {signal}"), &[2], since);
-        assert!(!jog.wait().unwrap().success(), "jog {signal}");
+        self.safe(&format!("jog {fault}"), &[2], since);
+        assert_ne!(jog.wait().code, Some(0), "jog {fault}");
     }
 
     /// Another run wipes what a killed launcher has left; nothing of any run remains.
     fn finish(mut self) {
-        let run = self.start();
+        let run = self.start(None);
         self.arm.wait_for_torque(true, "the last run");
         run.signal("INT");
         run.wait().expect(130);

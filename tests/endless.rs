@@ -107,6 +107,20 @@ fn an_endless_run_stays_within_its_limits() {
     from.wait().expect(0);
 }
 
+/// Loggers that die before a segment is full keep the log within its limit.
+#[test]
+fn loggers_that_die_early_keep_the_limit() {
+    let test_folder = TestFolder::new();
+    let file = scenario(&test_folder, "rotate = \"64 MB\"\nlimit_mb = 1.0");
+    let kills = "[[faults.process]]\nprocess = \"logger\"\ndo = \"kill\"\nat = [500, 1000, 1500, 2000, 2500, 3000]\n";
+    append(&file, &format!("\n[restart]\nbackoff_ms = 1\nhealthy_s = 0.0\n{kills}"));
+    let summary = run(&test_folder, &[&file, "--ticks", "3500", "--out", "run"]);
+    let (bytes, removed) = (summary["log_bytes"].as_u64().unwrap(), summary["log_removed_segments"].as_u64().unwrap());
+    // 3500 ticks are 2.6 MB. The last logger's own segment stays, and grows by what it writes.
+    assert!(bytes < 1_700_000 && removed > 0, "{bytes} bytes, {removed} segments removed");
+    assert_eq!(summary["lost"], 0, "{summary}");
+}
+
 /// More restarts than a board has pages, and the result is that of a run without any.
 #[test]
 #[ignore = "takes minutes; src/channel has a test of the boards alone"]

@@ -107,7 +107,7 @@ fn what_the_commands_move_is_said_by_the_plant_or_by_the_scenario() {
         scenario.learner.model.get_or_insert_default().moved = moved;
         scenario.plan()
     };
-    for name in ["arm", "so101"] {
+    for name in ["arm", "so101", "so101-planar"] {
         let spec = plan(name, &[]).unwrap().learner_spec();
         let outputs = plan(name, &[]).unwrap().outputs.len();
         let angles = spec.inputs[spec.inputs.len() - outputs..].iter().map(|input| input.name.clone());
@@ -258,8 +258,8 @@ fn a_misspelt_name_gets_suggestions() {
         (
             "nowhere",
             "the built-in ones are arm, paper, eye, near, laplace, limited, relative, collision, todorov, \
-             open-loop-3, open-loop-4, office, pendulum, cart-pole, so101, so101-emulated, servo-simulated, \
-             servo-emulated and servo-vision",
+             open-loop-3, open-loop-4, office, pendulum, cart-pole, so101, so101-emulated, so101-planar, \
+             servo-simulated, servo-emulated and servo-vision",
         ),
     ] {
         assert_eq!(remedy(name), remedies, "{name}");

@@ -231,6 +231,42 @@ fn metrics_tell_of_a_run_its_restart_and_its_end() {
     assert!(refused.contains("nothing can be served at nowhere"), "{refused}");
 }
 
+/// A run that serves metrics serves its own, and computes the same.
+#[test]
+fn a_run_serves_metrics_of_itself() {
+    let folder = TestFolder::new();
+    let other = long_run(&folder);
+    let arguments = ["arm", "--mode", "realtime", "--ticks", "100000", "--out", "own", "--metrics", "127.0.0.1:0"];
+    let run = WebWatcher::of_run(&folder, &arguments);
+    let began = Instant::now();
+    let text = loop {
+        let text = run.get("/metrics", run.host());
+        if text.contains("\ntectum_loss ") {
+            break text;
+        }
+        assert!(began.elapsed() < WATCHDOG, "{text}");
+        std::thread::park_timeout(Duration::from_millis(20));
+    };
+    assert!(text.contains("tectum_run_info{run=\"own\","), "{text}");
+    assert!(metric(&text, "tectum_ticks_total{process=\"logger\"}") > 0.0);
+    run.end();
+    assert!(folder.path().join("own/summary.json").exists());
+    end(other);
+
+    let hash = |more: &[&str], out: &str| {
+        let run = [&["paper", "--ticks", "2000", "--json", "--out", out], more].concat();
+        folder.tectum("run", &run).expect(0).json()["weights_hash"].clone()
+    };
+    assert_eq!(hash(&["--metrics", "127.0.0.1:0"], "with"), hash(&[], "without"));
+    for (arguments, message) in [
+        (["--metrics", "nowhere"], "nothing can be served at nowhere"),
+        (["--metrics=0", "--mode=in-process"], "a run in one process cannot be watched; leave out --metrics"),
+    ] {
+        let refused = folder.tectum("run", &arguments).refusal();
+        assert!(refused.contains(message), "{refused}");
+    }
+}
+
 /// A parser that others wrote takes the metrics, and finds names, kinds and labels as meant.
 #[test]
 #[ignore = "needs the Python package prometheus_client"]

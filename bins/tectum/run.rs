@@ -10,7 +10,7 @@ use tectum::runtime::{Mode, ResumePoint, exit};
 use tectum::scenario::limits::ENDLESS;
 use tectum::scenario::{Plan, Scenario};
 use tectum::supervise::{Launch, LaunchError, LearnedState, ResumedRun, RunSummary, resume, run, run_in_process};
-use tectum::watch::{WatchError, WatchedRun, end_with_parent, launch_and_watch};
+use tectum::watch::{WatchError, WatchedRun, end_with_parent, launch_and_watch, serve_metrics_of_own_run};
 use tectum::wire::Role;
 
 use super::print;
@@ -23,6 +23,7 @@ Examples:
   tectum run paper --seed 7 --ticks 1e6        another scenario, seed and length
   tectum run --mode realtime --ticks 200       ten seconds on the real clock
   tectum run --watch                           see it while it goes on
+  tectum run --metrics 9417                    metrics for Prometheus: http://127.0.0.1:9417/metrics
   tectum run --name demo --by-hand controller  wait for a controller that you start yourself
   tectum run --resume runs/arm-1               continue an interrupted run
   tectum run --resume runs/arm-1 --ticks 7200  and one that came to its end, up to another tick
@@ -62,6 +63,10 @@ pub struct Arguments {
     /// Watch the run in this terminal while it goes on (tectum watch)
     #[arg(long)]
     watch: bool,
+    /// Serve metrics in Prometheus' text format at this address (PORT or HOST:PORT), under /metrics, as long as the run
+    /// goes on; other addresses than this machine's own need a token, which the printed link has
+    #[arg(long, value_name = "ADDR")]
+    metrics: Option<String>,
     /// Begin with what another run has learned: its folder, its name, or a checkpoint of its controller. The plant, the
     /// mode and the seed may be others; inputs, outputs and learner must be the same
     #[arg(long, value_name = "RUN|CHECKPOINT", conflicts_with = "resume")]
@@ -128,6 +133,12 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     if arguments.watched_by.is_some_and(|parent| !end_with_parent(parent)) {
         return ExitCode::from(exit::TERMINATED);
     }
+    if let Some(address) = &arguments.metrics {
+        let served = if in_process(arguments) { Err(refused("--metrics")) } else { serve_metrics(address) };
+        if let Err(code) = served {
+            return code;
+        }
+    }
     match launch(arguments) {
         Ok(summary) => {
             let printed = show(&summary, arguments.json);
@@ -140,11 +151,36 @@ pub fn main(arguments: &Arguments) -> ExitCode {
     }
 }
 
+fn in_process(arguments: &Arguments) -> bool {
+    matches!(arguments.mode, Some(ModeArgument::InProcess))
+}
+
+/// Refuses what needs the memory that the processes of a run share.
+fn refused(flag: &str) -> ExitCode {
+    print_error_line(&format!(
+        "tectum: a run in one process cannot be watched; leave out {flag}, or use another --mode"
+    ));
+    ExitCode::from(exit::INPUT)
+}
+
+/// Serves metrics of the run that is about to begin, and says where.
+fn serve_metrics(address: &str) -> Result<(), ExitCode> {
+    match serve_metrics_of_own_run(address) {
+        Ok(link) => {
+            print_error_line(&format!("tectum: metrics are at {link}"));
+            Ok(())
+        }
+        Err(error) => {
+            print_error_line(&format!("tectum: {error}"));
+            Err(ExitCode::from(error.exit_code()))
+        }
+    }
+}
+
 /// Launches the run in a process of its own, watches it, and prints what that printed.
 fn watch(arguments: &Arguments) -> ExitCode {
-    if matches!(arguments.mode, Some(ModeArgument::InProcess)) {
-        print_error_line("tectum: a run in one process cannot be watched; leave out --watch, or use another --mode");
-        return ExitCode::from(exit::INPUT);
+    if in_process(arguments) {
+        return refused("--watch");
     }
     let mut own: Vec<OsString> = std::env::args_os().skip(1).filter(|argument| argument != "--watch").collect();
     own.extend(["--watched-by".into(), std::process::id().to_string().into()]);

@@ -79,6 +79,11 @@ pub enum WatchError {
     /// The launcher of the run to watch cannot be started.
     #[error("the run cannot be launched: {0}")]
     Launcher(std::io::Error),
+    /// The operating system allows no further thread.
+    #[error(
+        "there can be no thread for metrics: {0}; raise the limit on this user's processes and threads (ulimit -u)"
+    )]
+    Thread(std::io::Error),
     /// Signals cannot be handled.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
@@ -101,7 +106,7 @@ impl WatchError {
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Channel(error) => channel_exit_code(error),
-            Self::Signals(_) | Self::Launcher(_) => exit::ERROR,
+            Self::Signals(_) | Self::Launcher(_) | Self::Thread(_) => exit::ERROR,
             _ => exit::INPUT,
         }
     }

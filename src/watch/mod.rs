@@ -28,4 +28,4 @@ pub use foxglove::watch_by_foxglove;
 pub use snapshot::snapshot;
 pub use terminal::{FaceEnd, watch_in_terminal};
 pub use watched_run::{WatchedRun, end_with_parent, launch_and_watch};
-pub use web::{serve_metrics, watch_in_browser};
+pub use web::{serve_metrics, serve_metrics_of_own_run, watch_in_browser};

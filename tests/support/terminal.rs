@@ -5,9 +5,12 @@ use std::fs::File;
 use std::io::Read as _;
 use std::os::fd::OwnedFd;
 use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, Termios, Winsize, tcgetattr, tcsetwinsize};
@@ -19,6 +22,9 @@ pub struct TestTerminal {
     ours: OwnedFd,
     theirs: OwnedFd,
     received: Arc<Mutex<Vec<u8>>>,
+    /// Whether the reader is to end, and the reader.
+    closing: Arc<AtomicBool>,
+    reader: JoinHandle<()>,
 }
 
 impl TestTerminal {
@@ -32,14 +38,21 @@ impl TestTerminal {
         let theirs = rustix::fs::open(name.to_str().unwrap(), flags, Mode::empty()).unwrap();
         let received = Arc::new(Mutex::new(Vec::new()));
         let (mut file, into) = (File::from(ours.try_clone().unwrap()), Arc::clone(&received));
-        // Ends when the last program has closed the terminal.
-        std::thread::spawn(move || {
+        let closing = Arc::new(AtomicBool::new(false));
+        let ends = Arc::clone(&closing);
+        // Ends when the last program has closed the terminal, or the terminal is to hang up.
+        let reader = std::thread::spawn(move || {
             let mut bytes = [0; 4096];
-            while let Ok(n @ 1..) = file.read(&mut bytes) {
+            let limit = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
+            while !ends.load(Ordering::Relaxed) {
+                if poll(&mut [PollFd::new(&file, PollFlags::IN)], Some(&limit)) == Ok(0) {
+                    continue;
+                }
+                let Ok(n @ 1..) = file.read(&mut bytes) else { break };
                 into.lock().unwrap().extend(&bytes[..n]);
             }
         });
-        let terminal = Self { ours, theirs, received };
+        let terminal = Self { ours, theirs, received, closing, reader };
         terminal.resize(size);
         terminal
     }
@@ -62,6 +75,13 @@ impl TestTerminal {
         let stdio = || Stdio::from(self.theirs.try_clone().unwrap());
         command.stdin(stdio()).stdout(stdio()).stderr(stdio());
         Process::of_command(command, folder.run_folder())
+    }
+
+    /// Closes it, as a window that is closed or a connection that is lost: its programs get SIGHUP, and can neither
+    /// read nor write any more.
+    pub fn hang_up(self) {
+        self.closing.store(true, Ordering::Relaxed);
+        self.reader.join().unwrap();
     }
 
     /// Gives it another size.

@@ -1,4 +1,5 @@
-//! `tectum watch --web` in a test, and a reader of HTTP that is as simple as can be.
+//! `tectum watch --web` or a run that serves its own metrics in a test, and a reader of HTTP that is as simple as can
+//! be.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
@@ -9,7 +10,7 @@ use serde_json::Value;
 
 use super::{TECTUM, TestFolder, WATCHDOG, signal_process};
 
-/// A watcher that serves a page.
+/// A watcher that serves a page, or a run that serves metrics.
 pub struct WebWatcher {
     child: Child,
     /// The link that it printed.
@@ -26,6 +27,18 @@ impl WebWatcher {
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut url).unwrap();
         assert!(url.starts_with("http://"), "{url}");
         Self { child, url: url.trim().to_owned() }
+    }
+
+    /// Starts a run that serves its own metrics, and waits for the link.
+    pub fn of_run(folder: &TestFolder, arguments: &[&str]) -> Self {
+        let mut command = Command::new(TECTUM);
+        command.arg("run").args(arguments).current_dir(folder.path());
+        let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok);
+        let url = lines.find_map(|line| line.strip_prefix("tectum: metrics are at ").map(str::to_owned));
+        // What else it says is read, so that it can be said.
+        std::thread::spawn(move || lines.for_each(drop));
+        Self { child, url: url.expect("a link") }
     }
 
     /// Host and port of the link.

@@ -44,6 +44,10 @@ const PRESETS: &[Preset] = &[
     preset!("cart-pole", "dm_control's cart-pole: a cart swings a pole up and balances it."),
     preset!("so101", "The arm SO-101, simulated: five joints between stops, with a lag; targets in three dimensions."),
     preset!("so101-emulated", "The arm of `so101` on emulated servos with position goals; its gripper is held."),
+    preset!(
+        "so101-planar",
+        "As `so101-emulated`, but only its three joints with parallel axes move: targets in a plane."
+    ),
     preset!("servo-simulated", "The arm of `servo-emulated` with the simulator in the place of the servos."),
     preset!("servo-emulated", "An arm on four emulated Dynamixel servos behind a pseudo-terminal, in real time."),
     preset!("servo-vision", "As `servo-emulated`, but a tracker (such as a camera) reports target and end-effector."),

@@ -33,6 +33,7 @@
 mod chain;
 mod checks;
 mod leader;
+mod limits;
 mod motors;
 mod presence;
 mod report;
@@ -315,43 +316,6 @@ impl Bridge {
             self.task.stands(&self.theta);
         }
         self.last_outcome
-    }
-
-    /// Limits the first commands after torque came on to a growing fraction of the largest command. The gate's
-    /// own ramp begins with the first command, which may be long before arming. Returns the flags of what was
-    /// limited.
-    fn limit_to_ramp(&self, applied: &mut [f32]) -> u32 {
-        if self.torque_ticks >= self.ramp {
-            return 0;
-        }
-        let fraction = (self.torque_ticks + 1) as f32 / (self.ramp + 1) as f32;
-        let mut flags = 0;
-        for (u, max) in applied.iter_mut().zip(self.max_command) {
-            let limited = u.clamp(-max * fraction, max * fraction);
-            if limited != *u {
-                (*u, flags) = (limited, flag::CLAMPED | flag::RAMPED);
-            }
-        }
-        flags
-    }
-
-    /// Limits `applied` to the motors' speeds and ranges. Returns the motors' rates, rad/s, and the flags of
-    /// what was limited.
-    fn limit_to_motors(&self, applied: &mut [f32]) -> ([f64; MAX_OUTPUTS], u32) {
-        let n = self.moving;
-        let (mut requested, mut rates) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
-        for (rate, u) in requested.iter_mut().zip(applied.iter()) {
-            *rate = f64::from(self.gain * u);
-        }
-        chain::motors(self.angles, &requested[..n], &mut rates);
-        let (fast, far) = chain::limit(&self.joints, &self.motors[..n], f64::from(self.period), &mut rates);
-        if fast || far {
-            for (u, rate) in applied.iter_mut().zip(chain::along(self.angles, &rates)) {
-                *u = rate as f32 / self.gain;
-            }
-        }
-        let flags = if fast { flag::CLAMPED } else { 0 } | if far { flag::CLAMPED | flag::POSITION_LIMITED } else { 0 };
-        (rates, flags)
     }
 
     /// Arms the bridge if that was requested. Returns whether it was armed, and so checked, in this tick.

@@ -14,7 +14,7 @@ pub(super) mod request;
 use tectum_view::{metrics, page};
 
 use super::socket_server::{SocketFace, SocketServer, run_face};
-use super::{FaceEnd, Follower, WatchError};
+use super::{FaceEnd, Follower, WatchError, WatchTarget};
 use crate::clock::{TerminationSignals, monotonic_ns};
 use connection::{Connection, Served};
 
@@ -22,6 +22,8 @@ use connection::{Connection, Served};
 const PORT: u16 = 8417;
 /// Time between two updates, ns.
 const UPDATE_NS: u64 = 50_000_000;
+/// The same in a launcher that serves metrics of its own run, ns.
+const OWN_UPDATE_NS: u64 = 200_000_000;
 /// Most connections at a time.
 const MOST_CONNECTIONS: usize = 64;
 
@@ -50,6 +52,27 @@ pub fn serve_metrics(
     announce: impl FnOnce(&str) -> std::io::Result<()>,
 ) -> Result<FaceEnd, WatchError> {
     serve(follower, address, None, signals, announce)
+}
+
+/// Serves metrics of the run that this process is about to launch, from a thread of its own that ends with the process.
+/// Returns their address. The run is only read, as by any watcher, and as seldom as the launcher itself looks at it in
+/// real time.
+///
+/// # Errors
+/// [`WatchError::Address`] if the address cannot be listened on, [`WatchError::Thread`] if there can be no thread.
+pub fn serve_metrics_of_own_run(address: &str) -> Result<String, WatchError> {
+    let server = SocketServer::open(address, PORT)?;
+    let link = server.link("http", "metrics");
+    let mut face = WebFace { server, page: None, connections: Vec::new() };
+    let thread = std::thread::Builder::new().name("metrics".to_owned());
+    let serve = move || {
+        if let Ok(mut follower) = Follower::open(WatchTarget::LaunchedBy(std::process::id()), true) {
+            // Signals are the launcher's.
+            run_face(&mut face, &mut follower, &TerminationSignals::default(), OWN_UPDATE_NS);
+        }
+    };
+    thread.spawn(serve).map_err(WatchError::Thread)?;
+    Ok(link)
 }
 
 /// Serves `page`, or metrics alone where there is none.

@@ -2,7 +2,9 @@
 
 use std::f64::consts::PI;
 
-use super::{ArmConfig, BodyConfig, EyeConfig, MirrorAxis, Retina, cart_pole, pendulum, point_mass, reacher, so101};
+use super::{
+    ArmConfig, BodyConfig, EyeConfig, MirrorAxis, Retina, So101Config, cart_pole, pendulum, point_mass, reacher, so101,
+};
 use crate::SignalConfig;
 
 /// The signals of a plant.
@@ -59,7 +61,7 @@ impl BodyConfig {
                 &["error", "theta"],
             ),
             Self::PointMass(_) => of_point_mass(),
-            Self::So101(_) => of_so101(),
+            Self::So101(so101) => of_so101(so101),
         }
     }
 }
@@ -140,12 +142,14 @@ fn of_point_mass() -> BodySignals {
     signals(2, inputs, &["force_x", "force_y"], &["error", "x", "y"])
 }
 
-fn of_so101() -> BodySignals {
+fn of_so101(so101: &So101Config) -> BodySignals {
     let reach = [-so101::REACH, so101::REACH];
-    let mut inputs: Vec<_> = ["target_x", "target_y", "target_z"].map(|name| signal(name, "m", reach)).into();
-    inputs.extend(so101::NAMES.iter().zip(so101::LIMITS).map(|(name, limits)| signal(name, "rad", limits)));
-    let moved = so101::NAMES.len();
-    BodySignals { moved, ..signals(3, inputs, &so101::NAMES, &["error", "end_x", "end_y", "end_z"]) }
+    let target: &[&str] = if so101.planar { &["target_x", "target_z"] } else { &["target_x", "target_y", "target_z"] };
+    let mut inputs: Vec<_> = target.iter().map(|name| signal(name, "m", reach)).collect();
+    let moving = so101.moving();
+    inputs.extend(moving.iter().map(|&joint| signal(so101::NAMES[joint], "rad", so101::LIMITS[joint])));
+    let names = so101.names();
+    BodySignals { moved: moving.len(), ..signals(target.len(), inputs, &names, &["error", "end_x", "end_y", "end_z"]) }
 }
 
 fn signals(seen: usize, inputs: Vec<SignalConfig>, outputs: &[&str], measures: &[&str]) -> BodySignals {

@@ -4,6 +4,9 @@
 //! Joint origins, axes and limits are those of `Simulation/SO101/so101_new_calib.urdf` in the repository
 //! TheRobotStudio/SO-ARM100 (Apache-2.0): all joints but the gripper's own, and `gripper_frame` as end-effector. The
 //! model has no mass; `[plant.timing]` gives its motors a lag.
+//!
+//! With `planar = true` only the three joints move whose axes are parallel, and targets lie in their plane: pan and
+//! roll stay at 0.
 
 use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
@@ -20,6 +23,9 @@ pub(super) const NAMES: [&str; JOINTS] = ["shoulder_pan", "shoulder_lift", "elbo
 /// Least and greatest angle of each joint, rad.
 pub(super) const LIMITS: [[f64; 2]; JOINTS] =
     [[-1.91986, 1.91986], [-1.74533, 1.74533], [-1.69, 1.69], [-1.65806, 1.65806], [-2.74385, 2.84121]];
+/// The joints that move, from the base on: all, and those that move in a plane.
+const ALL: [usize; JOINTS] = [0, 1, 2, 3, 4];
+const PLANE: [usize; 3] = [1, 2, 3];
 /// Targets lie within this coordinate on every axis, m.
 pub(super) const REACH: f64 = 0.6;
 /// Least height of a target above the table, m.
@@ -54,15 +60,31 @@ pub struct So101Config {
     pub speed: f64,
     /// Weight of the squared angles.
     pub angle: f64,
+    /// Whether only shoulder_lift, elbow_flex and wrist_flex move, in the plane of x and z.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub planar: bool,
+}
+
+impl So101Config {
+    /// The joints that move, from the base on.
+    pub(super) fn moving(&self) -> &'static [usize] {
+        if self.planar { &PLANE } else { &ALL }
+    }
+
+    /// Names of the joints that move.
+    pub(super) fn names(&self) -> Vec<&'static str> {
+        self.moving().iter().map(|&joint| NAMES[joint]).collect()
+    }
 }
 
 impl Default for So101Config {
     fn default() -> Self {
-        Self { target_every: 80, gain: 5.3, scale: 10.0, speed: 0.0005, angle: 0.0001 }
+        Self { target_every: 80, gain: 5.3, scale: 10.0, speed: 0.0005, angle: 0.0001, planar: false }
     }
 }
 
-/// The model. State: the joints' angles, rad, then the target, m. Commands: rates in units of `gain`.
+/// The model. State: the angles of all joints, rad, then the target, m. Commands: rates of those that move, in units of
+/// `gain`.
 #[derive(Debug, Clone)]
 pub struct So101Model {
     config: So101Config,
@@ -80,6 +102,11 @@ impl So101Model {
     /// The model for ticks of `period_s`, s.
     pub fn new(config: &So101Config, period_s: f64) -> Self {
         Self { config: config.clone(), period: period_s, turns: ORIGINS.map(|(_, angles)| by_angles(angles)) }
+    }
+
+    /// The joints that commands move, from the base on: places in the state.
+    pub fn moving(&self) -> &'static [usize] {
+        self.config.moving()
     }
 
     /// The end-effector for these angles, m: x ahead of the base, y to its left, z up.
@@ -124,12 +151,12 @@ impl So101 {
         Self::with_model(So101Model::new(config, period_s), seed)
     }
 
-    /// Sets the measured angles `theta`, rad, of a real arm, of which this arm is the model.
+    /// Sets the measured angles `theta`, rad, of the moving joints of a real arm, of which this arm is the model.
     pub fn stands(&mut self, theta: &[f32]) {
         let mut state = [0.0; JOINTS + 3];
         state.copy_from_slice(self.state());
-        for (to, from) in state[..JOINTS].iter_mut().zip(theta) {
-            *to = f64::from(*from);
+        for (&joint, from) in self.model().moving().iter().zip(theta) {
+            state[joint] = f64::from(*from);
         }
         self.set_state(&state);
     }
@@ -137,7 +164,8 @@ impl So101 {
     /// The outcome of a tick of a real arm, from its measured angles, rad, and rates, rad/s.
     pub fn measured(&mut self, theta: &[f32], rates: &[f32]) -> Outcome {
         self.stands(theta);
-        let squares = |values: &[f32]| values[..JOINTS].iter().map(|&x| f64::from(x) * f64::from(x)).sum();
+        let joints = self.model().moving().len();
+        let squares = |values: &[f32]| values[..joints].iter().map(|&x| f64::from(x) * f64::from(x)).sum();
         let (_, error) = self.model().error(self.state());
         let reward = self.model().reward(error, squares(rates), squares(theta));
         Outcome { reward: reward as f32, measures: self.model().measures(self.state()).map(|measure| measure as f32) }
@@ -145,10 +173,7 @@ impl So101 {
 
     /// Senses at the beginning of `tick` as [`Plant::sense`] does, with the measured angles.
     pub fn sense_measured(&mut self, tick: u64, inputs: &mut [f32]) -> bool {
-        let mut theta = [0.0; JOINTS];
-        for (to, from) in theta.iter_mut().zip(self.state()) {
-            *to = *from as f32;
-        }
+        let theta = self.measured_joints().position;
         let fresh = self.sense(tick, inputs);
         // The first trial of a simulated arm begins with all angles 0.
         self.stands(&theta);
@@ -159,10 +184,10 @@ impl So101 {
     /// The joints, for the gate: positions, and the travel of a command of 1.
     pub fn measured_joints(&self) -> JointState {
         let mut position = [0.0; MAX_JOINTS];
-        for (to, from) in position.iter_mut().zip(&self.state()[..JOINTS]) {
-            *to = *from as f32;
-        }
         let model = self.model();
+        for (to, &joint) in position.iter_mut().zip(model.moving()) {
+            *to = self.state()[joint] as f32;
+        }
         JointState { position, travel: [(model.config.gain * model.period) as f32; MAX_JOINTS] }
     }
 }
@@ -181,14 +206,14 @@ impl StateSpace for So101Model {
     }
 
     fn commands(&self) -> usize {
-        JOINTS
+        self.moving().len()
     }
 
     fn step(&self, state: &mut [f64], command: &[f64]) -> f64 {
         let (mut rates, mut angles) = (0.0, 0.0);
-        for joint in 0..JOINTS {
+        for (&joint, command) in self.moving().iter().zip(command) {
             let [low, high] = LIMITS[joint];
-            let reached = (state[joint] + self.config.gain * command[joint] * self.period).clamp(low, high);
+            let reached = (state[joint] + self.config.gain * command * self.period).clamp(low, high);
             let rate = (reached - state[joint]) / self.period;
             state[joint] = reached;
             rates += rate * rate;
@@ -207,13 +232,26 @@ impl SimulatedModel for So101Model {
         self.config.target_every
     }
 
+    /// In the plane the target's y is none of the inputs.
+    fn sense(&self, state: &[f64], inputs: &mut [f32]) {
+        let target: &[usize] =
+            if self.config.planar { &[JOINTS, JOINTS + 2] } else { &[JOINTS, JOINTS + 1, JOINTS + 2] };
+        for (input, &i) in inputs.iter_mut().zip(target.iter().chain(self.moving())) {
+            *input = state[i] as f32;
+        }
+    }
+
     /// A target is where the end-effector is for random angles.
     fn begin(&self, rng: &mut Rng, state: &mut [f64], first: bool) {
         if first {
             state.fill(0.0);
         }
         loop {
-            let theta = LIMITS.map(|[low, high]| SHARE * (low + (high - low) * rng.random::<f64>()));
+            let mut theta = [0.0; JOINTS];
+            for &joint in self.moving() {
+                let [low, high] = LIMITS[joint];
+                theta[joint] = SHARE * (low + (high - low) * rng.random::<f64>());
+            }
             let target = self.end(&theta);
             if target[2] >= TABLE {
                 state[JOINTS..].copy_from_slice(&target);
@@ -268,6 +306,33 @@ mod tests {
             assert!(outcome.measures.iter().zip(expected.measures).all(|(a, b)| (a - b).abs() < 1e-6));
         }
         assert_eq!(real.measured_joints().position[..JOINTS], theta);
+    }
+
+    /// In the plane, the arm is the whole arm with pan and roll at 0, simulated and measured.
+    #[test]
+    fn the_planar_arm_is_the_whole_arm_with_two_joints_at_rest() {
+        let config = So101Config { target_every: 7, ..So101Config::default() };
+        let planar = So101Config { planar: true, ..config.clone() };
+        let (mut whole, mut plane) = (So101::new(&config, 0.05, 3), So101::new(&planar, 0.05, 3));
+        let mut real = So101::new(&planar, 0.05, 3);
+        let (mut inputs, mut of_plane, mut of_real) = ([0.0; 8], [0.0; 5], [0.0; 5]);
+        for tick in 0..60 {
+            whole.sense(tick, &mut inputs);
+            assert_eq!(plane.sense(tick, &mut of_plane), real.sense_measured(tick, &mut of_real));
+            assert_eq!(of_plane, of_real, "tick {tick}");
+            assert!(of_plane[..2].iter().all(|x| x.abs() < REACH as f32) && of_plane[1] >= TABLE as f32);
+            let target: [f64; 3] = std::array::from_fn(|i| plane.state()[JOINTS + i]);
+            assert!(target[1].abs() < 1e-3, "it lies in the plane: {target:?}");
+            let state = [&whole.state()[..JOINTS], &target].concat();
+            whole.set_state(&state);
+            let expected = whole.advance(tick, &[0.0, 0.05, -0.08, 0.02, 0.0]);
+            let outcome = plane.advance(tick, &[0.05, -0.08, 0.02]);
+            assert_eq!(outcome, expected, "tick {tick}");
+            let theta: Vec<f32> = plane.state()[1..4].iter().map(|&angle| angle as f32).collect();
+            let rates: Vec<f32> = theta.iter().zip(&of_plane[2..]).map(|(now, then)| (now - then) / 0.05).collect();
+            assert!((real.measured(&theta, &rates).reward - outcome.reward).abs() < 1e-5);
+            assert_eq!(real.measured_joints().position[..3], theta);
+        }
     }
 
     #[test]

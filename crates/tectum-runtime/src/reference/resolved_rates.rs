@@ -62,7 +62,15 @@ impl ResolvedRates {
     fn moves(&self, joint: usize) -> bool {
         match &self.chain {
             Chain::Planar(model) => !model.is_blocked(joint),
-            Chain::So101(_) => true,
+            Chain::So101(model) => model.moving().contains(&joint),
+        }
+    }
+
+    /// The output that moves this joint.
+    fn output(&self, joint: usize) -> usize {
+        match &self.chain {
+            Chain::Planar(_) => joint,
+            Chain::So101(model) => model.moving().iter().position(|&moving| moving == joint).unwrap_or(joint),
         }
     }
 
@@ -84,7 +92,7 @@ impl ResolvedRates {
         let share = if largest > TUNED.turn { TUNED.turn / largest } else { 1.0 };
         let mut command = [0.0; MAX_OUTPUTS];
         for (&joint, turn) in free.iter().zip(turns) {
-            command[joint] = (share * turn / self.travel).clamp(-self.limit, self.limit) as f32;
+            command[self.output(joint)] = (share * turn / self.travel).clamp(-self.limit, self.limit) as f32;
         }
         command
     }

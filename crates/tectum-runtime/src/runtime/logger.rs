@@ -149,7 +149,7 @@ fn open_log(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> Re
         log => {
             let keeper = AccountKeeper::new(&participant.folder, header.run_text(), ACCOUNT_EVERY);
             let merger = LogMerger::new(Ok(log?), recovered, header.every, time.is_real());
-            Ok(merger.rotating(rotator).accounting(keeper))
+            Ok(merger.accounting(keeper).rotating(rotator))
         }
     }
 }

@@ -201,9 +201,19 @@ impl LogMerger {
         merger
     }
 
-    /// The same merger, whose log goes on in another segment when `rotator` says so.
-    pub fn rotating(self, rotator: Option<LogRotator>) -> Self {
-        Self { rotator, ..self }
+    /// The same merger, whose log goes on in another segment when `rotator` says so. Its keeper of accounts is set
+    /// before.
+    pub fn rotating(mut self, rotator: Option<LogRotator>) -> Self {
+        self.rotator = rotator;
+        // A logger that has come back began a segment. Those that die before one is full keep the log's limit, too.
+        // First it leaves an account that needs none of the segments before.
+        if self.rotator.as_ref().is_some_and(|rotator| rotator.closed_bytes() > 0) {
+            self.flush();
+        }
+        if let (Some(log), Some(rotator)) = (&self.log, &mut self.rotator) {
+            rotator.remove_oldest(log.bytes());
+        }
+        self
     }
 
     /// The same merger, which leaves its account with `keeper`.
