@@ -189,3 +189,35 @@ fn what_a_joint_did_before_it_blocked_no_longer_teaches() {
     assert!(agent.counts.alarms > 0);
     assert_eq!(agent.counts.worlds, 1);
 }
+
+#[test]
+fn a_command_that_moves_nothing_rests() {
+    let range = InputRange { min: -1.0, max: 1.0, wraps: false, radians: None };
+    let mut agent = ModelPredictive::new(&ModelPredictiveSpec {
+        inputs: vec![range; 2],
+        limits: vec![1.0; 2],
+        sigma: vec![0.02; 2],
+        seed: 3,
+        config: ModelPredictiveConfig { horizon: 8, reward_features: 150, ..ModelPredictiveConfig::default() },
+    });
+    let mut plant = Reach::new([1.0; 3]);
+    let (mut applied, mut largest) = ([0.0; 2], 0.0_f64);
+    for tick in 0..140 {
+        let new_target = tick % 20 == 0;
+        if new_target {
+            plant.target = plant.rng.random_range(-0.9..0.9);
+        }
+        let flags = TickFlags { new_target, ..TickFlags::default() };
+        let inputs = [plant.target, plant.position];
+        let mut command = [0.0; 2];
+        agent.act(&Observed { inputs: &inputs, reward: plant.reward, applied: &applied, flags }, &mut command);
+        applied = command;
+        agent.improve();
+        plant.position = (plant.position + plant.gain * command[0]).clamp(-1.0, 1.0);
+        plant.reward = -(plant.position - plant.target).powi(2) - 0.02 * command[0] * command[0];
+        if tick >= 80 {
+            largest = largest.max(agent.mean()[1].abs());
+        }
+    }
+    assert!(largest < 0.2, "{largest}");
+}

@@ -25,6 +25,12 @@ const DEVIATIONS: f64 = 3.0;
 /// Rewards beyond the best by so many standard deviations count no more than this.
 const BEYOND: f64 = 5.0;
 
+/// A command whose effect is less than this part of the largest one is idle.
+const IDLE: f64 = 0.05;
+/// What an idle command of 1 costs, in standard deviations of the reward: nothing that was seen tells what it is good
+/// for, and a motor that is blocked should not be driven at its limit.
+const IDLE_PRICE: f64 = 0.01;
+
 /// A world with expansions of second order.
 pub trait World {
     /// The state after `q`, and the reward.
@@ -115,6 +121,8 @@ pub struct LearnedWorld<'a> {
     pub best: f64,
     /// Standard deviations by which a reward counts less where the model is not certain.
     pub caution: f64,
+    /// The commands (bits) that move nothing now, as that of a blocked joint.
+    pub idle: u32,
     /// What is known of the inputs.
     pub ranges: &'a Ranges,
     /// Scratch memory.
@@ -157,6 +165,29 @@ impl LearnedWorld<'_> {
         next[2 * n + m..].copy_from_slice(&q[2 * n..2 * n + m]);
     }
 
+    /// What the idle commands of `q` cost.
+    fn idle_price(&self, q: &[f64]) -> f64 {
+        if self.idle == 0 {
+            return 0.0;
+        }
+        let (nx, idle) = (self.places.state(), |j: &usize| self.idle >> j & 1 == 1);
+        IDLE_PRICE * (0..self.places.commands).filter(idle).map(|j| q[nx + j] * q[nx + j]).sum::<f64>()
+    }
+
+    /// Finds the commands that move nothing from `q`.
+    pub fn find_idle(&mut self, q: &[f64]) {
+        self.idle = 0;
+        self.dynamics_jacobian(q);
+        let (n, m, width) = (self.places.inputs, self.places.commands, self.places.len());
+        let mut effects = [0.0; crate::MAX_OUTPUTS];
+        for (j, effect) in effects.iter_mut().enumerate().take(m) {
+            let of = |i: usize, ago: usize| self.scratch.dynamics[i * width + self.places.command(j, ago)].abs();
+            *effect = (0..n).map(|i| of(i, 0) + of(i, 1) + of(i, 2)).sum();
+        }
+        let least = IDLE * effects.iter().fold(0.0, |a: f64, b| a.max(*b));
+        self.idle = (0..m).filter(|j| effects[*j] < least).fold(0, |bits, j| bits | 1 << j);
+    }
+
     /// The Jacobian of the changes at `q`, into the scratch memory.
     pub fn dynamics_jacobian(&mut self, q: &[f64]) {
         let mut d = [0.0; MAX_MODEL_OUTPUTS];
@@ -191,7 +222,7 @@ impl World for LearnedWorld<'_> {
         let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let mut reward = [0.0];
         weighted.value(layout, &fit.features, &self.scratch.after, &mut reward);
-        believed(self.reward, reward[0], self.best, self.caution).0
+        believed(self.reward, reward[0], self.best, self.caution).0 - self.idle_price(q)
     }
 
     fn expand(&mut self, q: &[f64], jacobian: &mut [f64], gradient: &mut [f64], hessian: &mut [f64]) {
@@ -214,6 +245,11 @@ impl World for LearnedWorld<'_> {
         self.advance(q, &d[..n], next);
         self.look(q, next);
         self.expand_reward(jacobian, gradient, hessian);
+        let nx = self.places.state();
+        for at in (0..m).filter(|j| self.idle >> j & 1 == 1).map(|j| nx + j) {
+            gradient[at] -= 2.0 * IDLE_PRICE * q[at];
+            hessian[at * width + at] -= 2.0 * IDLE_PRICE;
+        }
     }
 
     fn difference(&self, a: &[f64], b: &[f64], out: &mut [f64]) {

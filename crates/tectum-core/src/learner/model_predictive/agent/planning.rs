@@ -32,6 +32,7 @@ impl ModelPredictive {
             after: better == 1,
             best,
             caution: if self.frozen { CAUTION_AT_REST } else { CAUTION },
+            idle: 0,
             ranges: &self.ranges,
             scratch: &mut self.scratch,
         };
@@ -39,6 +40,7 @@ impl ModelPredictive {
         self.after[..nx].copy_from_slice(&self.state);
         self.after[nx..].copy_from_slice(&self.command[..m]);
         world.step(&self.after, &mut self.start);
+        world.find_idle(&self.after);
         self.plan.shift();
         let began = self.planner.work;
         self.planner.roll_out(&mut world, &mut self.plan, &self.start);
@@ -51,14 +53,8 @@ impl ModelPredictive {
                 break;
             }
             self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
-            rivals::draw(
-                self.rival_kind,
-                &mut self.rng,
-                &mut world,
-                (&self.memory, moving),
-                &self.plan,
-                &mut self.rival,
-            );
+            let known = (&self.memory, moving);
+            rivals::draw(self.rival_kind, &mut self.rng, &mut world, known, &self.plan, &mut self.rival);
             work_on_rival(
                 (&mut self.planner, &mut self.budget),
                 &mut world,
