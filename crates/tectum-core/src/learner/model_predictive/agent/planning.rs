@@ -53,14 +53,8 @@ impl ModelPredictive {
                 break;
             }
             self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
-            rivals::draw(
-                self.rival_kind,
-                &mut self.rng,
-                &mut world,
-                (&self.memory, moving),
-                &self.plan,
-                &mut self.rival,
-            );
+            let known = (&self.memory, moving);
+            rivals::draw(self.rival_kind, &mut self.rng, &mut world, known, &self.plan, &mut self.rival);
             work_on_rival(
                 (&mut self.planner, &mut self.budget),
                 &mut world,
