@@ -116,7 +116,7 @@ fn a_planner_survives_kills() {
     let outcome = run_with_signals(&test_folder, &scenario, "400", kill, sizes).expect(0);
     assert_eq!(check(&test_folder, &outcome, "controller", &hash), 4);
     let learner = &outcome.json()["learner"];
-    assert!(learner["plans"].as_u64().unwrap() > 300 && learner["refits"].as_u64().unwrap() > 5, "{learner}");
+    assert!(learner["plans"].as_u64().unwrap() > 300 && learner["refits"].as_u64().unwrap() >= 5, "{learner}");
 }
 
 /// The state of the gate's ramp and the samples in a faulty channel survive.

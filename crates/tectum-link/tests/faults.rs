@@ -7,7 +7,7 @@ mod common;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use common::{Machine, address, pair, pair_over};
+use common::{LinkedMachine, address, pair, pair_over};
 use serde_json::Value;
 use tectum_testkit::{Process, ProcessOutcome, children, signal_process};
 
@@ -71,18 +71,18 @@ fn ctrl_c(fault: &'static str, side: usize) -> FaultRow {
 /// A machine that loses its power and is started again.
 fn controllers_machine_lost(fault: &'static str) -> FaultRow {
     let address = address("raw");
-    let [plant, controller] = ["plant", "controller"].map(Machine::new);
+    let [plant, controller] = ["plant", "controller"].map(LinkedMachine::new);
     let (listen, connect) = (["--listen", &*address], ["--connect", &*address]);
     let (mut at_plant, lost) = (plant.start(listen, &TICKS), controller.start(connect, &TICKS));
     at_plant.wait_until_tick(40);
     kill_machine(lost);
-    let again = Machine::new("controller");
+    let again = LinkedMachine::new("controller");
     row(fault, [at_plant, again.start(connect, &TICKS)])
 }
 
 fn refused(fault: &'static str, more: [&[&str]; 2]) -> FaultRow {
     let address = address("raw");
-    let machines = ["plant", "controller"].map(Machine::new);
+    let machines = ["plant", "controller"].map(LinkedMachine::new);
     for (machine, digit) in machines.iter().zip(["a", "b"]) {
         machine.file("key", &(digit.repeat(64) + "\n"));
     }
@@ -91,7 +91,7 @@ fn refused(fault: &'static str, more: [&[&str]; 2]) -> FaultRow {
 }
 
 fn nobody(fault: &'static str) -> FaultRow {
-    let machines = ["plant", "controller"].map(Machine::new);
+    let machines = ["plant", "controller"].map(LinkedMachine::new);
     row(fault, [0, 1].map(|i| machines[i].start(["--listen", &address("raw")], &["--wait", "1"])))
 }
 

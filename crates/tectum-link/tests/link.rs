@@ -8,7 +8,7 @@ mod common;
 use std::process::Command;
 use std::time::Duration;
 
-use common::{LINK, Machine, address, carriers, pair, pair_over};
+use common::{LINK, LinkedMachine, address, carriers, pair, pair_over};
 use tectum_testkit::{Process, TestFolder, program, stop_process_for};
 
 #[test]
@@ -113,7 +113,7 @@ fn ctrl_c_on_one_machine_ends_the_run_on_the_other() {
 fn a_stranger_stays_outside() {
     let key = |digit: &str| digit.repeat(64) + "\n";
     let address = address("raw");
-    let (plant, stranger) = (Machine::new("plant"), Machine::new("controller"));
+    let (plant, stranger) = (LinkedMachine::new("plant"), LinkedMachine::new("controller"));
     plant.file("key", &key("a"));
     stranger.file("key", &key("b"));
     let more = ["--key", "key", "--wait", "2"];
@@ -126,7 +126,7 @@ fn a_stranger_stays_outside() {
 #[test]
 fn the_same_key_lets_in() {
     let address = address("raw");
-    let machines = [Machine::new("plant"), Machine::new("controller")];
+    let machines = [LinkedMachine::new("plant"), LinkedMachine::new("controller")];
     machines.iter().for_each(|machine| drop(machine.file("key", &("7f".repeat(32) + "\n"))));
     let more = ["--key", "key", "--mode", "lockstep", "--ticks", "200"];
     let runs = [machines[0].start(["--listen", &address], &more), machines[1].start(["--connect", &address], &more)];
@@ -138,7 +138,7 @@ fn the_same_key_lets_in() {
 #[test]
 fn runs_that_differ_are_refused_before_a_tick() {
     let address = address("raw");
-    let machines = [Machine::new("plant"), Machine::new("controller")];
+    let machines = [LinkedMachine::new("plant"), LinkedMachine::new("controller")];
     let runs = [
         machines[0].start(["--listen", &address], &["--seed", "1", "--wait", "5"]),
         machines[1].start(["--connect", &address], &["--seed", "2", "--wait", "5"]),

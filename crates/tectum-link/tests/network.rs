@@ -208,8 +208,9 @@ fn study_of_loss_and_delay() {
     let namespaces = Namespaces::new();
     let legs = ["plant_to_link_us", "network_both_ways_us", "controllers_machine_us", "link_to_plant_us"];
     println!(
-        "| loss | delay each way | bare UDP | plain zenoh | {} | observation_to_command_us | injected, missed | loss a tick |",
-        legs.join(" | ")
+        "| lost | delay each way | bare UDP | plain zenoh | carrier: {} | {} | injected, missed | loss a tick |",
+        legs.join(" | "),
+        "observation_to_command_us"
     );
     for (loss, delay) in [
         ("0", "0"),
@@ -226,7 +227,7 @@ fn study_of_loss_and_delay() {
         let bare = ping(&namespaces, "raw", &network);
         let zenoh = if cfg!(feature = "zenoh") { ping(&namespaces, "udp", &network) } else { Value::Null };
         for carrier in if cfg!(feature = "zenoh") { &["raw", "udp"][..] } else { &["raw"] } {
-            let run = linked(&namespaces, carrier, &network, 600);
+            let run = linked(&namespaces, carrier, &network, 300);
             let legs: Vec<String> = legs.iter().map(|leg| words(&run.link["legs"][leg])).collect();
             println!(
                 "| {loss} | {delay} ms | {} | {} | {carrier}: {} | {} | {}, {} | {} |",

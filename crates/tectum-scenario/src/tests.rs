@@ -45,8 +45,11 @@ fn assert_bounds(plan: &Plan) {
 /// A program may use the simulator's table and be another body: what runs in its place would be another experiment.
 #[test]
 fn another_programs_plant_is_not_simulated_in_its_place() {
-    let text = |program: &str| format!("name = \"own\"\n[plant]\nprogram = \"{program}\"\n[plant.arm]\n");
-    let plan = |program| Scenario::parse(&text(program), "own.toml").unwrap().plan().unwrap();
+    let plan = |program: &str| {
+        let mut scenario = Scenario::built_in("arm").unwrap();
+        scenario.plant.program = program.to_owned();
+        scenario.plan().unwrap()
+    };
     let own = plan("bin/my-arm");
     assert!(own.simulated_plant().is_none() && own.described_plant().is_some());
     assert!(plan("bin/tectum-simulator").simulated_plant().is_some());

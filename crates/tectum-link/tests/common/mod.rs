@@ -26,12 +26,12 @@ fn port() -> u16 {
 }
 
 /// One machine: a folder, and the run in it.
-pub struct Machine {
+pub struct LinkedMachine {
     pub folder: TestFolder,
     pub side: &'static str,
 }
 
-impl Machine {
+impl LinkedMachine {
     pub fn new(side: &'static str) -> Self {
         Self { folder: TestFolder::new(), side }
     }
@@ -52,9 +52,9 @@ impl Machine {
 }
 
 /// Plant and controller on two machines, both started.
-pub fn pair(carrier: &str, more: &[&str]) -> ([Machine; 2], [Process; 2]) {
+pub fn pair(carrier: &str, more: &[&str]) -> ([LinkedMachine; 2], [Process; 2]) {
     let address = address(carrier);
-    let machines = [Machine::new("plant"), Machine::new("controller")];
+    let machines = [LinkedMachine::new("plant"), LinkedMachine::new("controller")];
     let runs = [machines[0].start(["--listen", &address], more), machines[1].start(["--connect", &address], more)];
     (machines, runs)
 }
@@ -74,14 +74,14 @@ impl Drop for Network {
 }
 
 /// Plant and controller with such a network between them.
-pub fn pair_over(network: &[&str], more: &[&str]) -> (Network, [Machine; 2], [Process; 2]) {
+pub fn pair_over(network: &[&str], more: &[&str]) -> (Network, [LinkedMachine; 2], [Process; 2]) {
     let (plant, near) = (format!("127.0.0.1:{}", port()), format!("127.0.0.1:{}", port()));
     let folder = TestFolder::new();
     let mut command = Command::new(LINK);
     command.args(["network", "--listen", &near, "--to", &plant]).args(network);
     let network = Network { process: Some(folder.start_command(command)), _folder: folder };
     let [listen, connect] = [plant, near].map(|address| format!("raw/{address}"));
-    let machines = [Machine::new("plant"), Machine::new("controller")];
+    let machines = [LinkedMachine::new("plant"), LinkedMachine::new("controller")];
     let runs = [machines[0].start(["--listen", &listen], more), machines[1].start(["--connect", &connect], more)];
     (network, machines, runs)
 }

@@ -114,7 +114,8 @@ impl<'a, R: Read, W: Write + Seek> RecordCopier<'a, R, W> {
 }
 
 impl<W: Write + Seek> RecordSink<W> {
-    /// Writes one record, which begins at byte `start` or in the chunk there. Returns false at the end of the data section.
+    /// Writes one record, which begins at byte `start` or in the chunk there. Returns false at the end of the data
+    /// section.
     fn copy(&mut self, path: &Path, start: u64, opcode: u8, body: &[u8]) -> Result<bool, LogError> {
         let mcap = &mut self.mcap;
         let short = || damaged(path, start, "a record is cut short");
