@@ -334,7 +334,11 @@ fn ended_early(role: Role, tick: u64, kind: DeathKind) -> ProcessDeath {
     ProcessDeath { failure: ProcessFailure::new(role, message), kind }
 }
 
-/// The death of a child that ended with `status`; `None` for one that succeeded and had finished.
+/// The signal that nobody can catch.
+const SIGKILL: i32 = 9;
+
+/// The death of a child that ended with `status`; `None` for one that had finished, and then succeeded or was killed:
+/// a process says that it has finished when all that it leaves is in its place.
 fn death_of(
     role: Role,
     status: ExitStatus,
@@ -348,6 +352,9 @@ fn death_of(
     }
     if status.success() {
         return (!finished).then(|| ended_early(role, tick, DeathKind::EarlyExit));
+    }
+    if finished && status.signal() == Some(SIGKILL) {
+        return None;
     }
     let stderr = output.text;
     let name = role.name();
@@ -374,4 +381,23 @@ fn death_of(
         _ => DeathKind::Failure,
     };
     Some(ProcessDeath { failure: ProcessFailure { role, code, message, stderr }, kind })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_process_that_is_killed_when_it_has_finished_is_no_failure() {
+        let death = |wait_status: i32, finished| {
+            let status = ExitStatus::from_raw(wait_status);
+            let output = CollectedOutput::default();
+            death_of(Role::Plant, status, output, 7, finished, false).map(|death| death.kind)
+        };
+        const SEGV: i32 = 11;
+        assert_eq!(death(SIGKILL, true), None);
+        assert_eq!(death(SIGKILL, false), Some(DeathKind::Failure));
+        assert_eq!(death(SEGV, true), Some(DeathKind::Final));
+        assert_eq!((death(0, true), death(0, false)), (None, Some(DeathKind::EarlyExit)));
+    }
 }
