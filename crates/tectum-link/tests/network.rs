@@ -96,7 +96,7 @@ fn count(value: &Value) -> u64 {
 fn scenario(folder: &TestFolder) -> String {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/arm.toml")).unwrap();
     let hosts = [PLANT, CONTROLLER].concat().join("\", \"");
-    folder.write_file("arm.toml", &format!("{text}\n[link]\nhosts = [\"{hosts}\"]\n"));
+    folder.write_file("arm.toml", format!("{text}\n[link]\nhosts = [\"{hosts}\"]\n"));
     "arm.toml".to_owned()
 }
 
@@ -207,10 +207,10 @@ fn ping(namespaces: &Namespaces, carrier: &str, network: &[&str]) -> Value {
 fn study_of_loss_and_delay() {
     let namespaces = Namespaces::new();
     let legs = ["plant_to_link_us", "network_both_ways_us", "controllers_machine_us", "link_to_plant_us"];
+    let whole = "observation_to_command_us";
     println!(
-        "| lost | delay each way | bare UDP | plain zenoh | carrier: {} | {} | injected, missed | loss a tick |",
-        legs.join(" | "),
-        "observation_to_command_us"
+        "| lost | delay | bare UDP | plain zenoh | carrier: {} | {whole} | injected, missed | loss |",
+        legs.join(" | ")
     );
     for (loss, delay) in [
         ("0", "0"),
@@ -234,7 +234,7 @@ fn study_of_loss_and_delay() {
                 words(&bare["round_trip_us"]),
                 words(&zenoh["round_trip_us"]),
                 legs.join(" | "),
-                words(&run.link["legs"]["observation_to_command_us"]),
+                words(&run.link["legs"][whole]),
                 run.injected(),
                 run.plant["missed"],
                 run.plant["loss_per_tick"],
