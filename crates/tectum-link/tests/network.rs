@@ -6,14 +6,16 @@
 //! cargo test --release -p tectum-link --test network -- --ignored --nocapture study   # docs/performance.md's table
 //! ```
 
+mod common;
+
 use std::path::Path;
 use std::process::{Command, Output};
 use std::time::Duration;
 
+use common::{LINK, carriers};
 use serde_json::Value;
 use tectum_testkit::{Process, TestFolder, read_json};
 
-const LINK: &str = env!("CARGO_BIN_EXE_tectum-link");
 /// Address of the plant's machine, and that of the network towards it.
 const PLANT: [&str; 2] = ["10.77.1.1", "10.77.1.2"];
 /// The same for the controller's machine.
@@ -150,8 +152,7 @@ fn what_is_missed_is_what_the_network_lost() {
 fn pulled(seconds: u64, ticks: u64, misses: std::ops::Range<u64>) {
     let namespaces = Namespaces::new();
     let cable = |state| done(&format!("-n {} link set to-p {state}", namespaces.names[1]));
-    let carriers: &[&str] = if cfg!(feature = "zenoh") { &["raw", "udp"] } else { &["raw"] };
-    for carrier in carriers {
+    for carrier in carriers() {
         let run = linked_with(&namespaces, carrier, &[], ticks, |plant| {
             plant.wait_until_tick(40);
             cable("down");
@@ -226,7 +227,7 @@ fn study_of_loss_and_delay() {
         let network = ["--loss", loss, "--delay-ms", delay];
         let bare = ping(&namespaces, "raw", &network);
         let zenoh = if cfg!(feature = "zenoh") { ping(&namespaces, "udp", &network) } else { Value::Null };
-        for carrier in if cfg!(feature = "zenoh") { &["raw", "udp"][..] } else { &["raw"] } {
+        for carrier in carriers() {
             let run = linked(&namespaces, carrier, &network, 300);
             let legs: Vec<String> = legs.iter().map(|leg| words(&run.link["legs"][leg])).collect();
             println!(

@@ -95,6 +95,7 @@ pub struct SweepResult {
     csv: Vec<PathBuf>,
     #[serde(skip)]
     error_unit: &'static str,
+    /// Period of a tick, s; 0 where the combinations have different ones, whose curves are drawn over ticks.
     #[serde(skip)]
     period_s: f64,
     #[serde(skip)]
@@ -140,12 +141,19 @@ pub fn sweep(sweep: &Sweep) -> Result<StudyEnd<SweepResult>, StudyError> {
         figure: path("figure.svg"),
         csv: vec![path("sweep.csv"), path("curves.csv")],
         error_unit: combinations.first().map_or("", |one| one.plan.error_unit()),
-        period_s: combinations.first().map_or(0.0, |one| one.plan.period_ns as f64 / 1e9),
+        period_s: common_period_s(&combinations).unwrap_or(0.0),
         names: combinations.iter().map(|one| one.name.clone()).collect(),
         runs,
     };
     result.write()?;
     Ok(StudyEnd::Whole(result))
+}
+
+/// The period of a tick that all combinations have, s.
+fn common_period_s(combinations: &[Combination]) -> Option<f64> {
+    let (first, rest) = combinations.split_first()?;
+    let period_ns = first.plan.period_ns;
+    rest.iter().all(|one| one.plan.period_ns == period_ns).then_some(period_ns as f64 / 1e9)
 }
 
 /// The plan with another seed.

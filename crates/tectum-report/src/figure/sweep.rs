@@ -28,7 +28,7 @@ pub struct SweepFigure {
     pub title: String,
     /// Unit of errors, may be empty.
     pub unit: String,
-    /// Period of a tick, s.
+    /// Period of a tick, s; 0 draws over ticks.
     pub period_s: f64,
     /// From top to bottom.
     pub rows: Vec<SweepFigureRow>,
