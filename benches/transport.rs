@@ -76,7 +76,7 @@ fn measure() {
     for wait in ["poll and yield", "event"] {
         let run = u64::from(std::process::id()) << 32 | wait.len() as u64;
         let name = DomainName::of(run);
-        let _services = RunServices::create(&name, &identity, channels, None).unwrap();
+        let _services = RunServices::create(&name, &identity, channels, None, false).unwrap();
         let (ports, _status) = PlantPorts::open(&name, &identity, channels).unwrap();
         let child = Program::new(std::env::current_exe().unwrap())
             .env(PEER, format!("{run} {wait}"))

@@ -97,7 +97,7 @@ fn the_transport_allocates_twice_a_tick() {
     let plan = Scenario::find("paper").unwrap().plan().unwrap();
     let (channels, identity) = (&plan.scenario.channels, identity(&plan));
     let name = DomainName::of(u64::from(std::process::id()) << 32 | 0xa110c);
-    let _services = RunServices::create(&name, &identity, channels, None).unwrap();
+    let _services = RunServices::create(&name, &identity, channels, None, false).unwrap();
     let (mut plant, _board) = PlantPorts::open(&name, &identity, channels).unwrap();
     let (mut controller, board) = ControllerPorts::open(&name, &identity, channels).unwrap();
     let (mut logger, _board) = LoggerPorts::open(&name, &identity, channels).unwrap();

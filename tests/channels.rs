@@ -17,7 +17,7 @@ fn domain(salt: u64) -> DomainName {
 #[test]
 fn the_handshake_compares_schema_scenario_and_build() {
     let (name, channels) = (domain(1), ChannelNames::default());
-    let _services = RunServices::create(&name, &identity(), &channels, None).unwrap();
+    let _services = RunServices::create(&name, &identity(), &channels, None, false).unwrap();
     for (identity_of_process, what, ours, theirs) in [
         (Identity { schema: 9, ..identity() }, "schema", "0000000000000009", "0000000000000001"),
         (Identity { scenario: 9, ..identity() }, "scenario", "0000000000000009", "0000000000000002"),
@@ -42,7 +42,7 @@ fn the_handshake_compares_schema_scenario_and_build() {
 #[test]
 fn a_full_reader_loses_its_oldest_samples() {
     let (name, channels) = (domain(2), ChannelNames::default());
-    let _services = RunServices::create(&name, &identity(), &channels, None).unwrap();
+    let _services = RunServices::create(&name, &identity(), &channels, None, false).unwrap();
     let (mut plant, _board) = PlantPorts::open(&name, &identity(), &channels).unwrap();
     let (controller, _board) = ControllerPorts::open(&name, &identity(), &channels).unwrap();
     let (mut logger, _board) = LoggerPorts::open(&name, &identity(), &channels).unwrap();
@@ -72,7 +72,7 @@ fn a_domain_is_removed_with_its_services() {
         let prefix = prefix.trim_end_matches('_').to_owned();
         entries.filter(|e| e.file_name().to_string_lossy().starts_with(&prefix)).count()
     };
-    let services = RunServices::create(&name, &identity(), &channels, None).unwrap();
+    let services = RunServices::create(&name, &identity(), &channels, None, false).unwrap();
     assert!(files() > 0);
     drop(services);
     assert_eq!(files(), 0);

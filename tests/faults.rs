@@ -129,6 +129,44 @@ fn faults_are_equal_in_one_process_and_in_three_and_replay() {
     assert!(info.to_text().contains("\nflags    "), "{}", info.to_text());
 }
 
+/// Commands ahead: in one process and in three, when the controller or the plant is killed, and in a replay, there are
+/// the same ones. A stalled controller's plant has them in real time, too.
+#[test]
+fn commands_ahead_are_equal_in_one_process_and_in_three_and_replay() {
+    let (test_folder, single) = (TestFolder::new(), TestFolder::new());
+    let keys = [("rule", "\"model-predictive\""), ("hold_ticks", "3"), ("hash_every", "10")];
+    let scenario = test_folder.scenario("arm", &keys, &format!("{FAULTS}[link]\nahead = 3\n"));
+    let one = run(&single, &scenario, "in-process", "240");
+    let three = run(&test_folder, &scenario, "lockstep", "240");
+    assert!(three["ahead"].as_u64() > Some(10), "{three}");
+    for key in COUNTS.iter().chain(&["ahead"]) {
+        assert_eq!(three[key], one[key], "{key}");
+    }
+    assert_eq!(replays(&test_folder)["weights_hash"], three["weights_hash"]);
+
+    for program in ["tectum-controller", "tectum-simulator"] {
+        let killed = TestFolder::new();
+        let mut run = killed.run(&[&scenario, "--mode", "lockstep", "--ticks", "240", "--seed", "5", "--json"]);
+        run.wait_until_ticking();
+        run.kill_child(program);
+        let killed = run.wait().expect(0).json();
+        for key in ["weights_hash", "ahead", "missed"] {
+            assert_eq!(killed[key], three[key], "{program} {key}");
+        }
+    }
+
+    let replayed = (0..5).any(|_| {
+        let test_folder = TestFolder::new();
+        let summary = stalled(&test_folder, &scenario, "tectum-controller", "140").expect(0).json();
+        let complete = summary["lost"] == 0 && summary["ahead"].as_u64() > Some(3);
+        if complete {
+            replays(&test_folder);
+        }
+        complete
+    });
+    assert!(replayed, "no run of five was stalled with a complete log");
+}
+
 /// I2 with faults. A stall of the machine causes a miss in addition to those of the faults. Then only the replay of
 /// the log is required, and the run is repeated.
 #[test]

@@ -94,6 +94,9 @@ pub struct RunSummary {
     pub ticks_per_second: f64,
     /// Ticks whose command was not applied.
     pub missed: u64,
+    /// Those of them in which the gate applied a command that an earlier one had brought ahead; null where the plant
+    /// left no report.
+    pub ahead: Option<u64>,
     /// Commands that came after their tick.
     pub late: u64,
     /// Ticks that the plant passed over, being late itself.
@@ -318,6 +321,7 @@ impl RunSummary {
     fn add_plant(&mut self, plant: &PlantReport) {
         self.ticks = plant.ticks;
         self.missed = plant.missed;
+        self.ahead = Some(plant.ahead);
         self.late = plant.late;
         self.skipped = plant.skipped;
         self.clamped = Some(plant.clamped);
@@ -334,7 +338,7 @@ impl RunSummary {
     /// The plant left no report: its board tells nothing of what the gate did.
     fn forget_gate(&mut self) {
         (self.clamped, self.step_limited, self.position_limited) = (None, None, None);
-        (self.ramped, self.non_finite) = (None, None);
+        (self.ramped, self.non_finite, self.ahead) = (None, None, None);
     }
 
     /// What the bridge on servos reported, if the plant was one.

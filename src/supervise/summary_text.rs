@@ -74,6 +74,7 @@ impl RunSummary {
                 let _ = writeln!(text, "{label:<23} {}", happened.join("  "));
             }
         };
+        row("missed", &[("with a command ahead", self.ahead)]);
         row(
             "gate",
             &[

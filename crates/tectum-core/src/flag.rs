@@ -81,6 +81,9 @@ flags! {
     /// Observation: the episode was cut off after tick k-1, for a reason that is not in the inputs, such as a limit of
     /// time. The value after it is not zero, but unknown. The inputs are the first of the next episode.
     TRUNCATED = 23;
+    /// Observation: without a command in time, the gate applied the one for this tick that an earlier command had
+    /// brought ahead. `MISSED` is set as well.
+    AHEAD = 24;
 }
 
 /// The flags with which an episode ends.

@@ -224,5 +224,5 @@ fn pass_on(due: &Receiver<Delayed>) {
 /// Whether a datagram of bare UDP without a key is an observation or a command.
 fn is_sample(datagram: &[u8]) -> bool {
     let message = is_open(datagram).then(|| Message::decode(&datagram[HEADER..])).flatten();
-    matches!(message, Some((_, Message::Observation(_) | Message::Answer(_) | Message::Lockstep(_))))
+    matches!(message, Some((_, Message::Observation(_) | Message::Answer(..) | Message::Lockstep(..))))
 }

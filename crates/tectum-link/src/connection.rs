@@ -351,7 +351,7 @@ impl Shared {
                     self.send(&Message::Ask(next));
                 }
             }
-            Message::Observation(_) | Message::Answer(_) | Message::Learning(_) | Message::Lockstep(_) => {
+            Message::Observation(_) | Message::Answer(..) | Message::Learning(_) | Message::Lockstep(..) => {
                 let full = self.inbox.try_send(Arrival { message, at_ns }).is_err();
                 state.counts.overflowed += u64::from(full);
                 drop(state);

@@ -10,7 +10,7 @@ use tectum::channel::{LOG_BUFFER, LogTail, PlantPorts};
 use tectum::clock::{monotonic_ns, pause, precise_timers};
 use tectum::runtime::{Participant, PlantReport, RuntimeError, Session};
 use tectum::supervise::StandIn;
-use tectum::wire::{Command, Learning, Observation, ProcessState, Role, Status};
+use tectum::wire::{Ahead, Command, Learning, Observation, ProcessState, Role, Status};
 
 use crate::LinkError;
 use crate::connection::{Arrival, LinkConnection};
@@ -58,6 +58,8 @@ struct ControllerSideLoop {
     command: Option<Command>,
     /// In lockstep: the answer, in case it is lost.
     answer: Option<LockstepMessage>,
+    /// What came with the last command: commands for the ticks after it.
+    ahead: Option<Box<Ahead>>,
     looked_ns: u64,
     given_ns: u64,
     peer_session: u64,
@@ -69,7 +71,10 @@ struct ControllerSideLoop {
 /// # Errors
 /// As for the plant's side.
 pub fn stand_in(participant: Participant, settings: &StandInSettings) -> Result<(), LinkError> {
-    let (ports, board) = participant.open(PlantPorts::open)?;
+    let (mut ports, board) = participant.open(PlantPorts::open)?;
+    if participant.plan.scenario.link.ahead > 0 {
+        ports.open_ahead()?;
+    }
     let mut records = LogTail::watch(&participant.manifest.domain, "learning")?;
     records.skip_to_newest(0);
     let connection = settings.connect(&participant, None)?;
@@ -108,6 +113,7 @@ pub fn stand_in(participant: Participant, settings: &StandInSettings) -> Result<
         answered: true,
         command: None,
         answer: None,
+        ahead: None,
         looked_ns: 0,
         given_ns: 0,
         report,
@@ -253,7 +259,7 @@ impl ControllerSideLoop {
         match self.answer {
             Some(answer) if answer.answer.command.header.tick == tick => {
                 self.report.repeated += 1;
-                self.connection.send(&Message::Lockstep(Box::new(answer)));
+                self.connection.send(&Message::Lockstep(Box::new(answer), self.ahead.clone()));
             }
             _ => {}
         }
@@ -323,6 +329,7 @@ impl ControllerSideLoop {
     /// Sends what the controller has answered.
     fn take_answers(&mut self) -> Result<(), LinkError> {
         while let Some(command) = self.ports.command.receive()? {
+            self.take_ahead(&command)?;
             if self.real {
                 self.send_command(&command);
             }
@@ -333,7 +340,7 @@ impl ControllerSideLoop {
                 self.send_record(&record);
             } else if let Some(command) = self.command.filter(|c| c.header.tick == record.header.tick) {
                 let answer = LockstepMessage { answer: self.answer_message(&command), learning: self.renumber(record) };
-                self.connection.send(&Message::Lockstep(Box::new(answer)));
+                self.connection.send(&Message::Lockstep(Box::new(answer), self.ahead.clone()));
                 (self.answer, self.answered) = (Some(answer), true);
                 self.report.commands += 1;
                 self.report.learning_records += 1;
@@ -342,9 +349,21 @@ impl ControllerSideLoop {
         Ok(())
     }
 
+    /// Takes what came with `command`: it was sent just before.
+    fn take_ahead(&mut self, command: &Command) -> Result<(), LinkError> {
+        self.ahead = None;
+        let Some(channel) = &self.ports.ahead else { return Ok(()) };
+        while let Some(ahead) = channel.receive()? {
+            if ahead.header.tick == command.header.tick {
+                self.ahead = Some(Box::new(ahead));
+            }
+        }
+        Ok(())
+    }
+
     fn send_command(&mut self, command: &Command) {
         let message = self.answer_message(command);
-        self.connection.send(&Message::Answer(Box::new(message)));
+        self.connection.send(&Message::Answer(Box::new(message), self.ahead.clone()));
         self.report.commands += 1;
     }
 

@@ -5,7 +5,7 @@
 
 use bytemuck::{AnyBitPattern, NoUninit};
 use serde::{Deserialize, Serialize};
-use tectum::wire::{Command, Learning, Observation, Status};
+use tectum::wire::{Ahead, Command, Learning, Observation, Status};
 
 /// What one end states about itself and its run, until the other has it, and once a second from then on.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -114,12 +114,12 @@ pub enum Message {
     Pong(EchoMessage),
     /// An observation.
     Observation(Box<ObservationMessage>),
-    /// A command.
-    Answer(Box<AnswerMessage>),
+    /// A command, and the commands ahead that go with it, where the scenario has them.
+    Answer(Box<AnswerMessage>, Option<Box<Ahead>>),
     /// A learning record.
     Learning(Box<LearningMessage>),
-    /// Command and learning record of a tick in lockstep.
-    Lockstep(Box<LockstepMessage>),
+    /// Command and learning record of a tick in lockstep, and commands ahead.
+    Lockstep(Box<LockstepMessage>, Option<Box<Ahead>>),
     /// The board of the process on the other machine, when there is nothing else to send.
     Board(Box<Status>),
     /// Asks for the report, from this byte on.
@@ -139,9 +139,9 @@ impl Message {
             Self::Ping(echo) => (2, bytemuck::bytes_of(echo).to_vec()),
             Self::Pong(echo) => (3, bytemuck::bytes_of(echo).to_vec()),
             Self::Observation(message) => (4, bytemuck::bytes_of(&**message).to_vec()),
-            Self::Answer(message) => (5, bytemuck::bytes_of(&**message).to_vec()),
+            Self::Answer(message, ahead) => (5, with_ahead(bytemuck::bytes_of(&**message), ahead.as_deref())),
             Self::Learning(message) => (6, bytemuck::bytes_of(&**message).to_vec()),
-            Self::Lockstep(message) => (7, bytemuck::bytes_of(&**message).to_vec()),
+            Self::Lockstep(message, ahead) => (7, with_ahead(bytemuck::bytes_of(&**message), ahead.as_deref())),
             Self::Board(status) => (8, bytemuck::bytes_of(&**status).to_vec()),
             Self::Ask(offset) => (9, offset.to_le_bytes().to_vec()),
             Self::Report(part) => {
@@ -168,9 +168,15 @@ impl Message {
             2 => Self::Ping(read(body)?),
             3 => Self::Pong(read(body)?),
             4 => Self::Observation(Box::new(read(body)?)),
-            5 => Self::Answer(Box::new(read(body)?)),
+            5 => {
+                let (message, ahead) = read_with_ahead(body)?;
+                Self::Answer(message, ahead)
+            }
             6 => Self::Learning(Box::new(read(body)?)),
-            7 => Self::Lockstep(Box::new(read(body)?)),
+            7 => {
+                let (message, ahead) = read_with_ahead(body)?;
+                Self::Lockstep(message, ahead)
+            }
             8 => Self::Board(Box::new(read(body)?)),
             9 => Self::Ask(half(0)?),
             10 if body.len() <= 8 + PART => {
@@ -186,6 +192,18 @@ fn read<T: AnyBitPattern>(body: &[u8]) -> Option<T> {
     bytemuck::try_pod_read_unaligned(body).ok()
 }
 
+/// `message`, and `ahead` behind it.
+fn with_ahead(message: &[u8], ahead: Option<&Ahead>) -> Vec<u8> {
+    [message, ahead.map_or(&[], bytemuck::bytes_of)].concat()
+}
+
+/// Reads what [`with_ahead`] wrote.
+fn read_with_ahead<T: AnyBitPattern>(body: &[u8]) -> Option<(Box<T>, Option<Box<Ahead>>)> {
+    let (message, ahead) = body.split_at_checked(size_of::<T>())?;
+    let ahead = if ahead.is_empty() { None } else { Some(Box::new(read(ahead)?)) };
+    Some((Box::new(read(message)?), ahead))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -198,8 +216,16 @@ mod tests {
         let status = Status { ticks: 5, ..bytemuck::Zeroable::zeroed() };
         let payload = Message::Board(Box::new(status)).encode(1);
         assert!(matches!(Message::decode(&payload), Some((1, Message::Board(back))) if back.ticks == 5));
+        let answer = AnswerMessage { sent_ns: 7, ..bytemuck::Zeroable::zeroed() };
+        for ahead in [None, Some(Box::new(Ahead { ticks: 3, ..Ahead::default() }))] {
+            let payload = Message::Answer(Box::new(answer), ahead.clone()).encode(1);
+            let Some((1, Message::Answer(back, found))) = Message::decode(&payload) else { panic!("{ahead:?}") };
+            assert_eq!((back.sent_ns, found), (7, ahead));
+            assert!(payload.len() < 1200, "one datagram without fragments");
+            assert!(Message::decode(&payload[..payload.len() - 1]).is_none());
+        }
         for kind in 0..20_u64 {
-            for length in 0..700 {
+            for length in 0..1300 {
                 let mut bytes = kind.to_le_bytes().to_vec();
                 bytes.resize(length, 0xa5);
                 let _ = Message::decode(&bytes);

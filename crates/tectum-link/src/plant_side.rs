@@ -11,7 +11,7 @@ use std::time::Duration;
 use tectum::channel::{ControllerPorts, WakeNotifier};
 use tectum::clock::{monotonic_ns, precise_timers};
 use tectum::runtime::{ControllerReport, Participant, Session};
-use tectum::wire::{Command, Header, Learning, Observation, ProcessState, Role, Status};
+use tectum::wire::{Ahead, Command, Header, Learning, Observation, ProcessState, Role, Status};
 
 use crate::LinkError;
 use crate::connection::{Arrival, LinkConnection};
@@ -74,6 +74,9 @@ struct PlantSideLoop {
 /// When the other machine does not come, does not fit or ends the run, or the run on this machine ends abnormally.
 pub fn stand_in(participant: Participant, settings: &StandInSettings) -> Result<(), LinkError> {
     let (mut ports, board) = participant.open(ControllerPorts::open)?;
+    if participant.plan.scenario.link.ahead > 0 {
+        ports.open_ahead()?;
+    }
     let wake = WakeNotifier::open(&participant.manifest.domain)?;
     let connection = settings.connect(&participant, Some(wake))?;
     let (before, first) = (board.before, board.incarnation == 0);
@@ -217,15 +220,15 @@ impl PlantSideLoop {
 
     fn take(&mut self, arrival: &Arrival) -> Result<(), LinkError> {
         match &arrival.message {
-            Message::Answer(answer) => {
-                self.take_command(answer, arrival.at_ns)?;
+            Message::Answer(answer, ahead) => {
+                self.take_command(answer, ahead.as_deref(), arrival.at_ns)?;
                 self.show(&answer.status);
             }
             Message::Learning(message) => {
                 self.take_record(&message.learning)?;
                 self.show(&message.status);
             }
-            Message::Lockstep(message) => {
+            Message::Lockstep(message, ahead) => {
                 let answered = self
                     .unanswered
                     .is_some_and(|asked| asked.observation.header.tick == message.answer.command.header.tick);
@@ -234,7 +237,7 @@ impl PlantSideLoop {
                 }
                 // The record first, because the plant goes on with the command.
                 self.take_record(&message.learning)?;
-                self.take_command(&message.answer, arrival.at_ns)?;
+                self.take_command(&message.answer, ahead.as_deref(), arrival.at_ns)?;
                 self.show(&message.answer.status);
             }
             _ => {}
@@ -262,7 +265,7 @@ impl PlantSideLoop {
         other + added
     }
 
-    fn take_command(&mut self, answer: &AnswerMessage, at_ns: u64) -> Result<(), LinkError> {
+    fn take_command(&mut self, answer: &AnswerMessage, ahead: Option<&Ahead>, at_ns: u64) -> Result<(), LinkError> {
         let tick = answer.command.header.tick;
         let Some(asked) = self.asked.iter().find(|asked| asked.header.tick == tick) else { return Ok(()) };
         let (asked, sent_ns) = (asked.header, asked.sent_ns);
@@ -272,6 +275,9 @@ impl PlantSideLoop {
         }
         let mut command: Command = answer.command;
         command.header = self.header(&asked, &answer.command.header);
+        if let (Some(channel), Some(ahead)) = (&self.ports.ahead, ahead) {
+            channel.send(&Ahead { header: Header { flags: 0, ..command.header }, ..*ahead })?;
+        }
         self.ports.command.send(&command)?;
         let given = monotonic_ns();
         if again {

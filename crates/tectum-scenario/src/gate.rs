@@ -136,7 +136,7 @@ impl OverrunConfig {
     }
 }
 
-fn is_zero(ticks: &u32) -> bool {
+pub(super) fn is_zero(ticks: &u32) -> bool {
     *ticks == 0
 }
 

@@ -10,6 +10,8 @@ pub use tectum_core::MAX_MEASURES;
 
 /// Most inputs of an observation.
 pub const MAX_INPUTS: usize = 32;
+/// Most commands ahead of a command.
+pub const MAX_AHEAD: usize = 8;
 /// Most outputs of a command.
 pub const MAX_OUTPUTS: usize = tectum_core::plant::MAX_JOINTS;
 

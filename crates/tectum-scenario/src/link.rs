@@ -5,6 +5,8 @@ use std::net::IpAddr;
 use serde::{Deserialize, Serialize};
 
 use super::error::{Violation, quoted};
+use super::gate::{GateConfig, is_zero};
+use super::limits::MAX_AHEAD;
 
 /// Most hosts that a scenario can name.
 const MAX_HOSTS: usize = 16;
@@ -15,6 +17,10 @@ const MAX_HOSTS: usize = 16;
 pub struct LinkConfig {
     /// IP addresses of the two machines. A link without a shared key uses these addresses and loopback only.
     pub hosts: Vec<String>,
+    /// Commands for so many ticks after its own go with each command, from a controller that plans. The plant's gate
+    /// uses them where it would hold the last command. They do so without a link, too.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub ahead: u32,
 }
 
 impl LinkConfig {
@@ -30,8 +36,22 @@ impl LinkConfig {
     }
 }
 
-/// Checks that hosts are addresses. Names are refused, because what a name means is decided by the network.
-pub(super) fn check(table: &LinkConfig) -> Result<(), Violation> {
+/// Checks that hosts are addresses, and that no command ahead is for a tick in which the gate would no longer hold.
+/// Names of hosts are refused, because what a name means is decided by the network.
+pub(super) fn check(table: &LinkConfig, gate: &GateConfig) -> Result<(), Violation> {
+    if table.ahead as usize > MAX_AHEAD {
+        return Err(Violation::value("link.ahead", table.ahead, format_args!("give 0 to {MAX_AHEAD} ticks")));
+    }
+    if table.ahead > gate.hold_ticks {
+        let hold = gate.hold_ticks;
+        let remedy =
+            format_args!("the gate uses such commands only while it would hold the last one, for {hold} ticks");
+        return Err(Violation::value(
+            "link.ahead",
+            table.ahead,
+            format_args!("{remedy}; give up to {hold}, or a larger gate.hold_ticks"),
+        ));
+    }
     if table.hosts.len() > MAX_HOSTS {
         return Err(Violation::new(
             "link.hosts",
@@ -57,7 +77,11 @@ mod tests {
     use super::*;
 
     fn table(hosts: &[&str]) -> LinkConfig {
-        LinkConfig { hosts: hosts.iter().map(|host| (*host).to_owned()).collect() }
+        LinkConfig { hosts: hosts.iter().map(|host| (*host).to_owned()).collect(), ..LinkConfig::default() }
+    }
+
+    fn check_hosts(hosts: &[&str]) -> Result<(), Violation> {
+        check(&table(hosts), &GateConfig::default())
     }
 
     #[test]
@@ -79,11 +103,22 @@ mod tests {
 
     #[test]
     fn a_host_is_an_address_of_one_machine() {
-        assert!(check(&table(&["10.0.0.1", "fd00::7"])).is_ok());
+        assert!(check_hosts(&["10.0.0.1", "fd00::7"]).is_ok());
         for wrong in ["robot", "10.0.0.1:7447", "0.0.0.0", "224.0.0.251", ""] {
-            let Violation { key, text } = check(&table(&["10.0.0.1", wrong])).unwrap_err();
+            let Violation { key, text } = check_hosts(&["10.0.0.1", wrong]).unwrap_err();
             assert!(key == "link.hosts[1]" && text.contains("address"), "{wrong}: {text}");
         }
-        assert!(check(&table(&["10.0.0.1"; 17])).is_err());
+        assert!(check_hosts(&["10.0.0.1"; 17]).is_err());
+    }
+
+    #[test]
+    fn no_command_ahead_is_for_a_tick_without_hold() {
+        let gate = |hold_ticks| GateConfig { hold_ticks, ..GateConfig::default() };
+        let ahead = |ahead| LinkConfig { ahead, ..LinkConfig::default() };
+        assert!(check(&ahead(0), &gate(0)).is_ok() && check(&ahead(8), &gate(8)).is_ok());
+        for (wrong, hold, word) in [(9, 20, "give 0 to 8 ticks"), (3, 2, "a larger gate.hold_ticks")] {
+            let Violation { key, text } = check(&ahead(wrong), &gate(hold)).unwrap_err();
+            assert!(key == "link.ahead" && text.contains(word), "{text}");
+        }
     }
 }

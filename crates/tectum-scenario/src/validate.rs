@@ -30,7 +30,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), Violation> {
     check_channels(scenario)?;
     restart::check(&scenario.restart)?;
     realtime::check(&scenario.realtime)?;
-    link::check(&scenario.link)?;
+    link::check(&scenario.link, &scenario.gate)?;
     faults::check(&scenario.faults)
 }
 

@@ -11,7 +11,7 @@ use crate::reference::{Score, TestPercept};
 use crate::runtime::{Controller, ControllerReport, PipeError, PipedController, PipedStart};
 use crate::scenario::Plan;
 use crate::study::JobProgress;
-use crate::wire::{Command, Learning, Observation, flag};
+use crate::wire::{Ahead, Command, Learning, Observation, flag};
 
 /// The cost of one tick, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -71,6 +71,14 @@ impl Subject {
             after: clock.between(answered, Instant::now()),
         };
         Ok(clock.zip(began).zip(answered).map(|((clock, began), answered)| cost(clock, began, answered)))
+    }
+
+    /// What goes with the last command: commands for the ticks after it, where the scenario has them.
+    pub fn ahead(&self) -> Option<&Ahead> {
+        match self {
+            Self::Shipped(controller) => controller.ahead(),
+            Self::Piped(..) => None,
+        }
     }
 
     /// Tests what was learned in the first `done` ticks, without exploration noise; the run goes on as if there had

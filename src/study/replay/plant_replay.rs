@@ -6,6 +6,9 @@
 //! afterwards, or the scenario's faults may have removed the command. In these cases both possibilities are
 //! tried.
 //!
+//! Commands ahead are not in the log. One that was applied is taken from the observation, and has to be within the
+//! gate's limits; every age that it can have had is tried.
+//!
 //! For a plant that cannot be run again, the gate's position limits depend on joint positions that are not in
 //! the log. A command that was applied under them is accepted if it lies between zero and the command that
 //! the gate would have applied without them.
@@ -125,6 +128,8 @@ pub(super) struct PlantReplay {
     simulated: bool,
     /// Whether the scenario has faults of the channels, so that a command that was sent may have been missed.
     faulty: bool,
+    /// Largest age of a command ahead.
+    most_ahead: u32,
     ticks: u64,
     /// Number of observations so far.
     seen: u64,
@@ -152,6 +157,7 @@ impl PlantReplay {
             candidates: vec![side],
             simulated,
             faulty,
+            most_ahead: plan.scenario.link.ahead,
             ticks: plan.scenario.ticks,
             seen: 0,
             last: None,
@@ -184,7 +190,7 @@ impl PlantReplay {
     ) -> Result<(), Box<Difference>> {
         let due = self.last.map_or(0, |last| last + 1);
         let mut replayed = self.check_header(logged, due, stamps)?;
-        let arrived = self.possible_commands(logged, replayed.skipped, command, stamps);
+        let arrived = self.possibilities(logged, replayed.skipped, command, stamps);
         let tick = logged.header.tick;
         // Whether a command came after its tick depends on times that are not in the log.
         let late = if stamps.lockstep { 0 } else { logged.header.flags & flag::LATE };
@@ -195,10 +201,13 @@ impl PlantReplay {
         for side in self.candidates.drain(..) {
             // A candidate is large. The last command takes it, so that it is copied only where there are several.
             let mut left = Some(side);
-            for (i, command) in arrived.iter().enumerate() {
+            for (i, &(command, age)) in arrived.iter().enumerate() {
                 let side = if i + 1 == arrived.len() { left.take() } else { left.clone() };
                 let Some(mut side) = side else { break };
-                follow(&mut side, due, tick, *command, logged);
+                if age > 0 {
+                    side.know_ahead(logged, age);
+                }
+                follow(&mut side, due, tick, command, logged);
                 side.observe(tick, late, replayed.skipped, &mut replayed);
                 match compare("observation", tick, logged, &replayed) {
                     Ok(()) if fitting.len() < MOST_CANDIDATES => fitting.push(side),
@@ -240,6 +249,26 @@ impl PlantReplay {
         compare("observation", due + skipped, logged, &replayed)?;
         stamps.check_order(&logged.header, "observation")?;
         Ok(replayed)
+    }
+
+    /// The commands that may have arrived in the tick before `logged`, `None` for no command, each with the age of the
+    /// command ahead that may have been applied instead, 0 for none.
+    fn possibilities<'a>(
+        &self,
+        logged: &Observation,
+        skipped: u32,
+        command: Option<&'a Command>,
+        stamps: &StampChecker,
+    ) -> Vec<(Option<&'a Command>, u32)> {
+        let arrived = self.possible_commands(logged, skipped, command, stamps);
+        let ahead = logged.header.flags & flag::AHEAD != 0;
+        let ages = match skipped {
+            0 if ahead => 1..=self.most_ahead,
+            0 => 0..=0,
+            // The flags are those of the last tick that was skipped.
+            _ => 0..=self.most_ahead,
+        };
+        arrived.iter().flat_map(|command| ages.clone().map(|age| (*command, age))).collect()
     }
 
     /// The commands that may have arrived in the tick before `logged`; `None` for no command. In lockstep a

@@ -24,6 +24,7 @@ pub use model_predictive::ModelPredictiveAgent;
 pub use shipped::ShippedAgent;
 
 use crate::flag;
+use crate::plant::MAX_JOINTS;
 use crate::policy::LinearPolicy;
 use crate::state::{self, Persist};
 
@@ -173,6 +174,13 @@ pub trait Agent: Persist {
     /// Decides on the command of a tick.
     fn act(&mut self, percept: &Percept, answer: &mut Answer);
 
+    /// Commands for the ticks after the one in which it has just acted, without exploration noise, as far as it can
+    /// tell: fills in a command for each tick, and returns the number of ticks. Called after
+    /// [`act`](Self::act) where a scenario has `[link] ahead`. It must not change what the agent does from then on.
+    fn look_ahead(&mut self, _commands: &mut [[f32; MAX_JOINTS]]) -> usize {
+        0
+    }
+
     /// Learns from the result of the last command, before the next one is decided, so it has to be fast. Returns
     /// whether something was learned. Called also where nothing may be learned ([`Experience::withheld`]); an agent
     /// with an eligibility trace then cuts it.
@@ -245,6 +253,10 @@ impl<A: Agent + ?Sized> Persist for Box<A> {
 impl<A: Agent + ?Sized> Agent for Box<A> {
     fn act(&mut self, percept: &Percept, answer: &mut Answer) {
         (**self).act(percept, answer);
+    }
+
+    fn look_ahead(&mut self, commands: &mut [[f32; MAX_JOINTS]]) -> usize {
+        (**self).look_ahead(commands)
     }
 
     fn learn(&mut self, experience: &Experience) -> bool {

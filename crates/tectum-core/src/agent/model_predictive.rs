@@ -1,17 +1,19 @@
 //! The agent of the model-predictive learner.
 
-use super::{Agent, AgentRecord, Answer, Boundary, Experience, Percept};
+use super::{Agent, AgentRecord, Answer, Boundary, Experience, Percept, Withheld};
 use crate::learner::LearnerSpec;
 use crate::learner::model_predictive::{
     GuardCounts, InputRange, ModelPredictive, ModelPredictiveConfig, ModelPredictiveSpec, Observed, TickFlags,
 };
+use crate::plant::MAX_JOINTS;
 use crate::state::{Persist, StateVisitor};
 use crate::{MAX_INPUTS, MAX_OUTPUTS, SignalConfig};
 
 /// [`ModelPredictive`] behind the trait [`Agent`]: it answers from the plan of the tick before, and learns and plans in
 /// [`Agent::improve`].
 ///
-/// A tick that may not be learned from, or after which another episode begins, teaches nothing.
+/// A tick that may not be learned from, or after which another episode begins, teaches nothing. One whose command was
+/// late or lost does: what was applied instead is known.
 #[derive(Debug, Clone)]
 pub struct ModelPredictiveAgent {
     learner: ModelPredictive,
@@ -101,19 +103,25 @@ impl Agent for ModelPredictiveAgent {
         self.improved = false;
     }
 
+    fn look_ahead(&mut self, commands: &mut [[f32; MAX_JOINTS]]) -> usize {
+        self.learner.look_ahead(commands)
+    }
+
     fn learn(&mut self, experience: &Experience) -> bool {
         self.reward = f64::from(experience.reward);
         for (to, applied) in self.applied.iter_mut().zip(experience.applied) {
             *to = f64::from(*applied);
         }
+        // The models are of the plant, not of this agent: what was applied in the place of its command teaches as well.
+        let known = matches!(experience.withheld, None | Some(Withheld::Missed));
         self.flags = TickFlags {
-            missed: experience.withheld.is_some(),
+            missed: !known,
             limited: experience.limited,
             new_target: experience.boundary == Boundary::NewTarget,
             terminated: experience.boundary == Boundary::Terminated,
             truncated: experience.boundary == Boundary::Truncated,
         };
-        experience.withheld.is_none()
+        known
     }
 
     /// The work of a tick is fixed, so that more than one update a tick is the same as one.

@@ -5,6 +5,7 @@ use tectum_encoder::simd::SimdPath;
 
 use super::{Agent, AgentRecord, Answer, Experience, LinearAgent, ModelPredictiveAgent, Percept};
 use crate::learner::LearnerSpec;
+use crate::plant::MAX_JOINTS;
 use crate::policy::{LinearPolicy, Noise};
 use crate::state::{Persist, StateVisitor};
 
@@ -55,6 +56,13 @@ impl Agent for ShippedAgent {
         match self {
             Self::Linear(agent) => agent.act(percept, answer),
             Self::ModelPredictive(agent) => agent.act(percept, answer),
+        }
+    }
+
+    fn look_ahead(&mut self, commands: &mut [[f32; MAX_JOINTS]]) -> usize {
+        match self {
+            Self::Linear(agent) => agent.look_ahead(commands),
+            Self::ModelPredictive(agent) => agent.look_ahead(commands),
         }
     }
 

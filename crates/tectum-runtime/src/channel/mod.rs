@@ -68,6 +68,8 @@ const BOARD_PAGES: u32 = 256;
 
 /// The service whose attributes identify the run. It is created before all others.
 pub(crate) const IDENTITY: &str = "identity";
+/// The channel of commands ahead. A scenario cannot name it, and no channel of a scenario can have this name.
+pub(crate) const AHEAD: &str = "commands.ahead";
 /// Name of the launcher's board.
 pub(crate) const CONTROL: &str = "control";
 

@@ -10,8 +10,8 @@ use super::domain::{Domain, DomainName};
 use super::log_ring::{LogAppender, LogTail};
 use super::ports::{Factory, Payload, Receiver, Sender};
 use super::wake::{WakeListener, WakeNotifier};
-use super::{ChannelError, IDENTITY, Identity, LOOP_BUFFER, service_name};
-use crate::wire::{ChannelNames, Command, Learning, Observation, Role, Status};
+use super::{AHEAD, ChannelError, IDENTITY, Identity, LOOP_BUFFER, service_name};
+use crate::wire::{Ahead, ChannelNames, Command, Learning, Observation, Role, Status};
 
 /// The plant's ends.
 pub struct PlantPorts {
@@ -23,6 +23,8 @@ pub struct PlantPorts {
     pub wake: WakeNotifier,
     /// Commands, the newest two.
     pub command: Receiver<Command>,
+    /// Commands ahead, the newest two, once [opened](Self::open_ahead).
+    pub ahead: Option<Receiver<Ahead>>,
     /// The controller's status.
     pub controller: BoardReader<Status>,
     /// The logger's status.
@@ -38,6 +40,8 @@ pub struct ControllerPorts {
     pub wake: WakeListener,
     /// Commands, to the plant and viewers.
     pub command: Sender<Command>,
+    /// Commands ahead, to the plant, once [opened](Self::open_ahead).
+    pub ahead: Option<Sender<Ahead>>,
     /// Learning records, to viewers.
     pub learning: Sender<Learning>,
     /// Commands, for the logger.
@@ -82,11 +86,21 @@ impl PlantPorts {
             log: LogAppender::open(name, "observation")?,
             wake: WakeNotifier::open(name)?,
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
+            ahead: None,
             controller: read_peer(&domain, Role::Controller, &status_board)?,
             logger: read_peer(&domain, Role::Logger, &status_board)?,
             _domain: domain,
         };
         Ok((ports, status_board))
+    }
+
+    /// Opens the channel of commands ahead, in a run whose scenario has them.
+    ///
+    /// # Errors
+    /// [`ChannelError::SetUp`] when the run has no such channel.
+    pub fn open_ahead(&mut self) -> Result<(), ChannelError> {
+        self.ahead = Some(Receiver::new(AHEAD, open_channel(&self._domain, AHEAD)?, LOOP_BUFFER)?);
+        Ok(())
     }
 }
 
@@ -110,6 +124,7 @@ impl ControllerPorts {
             )?,
             wake: WakeListener::open(name)?,
             command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
+            ahead: None,
             learning: Sender::new(&channels.learning, open_channel(&domain, &channels.learning)?)?,
             command_log: LogAppender::open(name, "command")?,
             learning_log: LogAppender::open(name, "learning")?,
@@ -117,6 +132,15 @@ impl ControllerPorts {
             _domain: domain,
         };
         Ok((ports, status_board))
+    }
+
+    /// Opens the channel of commands ahead, in a run whose scenario has them.
+    ///
+    /// # Errors
+    /// [`ChannelError::SetUp`] when the run has no such channel.
+    pub fn open_ahead(&mut self) -> Result<(), ChannelError> {
+        self.ahead = Some(Sender::new(AHEAD, open_channel(&self._domain, AHEAD)?)?);
+        Ok(())
     }
 }
 

@@ -5,7 +5,7 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::publish_subscribe;
 
 use super::ChannelError;
-use crate::wire::{Command, Control, Learning, Observation, Sample, Status, Vision};
+use crate::wire::{Ahead, Command, Control, Learning, Observation, Sample, Status, Vision};
 
 pub(super) type Factory<T> = publish_subscribe::PortFactory<ipc::Service, T, ()>;
 
@@ -27,7 +27,7 @@ macro_rules! payload {
     )+};
 }
 
-payload!(Observation, Command, Learning, Vision, Control, Status);
+payload!(Observation, Command, Ahead, Learning, Vision, Control, Status);
 
 /// The writing end of a channel.
 #[derive(Debug)]

@@ -9,8 +9,8 @@ use super::domain_lock::DomainGuard;
 use super::log_ring::create_rings;
 use super::ports::{Factory, Payload};
 use super::wake::WakeWord;
-use super::{BOARD_PAGES, CONTROL, ChannelError, IDENTITY, Identity, LOG_BUFFER, VISION_BUFFER, service_name};
-use crate::wire::{ChannelNames, Command, Control, Learning, Observation, Role, Status, Vision};
+use super::{AHEAD, BOARD_PAGES, CONTROL, ChannelError, IDENTITY, Identity, LOG_BUFFER, VISION_BUFFER, service_name};
+use crate::wire::{Ahead, ChannelNames, Command, Control, Learning, Observation, Role, Status, Vision};
 
 /// Readers of a channel: the loop's peer and some viewers. None of them can hold up the writer.
 const MAX_SUBSCRIBERS: usize = 4;
@@ -34,6 +34,7 @@ pub struct RunServices {
     /// Most processes on a board.
     nodes: usize,
     _channels: (Factory<Observation>, Factory<Command>, Factory<Learning>),
+    _ahead: Option<Factory<Ahead>>,
     _vision: Option<Factory<Vision>>,
     _identity: event::PortFactory<ipc::Service>,
     _wake: WakeWord,
@@ -43,7 +44,8 @@ pub struct RunServices {
 
 impl RunServices {
     /// Creates the domain and all its services. If `vision` names a channel for trackers, creates that too, and
-    /// more places for readers and nodes. The domain is also removed if setting up fails half-way.
+    /// more places for readers and nodes; with `ahead`, also the channel of commands ahead. The domain is also removed
+    /// if setting up fails half-way.
     ///
     /// # Errors
     /// [`ChannelError::SetUp`] when shared memory cannot be used.
@@ -52,6 +54,7 @@ impl RunServices {
         identity: &Identity,
         channels: &ChannelNames,
         vision: Option<&str>,
+        ahead: bool,
     ) -> Result<Self, ChannelError> {
         let extra = if vision.is_some() { TRACKER_PLACES } else { 0 };
         let nodes = MAX_NODES + extra;
@@ -72,6 +75,7 @@ impl RunServices {
             create_channel(&domain, &channels.command, extra)?,
             create_channel(&domain, &channels.learning, extra)?,
         );
+        let ahead = ahead.then(|| create_channel(&domain, AHEAD, 0)).transpose()?;
         let vision = vision.map(|name| create_vision(&domain, name, nodes)).transpose()?;
         let control = create_board::<Control>(&domain, CONTROL, 1, nodes)?;
         let mut boards = Vec::new();
@@ -88,6 +92,7 @@ impl RunServices {
             boards,
             nodes,
             _channels: channels,
+            _ahead: ahead,
             _vision: vision,
             _identity: service,
             _wake: wake,
@@ -162,7 +167,7 @@ mod tests {
     fn starts_have_no_bound() {
         let name = DomainName::of(0x7e57_b0a2_0000_0000 | u64::from(std::process::id()));
         let identity = Identity { schema: 1, scenario: 2, build: "test".to_owned() };
-        let mut services = RunServices::create(&name, &identity, &ChannelNames::default(), None).unwrap();
+        let mut services = RunServices::create(&name, &identity, &ChannelNames::default(), None, false).unwrap();
         let domain = Domain::join(&name).unwrap();
         let mut peer = BoardReader::<Status>::of_process(&domain, Role::Plant, 0).unwrap();
         for incarnation in 1..=2 * BOARD_PAGES + 1 {

@@ -97,7 +97,7 @@ mod tests {
     fn a_forged_number_does_not_silence_the_controller() {
         let name = DomainName::of(u64::from(std::process::id()) << 32 ^ 0x1b0c);
         let (identity, channels) = (Identity { schema: 1, scenario: 2, build: "b".into() }, ChannelNames::default());
-        let _services = RunServices::create(&name, &identity, &channels, None).unwrap();
+        let _services = RunServices::create(&name, &identity, &channels, None, false).unwrap();
         let (plant, _board) = PlantPorts::open(&name, &identity, &channels).unwrap();
         let (controller, _board) = ControllerPorts::open(&name, &identity, &channels).unwrap();
         let mut inbox = CommandInbox::new(0, 0, true);

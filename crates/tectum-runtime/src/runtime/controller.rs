@@ -8,7 +8,7 @@ use crate::policy::LinearPolicy;
 use crate::scenario::Plan;
 use crate::simd::SimdPath;
 use crate::state::{Persist, StateVisitor};
-use crate::wire::{Command, Learning, Observation};
+use crate::wire::{Ahead, Command, Learning, Observation};
 
 mod tick;
 
@@ -87,6 +87,11 @@ impl<A: Agent> Controller<A> {
     /// no observation of this tick, the command has the flag [`flag::UNHEARD`](crate::wire::flag::UNHEARD).
     pub fn respond(&mut self, observation: &Observation, command: &mut Command) {
         self.tick.respond(&mut self.agent, observation, command);
+    }
+
+    /// What goes with the last command: commands for the ticks after it; `None` where the scenario has none.
+    pub fn ahead(&self) -> Option<&Ahead> {
+        self.tick.ahead.as_deref()
     }
 
     /// Answers an observation of a test: the agent's mean, without exploration noise. The agent decides and learns
@@ -168,6 +173,9 @@ impl<A: Agent> Persist for Controller<A> {
         visitor.number("flags", &mut self.tick.flags);
         visitor.boolean("acted", &mut self.tick.acted);
         visitor.number("age", &mut self.tick.age);
+        if let Some(ahead) = &mut self.tick.ahead {
+            visitor.words("ahead", &mut **ahead);
+        }
         visitor.nested("tally", &mut self.tick.statistics);
         visitor.nested("counter", &mut self.tick.counter);
         visitor.nested("report", &mut self.tick.report);

@@ -22,7 +22,7 @@ use crate::checkpoint::{self, CheckpointWriter};
 use crate::clock::{Backoff, TimeSource, precise_timers};
 use crate::scenario::{Plan, ScenarioError};
 use crate::state::{self, Persist, StateVisitor};
-use crate::wire::{Command, Header, Learning, Observation, ProcessState, Role, Status};
+use crate::wire::{Ahead, Command, Header, Learning, Observation, ProcessState, Role, Status};
 
 /// Most observations between two states in the crash store.
 const MOST_UNSAVED: u64 = 64;
@@ -179,8 +179,16 @@ impl<A: Agent> ControllerLoopState<A> {
 
     /// Sends the last command and learning record.
     fn send(&self, ports: &mut ControllerPorts) -> Result<(), RuntimeError> {
-        ports.command.send(&self.command)?;
+        self.send_command(ports)?;
         self.send_learning(ports)
+    }
+
+    /// Sends the command, and before it what goes with it: the plant looks for that when it has the command.
+    fn send_command(&self, ports: &mut ControllerPorts) -> Result<(), RuntimeError> {
+        if let (Some(to), Some(ahead)) = (&ports.ahead, self.controller.ahead()) {
+            to.send(&Ahead { header: Header { flags: 0, ..self.command.header }, ..*ahead })?;
+        }
+        Ok(ports.command.send(&self.command)?)
     }
 
     /// Sends the learning record, and appends both to the log.
@@ -269,7 +277,10 @@ impl<A: Agent> ControllerLoop<A> {
         }
         let save_every = agent.save_every().clamp(1, MOST_UNSAVED);
         let mut state = ControllerLoopState::new(&participant.plan, agent);
-        let (ports, status_board) = participant.open(ControllerPorts::open)?;
+        let (mut ports, status_board) = participant.open(ControllerPorts::open)?;
+        if participant.plan.scenario.link.ahead > 0 {
+            ports.open_ahead()?;
+        }
         if participant.manifest.frozen {
             state.controller.freeze();
         }
@@ -376,7 +387,7 @@ impl<A: Agent> ControllerLoop<A> {
         self.state.respond(observation);
         stamp(&mut self.state.command.header, header, &self.time);
         self.stopwatch.end();
-        self.ports.command.send(&self.state.command)?;
+        self.state.send_command(&mut self.ports)?;
         Ok((arrived, self.time.now()))
     }
 

@@ -1,9 +1,10 @@
 //! The gate between commands and actuators: hold policy and limits, independent of who sends the commands.
 //!
 //! Invariant I7: for any command (none, late, not a number, huge), the applied command is finite and within
-//! limits. In each tick the gate starts from the *wanted* command: the one that arrived, or, without one, the
-//! hold policy's (hold the last command, then decay it to zero, then zero). It then limits each output by
-//! itself:
+//! limits. In each tick the gate starts from the *wanted* command: the one that arrived, or, without one, one that
+//! an earlier command brought ahead for this tick, or else the hold policy's (hold the last command, then decay it to
+//! zero, then zero). Commands ahead only take the place of held ones: they are no older than the hold policy holds,
+//! so the plant stops as soon as without them. The gate then limits each output by itself:
 //!
 //! 1. *Rate.* A command is limited to `max_command` in magnitude. In a *ramp* it is limited to a share of that,
 //!    which grows from `1 / (ramp_ticks + 1)` to 1 by one step per command. A ramp starts when commands start
@@ -26,12 +27,14 @@ use crate::scenario::GateConfig;
 use crate::state::{Persist, StateVisitor};
 use crate::wire::{MAX_OUTPUTS, OutputValues, flag};
 
+pub use super::commands_ahead::CommandAhead;
+
 /// The gate's output in one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Applied {
     /// The command for the actuators. OutputValues beyond the plant's are 0.
     pub command: OutputValues,
-    /// The gate's actions as bits of [`flag`]: [`flag::MISSED`] with one of `HELD`, `DECAYED` and `STOPPED`;
+    /// The gate's actions as bits of [`flag`]: [`flag::MISSED`] with one of `AHEAD`, `HELD`, `DECAYED` and `STOPPED`;
     /// [`flag::NON_FINITE`]; and [`flag::CLAMPED`], with `RAMPED`, `STEP_LIMITED` and `POSITION_LIMITED` where
     /// one of these limits applied.
     pub flags: u32,
@@ -51,9 +54,9 @@ pub struct Gate {
     decay: u32,
     ramp: u32,
     outputs: usize,
-    /// The applied command of the last tick with a command. The hold policy holds it.
+    /// The applied command of the last tick with a command, in time or ahead. The hold policy holds it.
     last: OutputValues,
-    /// Ticks without a command since then.
+    /// Ticks without a command since then, or the age of a command ahead.
     missing: u32,
     /// The command applied in the last tick.
     applied: OutputValues,
@@ -101,10 +104,25 @@ impl Gate {
     /// One tick: takes the command that arrived for it, or `None`, and the ranges that the position limits
     /// leave ([`Gate::command_ranges`]). A command with a value that is not finite counts as none.
     pub fn pass(&mut self, command: Option<&OutputValues>, ranges: Option<&CommandRanges>) -> Applied {
+        self.pass_or(command, || None, ranges)
+    }
+
+    /// [`pass`](Self::pass), with a command ahead for a tick in which none arrives.
+    pub fn pass_or(
+        &mut self,
+        command: Option<&OutputValues>,
+        ahead: impl FnOnce() -> Option<CommandAhead>,
+        ranges: Option<&CommandRanges>,
+    ) -> Applied {
         let arrived = command.map(|command| self.used(command)).filter(all_finite);
-        let (wanted, mut flags) = match &arrived {
-            Some(command) => self.limit_rate(command),
-            None => self.hold_policy(),
+        let ahead = if arrived.is_some() { None } else { self.used_ahead(ahead()) };
+        let (wanted, mut flags) = match (&arrived, &ahead) {
+            (Some(command), _) => self.limit_rate(command, 0),
+            (None, Some(CommandAhead { command, age })) => {
+                let (wanted, flags) = self.limit_rate(command, *age);
+                (wanted, flags | flag::MISSED | flag::AHEAD)
+            }
+            (None, None) => self.hold_policy(),
         };
         if arrived.is_none() && command.is_some() {
             flags |= flag::NON_FINITE;
@@ -118,7 +136,7 @@ impl Gate {
             flags |= self.limit(&mut applied, ranges, flag::POSITION_LIMITED);
         }
         self.applied = applied;
-        if arrived.is_some() {
+        if arrived.is_some() || ahead.is_some() {
             self.last = applied;
         }
         Applied { command: applied, flags }
@@ -132,6 +150,13 @@ impl Gate {
             *u = if output < self.outputs { *u } else { 0.0 };
         }
         used
+    }
+
+    /// A command ahead, if it takes the place of one that would be held.
+    fn used_ahead(&self, ahead: Option<CommandAhead>) -> Option<CommandAhead> {
+        let CommandAhead { command, age } = ahead?;
+        let command = self.used(&command);
+        (age <= self.hold && all_finite(&command)).then_some(CommandAhead { command, age })
     }
 
     /// Clamps each output to its range. Returns [`flag::CLAMPED`] and `reason` where that changes one.
@@ -148,12 +173,12 @@ impl Gate {
         self.applied = applied;
     }
 
-    /// The wanted command for one that arrived: within the rate limit and the ramp.
-    fn limit_rate(&mut self, command: &OutputValues) -> (OutputValues, u32) {
+    /// The wanted command for one that arrived, or came ahead `age` ticks ago: within the rate limit and the ramp.
+    fn limit_rate(&mut self, command: &OutputValues, age: u32) -> (OutputValues, u32) {
         let starts = self.ramp_commands == 0 || self.missing > self.hold;
         self.ramp_commands =
             if starts { 1 } else { self.ramp_commands.saturating_add(1).min(self.ramp.saturating_add(1)) };
-        self.missing = 0;
+        self.missing = age;
         let share = self.ramp_commands as f32 / self.ramp.saturating_add(1) as f32;
         let (mut wanted, mut changed) = (*command, 0);
         for (u, limit) in wanted.iter_mut().zip(self.limit) {

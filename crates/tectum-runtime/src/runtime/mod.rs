@@ -13,6 +13,7 @@
 mod budget;
 mod checkpoint_schedule;
 mod command_inbox;
+mod commands_ahead;
 mod controller;
 mod controller_loop;
 mod error;
@@ -45,7 +46,7 @@ pub use controller_loop::{run_controller, run_shipped_controller};
 pub use error::channel_exit_code;
 pub use error::{RuntimeError, exit};
 pub use faults::{Faultable, FaultyChannel, SignalCounts};
-pub use gate::{Applied, CommandRange, CommandRanges, Gate};
+pub use gate::{Applied, CommandAhead, CommandRange, CommandRanges, Gate};
 pub use in_process::{
     InProcess, Simulation, in_process, in_process_over_pipe, in_process_with_agent, in_process_with_observer, simulate,
 };

@@ -1,10 +1,11 @@
 //! The plant's side of the tick: a plant behind its gate.
 
+use super::commands_ahead::{CommandAhead, CommandsAhead};
 use super::{CommandRanges, FaultyChannel, Gate, PlantReport};
 use crate::plant::{EpisodeEnd, Outcome, Plant};
 use crate::scenario::Plan;
 use crate::state::{Persist, StateVisitor, save, size};
-use crate::wire::{Command, MAX_OUTPUTS, Observation, OutputValues, flag};
+use crate::wire::{Ahead, Command, MAX_OUTPUTS, Observation, OutputValues, flag};
 
 /// A plant behind its gate: the plant's half of every tick, without clock and transport.
 ///
@@ -60,7 +61,7 @@ impl<P: Plant> PlantSide<P> {
 
     /// The state that determines the following ticks, as bytes.
     pub fn state_bytes(&mut self) -> Vec<u8> {
-        [&mut self.body as &mut dyn Persist, &mut self.tick.gate, &mut self.tick.commands]
+        [&mut self.body as &mut dyn Persist, &mut self.tick.gate, &mut self.tick.commands, &mut self.tick.ahead]
             .into_iter()
             .flat_map(|part| {
                 let mut bytes = vec![0; size(part)];
@@ -83,6 +84,23 @@ impl<P: Plant> PlantSide<P> {
     /// The plant, after the run.
     pub fn into_body(self) -> P {
         self.body
+    }
+
+    /// Keeps the commands ahead that came with a command, for ticks in which none arrives.
+    pub fn keep_ahead(&mut self, ahead: &Ahead) {
+        self.tick.ahead.keep(ahead);
+    }
+
+    /// Whether the scenario has commands ahead.
+    pub fn uses_ahead(&self) -> bool {
+        self.tick.ahead.is_used()
+    }
+
+    /// For a replay: in the next step, the command ahead that `observation` says was applied, with the flags of its
+    /// limits. Its `age` is not in the log.
+    pub fn know_ahead(&mut self, observation: &Observation, age: u32) {
+        let flags = observation.header.flags & LIMITS;
+        self.tick.known_ahead = Some((CommandAhead { command: observation.applied, age }, flags));
     }
 
     /// Advances the plant by `tick`, with the command that arrived for it; `None` if it was missed. A command
@@ -130,6 +148,12 @@ struct PlantTick {
     /// The ranges that the position limits leave, where the plant cannot report its joints and a replay knows
     /// the ranges.
     known_ranges: Option<CommandRanges>,
+    /// Commands for ticks in which none arrives.
+    ahead: CommandsAhead,
+    /// The one that a replay knows from the log, and the flags of its limits.
+    known_ahead: Option<(CommandAhead, u32)>,
+    /// Whether ticks are passed over: a command ahead would be for a time that is gone.
+    skipping: bool,
     inputs: usize,
     outputs: usize,
     outcome: Outcome,
@@ -139,6 +163,9 @@ struct PlantTick {
     report: PlantReport,
 }
 
+/// Flags of the gate's limits.
+const LIMITS: u32 = flag::CLAMPED | flag::STEP_LIMITED | flag::POSITION_LIMITED | flag::RAMPED;
+
 impl PlantTick {
     fn new(plan: &Plan) -> Self {
         let outputs = plan.outputs.len();
@@ -146,6 +173,9 @@ impl PlantTick {
             gate: Gate::new(&plan.scenario.gate, outputs),
             commands: FaultyChannel::of(plan),
             known_ranges: None,
+            ahead: CommandsAhead::new(plan.scenario.link.ahead),
+            known_ahead: None,
+            skipping: false,
             inputs: plan.inputs.len(),
             outputs,
             outcome: Outcome::default(),
@@ -173,14 +203,34 @@ impl PlantTick {
         let received = if self.commands.is_fault_free() {
             command.map(|c| &c.drawn)
         } else {
-            self.commands.pass(tick, command, |c| match c.header.tick == tick {
-                true => passed_on = Some(c.drawn),
-                false => late += 1,
+            let ahead = &mut self.ahead;
+            self.commands.pass(tick, command, |c| {
+                ahead.hear(c.header.tick, tick);
+                match c.header.tick == tick {
+                    true => passed_on = Some(c.drawn),
+                    false => late += 1,
+                }
             });
             passed_on.as_ref()
         };
         let ranges = self.gate.command_ranges(|| body.joints());
-        let mut applied = self.gate.pass(received, self.known_ranges.as_ref().or(ranges.as_ref()));
+        let ranges = self.known_ranges.as_ref().or(ranges.as_ref());
+        let (known, faulty, skipping) = (self.known_ahead.take(), !self.commands.is_fault_free(), self.skipping);
+        let ahead = &mut self.ahead;
+        let ahead = || match known {
+            Some((command, _)) => Some(command),
+            None if ahead.is_used() && !skipping => {
+                if !faulty {
+                    ahead.hear_all(tick);
+                }
+                ahead.command_for(tick)
+            }
+            None => None,
+        };
+        let mut applied = self.gate.pass_or(received, ahead, ranges);
+        if let Some((_, limits)) = known.filter(|_| applied.flags & flag::AHEAD != 0) {
+            applied.flags |= limits;
+        }
         if act && body.command_deadline_ns().is_some() {
             let before = applied.command;
             applied.flags |= body.act(tick, &mut applied.command[..self.outputs], applied.flags);
@@ -203,6 +253,7 @@ impl PlantTick {
         }
         for (count, flag) in [
             (&mut self.report.missed, flag::MISSED),
+            (&mut self.report.ahead, flag::AHEAD),
             (&mut self.report.clamped, flag::CLAMPED),
             (&mut self.report.step_limited, flag::STEP_LIMITED),
             (&mut self.report.position_limited, flag::POSITION_LIMITED),
@@ -219,6 +270,7 @@ impl PlantTick {
     }
 
     fn skip(&mut self, body: &mut dyn Plant, tick: u64, until: u64) {
+        self.skipping = true;
         if body.command_deadline_ns().is_some() {
             // Hardware has moved through all skipped ticks by now, so it acts and is read only once.
             for tick in tick..until {
@@ -232,6 +284,7 @@ impl PlantTick {
                 self.step(body, tick, None);
             }
         }
+        self.skipping = false;
         self.report.skipped += until - tick;
     }
 
@@ -255,6 +308,7 @@ impl<P: Plant> Persist for PlantSide<P> {
         visitor.nested("body", &mut self.body);
         visitor.nested("gate", &mut self.tick.gate);
         visitor.nested("line", &mut self.tick.commands);
+        visitor.nested("ahead", &mut self.tick.ahead);
         visitor.number("reward", &mut self.tick.outcome.reward);
         visitor.numbers("measures", &mut self.tick.outcome.measures);
         visitor.numbers("applied", &mut self.tick.applied);

@@ -157,7 +157,10 @@ struct PlantLoop<P> {
 impl<P: Plant> PlantLoop<P> {
     /// Joins the run. After a restart, sends the last observation again.
     fn start(participant: Participant, body: P) -> Result<Self, RuntimeError> {
-        let (ports, status_board) = participant.open(PlantPorts::open)?;
+        let (mut ports, status_board) = participant.open(PlantPorts::open)?;
+        if participant.plan.scenario.link.ahead > 0 {
+            ports.open_ahead()?;
+        }
         let mut state = PlantLoopState {
             side: PlantSide::new(body, &participant.plan),
             observation: Observation::default(),
@@ -290,6 +293,7 @@ impl<P: Plant> PlantLoop<P> {
         let tick = self.tick - 1;
         self.inbox.poll_for(&self.ports.command, tick);
         self.inbox.check()?;
+        self.take_ahead()?;
         self.stopwatch.end();
         if self.acted {
             self.inbox.drop_as_late();
@@ -298,6 +302,16 @@ impl<P: Plant> PlantLoop<P> {
             self.state.side.step(tick, self.inbox.take().as_ref());
         }
         self.state.side.report_mut().late += self.inbox.take_late();
+        Ok(())
+    }
+
+    /// Takes the commands ahead that have come. They are sent before the commands that they belong to.
+    fn take_ahead(&mut self) -> Result<(), RuntimeError> {
+        if let Some(channel) = &self.ports.ahead {
+            while let Some(ahead) = channel.receive()? {
+                self.state.side.keep_ahead(&ahead);
+            }
+        }
         Ok(())
     }
 
@@ -427,6 +441,7 @@ impl<P: Plant> PlantLoop<P> {
                 pause(COMMAND_POLL_NS);
             }
             self.inbox.check()?;
+            self.take_ahead()?;
             self.state.side.apply(self.tick, self.inbox.take().as_ref(), true);
             self.acted = true;
         }

@@ -23,6 +23,9 @@ pub struct PlantReport {
     /// Ticks whose command was not applied: it had not arrived in time, was not finite, or the plant skipped
     /// the tick.
     pub missed: u64,
+    /// Those of them in which the gate applied a command that an earlier one had brought ahead.
+    #[serde(default)]
+    pub ahead: u64,
     /// Commands that arrived after their tick and were dropped.
     pub late: u64,
     /// Ticks skipped because the plant itself was late.
@@ -57,6 +60,7 @@ impl Persist for PlantReport {
         for (name, count) in [
             ("ticks", &mut self.ticks),
             ("missed", &mut self.missed),
+            ("ahead", &mut self.ahead),
             ("late", &mut self.late),
             ("skipped", &mut self.skipped),
             ("clamped", &mut self.clamped),

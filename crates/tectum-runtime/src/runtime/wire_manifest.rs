@@ -56,6 +56,9 @@ pub struct Services {
     pub command: String,
     /// Learning records.
     pub learning: String,
+    /// Commands ahead; absent in a scenario without them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ahead: Option<String>,
     /// Measurements of trackers; absent in a scenario without trackers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vision: Option<String>,
@@ -107,6 +110,7 @@ impl WireManifest {
                 observation: channels.observation.clone(),
                 command: channels.command.clone(),
                 learning: channels.learning.clone(),
+                ahead: (plan.scenario.link.ahead > 0).then(|| crate::channel::AHEAD.to_owned()),
                 vision: plan.scenario.vision().map(str::to_owned),
                 identity: crate::channel::IDENTITY.to_owned(),
                 control: crate::channel::board_name(crate::channel::CONTROL),

@@ -13,12 +13,12 @@ mod samples;
 mod schema;
 
 pub use boards::{Control, Phase, ProcessState, Status};
-pub use samples::{Command, Gap, Header, Learning, Observation, Vision};
+pub use samples::{Ahead, Command, Gap, Header, Learning, Observation, Vision};
 pub use schema::{Field, Sample, schema_hash};
 
 pub use tectum_core::agent::MAX_COLUMNS;
 pub use tectum_core::flag;
-pub use tectum_scenario::limits::{MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
+pub use tectum_scenario::limits::{MAX_AHEAD, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS};
 pub use tectum_scenario::{ChannelNames, Role};
 
 /// A number for each output that a command can carry; those beyond the plant's outputs are 0.

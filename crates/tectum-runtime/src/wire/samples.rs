@@ -1,6 +1,6 @@
 //! The samples on the channels and in the log, and the flags in their headers.
 
-use super::{MAX_COLUMNS, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, schema::sample};
+use super::{MAX_AHEAD, MAX_COLUMNS, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, schema::sample};
 
 sample! {
     /// The start of every sample: its writer, its tick and its instants.
@@ -52,6 +52,19 @@ sample! {
         mean: [f32; MAX_OUTPUTS],
         /// The drawn output: mean plus exploration noise. This is the command for the plant.
         drawn: [f32; MAX_OUTPUTS],
+    }
+}
+
+sample! {
+    /// What goes with a command where the scenario has `[link] ahead`: commands without exploration noise for the
+    /// ticks after it. It is sent just before the command.
+    Ahead, "1" {
+        /// As that of the command; `flags` is 0.
+        header: Header,
+        /// Number of ticks that there is a command for: those after the header's.
+        ticks: u64,
+        /// Their commands, one tick after the other, each as `drawn` of a command; unused entries are 0.
+        commands: [[f32; MAX_OUTPUTS]; MAX_AHEAD],
     }
 }
 

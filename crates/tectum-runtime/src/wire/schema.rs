@@ -72,7 +72,7 @@ impl FieldElement for f32 {
 }
 impl<T: FieldElement, const N: usize> FieldElement for [T; N] {
     const ELEMENT: &'static str = T::ELEMENT;
-    const COUNT: usize = N;
+    const COUNT: usize = N * T::COUNT;
 }
 
 /// Declares a sample: the `repr(C)` type, its name and version, and its description.
@@ -126,6 +126,7 @@ pub fn schema_hash() -> u64 {
     add::<super::Header>(&mut text);
     add::<super::Observation>(&mut text);
     add::<super::Command>(&mut text);
+    add::<super::Ahead>(&mut text);
     add::<super::Learning>(&mut text);
     add::<super::Vision>(&mut text);
     add::<super::Gap>(&mut text);
@@ -137,7 +138,7 @@ pub fn schema_hash() -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::{Command, Gap, Header, Learning, Observation, Vision};
+    use crate::wire::{Ahead, Command, Gap, Header, Learning, Observation, Vision};
 
     /// CDR aligns each primitive to its size, counted from the start of the body. Without implicit padding in
     /// the `repr(C)` layout (`Pod` proves it) and with 8-byte sizes, body and struct have the same bytes.
@@ -163,6 +164,7 @@ mod tests {
         assert_cdr::<Header>();
         assert_cdr::<Observation>();
         assert_cdr::<Command>();
+        assert_cdr::<Ahead>();
         assert_cdr::<Learning>();
         assert_cdr::<Vision>();
         assert_cdr::<Gap>();
@@ -181,6 +183,6 @@ mod tests {
     fn the_layout_is_stable() {
         let sizes = [size_of::<Header>(), size_of::<Observation>(), size_of::<Command>(), size_of::<Learning>()];
         assert_eq!(sizes, [56, 280, 184, 176]);
-        assert_eq!(size_of::<Vision>(), 72);
+        assert_eq!([size_of::<Vision>(), size_of::<Ahead>()], [72, 576]);
     }
 }

@@ -1,6 +1,7 @@
 //! The learner: acts from a plan that was made a tick ahead, and then learns and plans.
 
 mod learning;
+mod look_ahead;
 mod persist;
 mod planning;
 

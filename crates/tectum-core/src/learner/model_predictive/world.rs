@@ -151,20 +151,20 @@ fn promised(model: &Model, reward: f64, best: f64) -> (f64, f64) {
     }
 }
 
-impl LearnedWorld<'_> {
-    /// Writes the next state for the changes `d`.
-    fn advance(&self, q: &[f64], d: &[f64], next: &mut [f64]) {
-        let (n, m) = (self.places.inputs, self.places.commands);
-        for i in 0..n {
-            let free = q[i] + CHANGE * d[i];
-            let z = self.ranges.bring_in(i, free);
-            next[i] = z;
-            next[n + i] = if self.ranges.wraps[i] { d[i] } else { (z - q[i]) / CHANGE };
-        }
-        next[2 * n..2 * n + m].copy_from_slice(&q[self.places.state()..]);
-        next[2 * n + m..].copy_from_slice(&q[2 * n..2 * n + m]);
+/// Writes the state after `q` for the changes `d` of the inputs.
+pub(super) fn advance(places: Places, ranges: &Ranges, q: &[f64], d: &[f64], next: &mut [f64]) {
+    let (n, m) = (places.inputs, places.commands);
+    for i in 0..n {
+        let free = q[i] + CHANGE * d[i];
+        let z = ranges.bring_in(i, free);
+        next[i] = z;
+        next[n + i] = if ranges.wraps[i] { d[i] } else { (z - q[i]) / CHANGE };
     }
+    next[2 * n..2 * n + m].copy_from_slice(&q[places.state()..]);
+    next[2 * n + m..].copy_from_slice(&q[2 * n..2 * n + m]);
+}
 
+impl LearnedWorld<'_> {
     /// What the idle commands of `q` cost.
     fn idle_price(&self, q: &[f64]) -> f64 {
         if self.idle == 0 {
@@ -217,7 +217,7 @@ impl World for LearnedWorld<'_> {
         let n = self.places.inputs;
         let mut d = [0.0; MAX_MODEL_OUTPUTS];
         self.dynamics.value(q, &mut d[..n]);
-        self.advance(q, &d[..n], next);
+        advance(self.places, self.ranges, q, &d[..n], next);
         self.look(q, next);
         let Model { layout, fit, weighted, .. } = &mut *self.reward;
         let mut reward = [0.0];
@@ -242,7 +242,7 @@ impl World for LearnedWorld<'_> {
         }
         let mut next = [0.0; 2 * MAX_INPUTS + 2 * crate::MAX_OUTPUTS];
         let next = &mut next[..self.places.state()];
-        self.advance(q, &d[..n], next);
+        advance(self.places, self.ranges, q, &d[..n], next);
         self.look(q, next);
         self.expand_reward(jacobian, gradient, hessian);
         let nx = self.places.state();

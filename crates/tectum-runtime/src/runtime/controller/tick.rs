@@ -8,7 +8,9 @@ use crate::runtime::run_counts::RunCounter;
 use crate::runtime::statistics::FinishedStatistics;
 use crate::runtime::{ControllerReport, FaultyChannel, RunStatistics};
 use crate::scenario::{Plan, limits::RANGE};
-use crate::wire::{Command, Learning, MAX_INPUTS, MAX_OUTPUTS, Observation, OutputValues, flag};
+use crate::wire::{
+    Ahead, Command, Header, Learning, MAX_AHEAD, MAX_INPUTS, MAX_OUTPUTS, Observation, OutputValues, flag,
+};
 
 /// The state of a controller, apart from its agent.
 #[derive(Debug, Clone)]
@@ -34,6 +36,9 @@ pub(super) struct ControllerTick {
     /// Flags of the learner in this tick, and whether its command is the agent's.
     pub(super) flags: u32,
     pub(super) acted: bool,
+    /// Commands for the ticks after this one, where the scenario wants them, and for how many ticks at most.
+    pub(super) ahead: Option<Box<Ahead>>,
+    pub(super) most_ahead: usize,
     /// Observations in a row whose inputs the plant could not read.
     pub(super) age: u32,
     pub(super) statistics: RunStatistics,
@@ -85,6 +90,8 @@ impl ControllerTick {
             freeze: Freeze::None,
             flags: 0,
             acted: false,
+            ahead: (plan.scenario.link.ahead > 0).then(Box::default),
+            most_ahead: plan.scenario.link.ahead as usize,
             age: 0,
             statistics: RunStatistics::new(plan),
             counter: RunCounter::new(plan),
@@ -94,6 +101,17 @@ impl ControllerTick {
 
     /// [`Controller::respond`](super::Controller::respond).
     pub(super) fn respond(&mut self, agent: &mut dyn Agent, observation: &Observation, command: &mut Command) {
+        self.respond_without_ahead(agent, observation, command);
+        if let Some(ahead) = &mut self.ahead {
+            (ahead.header, ahead.ticks) = (Header { tick: command.header.tick, ..Header::default() }, 0);
+            ahead.commands = [[0.0; MAX_OUTPUTS]; MAX_AHEAD];
+            if self.acted {
+                ahead.ticks = agent.look_ahead(&mut ahead.commands[..self.most_ahead]) as u64;
+            }
+        }
+    }
+
+    fn respond_without_ahead(&mut self, agent: &mut dyn Agent, observation: &Observation, command: &mut Command) {
         if self.observations.is_fault_free() {
             return self.answer(agent, observation, command);
         }
@@ -189,11 +207,13 @@ impl ControllerTick {
     /// Why nothing may be learned from the observation's reward, if the agent answered tick `answered` last.
     fn withheld(&self, observation: &Observation, answered: u64, invalid: bool) -> Option<Withheld> {
         let flags = observation.header.flags;
-        if let Some(why) = Withheld::of(flags) {
-            return Some(why);
-        }
-        if observation.header.tick != answered + 1 {
-            return Some(Withheld::Lost);
+        let lost = observation.header.tick != answered + 1;
+        match Withheld::of(flags) {
+            // What was applied in between is not known.
+            Some(Withheld::Missed) if lost => return Some(Withheld::Lost),
+            Some(why) => return Some(why),
+            None if lost => return Some(Withheld::Lost),
+            None => {}
         }
         let limited = flags & flag::CLAMPED != 0;
         if limited && !self.off_policy && !self.gate_could_apply(&observation.applied[..self.outputs]) {

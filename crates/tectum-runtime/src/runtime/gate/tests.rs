@@ -67,6 +67,57 @@ fn a_command_that_is_not_finite_counts_as_none() {
     assert_eq!(applied.command[0], 0.1);
 }
 
+/// The applied command of the first output, and the flags, of a tick in which no command arrives, with one ahead.
+fn pass_ahead(gate: &mut Gate, u: f32, age: u32) -> (f32, u32) {
+    let applied = gate.pass_or(None, || Some(CommandAhead { command: first(u), age }), None);
+    assert!(applied.flags & flag::MISSED != 0);
+    (applied.command[0], applied.flags & !flag::MISSED)
+}
+
+#[test]
+fn a_command_ahead_takes_the_place_of_a_held_one_only() {
+    let (mut ahead, mut held) = (gate(), gate());
+    for gate in [&mut ahead, &mut held] {
+        gate.pass(Some(&first(0.4)), None);
+    }
+    // Both stop in the same tick, whatever came ahead.
+    let mut steps = vec![];
+    for age in 1..=7 {
+        let flags = held.pass(None, None).flags;
+        let (u, other) = pass_ahead(&mut ahead, 0.1 * age as f32, age);
+        assert_eq!(other & flag::STOPPED, flags & flag::STOPPED);
+        steps.push((u, other));
+    }
+    let (a, d, s) = (flag::AHEAD, flag::DECAYED, flag::STOPPED);
+    let expected = [(0.1, a), (0.2, a), (0.15, d), (0.1, d), (0.05, d), (0.0, s), (0.0, s)];
+    for ((u, flags), (expected, which)) in steps.iter().zip(expected) {
+        assert!((u - expected).abs() < 1e-6 && *flags == which, "{steps:?}");
+    }
+    // The hold policy goes on from the command ahead, and as old as that is. One that is not finite counts as none.
+    let mut gate = gate();
+    gate.pass(Some(&first(0.4)), None);
+    assert_eq!(pass_ahead(&mut gate, 0.3, 1), (0.3, a));
+    assert_eq!(pass_ahead(&mut gate, f32::NAN, 2), (0.3, flag::HELD));
+    assert_eq!(pass_ahead(&mut gate, f32::NAN, 3).1, d);
+    // A newer one ends the decay, within the limit.
+    assert_eq!(pass_ahead(&mut gate, 9.0, 1), (0.5, a | flag::CLAMPED));
+    assert_eq!(pass_one(&mut gate, None, None), (0.5, flag::HELD));
+    // A command that has arrived goes before one ahead, and one that is not finite does not.
+    let with =
+        |gate: &mut Gate, u| gate.pass_or(Some(&first(u)), || Some(CommandAhead { command: first(0.2), age: 1 }), None);
+    assert_eq!(with(&mut gate, 0.1).command[0], 0.1);
+    let corrupted = with(&mut gate, f32::NAN);
+    assert_eq!((corrupted.command[0], corrupted.flags), (0.2, flag::MISSED | a | flag::NON_FINITE));
+}
+
+#[test]
+fn commands_ahead_are_ramped() {
+    let mut gate = Gate::new(&GateConfig { ramp_ticks: 3, ..config() }, 2);
+    let (a, limited) = (flag::AHEAD, flag::AHEAD | flag::CLAMPED | flag::RAMPED);
+    let steps = [1, 1, 2, 1].map(|age| pass_ahead(&mut gate, 0.5, age));
+    assert_eq!(steps, [(0.125, limited), (0.25, limited), (0.375, limited), (0.5, a)]);
+}
+
 #[test]
 fn every_output_has_its_own_limit() {
     let mut gate = Gate::new(&GateConfig { max_command: PerOutput::Each(vec![0.5, 0.1]), ..config() }, 2);
@@ -151,12 +202,13 @@ fn joints_stay_within_their_limits_and_return_from_outside() {
     assert_eq!(pass_one(&mut gate, Some(0.3), Some(&joints(0.5))), (0.0, p));
 }
 
-/// An arbitrary tick: the command, if one arrives, as arbitrary bits, and the measured position as arbitrary
-/// bits or, more often, the true position.
-fn arbitrary_tick() -> impl Strategy<Value = (Option<[u32; 2]>, Option<u32>)> {
+/// An arbitrary tick: the command, if there is one, as arbitrary bits; the measured position as arbitrary bits or, more
+/// often, the true position; and the age of the command if it came ahead, 0 if it arrived in time.
+fn arbitrary_tick() -> impl Strategy<Value = (Option<[u32; 2]>, Option<u32>, u32)> {
     let ordinary = (-1.0_f32..1.0).prop_map(f32::to_bits);
     let bits = prop_oneof![any::<u32>(), ordinary];
-    (prop::option::of(prop::array::uniform2(bits)), prop::option::weighted(0.1, any::<u32>()))
+    let age = prop_oneof![3 => Just(0), 1 => 1..4_u32, 1 => any::<u32>()];
+    (prop::option::of(prop::array::uniform2(bits)), prop::option::weighted(0.1, any::<u32>()), age)
 }
 
 proptest! {
@@ -177,7 +229,7 @@ proptest! {
         let config = GateConfig { max_step: step.map(PerOutput::All), positions, ramp_ticks, ..config() };
         let mut gate = Gate::new(&config, 2);
         let (mut theta, mut before) = ([start, -start], [0.0_f32; 2]);
-        for (bits, measured) in ticks {
+        for (bits, measured, aged) in ticks {
             let mut command = [f32::NAN; MAX_OUTPUTS];
             if let Some(bits) = bits {
                 command[..2].copy_from_slice(&bits.map(f32::from_bits));
@@ -188,7 +240,11 @@ proptest! {
                 joints.position[0] = f32::from_bits(measured);
             }
             let ranges = gate.command_ranges(|| Some(joints));
-            let applied = gate.pass(bits.map(|_| command).as_ref(), ranges.as_ref());
+            let applied = match aged {
+                // What came ahead is any bits, too, and of any age.
+                age @ 1.. => gate.pass_or(None, || Some(CommandAhead { command, age }), ranges.as_ref()),
+                0 => gate.pass(bits.map(|_| command).as_ref(), ranges.as_ref()),
+            };
             prop_assert!(applied.command[2..].iter().all(|&u| u == 0.0));
             for i in 0..2 {
                 let u = applied.command[i];
