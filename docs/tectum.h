@@ -18,6 +18,7 @@
 #define TECTUM_MAX_OUTPUTS 16
 #define TECTUM_MAX_MEASURES 6
 #define TECTUM_MAX_COLUMNS 8
+#define TECTUM_MAX_AHEAD 8
 
 /* The start of every sample: its writer, its tick and its instants. */
 typedef struct tectum_header {
@@ -88,6 +89,22 @@ TECTUM_ASSERT(sizeof(tectum_command) == 184);
 TECTUM_ASSERT(offsetof(tectum_command, header) == 0);
 TECTUM_ASSERT(offsetof(tectum_command, mean) == 56);
 TECTUM_ASSERT(offsetof(tectum_command, drawn) == 120);
+
+/* What goes with a command where the scenario has `[link] ahead`: commands without exploration noise for the ticks
+ * after it. It is sent just before the command. */
+typedef struct tectum_ahead {
+    /* As that of the command; `flags` is 0. */
+    tectum_header header;
+    /* Number of ticks that there is a command for: those after the header's. */
+    uint64_t ticks;
+    /* Their commands, one tick after the other, each as `drawn` of a command; unused entries are 0. */
+    float commands[128];
+} tectum_ahead;
+#define TECTUM_TYPE_AHEAD "tectum.Ahead.v1"
+TECTUM_ASSERT(sizeof(tectum_ahead) == 576);
+TECTUM_ASSERT(offsetof(tectum_ahead, header) == 0);
+TECTUM_ASSERT(offsetof(tectum_ahead, ticks) == 56);
+TECTUM_ASSERT(offsetof(tectum_ahead, commands) == 64);
 
 /* The learner's record of tick k: its step with the reward of tick k-1, and the exploration noise for tick k. */
 typedef struct tectum_learning {
@@ -287,6 +304,9 @@ enum tectum_flag {
     /* Observation: the episode was cut off after tick k-1, for a reason that is not in the inputs, such as a limit
      * of time. The value after it is not zero, but unknown. The inputs are the first of the next episode. */
     TECTUM_TRUNCATED = 1 << 23,
+    /* Observation: without a command in time, the gate applied the one for this tick that an earlier command had
+     * brought ahead. `MISSED` is set as well. */
+    TECTUM_AHEAD = 1 << 24,
 };
 
 /* Phases of a run, in order; a number beyond them reads as ABORT. */

@@ -11,8 +11,8 @@ use std::process::Command as Process;
 
 use snapshot::assert_snapshot;
 use tectum::wire::{
-    Command, Control, Gap, Header, Learning, MAX_COLUMNS, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS, Observation, Phase,
-    ProcessState, Role, Sample, Status, Vision, flag::FLAGS, schema_hash,
+    Ahead, Command, Control, Gap, Header, Learning, MAX_AHEAD, MAX_COLUMNS, MAX_INPUTS, MAX_MEASURES, MAX_OUTPUTS,
+    Observation, Phase, ProcessState, Role, Sample, Status, Vision, flag::FLAGS, schema_hash,
 };
 
 /// The parts of a sample that a table shows.
@@ -54,6 +54,7 @@ fn layouts() -> Vec<Layout> {
         Layout::of::<Header>(),
         Layout::of::<Observation>(),
         Layout::of::<Command>(),
+        Layout::of::<Ahead>(),
         Layout::of::<Learning>(),
         Layout::of::<Vision>(),
         Layout::of::<Control>(),
@@ -138,9 +139,13 @@ fn comment(text: &mut String, indent: &str, doc: &str) {
 
 fn header() -> String {
     let mut text = HEAD.to_owned();
-    for (name, value) in
-        [("INPUTS", MAX_INPUTS), ("OUTPUTS", MAX_OUTPUTS), ("MEASURES", MAX_MEASURES), ("COLUMNS", MAX_COLUMNS)]
-    {
+    for (name, value) in [
+        ("INPUTS", MAX_INPUTS),
+        ("OUTPUTS", MAX_OUTPUTS),
+        ("MEASURES", MAX_MEASURES),
+        ("COLUMNS", MAX_COLUMNS),
+        ("AHEAD", MAX_AHEAD),
+    ] {
         let _ = writeln!(text, "#define TECTUM_MAX_{name} {value}");
     }
     for layout in layouts() {

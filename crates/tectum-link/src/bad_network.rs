@@ -9,6 +9,7 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::Scope;
 use std::time::Duration;
 
 use rand::RngExt as _;
@@ -81,6 +82,9 @@ struct Delayed {
     to: SocketAddr,
 }
 
+/// The end that connects, and a socket towards the other one.
+type NewClient = (SocketAddr, std::io::Result<Arc<UdpSocket>>);
+
 /// What all threads share.
 struct Traffic {
     network: BadNetwork,
@@ -97,7 +101,7 @@ impl BadNetwork {
     /// Carries datagrams until a signal comes.
     ///
     /// # Errors
-    /// When the address cannot be used.
+    /// When the address cannot be used, or there can be no thread or no socket.
     pub fn carry(&self, signals: &TerminationSignals) -> Result<NetworkCounts, LinkError> {
         let failed =
             |cause: std::io::Error| LinkError::Carrier { address: self.listen.to_string(), cause: cause.to_string() };
@@ -113,21 +117,17 @@ impl BadNetwork {
             ends: AtomicBool::new(false),
         };
         std::thread::scope(|scope| {
-            let ((later_there, due_there), (later_back, due_back)) = (channel(), channel());
-            scope.spawn(move || pass_on(&due_there));
-            scope.spawn(move || pass_on(&due_back));
-            let (clients, new_clients) = channel();
-            let (traffic, there) = (&traffic, Arc::clone(&near));
-            scope.spawn(move || traffic.take_there(&there, &later_there, &clients));
-            while signals.received() == 0 {
-                let Ok((client, far)) = new_clients.recv_timeout(LOOK) else { continue };
-                let (near, later) = (Arc::clone(&near), later_back.clone());
-                scope.spawn(move || traffic.take_back(client, &far, &near, &later));
-            }
+            let outcome = traffic.carry(scope, &near, signals);
             traffic.ends.store(true, Ordering::Relaxed);
-        });
+            outcome
+        })?;
         Ok(*traffic.counts())
     }
+}
+
+/// Starts a thread that ends with `scope`.
+fn start<'scope>(scope: &'scope Scope<'scope, '_>, work: impl FnOnce() + Send + 'scope) -> Result<(), LinkError> {
+    std::thread::Builder::new().spawn_scoped(scope, work).map(|_| ()).map_err(LinkError::Thread)
 }
 
 impl Traffic {
@@ -139,16 +139,40 @@ impl Traffic {
         self.client.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes what the end that connects sends.
-    fn take_there(&self, near: &UdpSocket, later: &Sender<Delayed>, clients: &Sender<(SocketAddr, Arc<UdpSocket>)>) {
+    /// Carries datagrams in threads of `scope` until a signal comes.
+    fn carry<'scope>(
+        &'scope self,
+        scope: &'scope Scope<'scope, '_>,
+        near: &Arc<UdpSocket>,
+        signals: &TerminationSignals,
+    ) -> Result<(), LinkError> {
+        let ((later_there, due_there), (later_back, due_back)) = (channel(), channel());
+        start(scope, move || pass_on(&due_there))?;
+        start(scope, move || pass_on(&due_back))?;
+        let (clients, new_clients) = channel();
+        let there = Arc::clone(near);
+        start(scope, move || self.take_there(&there, &later_there, &clients))?;
+        while signals.received() == 0 {
+            let Ok((client, far)) = new_clients.recv_timeout(LOOK) else { continue };
+            let address = self.network.to.to_string();
+            let far = far.map_err(|cause| LinkError::Carrier { address, cause: cause.to_string() })?;
+            let (near, later) = (Arc::clone(near), later_back.clone());
+            start(scope, move || self.take_back(client, &far, &near, &later))?;
+        }
+        Ok(())
+    }
+
+    /// Takes what the end that connects sends, and hands on each address of it with the socket that stands for it.
+    fn take_there(&self, near: &UdpSocket, later: &Sender<Delayed>, clients: &Sender<NewClient>) {
         let (mut random, mut bytes) = (stream(self.network.seed, "to the end that listens"), vec![0; LONGEST]);
         let mut far: Option<Arc<UdpSocket>> = None;
         while !self.ends.load(Ordering::Relaxed) {
             // Errors are time-outs, and what ICMP says of an end that is not there yet.
             let Ok((length, from)) = near.recv_from(&mut bytes) else { continue };
             if self.client().replace(from) != Some(from) {
-                far = self.far_socket().ok();
-                let _ = far.as_ref().map(|far| clients.send((from, Arc::clone(far))));
+                let socket = self.far_socket();
+                far = socket.as_ref().ok().cloned();
+                let _ = clients.send((from, socket));
             }
             let Some(far) = &far else { continue };
             let datagram = &bytes[..length];

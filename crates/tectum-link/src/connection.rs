@@ -374,7 +374,7 @@ impl Shared {
             }
             let (known, silent, unopened) = {
                 let state = self.state();
-                let silent = state.peer.as_ref().map_or(now, |peer| now.saturating_sub(peer.heard_ns));
+                let silent = state.peer.as_ref().map(|peer| now.saturating_sub(peer.heard_ns));
                 (state.offset.best().is_some(), silent, state.counts.unopened)
             };
             if !known || now - pinged >= PING_NS {
@@ -382,15 +382,13 @@ impl Shared {
                 pinged = now;
             }
             if let Some(carrier) = self.carrier.get() {
-                if silent > RENEW_NS && now - renewed > RENEW_NS {
+                if silent.unwrap_or(now) > RENEW_NS && now - renewed > RENEW_NS {
                     carrier.renew();
                     renewed = monotonic_ns();
                 }
                 self.watch_for_intruders(carrier);
             }
-            if self.state().peer.is_some() {
-                silence.look(silent).iter().for_each(|line| print_error_line(line));
-            }
+            silent.and_then(|silent| silence.look(silent)).iter().for_each(|line| print_error_line(line));
             if unopened > 0 && !complained {
                 print_error_line(
                     "tectum-link: datagrams come that were not made with this link's key; they are dropped and counted",

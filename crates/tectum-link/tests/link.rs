@@ -8,7 +8,7 @@ mod common;
 use std::process::Command;
 use std::time::Duration;
 
-use common::{LINK, LinkedMachine, address, carriers, pair, pair_over};
+use common::{LINK, LinkedMachine, address, carriers, pair, pair_over, start_over};
 use tectum_testkit::{Process, TestFolder, program, stop_process_for};
 
 #[test]
@@ -20,6 +20,20 @@ fn what_the_network_loses_is_missed_and_nothing_else() {
     // A tenth of 200 ticks is expected, and a machine that stands still adds some.
     assert!((5..80).contains(&lost), "{lost}");
     assert!(missed.abs_diff(lost) <= 3 + missed / 4, "missed {missed}, lost {lost}");
+}
+
+/// There and back takes longer than a tick, so that every command is late. Those that it brings ahead are not.
+#[test]
+fn commands_ahead_reach_a_plant_for_which_every_command_is_late() {
+    let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenarios/arm.toml")).unwrap();
+    let learner = text.replacen("rule = \"learned-reward\"", "rule = \"model-predictive\"", 1);
+    let scenario = learner.replacen("hold_ticks = 2", "hold_ticks = 4", 1) + "\n[link]\nahead = 4\n";
+    let machines = ["plant", "controller"].map(|side| LinkedMachine::with_scenario(side, &scenario));
+    let (_network, runs) = start_over(&["--delay-ms", "40"], &machines, &["--ticks", "160"]);
+    let [plant, controller] = runs.map(|run| run.wait().expect(0).json());
+    let (missed, ahead) = (plant["missed"].as_u64().unwrap(), plant["ahead"].as_u64().unwrap());
+    assert!(missed >= 130 && ahead + 20 >= missed, "missed {missed}, ahead {ahead}");
+    assert!(controller["learner"]["plans"].as_u64() > Some(40), "{controller}");
 }
 
 #[test]

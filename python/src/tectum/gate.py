@@ -13,7 +13,7 @@ from typing import Any
 
 from .layouts import MAX_OUTPUTS, Flag
 
-CLAMPED, DECAYED, HELD, MISSED = int(Flag.CLAMPED), int(Flag.DECAYED), int(Flag.HELD), int(Flag.MISSED)
+AHEAD, CLAMPED, DECAYED, HELD, MISSED = map(int, (Flag.AHEAD, Flag.CLAMPED, Flag.DECAYED, Flag.HELD, Flag.MISSED))
 NON_FINITE, POSITION_LIMITED, RAMPED = int(Flag.NON_FINITE), int(Flag.POSITION_LIMITED), int(Flag.RAMPED)
 STEP_LIMITED, STOPPED = int(Flag.STEP_LIMITED), int(Flag.STOPPED)
 LARGEST = 3.4028234663852886e38  # the largest number of single precision
@@ -44,6 +44,7 @@ def each(value: Any) -> list[float]:
 
 
 Joints = tuple[Sequence[float], Sequence[float]]
+CommandAhead = tuple[Sequence[float], int]
 
 
 class Gate:
@@ -57,12 +58,21 @@ class Gate:
         self.last, self.applied = [0.0] * outputs, [0.0] * outputs
         self.missing = self.joined = 0
 
-    def go(self, command: Sequence[float] | None, joints: Joints | None = None) -> tuple[list[float], int]:
+    def go(
+        self, command: Sequence[float] | None, joints: Joints | None = None, ahead: CommandAhead | None = None
+    ) -> tuple[list[float], int]:
         """One tick. `command`: the command that arrived, or None. `joints`: positions, and travel for a command of 1,
-        rad. Returns the command to apply, and flags."""
-        came = command if command is not None and all(map(math.isfinite, command[: self.outputs])) else None
-        wanted, flags = self.without() if came is None else self.limited(came)
-        if came is None and command is not None:
+        rad. `ahead`: the command that an earlier one brought for this tick, and its age in ticks. Returns the command
+        to apply, and flags."""
+        came = command if command is not None and self.finite(command) else None
+        if came is None and ahead is not None and ahead[1] <= self.hold and self.finite(ahead[0]):
+            came = ahead[0]
+            wanted, flags = self.limited(came, ahead[1])
+            flags |= MISSED | AHEAD
+        else:
+            ahead = None
+            wanted, flags = self.without() if came is None else self.limited(came)
+        if command is not None and (came is None or ahead is not None):
             flags |= NON_FINITE
         for i in range(self.outputs):
             u = wanted[i]
@@ -75,10 +85,13 @@ class Gate:
             self.last = list(self.applied)
         return list(self.applied), flags
 
-    def limited(self, command: Sequence[float]) -> tuple[list[float], int]:
+    def finite(self, command: Sequence[float]) -> bool:
+        return all(map(math.isfinite, command[: self.outputs]))
+
+    def limited(self, command: Sequence[float], age: int = 0) -> tuple[list[float], int]:
         back = self.joined == 0 or self.missing > self.hold
         self.joined = 1 if back else min(self.joined + 1, self.ramp + 1)
-        self.missing, flags, wanted = 0, 0, []
+        self.missing, flags, wanted = age, 0, []
         share = f32(self.joined / (self.ramp + 1))
         for u, limit in zip(command[: self.outputs], self.limit):
             u, flags = narrow(u, (-limit, limit), flags, 0)

@@ -7,13 +7,13 @@ import ctypes
 from ctypes import Structure, c_float, c_uint32, c_uint64
 from enum import IntEnum, IntFlag
 
-MAX_INPUTS, MAX_OUTPUTS, MAX_MEASURES, MAX_COLUMNS = 32, 16, 6, 8
+MAX_INPUTS, MAX_OUTPUTS, MAX_MEASURES, MAX_COLUMNS, MAX_AHEAD = 32, 16, 6, 8, 8
 # The logger's buffer, and the number of ticks after which a plant in lockstep looks at how far the logger is.
 LOG_BUFFER, CREDIT = 1024, 256
 # The version of iceoryx2 that all processes of a run must have.
 ICEORYX2 = "0.10.0"
 # The hash over all samples and boards: `wire.schema` in the manifest of a run that these layouts fit.
-SCHEMA = "28748a7967c692e6"
+SCHEMA = "5ab8aba64327db7e"
 
 
 class Flag(IntFlag):
@@ -43,6 +43,7 @@ class Flag(IntFlag):
     BLIND = 1 << 21
     TERMINATED = 1 << 22
     TRUNCATED = 1 << 23
+    AHEAD = 1 << 24
 
 
 class Phase(IntEnum):
@@ -107,6 +108,16 @@ class Command(Structure):
     @staticmethod
     def type_name() -> str:
         return "tectum.Command.v2"
+
+
+class Ahead(Structure):
+    """Commands for the ticks after that of a command, which go with it."""
+
+    _fields_ = [("header", Header), ("ticks", c_uint64), ("commands", c_float * (MAX_AHEAD * MAX_OUTPUTS))]
+
+    @staticmethod
+    def type_name() -> str:
+        return "tectum.Ahead.v1"
 
 
 class Learning(Structure):
@@ -181,7 +192,7 @@ class Status(Structure):
         return "tectum.Status.v3"
 
 
-SAMPLES: tuple[type[Structure], ...] = (Header, Observation, Command, Learning, Vision, Control, Status)
+SAMPLES: tuple[type[Structure], ...] = (Header, Observation, Command, Ahead, Learning, Vision, Control, Status)
 
 
 def layout(kind: type[Structure]) -> tuple[int, list[tuple[str, int, int]]]:

@@ -15,8 +15,8 @@ from .checkpoint import Checkpoints
 from .checks import Author
 from .crash_store import CrashStore
 from .errors import Refused, error_text
-from .gate import Gate
-from .layouts import CREDIT, LOG_BUFFER, Command, Flag, Observation, Role, State
+from .gate import CommandAhead, Gate
+from .layouts import CREDIT, LOG_BUFFER, MAX_OUTPUTS, Ahead, Command, Flag, Observation, Role, State
 from .participant import Backoff, Participant, TickLoop, program
 from .reports import Spread, write
 from .shared_memory import WakeWord
@@ -32,6 +32,7 @@ MOST_REPEATS = 8
 EPISODE_END = int(Flag.TERMINATED | Flag.TRUNCATED)
 COUNTED = {
     "missed": MISSED,
+    "ahead": int(Flag.AHEAD),
     "clamped": int(Flag.CLAMPED),
     "step_limited": int(Flag.STEP_LIMITED),
     "ramped": int(Flag.RAMPED),
@@ -77,6 +78,7 @@ class PlantPorts(Participant):
             self.out = run.writer("observation", Observation)
             self.wake = WakeWord(run.wire["wake"])
             self.commands = run.reader("command", Command, 2)
+            self.ahead = run.reader("ahead", Ahead, 2) if "ahead" in run.wire["services"] else None
         except Refused:
             raise
         except Exception as cause:
@@ -100,7 +102,7 @@ class PlantLoop(TickLoop):
         self.gate = Gate(run.settings["gate"], len(run.outputs))
         self._refuse_what_cannot_be()
         self.participant = PlantPorts(run)
-        counts = ("ticks", "missed", "late", "skipped", "clamped", "step_limited", "position_limited", "ramped")
+        counts = ("ticks", "missed", "ahead", "late", "skipped", "clamped", "step_limited", "position_limited", "ramped")
         self.report: dict[str, Any] = dict.fromkeys((*counts, "non_finite", "checkpoints"), 0)
         self.observation, self.flags = Observation(), int(Flag.FIRST)
         self.observation.header.run = run.id
@@ -108,6 +110,8 @@ class PlantLoop(TickLoop):
         self.inputs = np.ctypeslib.as_array(self.observation.inputs)[: len(run.inputs)]
         self.expected, self.late = 0, 0
         self.found: Command | None = None
+        # The newest commands ahead.
+        self.ahead: Ahead | None = None
         self.answered = Spread()
         self.remembers = hasattr(body, "state") and hasattr(body, "restore")
         self.store: CrashStore | None = None
@@ -150,13 +154,28 @@ class PlantLoop(TickLoop):
                 self.late += 1
         return self.found is not None
 
-    def advance(self, tick: int) -> None:
-        """Advances by `tick` with the command found for it. A command flagged UNHEARD counts as none."""
+    def command_ahead(self, tick: int) -> CommandAhead | None:
+        """What came ahead for `tick`, and its age. It is sent before the command that it belongs to."""
+        reader = self.participant.ahead
+        while reader is not None and (ahead := reader.receive()) is not None:
+            self.ahead = ahead
+        if self.ahead is None:
+            return None
+        age = tick - self.ahead.header.tick
+        if not 1 <= age <= min(self.ahead.ticks, self.run.settings["link"]["ahead"]):
+            return None
+        first = (age - 1) * MAX_OUTPUTS
+        return list(self.ahead.commands[first : first + MAX_OUTPUTS]), age
+
+    def advance(self, tick: int, passed_over: bool = False) -> None:
+        """Advances by `tick` with the command found for it. A command flagged UNHEARD counts as none. In a tick that is
+        passed over, a command ahead would be for a time that is gone."""
         command, self.found, author = self.found, None, self.author
         drawn = None if command is None or command.header.flags & UNHEARD else list(command.drawn)
         # An episode that ended in a tick that the plant passed over is told with the next observation.
         ended = self.flags & EPISODE_END
-        applied, self.flags = self.gate.go(drawn, self.joints(tick) if self.gate.positions else None)
+        ahead = None if passed_over else self.command_ahead(tick)
+        applied, self.flags = self.gate.go(drawn, self.joints(tick) if self.gate.positions else None, ahead)
         self.flags |= ended
         for key, bit in COUNTED.items():
             self.report[key] += bool(self.flags & bit)
@@ -233,6 +252,8 @@ class PlantLoop(TickLoop):
             "expected": self.expected,
             "observation": bytes(self.observation),
         }
+        if self.ahead is not None:
+            state["ahead"] = bytes(self.ahead)
         try:
             return pack(state)
         except Refused as cause:
@@ -271,6 +292,8 @@ class PlantLoop(TickLoop):
             self.author.failed("restore", tick, cause)
         self.gate.restore(state["gate"])
         self.flags, self.report, self.expected = state["flags"], state["report"], state["expected"]
+        if "ahead" in state:
+            self.ahead = Ahead.from_buffer_copy(state["ahead"])
         ctypes.memmove(ctypes.addressof(self.observation), state["observation"], ctypes.sizeof(Observation))
         self.observation.header.incarnation = self.participant.incarnation
         self.observation.header.run = self.run.id
@@ -381,7 +404,7 @@ class PlantLoop(TickLoop):
             if run.real:
                 self.spreads["wake_up"].add(max(woken - t0 - tick * run.period_ns, 0))
             for passed in range(tick, due):
-                self.advance(passed)
+                self.advance(passed, passed_over=True)
             skipped, tick = due - tick, due
             report["skipped"] += skipped
             self.publish(tick)

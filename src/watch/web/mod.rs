@@ -16,6 +16,7 @@ use tectum_view::{metrics, page};
 use super::socket_server::{SocketFace, SocketServer, run_face};
 use super::{FaceEnd, Follower, WatchError, WatchTarget};
 use crate::clock::{TerminationSignals, monotonic_ns};
+use crate::process::print_error_line;
 use connection::{Connection, Served};
 
 /// The port that is taken if it is free and the user named none.
@@ -66,9 +67,12 @@ pub fn serve_metrics_of_own_run(address: &str) -> Result<String, WatchError> {
     let mut face = WebFace { server, page: None, connections: Vec::new() };
     let thread = std::thread::Builder::new().name("metrics".to_owned());
     let serve = move || {
-        if let Ok(mut follower) = Follower::open(WatchTarget::LaunchedBy(std::process::id()), true) {
+        match Follower::open(WatchTarget::LaunchedBy(std::process::id()), true) {
             // Signals are the launcher's.
-            run_face(&mut face, &mut follower, &TerminationSignals::default(), OWN_UPDATE_NS);
+            Ok(mut follower) => {
+                run_face(&mut face, &mut follower, &TerminationSignals::default(), OWN_UPDATE_NS);
+            }
+            Err(error) => print_error_line(&format!("tectum: warning: no metrics are served: {error}")),
         }
     };
     thread.spawn(serve).map_err(WatchError::Thread)?;

@@ -214,7 +214,7 @@ mod tests {
         ticks: u64,
         first: u64,
         agent: &mut ModelPredictiveAgent,
-        mut each: impl FnMut(&ModelPredictiveAgent),
+        mut each: impl FnMut(&mut ModelPredictiveAgent),
     ) -> f64 {
         let task = Task::named(name).unwrap();
         let signals = task.body.signals();
@@ -292,6 +292,32 @@ mod tests {
             rows.0
         };
         assert_eq!(model(&mut frozen), model(&mut agent), "models and memory are as they were");
+    }
+
+    /// Looking ahead changes nothing, and shows what the agent then does.
+    #[test]
+    fn it_does_what_it_has_looked_ahead_to() {
+        let (mut plain, mut looking) = (agent("arm", 1, &few_operations()), agent("arm", 1, &few_operations()));
+        let mut ahead = [[0.0; MAX_JOINTS]; 3];
+        run(("arm", 1), 150, 0, &mut plain, |_| ());
+        run(("arm", 1), 150, 0, &mut looking, |agent| assert_eq!(agent.look_ahead(&mut ahead), 3));
+        assert_eq!(crate::agent::learned_hash(&mut plain), crate::agent::learned_hash(&mut looking));
+
+        // The target changes every 80 ticks, so not within these.
+        let (mut all, mut apart, mut held) = (Vec::new(), 0.0, 0.0);
+        run(("arm", 3), 70, 0, &mut looking.frozen(), |agent| {
+            // Two ticks ago, what is done now was the second one ahead.
+            if let Some(promised) = all.len().checked_sub(2).map(|tick: usize| all.remove(tick)) {
+                let (before, [_, promised, _]): (Vec<f64>, [[f32; MAX_JOINTS]; 3]) = promised;
+                for (j, u) in agent.learner().command().enumerate() {
+                    apart += (u - f64::from(promised[j])).abs();
+                    held += (u - before[j]).abs();
+                }
+            }
+            assert_eq!(agent.look_ahead(&mut ahead), 3);
+            all.push((agent.learner().command().collect(), ahead));
+        });
+        assert!(apart < 0.5 * held, "{apart}, and {held} if the last command was held");
     }
 
     /// The rows of models and memory.

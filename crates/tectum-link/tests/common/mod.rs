@@ -29,16 +29,25 @@ fn port() -> u16 {
 pub struct LinkedMachine {
     pub folder: TestFolder,
     pub side: &'static str,
+    /// A shipped scenario, or a file in the folder.
+    pub scenario: &'static str,
 }
 
 impl LinkedMachine {
     pub fn new(side: &'static str) -> Self {
-        Self { folder: TestFolder::new(), side }
+        Self { folder: TestFolder::new(), side, scenario: "arm" }
+    }
+
+    /// One whose scenario has this text.
+    pub fn with_scenario(side: &'static str, text: &str) -> Self {
+        let machine = Self { scenario: "own.toml", ..Self::new(side) };
+        machine.file(machine.scenario, text);
+        machine
     }
 
     pub fn start(&self, meeting: [&str; 2], more: &[&str]) -> Process {
         let mut command = Command::new(LINK);
-        command.args([self.side, "arm", "--out", "run", "--json"]).args(meeting).args(more);
+        command.args([self.side, self.scenario, "--out", "run", "--json"]).args(meeting).args(more);
         self.folder.start_command(command)
     }
 
@@ -75,13 +84,18 @@ impl Drop for Network {
 
 /// Plant and controller with such a network between them.
 pub fn pair_over(network: &[&str], more: &[&str]) -> (Network, [LinkedMachine; 2], [Process; 2]) {
+    let machines = ["plant", "controller"].map(LinkedMachine::new);
+    let (network, runs) = start_over(network, &machines, more);
+    (network, machines, runs)
+}
+
+/// Starts both machines with such a network between them.
+pub fn start_over(network: &[&str], machines: &[LinkedMachine; 2], more: &[&str]) -> (Network, [Process; 2]) {
     let (plant, near) = (format!("127.0.0.1:{}", port()), format!("127.0.0.1:{}", port()));
     let folder = TestFolder::new();
     let mut command = Command::new(LINK);
     command.args(["network", "--listen", &near, "--to", &plant]).args(network);
     let network = Network { process: Some(folder.start_command(command)), _folder: folder };
     let [listen, connect] = [plant, near].map(|address| format!("raw/{address}"));
-    let machines = [LinkedMachine::new("plant"), LinkedMachine::new("controller")];
-    let runs = [machines[0].start(["--listen", &listen], more), machines[1].start(["--connect", &connect], more)];
-    (network, machines, runs)
+    (network, [machines[0].start(["--listen", &listen], more), machines[1].start(["--connect", &connect], more)])
 }

@@ -89,7 +89,8 @@ impl<A: Agent> Controller<A> {
         self.tick.respond(&mut self.agent, observation, command);
     }
 
-    /// What goes with the last command: commands for the ticks after it; `None` where the scenario has none.
+    /// What goes with the last command that answered an observation: commands for the ticks after it; `None` where the
+    /// scenario has none.
     pub fn ahead(&self) -> Option<&Ahead> {
         self.tick.ahead.as_deref()
     }

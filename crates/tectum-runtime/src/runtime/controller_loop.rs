@@ -185,7 +185,8 @@ impl<A: Agent> ControllerLoopState<A> {
 
     /// Sends the command, and before it what goes with it: the plant looks for that when it has the command.
     fn send_command(&self, ports: &mut ControllerPorts) -> Result<(), RuntimeError> {
-        if let (Some(to), Some(ahead)) = (&ports.ahead, self.controller.ahead()) {
+        let ahead = self.controller.ahead().filter(|ahead| ahead.header.tick == self.command.header.tick);
+        if let (Some(to), Some(ahead)) = (&ports.ahead, ahead) {
             to.send(&Ahead { header: Header { flags: 0, ..self.command.header }, ..*ahead })?;
         }
         Ok(ports.command.send(&self.command)?)

@@ -141,7 +141,8 @@ fn missed(plan: &Plan, plant: &PlantReport, controller: Option<&ControllerReport
         );
         warnings.push(RunWarning::new("ticks-passed-over", [skipped, total], text).fails_if(always || none));
     }
-    let begun = plant.ticks;
+    // For a plant that has commands ahead, they are as good.
+    let (begun, missed) = (plant.ticks, missed.saturating_sub(plant.ahead));
     if begun >= LEAST_MISSED && 2 * missed >= begun {
         // The last tick's command may not have been due.
         let all = missed + 1 >= begun;
@@ -356,6 +357,8 @@ mod tests {
         assert_eq!(every[2], ("little-learned".to_owned(), 1004, false));
         assert_eq!(judged(|plant, _| plant.missed = 600), one("commands-missed", 600, false));
         assert_eq!(judged(|plant, _| plant.missed = 999), one("commands-missed", 999, true));
+        let ahead = |plant: &mut PlantReport, _: &mut ControllerReport| (plant.missed, plant.ahead) = (999, 900);
+        assert_eq!(judged(ahead), []);
     }
 
     #[test]

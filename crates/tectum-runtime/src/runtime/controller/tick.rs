@@ -102,7 +102,8 @@ impl ControllerTick {
     /// [`Controller::respond`](super::Controller::respond).
     pub(super) fn respond(&mut self, agent: &mut dyn Agent, observation: &Observation, command: &mut Command) {
         self.respond_without_ahead(agent, observation, command);
-        if let Some(ahead) = &mut self.ahead {
+        // Without an observation there is nothing newer than what went out before.
+        if let Some(ahead) = self.ahead.as_mut().filter(|_| command.header.flags & flag::UNHEARD == 0) {
             (ahead.header, ahead.ticks) = (Header { tick: command.header.tick, ..Header::default() }, 0);
             ahead.commands = [[0.0; MAX_OUTPUTS]; MAX_AHEAD];
             if self.acted {

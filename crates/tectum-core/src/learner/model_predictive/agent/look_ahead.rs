@@ -9,10 +9,19 @@ use crate::plant::MAX_JOINTS;
 impl ModelPredictive {
     /// Commands for the ticks after the one that was just answered, in their units and without noise:
     /// `u*_t + K_t (x_t - x*_t)`, with the states `x_t` that the models of movement predict from the command that goes
-    /// out. Returns the number of ticks, 0 before the first plan. Only scratch memory changes.
+    /// out. Before the first plan it is that command itself, so that exploration reaches a plant for which all commands
+    /// are late. Returns the number of ticks. Only scratch memory changes.
     pub fn look_ahead(&mut self, commands: &mut [[f32; MAX_JOINTS]]) -> usize {
         let (n, nx, m) = (self.places.inputs, self.places.state(), self.places.commands);
-        let ticks = if self.planned { commands.len().min(self.plan.horizon - 1) } else { 0 };
+        if !self.planned {
+            for command in &mut *commands {
+                for (to, u) in command.iter_mut().zip(self.command()) {
+                    *to = u as f32;
+                }
+            }
+            return commands.len();
+        }
+        let ticks = commands.len().min(self.plan.horizon - 1);
         self.after[..nx].copy_from_slice(&self.state);
         self.after[nx..].copy_from_slice(&self.command[..m]);
         for (step, command) in (1..).zip(&mut commands[..ticks]) {
