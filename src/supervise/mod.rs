@@ -166,13 +166,9 @@ fn launch_run(launch: &Launch, owner: RunOwner) -> Result<RunSummary, LaunchErro
     check_shared_memory()?;
     let run_id = run_id(plan);
     let domain = DomainName::of(run_id);
-    let services = RunServices::create(
-        &domain,
-        &identity(plan),
-        &plan.scenario.channels,
-        plan.scenario.vision(),
-        plan.scenario.link.ahead > 0,
-    )?;
+    let scenario = &plan.scenario;
+    let (vision, ahead) = (scenario.vision(), scenario.link.ahead > 0);
+    let services = RunServices::create(&domain, &identity(plan), &scenario.channels, vision, ahead)?;
     // Before the manifest, by which watchers know a run.
     let watch_files = Arc::new(WatchFiles::create(&domain, folder.path()));
     if let Some(learned) = launch.started_from.as_ref().filter(|_| launch.resumed.is_none()) {
