@@ -5,6 +5,8 @@
 //! where `n` is `y` rounded to an integer and `g = n - y` lies in [-1/2, 1/2]: `2^g` is a polynomial, `2^-n`
 //! goes straight into the exponent bits.
 
+use crate::simd::F32x16;
+
 /// Upper limit of `y` for a unit: just under `30 log2(e) = 43.2808..`, so that no activation of a line is below
 /// exp(-30).
 ///
@@ -18,16 +20,16 @@ pub(super) const FLOOR: f32 = 43.28;
 pub(super) const VANISH: f32 = 127.0;
 
 /// `1.5 * 2^23`: adding it rounds to the nearest integer and leaves that integer in the lowest bits of the sum.
-pub(super) const MAGIC: f32 = 12_582_912.0;
+const MAGIC: f32 = 12_582_912.0;
 
 /// Number of mantissa bits: the position of the exponent in an `f32`.
-pub(super) const MANTISSA_BITS: i32 = 23;
+const MANTISSA_BITS: i32 = 23;
 
 /// `2^g` on [-1/2, 1/2], from the constant term up: relative error at most 9.5e-8.
 ///
 /// Found by Remez exchange, then by a random search over neighbouring `f32` with the constant fixed at 1. With that
 /// constant, a unit whose centre equals the input has an activation of exactly 1, and padding is exactly 0.
-pub(super) const POLYNOMIAL: [f32; 6] = [1.0, 0.693_146_94, 0.240_222_35, 0.055_508_06, 0.009_671_954, 0.001_323_709_6];
+const POLYNOMIAL: [f32; 6] = [1.0, 0.693_146_94, 0.240_222_35, 0.055_508_06, 0.009_671_954, 0.001_323_709_6];
 
 /// `2^96`, the scale factor of sums of squares.
 ///
@@ -66,6 +68,22 @@ pub fn exp2_negative(y: f32, floor: f32) -> f32 {
     let g2 = g * g;
     let p = ((c5 * g + c4) * g2 + (c3 * g + c2)) * g2 + (c1 * g + c0);
     f32::from_bits(p.to_bits().wrapping_sub(n.to_bits() << MANTISSA_BITS))
+}
+
+/// [`exp2_negative`] of sixteen numbers that are limited already: `2^-y` for `0 <= y <= 127`.
+#[doc(hidden)]
+#[inline(always)]
+pub fn exp2_negative_lanes<W: F32x16>(y: W) -> W {
+    let magic = W::splat(MAGIC);
+    let n = y + magic;
+    let g = (n - magic) - y;
+    // Estrin's scheme: one multiplication more than Horner's, with half the length of the dependent chain.
+    let [c0, c1, c2, c3, c4, c5] = POLYNOMIAL;
+    let g2 = g * g;
+    let p = (W::splat(c5) * g + W::splat(c4)) * g2 + (W::splat(c3) * g + W::splat(c2));
+    let p = p * g2 + (W::splat(c1) * g + W::splat(c0));
+    // `p / 2^n`; `n` is in the lowest bits of the sum with `MAGIC`.
+    p.less_exponent::<MANTISSA_BITS>(n)
 }
 
 /// The factor that scales features to norm 1, from their sum of squares times [`SUM_SCALE`].

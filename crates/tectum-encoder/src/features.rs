@@ -6,18 +6,18 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::simd::LANES;
+use crate::simd::WIDE_LANES;
 
 /// Number of features in a block: rows of units are padded to a multiple of it.
 pub(super) const BLOCK: usize = 4;
 
-/// A cache line of neighbouring features, or of intermediate results for them: two vectors of [`LANES`].
+/// A cache line of neighbouring features, or of intermediate results for them: one vector of [`WIDE_LANES`].
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C, align(64))]
-pub(super) struct CacheLine(pub [[f32; LANES]; 2]);
+pub(super) struct CacheLine(pub [f32; GROUP]);
 
 /// Number of features in a group: one cache line.
-pub(super) const GROUP: usize = 2 * LANES;
+pub(super) const GROUP: usize = WIDE_LANES;
 
 /// The features of one tick, in the encoder's padded order.
 ///

@@ -1,4 +1,4 @@
-//! The SIMD kernel: encodes eight features at a time, with any implementation of [`F32x8`].
+//! The SIMD kernel: encodes sixteen features at a time, with any implementation of [`F32x8`] and its pairs.
 //!
 //! Exponentials are computed for *lines* only (96 units for the arm's 320 features). Their sums of squares give
 //! the norm of all features before the features are computed. The scale is therefore folded into the lines, and
@@ -7,7 +7,8 @@
 //! The lines are processed in several passes with short chains of dependent operations, through scratch memory
 //! that stays in the first-level cache. A single pass has one long chain. The processor looks about a hundred
 //! operations ahead, which is too few to find independent work in a long chain: a single pass took a quarter
-//! longer for the arm's features. For the same reason a pass works on groups of sixteen units at once.
+//! longer for the arm's features. For the same reason a pass works on groups of sixteen units at once,
+//! even where a register has four.
 //!
 //! Fused multiply-add is not used: without the `fma` target feature `mul_add` is a library call per lane, and
 //! with it the bits would depend on the machine. [`squares`] adds in the same order for every register width;
@@ -15,10 +16,10 @@
 
 use glam::Vec4;
 
-use super::exponential::{MAGIC, MANTISSA_BITS, POLYNOMIAL, SUM_SCALE, inverse_norm, scaled};
+use super::exponential::{SUM_SCALE, exp2_negative_lanes, inverse_norm, scaled};
 use super::features::{BLOCK, CacheLine, Features, GROUP};
 use super::tables::{EncoderTables, UnitGroup};
-use crate::simd::{F32x8, Kernel, LANES};
+use crate::simd::{F32x8, F32x16, Kernel};
 
 /// Encodes `inputs` into `out`; `lines` is scratch memory for the activations of the lines.
 pub(super) struct Encode<'a> {
@@ -52,37 +53,19 @@ fn exponents<L: F32x8>(
     lines: &mut [CacheLine],
 ) {
     for (((group, centres), floors), line) in groups.iter().zip(centres).zip(floors).zip(lines) {
-        let x = L::splat(scaled(inputs[group.input], group.scale));
-        for i in 0..2 {
-            let distance = L::load(&centres.0[i]) - x;
-            line.0[i] = (distance * distance).min(L::load(&floors.0[i])).store();
-        }
+        let x = L::Wide::splat(scaled(inputs[group.input], group.scale));
+        let distance = L::Wide::load(&centres.0) - x;
+        line.0 = (distance * distance).min(L::Wide::load(&floors.0)).store();
     }
 }
 
 /// Second pass: exponents become activations, `2^-y` for `0 <= y <= 127`.
 #[inline(always)]
 fn activations<L: F32x8>(lines: &mut [CacheLine]) {
-    let magic = L::splat(MAGIC);
+    // One chain of operations in a whole register; two independent ones with pairs, four with narrow registers.
     for line in lines {
-        // Two independent chains of operations, or four with narrow registers.
-        let y = [L::load(&line.0[0]), L::load(&line.0[1])];
-        let n = [y[0] + magic, y[1] + magic];
-        let p = [power((n[0] - magic) - y[0]), power((n[1] - magic) - y[1])];
-        // `p / 2^n`; `n` is in the lowest bits of the sum with `MAGIC`.
-        line.0[0] = p[0].less_exponent::<MANTISSA_BITS>(n[0]).store();
-        line.0[1] = p[1].less_exponent::<MANTISSA_BITS>(n[1]).store();
+        line.0 = exp2_negative_lanes(L::Wide::load(&line.0)).store();
     }
-}
-
-/// `2^g` by Estrin's scheme: one multiplication more than Horner's, with half the length of the dependent chain.
-/// The same operations as in [`exp2_negative`](super::exponential::exp2_negative).
-#[inline(always)]
-fn power<L: F32x8>(g: L) -> L {
-    let [c0, c1, c2, c3, c4, c5] = POLYNOMIAL;
-    let g2 = g * g;
-    let p = (L::splat(c5) * g + L::splat(c4)) * g2 + (L::splat(c3) * g + L::splat(c2));
-    p * g2 + (L::splat(c1) * g + L::splat(c0))
 }
 
 /// Third pass: the sum of squares of all features, times [`SUM_SCALE`]. For a plane it is the product of the
@@ -103,8 +86,9 @@ fn sum_of_squares<L: F32x8>(tables: &EncoderTables, lines: &[CacheLine]) -> f32 
 fn squares<L: F32x8>(groups: &[CacheLine]) -> f32 {
     let mut sum = Vec4::ZERO;
     for group in groups {
-        let (low, high) = (L::load(&group.0[0]), L::load(&group.0[1]));
-        let ([a, b], [c, d]) = ((low * low).halves(), (high * high).halves());
+        let activations = L::Wide::load(&group.0);
+        let [low, high] = (activations * activations).halves();
+        let ([a, b], [c, d]) = (low.halves(), high.halves());
         sum += (a + b) + (c + d);
     }
     let [a, b, c, d] = sum.to_array();
@@ -137,6 +121,10 @@ fn expand<L: F32x8>(tables: &EncoderTables, lines: &[f32], scale: f32, out: &mut
 fn multiply<L: F32x8>(line: &[f32], factor: f32, out: &mut [f32]) {
     let ((line, line_rest), (out, out_rest)) = (line.as_chunks(), out.as_chunks_mut());
     for (out, line) in out.iter_mut().zip(line) {
+        *out = (L::Wide::load(line) * L::Wide::splat(factor)).store();
+    }
+    let ((line, line_rest), (out, out_rest)) = (line_rest.as_chunks(), out_rest.as_chunks_mut());
+    for (out, line) in out.iter_mut().zip(line) {
         *out = (L::load(line) * L::splat(factor)).store();
     }
     let (line, out) = (line_rest.as_chunks::<BLOCK>().0, out_rest.as_chunks_mut::<BLOCK>().0);
@@ -148,18 +136,15 @@ fn multiply<L: F32x8>(line: &[f32], factor: f32, out: &mut [f32]) {
 /// A plane whose rows are one group each, as with the paper's 16 units: the fast line stays in registers.
 #[inline(always)]
 fn expand_rows<L: F32x8>(slow: &[f32], fast: &[f32; GROUP], scale: f32, out: &mut [[f32; GROUP]]) {
-    let [a, b]: [[f32; LANES]; 2] = bytemuck::cast(*fast);
-    let (a, b, scale) = (L::load(&a), L::load(&b), L::splat(scale));
+    let (fast, scale) = (L::Wide::load(fast), L::Wide::splat(scale));
     // Four rows per iteration, so that the loop's own instructions cost less.
     let (slow, out) = (slow.as_chunks::<4>(), out.as_chunks_mut::<4>());
     for (slow, out) in slow.0.iter().zip(out.0) {
         for i in 0..4 {
-            let slow = L::splat(slow[i]) * scale;
-            out[i] = bytemuck::cast([(a * slow).store(), (b * slow).store()]);
+            out[i] = (fast * (L::Wide::splat(slow[i]) * scale)).store();
         }
     }
     for (slow, out) in slow.1.iter().zip(out.1) {
-        let slow = L::splat(*slow) * scale;
-        *out = bytemuck::cast([(a * slow).store(), (b * slow).store()]);
+        *out = (fast * (L::Wide::splat(*slow) * scale)).store();
     }
 }

@@ -70,7 +70,7 @@ pub mod simd;
 mod tables;
 
 #[doc(hidden)]
-pub use exponential::exp2_negative;
+pub use exponential::{exp2_negative, exp2_negative_lanes};
 use features::BLOCK;
 pub use features::Features;
 use tables::EncoderTables;

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use proptest::prelude::*;
 
-use super::{Axis, Encoder, Map, naive};
+use super::{Axis, Encoder, Map, SimdPath, naive};
 
 /// Number of inputs of the random maps.
 const INPUTS: usize = 5;
@@ -47,17 +47,20 @@ proptest! {
         normalise: bool,
     ) {
         let mut encoder = Encoder::new(&maps, normalise);
+        let mut kernels: Vec<_> = SimdPath::all().map(|path| encoder.clone().on(path)).collect();
         let (mut fast, mut scalar) = (encoder.features(), encoder.features());
         let mut is_unit = vec![false; encoder.len()];
         encoder.positions().for_each(|at| is_unit[at] = true);
         prop_assert_eq!(is_unit.iter().filter(|&&unit| unit).count(), encoder.units());
 
         for inputs in rounds {
-            fast.as_mut_slice().fill(f32::NAN); // every element must be overwritten
-            encoder.encode(&inputs, &mut fast);
             encoder.encode_scalar(&inputs, &mut scalar);
             let bits = |features: &[f32]| features.iter().map(|g| g.to_bits()).collect::<Vec<_>>();
-            prop_assert_eq!(bits(fast.as_slice()), bits(scalar.as_slice()));
+            for kernel in &mut kernels {
+                fast.as_mut_slice().fill(f32::NAN); // every element must be overwritten
+                kernel.encode(&inputs, &mut fast);
+                prop_assert_eq!(bits(fast.as_slice()), bits(scalar.as_slice()));
+            }
             for (g, unit) in fast.as_slice().iter().zip(&is_unit) {
                 prop_assert!(if *unit { g.is_normal() && *g > 0.0 } else { g.to_bits() == 0 }, "{}", g);
             }

@@ -8,15 +8,32 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::state::{Persist, StateVisitor};
-use tectum_encoder::simd::{F32x8, Kernel, LANES, SimdPath, filled};
+use tectum_encoder::simd::{F32x8, F32x16, Kernel, LANES, SimdPath, WIDE_LANES, filled};
 
 /// Number of outputs in a group.
 pub(super) const ROWS: usize = 4;
+
+/// Number of pairs of outputs in a group. Where there are registers of sixteen lanes, one holds the rows of two outputs.
+const PAIRS: usize = ROWS / 2;
 
 /// Eight features of four outputs.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C, align(64))]
 pub(super) struct Tile(pub [[f32; LANES]; ROWS]);
+
+impl Tile {
+    /// The rows of two outputs at a time.
+    #[inline(always)]
+    fn pairs(&self) -> &[[f32; WIDE_LANES]; PAIRS] {
+        bytemuck::cast_ref(&self.0)
+    }
+
+    /// [`pairs`](Self::pairs), mutable.
+    #[inline(always)]
+    fn pairs_mut(&mut self) -> &mut [[f32; WIDE_LANES]; PAIRS] {
+        bytemuck::cast_mut(&mut self.0)
+    }
+}
 
 /// A matrix of outputs by (padded) features.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,14 +99,14 @@ impl Kernel for NormKernel<'_> {
 
     #[inline(always)]
     fn run<L: F32x8>(self) -> f32 {
-        let mut sums = [L::splat(0.0); ROWS];
+        let mut sums = [L::Wide::splat(0.0); PAIRS];
         for tile in self.0.iter().flatten() {
-            for (sum, row) in sums.iter_mut().zip(&tile.0) {
-                let x = L::load(row);
+            for (sum, pair) in sums.iter_mut().zip(tile.pairs()) {
+                let x = L::Wide::load(pair);
                 *sum = *sum + x * x;
             }
         }
-        let [a, b, c, d] = sums;
+        let ([a, b], [c, d]) = (sums[0].halves(), sums[1].halves());
         ((a + b) + (c + d)).store().iter().sum::<f32>().sqrt()
     }
 }
@@ -122,17 +139,17 @@ impl<const WITH_MEAN: bool> Kernel for StepKernel<'_, WITH_MEAN> {
 
     #[inline(always)]
     fn run<L: F32x8>(self) {
-        let mut constants = StepConstants {
-            gains: [L::splat(0.0); ROWS],
-            decay: L::splat(self.step.decay),
-            rate: L::splat(self.step.rate),
+        let mut gain = [0.0; ROWS];
+        gain[..self.step.gain.len()].copy_from_slice(self.step.gain);
+        let [a, b, c, d] = gain;
+        let constants = StepConstants::<L> {
+            gains: [L::Wide::joined([L::splat(a), L::splat(b)]), L::Wide::joined([L::splat(c), L::splat(d)])],
+            decay: L::Wide::splat(self.step.decay),
+            rate: L::Wide::splat(self.step.rate),
         };
-        for (to, gain) in constants.gains.iter_mut().zip(self.step.gain) {
-            *to = L::splat(*gain);
-        }
         let features = self.step.features;
         let next = if WITH_MEAN { self.next } else { features };
-        let mut sums = [L::splat(0.0); ROWS];
+        let mut sums = [L::Wide::splat(0.0); PAIRS];
         let ((whole, rest), (whole_next, rest_next)) = (features.as_chunks(), next.as_chunks());
         let tiles = self.weights.iter_mut().zip(self.trace.iter_mut());
         for ((tile, g), next) in tiles.zip(whole).zip(whole_next) {
@@ -142,15 +159,15 @@ impl<const WITH_MEAN: bool> Kernel for StepKernel<'_, WITH_MEAN> {
         if let (Some(w), Some(z)) = (self.weights.get_mut(last), self.trace.get_mut(last)) {
             constants.advance::<WITH_MEAN>((w, z), &filled(rest), &filled(rest_next), &mut sums);
         }
-        *self.mean = L::totals(sums);
+        *self.mean = totals::<L>(sums);
     }
 }
 
 /// The constants of an update, broadcast to all lanes.
-struct StepConstants<L> {
-    gains: [L; ROWS],
-    decay: L,
-    rate: L,
+struct StepConstants<L: F32x8> {
+    gains: [L::Wide; PAIRS],
+    decay: L::Wide,
+    rate: L::Wide,
 }
 
 impl<L: F32x8> StepConstants<L> {
@@ -161,23 +178,32 @@ impl<L: F32x8> StepConstants<L> {
         (w, z): (&mut Tile, &mut Tile),
         g: &[f32; LANES],
         next: &[f32; LANES],
-        sums: &mut [L; ROWS],
+        sums: &mut [L::Wide; PAIRS],
     ) {
         let (g, next) = (L::load(g), L::load(next));
+        let (g, next) = (L::Wide::joined([g, g]), L::Wide::joined([next, next]));
+        let (z, w) = (z.pairs_mut(), w.pairs_mut());
         #[expect(
             clippy::needless_range_loop,
             reason = "an iterator takes half again as many instructions in the test profile"
         )]
-        for i in 0..ROWS {
-            let trace = L::load(&z.0[i]) * self.decay + self.gains[i] * g;
-            z.0[i] = trace.store();
-            let weight = L::load(&w.0[i]) + trace * self.rate;
-            w.0[i] = weight.store();
+        for i in 0..PAIRS {
+            let trace = L::Wide::load(&z[i]) * self.decay + self.gains[i] * g;
+            z[i] = trace.store();
+            let weight = L::Wide::load(&w[i]) + trace * self.rate;
+            w[i] = weight.store();
             if WITH_MEAN {
                 sums[i] = sums[i] + weight * next;
             }
         }
     }
+}
+
+/// The sums over the lanes of each output's half of a pair.
+#[inline(always)]
+fn totals<L: F32x8>([ab, cd]: [L::Wide; PAIRS]) -> [f32; ROWS] {
+    let ([a, b], [c, d]) = (ab.halves(), cd.halves());
+    L::totals([a, b, c, d])
 }
 
 /// The mean output of one group.
@@ -192,23 +218,24 @@ impl Kernel for MeanKernel<'_> {
 
     #[inline(always)]
     fn run<L: F32x8>(self) {
-        let mut sums = [L::splat(0.0); ROWS];
+        let mut sums = [L::Wide::splat(0.0); PAIRS];
         let (whole, rest) = self.features.as_chunks();
         for (w, g) in self.weights.iter().zip(whole) {
-            add_products(w, g, &mut sums);
+            add_products::<L>(w, g, &mut sums);
         }
         if let Some(w) = self.weights.get(whole.len()) {
-            add_products(w, &filled(rest), &mut sums);
+            add_products::<L>(w, &filled(rest), &mut sums);
         }
-        *self.mean = L::totals(sums);
+        *self.mean = totals::<L>(sums);
     }
 }
 
 /// Adds the products of one tile's weights with the features.
 #[inline(always)]
-fn add_products<L: F32x8>(w: &Tile, g: &[f32; LANES], sums: &mut [L; ROWS]) {
+fn add_products<L: F32x8>(w: &Tile, g: &[f32; LANES], sums: &mut [L::Wide; PAIRS]) {
     let g = L::load(g);
-    for (sum, row) in sums.iter_mut().zip(&w.0) {
-        *sum = *sum + L::load(row) * g;
+    let g = L::Wide::joined([g, g]);
+    for (sum, pair) in sums.iter_mut().zip(w.pairs()) {
+        *sum = *sum + L::Wide::load(pair) * g;
     }
 }
