@@ -257,13 +257,6 @@ fn is_safe(step: f32, noise: &Outputs) -> bool {
     step.abs() < DIVERGED && noise.iter().all(|n| n.abs() < DIVERGED)
 }
 
-/// `to += factor * from`.
-fn add(to: &mut [f32], from: &[f32], factor: f32) {
-    for (t, f) in to.iter_mut().zip(from) {
-        *t += factor * f;
-    }
-}
-
 /// The scalar product, summed in a fixed order.
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let (a, b) = (a.as_chunks::<16>(), b.as_chunks::<16>());

@@ -9,8 +9,10 @@
 
 use std::f32::consts::{LOG2_E, PI};
 
-use tectum_encoder::exp2_negative;
+use tectum_encoder::simd::F32x16;
+use tectum_encoder::{exp2_negative, exp2_negative_lanes};
 
+use super::lanes::{Lanes, divided, sine_and_cosine};
 use crate::SignalConfig;
 use crate::learner::ModelBasis;
 
@@ -41,6 +43,26 @@ impl KernelRow {
             *value = v;
             *slope = precision * distance * v;
         }
+    }
+
+    /// Writes the kernels' values at `x` to `values`, for sixteen rollouts. Returns the sum of their squares.
+    #[inline(always)]
+    pub fn eval_lanes<W: F32x16>(&self, x: W, values: &mut [Lanes]) -> W {
+        let (exponent_scale, limit) = (W::splat(0.5 * LOG2_E * self.precision), W::splat(MAX_EXPONENT));
+        let mut squares = W::splat(-0.0);
+        for (value, centre) in values[..self.units].iter_mut().zip(&self.centres) {
+            let distance = W::splat(*centre) - x;
+            let v = exp2_negative_lanes((exponent_scale * distance * distance).min(limit));
+            value.0 = v.store();
+            squares = squares + v * v;
+        }
+        squares
+    }
+
+    /// The slope at `x` of the kernel of unit `unit`, whose value there is `value`.
+    #[inline(always)]
+    pub fn slope_lanes<W: F32x16>(&self, unit: usize, x: W, value: W) -> W {
+        W::splat(self.precision) * (W::splat(self.centres[unit]) - x) * value
     }
 }
 
@@ -118,6 +140,46 @@ impl Basis {
                     let n = (i + 1) as f32;
                     p = [p[1], ((2.0 * n + 1.0) * z * p[1] - n * p[0]) / (n + 1.0)];
                     slope = [slope[1], slope[0] + (2.0 * n + 1.0) * p[0]];
+                }
+            }
+        }
+    }
+}
+
+impl Basis {
+    /// [`eval`](Self::eval) of sixteen numbers side by side: the same bits.
+    #[inline(always)]
+    pub fn eval_lanes<W: F32x16>(&self, x: W, values: &mut [Lanes], slopes: &mut [Lanes]) {
+        let (values, slopes) = (&mut values[..self.len()], &mut slopes[..self.len()]);
+        match self {
+            Self::Kernels(row) => {
+                row.eval_lanes(x, values);
+                for (unit, (value, slope)) in values.iter().zip(slopes).enumerate() {
+                    slope.0 = row.slope_lanes(unit, x, W::load(&value.0)).store();
+                }
+            }
+            Self::Waves(order) => {
+                let [sine, cosine] = sine_and_cosine(x);
+                let (mut s, mut c) = (W::splat(0.0), W::splat(1.0));
+                for k in 0..*order {
+                    (s, c) = (s * cosine + c * sine, c * cosine - s * sine);
+                    let n = (k + 1) as f32;
+                    (values[2 * k].0, values[2 * k + 1].0) = (c.store(), s.store());
+                    slopes[2 * k].0 = (W::splat(-n) * s).store();
+                    slopes[2 * k + 1].0 = (W::splat(n) * c).store();
+                }
+                values[2 * order].0 = divided(x * x, PI * PI).store();
+                slopes[2 * order].0 = divided(W::splat(2.0) * x, PI * PI).store();
+            }
+            Self::Polynomials { order, centre, half } => {
+                let z = divided(x - W::splat(*centre), *half);
+                let (mut p, mut slope) = ([W::splat(1.0), z], [W::splat(0.0), W::splat(1.0)]);
+                for i in 0..*order {
+                    values[i].0 = p[1].store();
+                    slopes[i].0 = divided(slope[1], *half).store();
+                    let (n, odd) = (W::splat((i + 1) as f32), W::splat(2.0 * (i + 1) as f32 + 1.0));
+                    p = [p[1], divided(odd * z * p[1] - n * p[0], (i + 1) as f32 + 1.0)];
+                    slope = [slope[1], slope[0] + odd * p[0]];
                 }
             }
         }

@@ -2,6 +2,7 @@
 //! descend it.
 
 use rand::RngExt as _;
+use tectum_encoder::simd::{F32x8, Kernel, SimdPath};
 
 use super::map_features::MapFeatures;
 use crate::MAX_INPUTS;
@@ -135,7 +136,7 @@ impl CandidatePolicy {
 
     /// One step of size `step` down the slope that was summed over `ticks` ticks of rollouts. Returns the norm
     /// of the mean slope. If it is not finite, the slope is dropped and the weights do not change.
-    pub fn descend(&mut self, groups: &mut [MapFeatures; 2], ticks: usize, step: f32) -> f32 {
+    pub fn descend(&mut self, path: SimdPath, groups: &mut [MapFeatures; 2], ticks: usize, step: f32) -> f32 {
         let squares: f32 = self.slope.iter().flatten().map(|s| s * s).sum();
         let norm = squares.sqrt() / ticks as f32;
         if !norm.is_finite() {
@@ -147,26 +148,59 @@ impl CandidatePolicy {
         self.decay_powers[0] *= b1;
         self.decay_powers[1] *= b2;
         let (c1, c2) = (1.0 / (1.0 - self.decay_powers[0]), 1.0 / (1.0 - self.decay_powers[1]));
+        let constants = AdamConstants { share, step: step * c1, c2 };
         for (i, group) in groups.iter_mut().enumerate() {
-            let n = group.len().max(1);
-            let rows = self.weights[i].chunks_exact_mut(n).zip(self.slope[i].chunks_exact_mut(n));
-            let moments = self.means[i].chunks_exact_mut(n).zip(self.squares[i].chunks_exact_mut(n));
-            for ((weights, slopes), (means, squares)) in rows.zip(moments) {
-                group.whiten(slopes);
-                for ((slope, mean), square) in slopes.iter_mut().zip(means).zip(squares) {
-                    let s = *slope * share;
-                    *mean = *mean * b1 + s * (1.0 - b1);
-                    *square = *square * b2 + s * s * (1.0 - b2);
-                    *slope = *mean * (step * c1) / ((*square * c2).sqrt() + TINY);
-                }
-                group.unwhiten(slopes);
-                for (w, step) in weights.iter_mut().zip(slopes) {
-                    *w -= *step;
-                    *step = 0.0;
-                }
-            }
+            let [weights, slope] = [&mut self.weights[i], &mut self.slope[i]];
+            let [means, squares] = [&mut self.means[i], &mut self.squares[i]];
+            path.run(Descend { group, constants, weights, slope, means, squares });
         }
         norm
+    }
+}
+
+/// The factors of a step of Adam.
+#[derive(Clone, Copy)]
+struct AdamConstants {
+    /// Of a slope.
+    share: f32,
+    /// Of the mean, and of the mean square.
+    step: f32,
+    c2: f32,
+}
+
+/// [`CandidatePolicy::descend`] for one group of features.
+struct Descend<'a> {
+    group: &'a mut MapFeatures,
+    constants: AdamConstants,
+    weights: &'a mut [f32],
+    slope: &'a mut [f32],
+    means: &'a mut [f32],
+    squares: &'a mut [f32],
+}
+
+impl Kernel for Descend<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: F32x8>(self) {
+        let Self { group, constants: AdamConstants { share, step, c2 }, weights, slope, means, squares } = self;
+        let ([b1, b2], n) = (DECAYS, group.len().max(1));
+        let rows = weights.chunks_exact_mut(n).zip(slope.chunks_exact_mut(n));
+        let moments = means.chunks_exact_mut(n).zip(squares.chunks_exact_mut(n));
+        for ((weights, slopes), (means, squares)) in rows.zip(moments) {
+            group.whiten::<L::Wide>(slopes);
+            for ((slope, mean), square) in slopes.iter_mut().zip(means).zip(squares) {
+                let s = *slope * share;
+                *mean = *mean * b1 + s * (1.0 - b1);
+                *square = *square * b2 + s * s * (1.0 - b2);
+                *slope = *mean * step / ((*square * c2).sqrt() + TINY);
+            }
+            group.unwhiten::<L::Wide>(slopes);
+            for (w, step) in weights.iter_mut().zip(slopes) {
+                *w -= *step;
+                *step = 0.0;
+            }
+        }
     }
 }
 

@@ -20,19 +20,21 @@
 //! appeared are what makes this rule fast: at the second target the model has data from two targets, and the
 //! policy has been improved on hundreds.
 
+mod backward;
 mod basis;
 mod candidate;
+mod lanes;
 mod map_features;
 mod movement_model;
 mod outliers;
 mod reward_model;
+mod rollout_cost;
 mod rollouts;
+mod starts;
 mod whiten;
 
-use rand::RngExt as _;
-
 use super::{LearnerSpec, ModelConfig};
-use super::{LearningRule, Transition, add};
+use super::{LearningRule, Transition};
 use crate::angle::wrap;
 use crate::plant::EpisodeEnd;
 use crate::policy::{LinearPolicy, Outputs};
@@ -43,12 +45,10 @@ use candidate::CandidatePolicy;
 use map_features::MapFeatures;
 use movement_model::{MovementModel, MovementVerdict};
 use reward_model::RewardModel;
-use rollouts::Rollouts;
+use rollouts::{RolloutConstants, Rollouts, State};
 use tectum_encoder::Encoder;
+use tectum_encoder::simd::SimdPath;
 
-/// Rollouts start from states since the last change of the world, but from at least this number of the latest
-/// states.
-const MIN_START_STATES: u64 = 20;
 /// A challenger replaces the champion when it is better than it by this fraction of the champion's cost, or of
 /// [`SPREADS`] times the spread of its costs, whichever is less: a constant in all rewards adds to every cost and
 /// says nothing about the candidates.
@@ -92,8 +92,12 @@ pub struct LearnedReward {
     /// The policy in use, and one that restarts regularly from small random weights and may become better.
     champion: CandidatePolicy,
     challenger: CandidatePolicy,
+    /// By candidate: the states from which the rollouts of a step start, and at which they end.
+    starts: [Vec<State>; 2],
+    /// The states that were recalled for the rollouts of a step.
+    recalled: Vec<State>,
     /// Ring of past states, in the model's order.
-    memory: Vec<[f32; MAX_INPUTS]>,
+    memory: Vec<State>,
     /// Number of states that were ever put into the ring.
     remembered: u64,
     /// Ticks since the last detected change of the world.
@@ -121,9 +125,15 @@ impl LearnedReward {
         let reward = RewardModel::new(&config, &signals, fixed);
         let wraps: Vec<_> = signals[fixed..].iter().map(SignalConfig::wraps).collect();
         let groups = MapFeatures::of(&spec.maps, encoder, &rank, fixed, config.ridge);
-        let (horizon, last_counts) = (config.horizon, config.last_counts as f32);
-        let rollouts =
-            Rollouts::new(groups, &reward, wraps.clone(), spec.max_command, spec.normalise, horizon, last_counts);
+        let constants = RolloutConstants {
+            fixed,
+            outputs,
+            normalise: spec.normalise,
+            last_counts: config.last_counts as f32,
+            wraps: wraps.clone(),
+            max_command: spec.max_command,
+        };
+        let rollouts = Rollouts::new(groups, &reward, constants, config.horizon, config.movements);
         Self {
             inputs,
             ranges: signals.iter().map(|s| [s.min as f32, s.max as f32]).collect(),
@@ -133,6 +143,8 @@ impl LearnedReward {
             champion: CandidatePolicy::new(&rollouts.feature_groups, outputs, config.movements),
             challenger: CandidatePolicy::new(&rollouts.feature_groups, outputs, config.movements),
             rollouts,
+            starts: [(); 2].map(|()| vec![[0.0; MAX_INPUTS]; config.movements]),
+            recalled: vec![[0.0; MAX_INPUTS]; config.movements],
             memory: vec![[0.0; MAX_INPUTS]; config.memory],
             remembered: 0,
             unchanged_ticks: 0,
@@ -150,74 +162,42 @@ impl LearnedReward {
         self.reward.len()
     }
 
-    /// Draws a remembered state, with its target.
-    fn sample_memory(&mut self) -> [f32; MAX_INPUTS] {
-        // States from before a change of the world are used only until there are enough later ones.
-        let window = self.unchanged_ticks.max(MIN_START_STATES).min(self.remembered).min(self.memory.len() as u64);
-        let tick = self.remembered - 1 - self.rng.random_range(0..window);
-        self.memory[(tick % self.memory.len() as u64) as usize]
-    }
-
     /// The step size of a candidate of this age.
     fn step_size(&self, age: u64) -> f32 {
         let fade = 1.0 / (1.0 + age as f64 / self.config.half_life);
         (self.config.step * fade.max(self.config.floor)) as f32
     }
 
-    /// Draws a state from the whole input box.
-    fn sample_box(&mut self) -> [f32; MAX_INPUTS] {
-        let mut state = [0.0; MAX_INPUTS];
-        for (x, [low, high]) in state.iter_mut().zip(&self.ranges) {
-            *x = low + (high - low) * self.rng.random::<f32>();
-        }
-        state
-    }
-
-    /// Improves the champion, and with `with_challenger` the challenger, by one step each. The rollouts of both
-    /// candidates have the same targets.
-    fn improve_candidates(&mut self, with_challenger: bool) {
-        let (count, fixed) = (self.inputs.len(), self.inputs.len() - self.wraps.len());
+    /// Improves the champion, and with `with_challenger` the challenger, by one step each.
+    fn improve_candidates(&mut self, path: SimdPath, with_challenger: bool) {
         for rollout in 0..self.config.movements {
-            let (recalled, mut drawn) = (self.sample_memory(), self.sample_box());
-            // Inputs that no command moves any more keep their values.
-            for i in (0..self.wraps.len()).filter(|&i| !self.movement.moves(i)) {
-                drawn[fixed + i] = recalled[fixed + i];
-            }
-            let [target_draw, start_draw] = [(); 2].map(|()| self.rng.random::<f64>());
-            let target = if target_draw < self.config.imagined { &drawn } else { &recalled };
-            let candidates = [&mut self.champion, &mut self.challenger];
-            for candidate in candidates.into_iter().take(1 + usize::from(with_challenger)) {
-                let mut state = if start_draw < self.config.anywhere {
-                    drawn
-                } else if start_draw < self.config.anywhere + self.config.onward && candidate.age > 0 {
-                    candidate.end_states[rollout]
-                } else {
-                    recalled
-                };
-                state[..fixed].copy_from_slice(&target[..fixed]);
-                let inputs = &state[..count];
-                let before = candidate.cost;
-                let end = self.rollouts.simulate(candidate, &mut self.reward, &self.movement, inputs);
-                candidate.add_deviation(candidate.cost - before);
+            self.draw_start(rollout);
+        }
+        // The rollouts of both candidates have the same targets.
+        self.rollouts.set_targets(path, &self.starts[0]);
+        let candidates = [&mut self.champion, &mut self.challenger].into_iter().zip(&mut self.starts);
+        for (candidate, states) in candidates.take(1 + usize::from(with_challenger)) {
+            self.rollouts.simulate(path, candidate, &self.movement, states);
+            for ((to, end), recalled) in candidate.end_states.iter_mut().zip(states).zip(&self.recalled) {
                 // A rollout that diverged is not continued.
-                candidate.end_states[rollout] = if end.iter().all(|x| x.is_finite()) { end } else { recalled };
+                *to = if end.iter().all(|x| x.is_finite()) { *end } else { *recalled };
             }
         }
-        self.descend(with_challenger);
+        self.descend(path, with_challenger);
     }
 
     /// One step of the candidates down the slopes of their rollouts.
-    fn descend(&mut self, with_challenger: bool) {
+    fn descend(&mut self, path: SimdPath, with_challenger: bool) {
         let ticks = self.config.movements * self.config.horizon;
         let steps = [&self.champion, &self.challenger].map(|c| self.step_size(c.age));
         let groups = &mut self.rollouts.feature_groups;
         // Just after a change of the plant the models can be wrong for some ticks, and rollouts can diverge.
         // Such a step is dropped, because the models improve soon.
-        let norm = self.champion.descend(groups, ticks, steps[0]);
+        let norm = self.champion.descend(path, groups, ticks, steps[0]);
         if norm.is_finite() {
             self.slope_norm = norm;
         }
-        if with_challenger && !self.challenger.descend(groups, ticks, steps[1]).is_finite() {
+        if with_challenger && !self.challenger.descend(path, groups, ticks, steps[1]).is_finite() {
             self.restart_challenger();
         }
     }
@@ -244,7 +224,7 @@ impl LearnedReward {
     }
 
     /// Learns from the pending tick.
-    fn learn_pending(&mut self) {
+    fn learn_pending(&mut self, path: SimdPath) {
         let Some(PendingTransition { inputs, before, changes, applied, reward, new_target }) = self.pending.take()
         else {
             return;
@@ -254,7 +234,7 @@ impl LearnedReward {
         // If the movement was not the commanded one, the reward says nothing about the command.
         let changed = match movement {
             MovementVerdict::Usual => {
-                self.reward.learn(&inputs[..count], &changes[..moved], reward, self.is_work_tick())
+                self.reward.learn(path, &inputs[..count], &changes[..moved], reward, self.is_work_tick())
             }
             MovementVerdict::Changed | MovementVerdict::Unrelated => Some(false),
         };
@@ -295,7 +275,8 @@ impl LearningRule for LearnedReward {
     }
 
     fn improve(&mut self, policy: &mut LinearPolicy) {
-        self.learn_pending();
+        let path = policy.path();
+        self.learn_pending(path);
         if self.halted || self.remembered < self.config.start || !self.movement.ready() || !self.is_work_tick() {
             return;
         }
@@ -303,11 +284,11 @@ impl LearningRule for LearnedReward {
         if with_challenger && (self.challenger.age == 0 || self.challenger.age > self.config.challenge) {
             self.restart_challenger();
         }
-        self.reward.prepare_rollouts();
+        self.rollouts.cost.load(self.reward.weights());
         self.champion.load_policy(policy, &self.rollouts.feature_groups);
         for _ in 0..self.config.steps {
             if !self.halted {
-                self.improve_candidates(with_challenger);
+                self.improve_candidates(path, with_challenger);
             }
         }
         let rollouts = self.config.steps * self.config.movements;
@@ -371,5 +352,7 @@ impl Persist for LearnedReward {
 
 #[cfg(test)]
 mod robustness_tests;
+#[cfg(test)]
+mod scalar;
 #[cfg(test)]
 mod tests;

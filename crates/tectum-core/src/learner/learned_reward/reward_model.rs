@@ -17,6 +17,8 @@
 //! the basis cannot represent counts as noise. Otherwise it would raise the alarm for ever, and the model would
 //! forget in every tick.
 
+use tectum_encoder::simd::{F32x8, Kernel, SimdPath};
+
 use super::basis::Basis;
 use super::outliers::{OutlierFilter, RewardVerdict};
 use crate::SignalConfig;
@@ -49,16 +51,12 @@ pub(super) struct RewardModel {
     /// Number of inputs that commands do not move.
     pub fixed: usize,
     /// Start of the functions of single inputs in psi, if there are any.
-    singles: Option<usize>,
+    pub singles: Option<usize>,
     /// Pairs of inputs, and the start of their products in psi.
-    pairs: Vec<(usize, usize, usize)>,
+    pub pairs: Vec<(usize, usize, usize)>,
     /// Start of the squared changes in psi.
-    squares: usize,
+    pub squares: usize,
     weights: Vec<f64>,
-    /// The weights in single precision, for rollouts.
-    weights_f32: Vec<f32>,
-    /// Coefficients of the cost for the products of two moved inputs' functions: a symmetric matrix, row by row.
-    pair_costs: Vec<f32>,
     /// Upper triangle, row by row.
     covariance: Vec<f64>,
     prior: Vec<f64>,
@@ -90,7 +88,6 @@ impl RewardModel {
             .collect();
         let ModelFeatures { singles, pairs, squares, prior } = ModelFeatures::of(config, &bases, fixed);
         let n = prior.len();
-        let of_moved = total - starts[fixed];
         let mut model = Self {
             bases,
             starts,
@@ -99,8 +96,6 @@ impl RewardModel {
             pairs,
             squares,
             weights: vec![0.0; n],
-            weights_f32: vec![0.0; n],
-            pair_costs: vec![0.0; of_moved * of_moved],
             covariance: vec![0.0; n * (n + 1) / 2],
             prior,
             least_noise: config.reward_noise * config.reward_noise,
@@ -168,7 +163,14 @@ impl RewardModel {
     /// Learns that `inputs`, reached by `changes` of the moved ones, had `reward`. Returns whether the world
     /// seems to have changed; `None` if a number was not finite, in which case nothing is learned. Unless
     /// `update` is set, an expected reward updates only the alarm.
-    pub fn learn(&mut self, inputs: &[f32], changes: &[f32], reward: f32, update: bool) -> Option<bool> {
+    pub fn learn(
+        &mut self,
+        path: SimdPath,
+        inputs: &[f32],
+        changes: &[f32],
+        reward: f32,
+        update: bool,
+    ) -> Option<bool> {
         self.compute_features(inputs, changes);
         let error = f64::from(reward) - dot(&self.weights, &self.psi);
         let noise = self.noise.max(self.least_noise);
@@ -178,16 +180,7 @@ impl RewardModel {
             self.outliers.believe(reward.into());
             return Some(false);
         }
-        let n = self.psi.len();
-        self.gain.fill(0.0);
-        let mut rest = self.covariance.as_slice();
-        for i in 0..n {
-            let (row, after) = rest.split_at(n - i);
-            rest = after;
-            let (row, after_row) = (&row[1..], row[0] * self.psi[i]);
-            add(&mut self.gain[i + 1..], row, self.psi[i]);
-            self.gain[i] += after_row + dot(row, &self.psi[i + 1..]);
-        }
+        path.run(Gain { covariance: &self.covariance, psi: &self.psi, gain: &mut self.gain });
         let variance = dot(&self.gain, &self.psi);
         if !(variance.is_finite() && error.is_finite()) {
             return None;
@@ -213,112 +206,15 @@ impl RewardModel {
         self.alarm += ALARM_RATE * (surprise - self.alarm);
         let changed = self.alarm > ALARM_THRESHOLD;
         let leak = if changed { CHANGE_LEAK } else { LEAK };
-        let mut rest = self.covariance.as_mut_slice();
-        for i in 0..n {
-            let (row, after) = rest.split_at_mut(n - i);
-            rest = after;
-            let gain = self.gain[i] / scale;
-            for (p, g) in row.iter_mut().zip(&self.gain[i..]) {
-                *p = (*p - gain * g) * (1.0 - leak);
-            }
-            row[0] += leak * self.prior_scale * self.prior[i];
-        }
+        let (prior, gain) = (&self.prior, &self.gain);
+        let leaks = [leak, leak * self.prior_scale];
+        path.run(Update { covariance: &mut self.covariance, prior, gain, scale, leaks });
         Some(changed)
     }
 
-    /// Prepares rollouts with the current weights.
-    pub fn prepare_rollouts(&mut self) {
-        let (first, size) = (self.starts[self.fixed], self.moved_functions());
-        for (single, w) in self.weights_f32.iter_mut().zip(&self.weights) {
-            *single = *w as f32;
-        }
-        for &(i, j, start) in self.pairs.iter().filter(|(i, _, _)| *i >= self.fixed) {
-            let columns = self.bases[j].len();
-            for (a, row) in self.weights_f32[start..].chunks_exact(columns).take(self.bases[i].len()).enumerate() {
-                for (b, w) in row.iter().enumerate() {
-                    let (a, b) = (self.starts[i] - first + a, self.starts[j] - first + b);
-                    self.pair_costs[a * size + b] = -w;
-                    self.pair_costs[b * size + a] = -w;
-                }
-            }
-        }
-    }
-
-    /// Writes the linear coefficients of the cost (the negative reward) for the moved inputs' functions to
-    /// `linear`, given the fixed inputs `inputs`. Returns the part of the cost that does not depend on the
-    /// moved inputs.
-    pub fn linear_cost(&mut self, inputs: &[f32], linear: &mut [f32]) -> f32 {
-        let first = self.starts[self.fixed];
-        for (input, &x) in inputs.iter().enumerate().take(self.fixed) {
-            let start = self.starts[input];
-            self.bases[input].eval(x, &mut self.values[start..], &mut self.slopes[start..]);
-        }
-        match self.singles {
-            Some(singles) => {
-                for (l, w) in linear.iter_mut().zip(&self.weights_f32[singles + first..]) {
-                    *l = -w;
-                }
-            }
-            None => linear.fill(0.0),
-        }
-        let mut constant = -self.weights_f32[0];
-        if let Some(singles) = self.singles {
-            constant -= self.values[..first].iter().zip(&self.weights_f32[singles..]).map(|(v, w)| v * w).sum::<f32>();
-        }
-        for &(i, j, start) in self.pairs.iter().filter(|(i, _, _)| *i < self.fixed) {
-            let columns = self.bases[j].len();
-            let rows = self.weights_f32[start..].chunks_exact(columns).zip(&self.values[self.starts[i]..]);
-            let rows = rows.take(self.bases[i].len());
-            if j < self.fixed {
-                let b = &self.values[self.starts[j]..];
-                constant -= rows.map(|(row, a)| a * row.iter().zip(b).map(|(w, b)| w * b).sum::<f32>()).sum::<f32>();
-                continue;
-            }
-            let linear = &mut linear[self.starts[j] - first..][..columns];
-            for (row, v) in rows {
-                for (l, w) in linear.iter_mut().zip(row) {
-                    *l -= v * w;
-                }
-            }
-        }
-        constant
-    }
-
-    /// Writes the slopes of the cost along the moved inputs, at their values `inputs`, with `linear` from
-    /// [`linear_cost`](Self::linear_cost). `scratch` is as long as `linear`. Returns the part of the cost that
-    /// depends on the moved inputs.
-    pub fn cost_slopes(&mut self, inputs: &[f32], linear: &[f32], scratch: &mut [f32], slopes: &mut [f32]) -> f32 {
-        let first = self.starts[self.fixed];
-        for (input, &x) in (self.fixed..self.bases.len()).zip(inputs) {
-            let start = self.starts[input];
-            self.bases[input].eval(x, &mut self.values[start..], &mut self.slopes[start..]);
-        }
-        scratch.copy_from_slice(linear);
-        for (row, v) in self.pair_costs.chunks_exact(scratch.len()).zip(&self.values[first..]) {
-            for (out, w) in scratch.iter_mut().zip(row) {
-                *out += v * w;
-            }
-        }
-        for (input, slope) in (self.fixed..self.bases.len()).zip(slopes) {
-            let (start, len) = (self.starts[input], self.bases[input].len());
-            let pairs = scratch[start - first..][..len].iter().zip(&self.slopes[start..]);
-            *slope = pairs.map(|(g, d)| g * d).sum();
-        }
-        // `scratch` contains the terms of pairs twice and the linear terms once; adding `linear` makes it twice
-        // for all.
-        let twice = scratch.iter().zip(linear).zip(&self.values[first..]);
-        0.5 * twice.map(|((s, l), v)| (s + l) * v).sum::<f32>()
-    }
-
-    /// The cost of a squared change of moved input `moved`. It is never negative: a reward for effort itself would
-    /// let rollouts run away, and the model predicts one only where it knows too little.
-    pub fn effort(&self, moved: usize) -> f32 {
-        (-self.weights_f32[self.squares + moved]).max(0.0)
-    }
-
-    /// Number of functions of the moved inputs.
-    pub fn moved_functions(&self) -> usize {
-        self.values.len() - self.starts[self.fixed]
+    /// The weights of psi.
+    pub fn weights(&self) -> &[f64] {
+        &self.weights
     }
 
     /// Number of features.
@@ -380,7 +276,65 @@ impl ModelFeatures {
     }
 }
 
+/// The covariance times psi.
+struct Gain<'a> {
+    covariance: &'a [f64],
+    psi: &'a [f64],
+    gain: &'a mut [f64],
+}
+
+impl Kernel for Gain<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: F32x8>(self) {
+        let Self { covariance, psi, gain } = self;
+        let n = psi.len();
+        gain.fill(0.0);
+        let mut rest = covariance;
+        for i in 0..n {
+            let (row, after) = rest.split_at(n - i);
+            rest = after;
+            let (row, after_row) = (&row[1..], row[0] * psi[i]);
+            add(&mut gain[i + 1..], row, psi[i]);
+            gain[i] += after_row + dot(row, &psi[i + 1..]);
+        }
+    }
+}
+
+/// Takes what a tick told out of the covariance, and leaks a fraction towards the prior.
+struct Update<'a> {
+    covariance: &'a mut [f64],
+    prior: &'a [f64],
+    gain: &'a [f64],
+    /// Variance of the error.
+    scale: f64,
+    /// The fraction, and the fraction times the prior's scale.
+    leaks: [f64; 2],
+}
+
+impl Kernel for Update<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: F32x8>(self) {
+        let Self { covariance, prior, gain, scale, leaks: [leak, prior_leak] } = self;
+        let n = gain.len();
+        let mut rest = covariance;
+        for i in 0..n {
+            let (row, after) = rest.split_at_mut(n - i);
+            rest = after;
+            let factor = gain[i] / scale;
+            for (p, g) in row.iter_mut().zip(&gain[i..]) {
+                *p = (*p - factor * g) * (1.0 - leak);
+            }
+            row[0] += prior_leak * prior[i];
+        }
+    }
+}
+
 /// `to += factor * from`.
+#[inline(always)]
 fn add(to: &mut [f64], from: &[f64], factor: f64) {
     for (t, f) in to.iter_mut().zip(from) {
         *t += factor * f;
@@ -388,6 +342,7 @@ fn add(to: &mut [f64], from: &[f64], factor: f64) {
 }
 
 /// The scalar product, summed in a fixed order.
+#[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (a, b) = (a.as_chunks::<8>(), b.as_chunks::<8>());
     let mut sums = [0.0; 8];

@@ -1,6 +1,8 @@
 //! What must not ruin what was learned: wild rewards, noise, rewards of other sizes, limits, new targets.
 
-use super::tests::{draw, reward, trained};
+use rand::RngExt as _;
+
+use super::tests::{draw, reward, simulate, trained};
 use super::*;
 use crate::learner::ModelBasis;
 
@@ -24,7 +26,7 @@ fn learn(rule: &mut LearnedReward, ticks: usize, mut reward_of: impl FnMut(usize
         let inputs = draw(&mut rng);
         let changes: [f32; 4] = std::array::from_fn(|_| 0.2 * (rng.random::<f32>() - 0.5));
         let reward = reward_of(k, reward(&inputs, &changes));
-        alarms += usize::from(rule.reward.learn(&inputs, &changes, reward, true).unwrap());
+        alarms += usize::from(rule.reward.learn(SimdPath::best(), &inputs, &changes, reward, true).unwrap());
     }
     alarms
 }
@@ -80,11 +82,11 @@ fn effort_is_never_a_gain() {
         let inputs = draw(&mut rng);
         let changes: [f32; 4] = std::array::from_fn(|_| 0.2 * (rng.random::<f32>() - 0.5));
         let paid = changes[1] * changes[1] - changes[2] * changes[2];
-        rule.reward.learn(&inputs, &changes, paid, true).unwrap();
+        rule.reward.learn(SimdPath::best(), &inputs, &changes, paid, true).unwrap();
     }
-    rule.reward.prepare_rollouts();
-    assert_eq!(rule.reward.effort(1), 0.0);
-    assert!((rule.reward.effort(2) - 1.0).abs() < 0.2, "{}", rule.reward.effort(2));
+    rule.rollouts.cost.load(rule.reward.weights());
+    assert_eq!(rule.rollouts.cost.effort(1), 0.0);
+    assert!((rule.rollouts.cost.effort(2) - 1.0).abs() < 0.2, "{}", rule.rollouts.cost.effort(2));
 }
 
 #[test]
@@ -96,7 +98,7 @@ fn rollouts_move_no_faster_than_the_gate_allows() {
     let horizon = rule.config.horizon;
     let state = [0.4, -0.3, 0.0, 0.0, 0.0, 0.0];
     let gains = rule.movement.gains;
-    let end = rule.rollouts.simulate(&mut rule.champion, &mut rule.reward, &rule.movement, &state);
+    let end = simulate(&mut rule, &state);
     // In the test's scenario a command is at most 0.05, and a tick of that turns a joint by 1.57 rad.
     for (joint, end) in end[2..6].iter().enumerate() {
         let expected = wrap(horizon as f32 * gains[joint].iter().take(4).sum::<f32>() * 0.05);
@@ -104,7 +106,7 @@ fn rollouts_move_no_faster_than_the_gate_allows() {
     }
     // Slopes that lead farther beyond the limit are 0: what is left leads back.
     let before = rule.champion.weights.clone();
-    rule.champion.descend(&mut rule.rollouts.feature_groups, horizon, 1e-3);
+    rule.champion.descend(SimdPath::best(), &mut rule.rollouts.feature_groups, horizon, 1e-3);
     let sum = |weights: &[Vec<f32>; 2]| weights.iter().flatten().sum::<f32>();
     assert!(sum(&rule.champion.weights) < sum(&before));
 }

@@ -1,5 +1,7 @@
 //! The models against a known reward, and the slope of rollouts against a numerical one.
 
+use rand::RngExt as _;
+
 use super::*;
 use crate::learner::test_specs::arm;
 use crate::learner::{LearnerConfig, ModelBasis, Rule};
@@ -43,10 +45,10 @@ pub(super) fn trained(basis: ModelBasis, ticks: usize) -> LearnedReward {
     for _ in 0..ticks {
         let (inputs, u) = (draw(&mut rng), exploration.draw());
         let changes: [f32; 4] = std::array::from_fn(|j| 31.4 * u[j]);
-        assert!(rule.reward.learn(&inputs, &changes, reward(&inputs, &changes), true).is_some());
+        assert!(rule.reward.learn(SimdPath::best(), &inputs, &changes, reward(&inputs, &changes), true).is_some());
         rule.movement.learn(&u, &changes, false);
     }
-    rule.reward.prepare_rollouts();
+    rule.rollouts.cost.load(rule.reward.weights());
     rule
 }
 
@@ -67,6 +69,15 @@ fn the_smooth_model_fits_the_arms_reward_after_about_as_many_ticks_as_it_has_wei
 fn the_model_of_maps_has_the_documented_size() {
     let spec = spec(ModelBasis::Maps);
     assert_eq!(LearnedReward::of(&spec, &encoder(&spec)).model_size(), 965);
+}
+
+/// One rollout of the champion from `state`. Returns where it ends.
+pub(super) fn simulate(rule: &mut LearnedReward, state: &[f32; 6]) -> State {
+    let mut states = [[0.0; MAX_INPUTS]];
+    states[0][..6].copy_from_slice(state);
+    rule.rollouts.set_targets(SimdPath::best(), &states);
+    rule.rollouts.simulate(SimdPath::best(), &mut rule.champion, &rule.movement, &mut states);
+    states[0]
 }
 
 /// The cost of a rollout from `state`, in double precision where it matters.
@@ -103,7 +114,7 @@ fn the_slope_matches_the_numerical_one() {
     }
     let state = [0.4, -0.3, 0.5, -1.0, 0.8, 2.0];
     rule.champion.load_policy(&policy, &rule.rollouts.feature_groups);
-    rule.rollouts.simulate(&mut rule.champion, &mut rule.reward, &rule.movement, &state);
+    simulate(&mut rule, &state);
     let positions = rule.rollouts.feature_groups.clone().map(|group| group.positions);
     let slopes = rule.champion.slope.clone();
     let cost = rollout_cost(&mut rule, &spec, &policy, &state);

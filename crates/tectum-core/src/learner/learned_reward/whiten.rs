@@ -7,6 +7,8 @@
 //! distributed inputs. The matrix of a plane is the Kronecker product of those of its lines (as in K-FAC,
 //! Martens & Grosse 2015), so a plane of 16 x 16 units costs two products of 16 x 16 matrices.
 
+use tectum_encoder::simd::{F32x16, WIDE_LANES};
+
 /// Maximum number of sweeps of Jacobi's method; it needs fewer than ten.
 const MAX_SWEEPS: usize = 30;
 /// Number of points per unit over which the mean is taken.
@@ -54,43 +56,50 @@ impl Whitening {
     }
 
     /// Transforms slopes along weights, in rows of `units`, to slopes along coordinates.
-    pub fn whiten_rows(&self, from: &[f32], to: &mut [f32]) {
-        multiply_rows(&self.matrix, self.units, from, to);
+    #[inline(always)]
+    pub fn whiten_rows<W: F32x16>(&self, from: &[f32], to: &mut [f32]) {
+        multiply::<W>(from, &self.matrix, self.units, to);
     }
 
     /// Transforms steps in coordinates to steps of weights, in rows of `units`.
-    pub fn unwhiten_rows(&self, from: &[f32], to: &mut [f32]) {
-        multiply_rows(&self.transposed, self.units, from, to);
+    #[inline(always)]
+    pub fn unwhiten_rows<W: F32x16>(&self, from: &[f32], to: &mut [f32]) {
+        multiply::<W>(from, &self.transposed, self.units, to);
     }
 
     /// [`whiten_rows`](Self::whiten_rows) for the columns of a matrix of `units` rows.
-    pub fn whiten_columns(&self, from: &[f32], to: &mut [f32]) {
-        multiply_columns(&self.transposed, self.units, from, to);
+    #[inline(always)]
+    pub fn whiten_columns<W: F32x16>(&self, from: &[f32], to: &mut [f32]) {
+        multiply::<W>(&self.transposed, from, self.units, to);
     }
 
     /// [`unwhiten_rows`](Self::unwhiten_rows) for the columns of a matrix of `units` rows.
-    pub fn unwhiten_columns(&self, from: &[f32], to: &mut [f32]) {
-        multiply_columns(&self.matrix, self.units, from, to);
+    #[inline(always)]
+    pub fn unwhiten_columns<W: F32x16>(&self, from: &[f32], to: &mut [f32]) {
+        multiply::<W>(&self.matrix, from, self.units, to);
     }
 }
 
-/// `to = from matrix`, for each row of `from`.
-fn multiply_rows(matrix: &[f32], n: usize, from: &[f32], to: &mut [f32]) {
-    for (from, to) in from.chunks_exact(n).zip(to.chunks_exact_mut(n)) {
-        to.fill(0.0);
-        for (row, f) in matrix.chunks_exact(n).zip(from) {
-            super::add(to, row, *f);
+/// The matrix product `to = a b`, where `a` has rows of `n` numbers and `b` has `n` rows. Each sum has the order of
+/// `b`'s rows.
+#[inline(always)]
+fn multiply<W: F32x16>(a: &[f32], b: &[f32], n: usize, to: &mut [f32]) {
+    let width = b.len() / n;
+    for (a, to) in a.chunks_exact(n).zip(to.chunks_exact_mut(width)) {
+        let (blocks, rest) = to.as_chunks_mut::<WIDE_LANES>();
+        for (at, block) in blocks.iter_mut().enumerate() {
+            let mut sum = W::splat(0.0);
+            for (row, factor) in b.chunks_exact(width).zip(a) {
+                sum = sum + W::splat(*factor) * W::load(&row.as_chunks().0[at]);
+            }
+            *block = sum.store();
         }
-    }
-}
-
-/// `to = matrix from`, for each column of `from`.
-fn multiply_columns(matrix: &[f32], n: usize, from: &[f32], to: &mut [f32]) {
-    let width = from.len() / n;
-    for (row, to) in matrix.chunks_exact(n).zip(to.chunks_exact_mut(width)) {
-        to.fill(0.0);
-        for (from, m) in from.chunks_exact(width).zip(row) {
-            super::add(to, from, *m);
+        let from = width - rest.len();
+        rest.fill(0.0);
+        for (row, factor) in b.chunks_exact(width).zip(a) {
+            for (to, x) in rest.iter_mut().zip(&row[from..]) {
+                *to += factor * x;
+            }
         }
     }
 }
@@ -135,8 +144,36 @@ fn eigen(mut a: Vec<f64>, n: usize) -> (Vec<f64>, Vec<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tectum_encoder::simd::{F32x8, Kernel, SimdPath};
 
-    const KERNELS: usize = 12;
+    const KERNELS: usize = 20;
+    const RANGE: f32 = KERNELS as f32 / 3.0;
+
+    /// [`multiply`] as a kernel.
+    struct Product<'a>(&'a [f32], &'a [f32], &'a mut [f32]);
+
+    impl Kernel for Product<'_> {
+        type Output = ();
+
+        fn run<L: F32x8>(self) {
+            multiply::<L::Wide>(self.0, self.1, KERNELS, self.2);
+        }
+    }
+
+    /// The product of two matrices, one of which has `KERNELS` rows and columns.
+    fn product(a: &[f32], b: &[f32], to: &mut [f32]) {
+        for path in SimdPath::all() {
+            let mut again = vec![0.0; to.len()];
+            path.run(Product(a, b, &mut again));
+            to.copy_from_slice(&again);
+            let columns = b.len() / KERNELS;
+            for (i, x) in again.iter().enumerate() {
+                let (row, column) = (i / columns, i % columns);
+                let terms = (0..KERNELS).map(|k| a[row * KERNELS + k] * b[k * columns + column]);
+                assert_eq!(x.to_bits(), terms.fold(0.0, |sum: f32, term| sum + term).to_bits(), "{path}");
+            }
+        }
+    }
 
     fn eval(x: f32, values: &mut [f32]) {
         for (i, v) in values.iter_mut().enumerate() {
@@ -147,13 +184,13 @@ mod tests {
 
     #[test]
     fn coordinates_are_uncorrelated_with_variances_of_at_most_one() {
-        let whitening = Whitening::of(KERNELS, 0.0, 4.0, 1e-3, eval);
+        let whitening = Whitening::of(KERNELS, 0.0, RANGE, 1e-3, eval);
         let points = KERNELS * POINTS;
         let mut moments = [0.0; KERNELS * KERNELS];
         for point in 0..points {
             let (mut values, mut z) = ([0.0; KERNELS], [0.0; KERNELS]);
-            eval(4.0 * (point as f32 + 0.5) / points as f32, &mut values);
-            whitening.whiten_rows(&values, &mut z);
+            eval(RANGE * (point as f32 + 0.5) / points as f32, &mut values);
+            product(&values, &whitening.matrix, &mut z);
             for (m, (a, b)) in moments.iter_mut().zip(z.iter().flat_map(|a| z.iter().map(move |b| (a, b)))) {
                 *m += a * b / points as f32;
             }
@@ -172,15 +209,15 @@ mod tests {
     fn steps_descend_the_slope() {
         // Whitening followed by unwhitening multiplies by a matrix and its transpose, so the slope along a step
         // is never negative. Columns are transformed like rows.
-        let whitening = Whitening::of(KERNELS, 0.0, 4.0, 1e-3, eval);
+        let whitening = Whitening::of(KERNELS, 0.0, RANGE, 1e-3, eval);
         let mut slope = [0.0_f32; KERNELS * KERNELS];
         slope.iter_mut().enumerate().for_each(|(i, s)| *s = ((i * i) % 17) as f32 - 8.0);
         let [mut a, mut b] = [[0.0; KERNELS * KERNELS]; 2];
-        whitening.whiten_rows(&slope, &mut a);
-        whitening.whiten_columns(&a, &mut b);
+        product(&slope, &whitening.matrix, &mut a);
+        product(&whitening.transposed, &a, &mut b);
         let squares: f32 = b.iter().map(|x| x * x).sum();
-        whitening.unwhiten_rows(&b, &mut a);
-        whitening.unwhiten_columns(&a, &mut b);
+        product(&b, &whitening.transposed, &mut a);
+        product(&whitening.matrix, &a, &mut b);
         let along: f32 = slope.iter().zip(&b).map(|(s, x)| s * x).sum();
         assert!((along / squares - 1.0).abs() < 1e-3, "{along} {squares}");
     }

@@ -1,0 +1,161 @@
+//! The cost of rollouts by the reward model, and its slopes, for sixteen rollouts side by side.
+//!
+//! The cost is the negative reward. What depends on the fixed inputs alone is computed once for a target: a constant,
+//! and the coefficients of the moved inputs' functions. Each tick then needs the functions of the moved inputs and
+//! their products.
+
+use tectum_encoder::simd::F32x16;
+
+use super::basis::Basis;
+use super::lanes::Lanes;
+use super::reward_model::RewardModel;
+
+/// The reward model's weights in single precision, as rollouts need them.
+#[derive(Debug, Clone)]
+pub(super) struct RolloutCost {
+    pub bases: Vec<Basis>,
+    /// Start of each input's functions among all functions.
+    pub starts: Vec<usize>,
+    /// Number of inputs that commands do not move.
+    pub fixed: usize,
+    pub singles: Option<usize>,
+    pub pairs: Vec<(usize, usize, usize)>,
+    pub squares: usize,
+    pub weights: Vec<f32>,
+    /// Coefficients for the products of two moved inputs' functions: a symmetric matrix, row by row.
+    pub products: Vec<f32>,
+    /// The functions' values and slopes.
+    values: Vec<Lanes>,
+    slopes: Vec<Lanes>,
+}
+
+impl RolloutCost {
+    /// The cost of rollouts by `model`, with weights 0.
+    pub fn of(model: &RewardModel) -> Self {
+        let total = model.bases.iter().map(Basis::len).sum::<usize>();
+        let moved = total - model.starts[model.fixed];
+        Self {
+            bases: model.bases.clone(),
+            starts: model.starts.clone(),
+            fixed: model.fixed,
+            singles: model.singles,
+            pairs: model.pairs.clone(),
+            squares: model.squares,
+            weights: vec![0.0; model.weights().len()],
+            products: vec![0.0; moved * moved],
+            values: vec![Lanes::ZERO; total],
+            slopes: vec![Lanes::ZERO; total],
+        }
+    }
+
+    /// Takes over the weights of the model.
+    pub fn load(&mut self, weights: &[f64]) {
+        let (first, size) = (self.starts[self.fixed], self.moved_functions());
+        for (single, w) in self.weights.iter_mut().zip(weights) {
+            *single = *w as f32;
+        }
+        for &(i, j, start) in self.pairs.iter().filter(|(i, _, _)| *i >= self.fixed) {
+            let columns = self.bases[j].len();
+            for (a, row) in self.weights[start..].chunks_exact(columns).take(self.bases[i].len()).enumerate() {
+                for (b, w) in row.iter().enumerate() {
+                    let (a, b) = (self.starts[i] - first + a, self.starts[j] - first + b);
+                    self.products[a * size + b] = -w;
+                    self.products[b * size + a] = -w;
+                }
+            }
+        }
+    }
+
+    /// Writes the coefficients of the moved inputs' functions to `linear`, given the fixed inputs. Returns the part of
+    /// the cost that does not depend on the moved inputs.
+    #[inline(always)]
+    pub fn of_target<W: F32x16>(&mut self, inputs: &[Lanes], linear: &mut [Lanes]) -> W {
+        let first = self.starts[self.fixed];
+        for (input, x) in inputs.iter().enumerate().take(self.fixed) {
+            let start = self.starts[input];
+            self.bases[input].eval_lanes(W::load(&x.0), &mut self.values[start..], &mut self.slopes[start..]);
+        }
+        let value = |at: usize| &self.values[at].0;
+        let mut constant = W::splat(-self.weights[0]);
+        match self.singles {
+            Some(singles) => {
+                for (l, w) in linear.iter_mut().zip(&self.weights[singles + first..]) {
+                    l.0 = W::splat(-w).store();
+                }
+                let mut sum = W::splat(-0.0);
+                for (at, w) in self.weights[singles..][..first].iter().enumerate() {
+                    sum = sum + W::load(value(at)) * W::splat(*w);
+                }
+                constant = constant - sum;
+            }
+            None => linear.fill(Lanes::ZERO),
+        }
+        for &(i, j, start) in self.pairs.iter().filter(|(i, _, _)| *i < self.fixed) {
+            let columns = self.bases[j].len();
+            let rows = self.weights[start..].chunks_exact(columns).take(self.bases[i].len()).enumerate();
+            if j < self.fixed {
+                let mut sum = W::splat(-0.0);
+                for (a, row) in rows {
+                    let mut along = W::splat(-0.0);
+                    for (b, w) in row.iter().enumerate() {
+                        along = along + W::splat(*w) * W::load(value(self.starts[j] + b));
+                    }
+                    sum = sum + W::load(value(self.starts[i] + a)) * along;
+                }
+                constant = constant - sum;
+                continue;
+            }
+            let linear = &mut linear[self.starts[j] - first..][..columns];
+            for (a, row) in rows {
+                let v = W::load(value(self.starts[i] + a));
+                for (l, w) in linear.iter_mut().zip(row) {
+                    l.0 = (W::load(&l.0) - v * W::splat(*w)).store();
+                }
+            }
+        }
+        constant
+    }
+
+    /// Writes the slopes of the cost along the moved inputs, at their values `inputs`, with `linear` from
+    /// [`of_target`](Self::of_target). Returns the part of the cost that depends on the moved inputs.
+    #[inline(always)]
+    pub fn of_tick<W: F32x16>(&mut self, inputs: &[Lanes], linear: &[Lanes], slopes: &mut [Lanes]) -> W {
+        let first = self.starts[self.fixed];
+        let mut start = 0;
+        for (basis, x) in self.bases[self.fixed..].iter().zip(inputs) {
+            basis.eval_lanes(W::load(&x.0), &mut self.values[first + start..], &mut self.slopes[first + start..]);
+            start += basis.len();
+        }
+        let size = linear.len();
+        let (values, slopes_of) = (&self.values[first..][..size], &self.slopes[first..][..size]);
+        let mut rows = self.products.chunks_exact(size.max(1)).zip(values).zip(slopes_of).zip(linear);
+        // The sums contain the terms of pairs twice and the linear terms once; adding `linear` makes it twice for all.
+        let mut twice = W::splat(-0.0);
+        for (basis, slope) in self.bases[self.fixed..].iter().zip(slopes) {
+            let mut sum = W::splat(-0.0);
+            for (((row, value), slope), linear) in rows.by_ref().take(basis.len()) {
+                let linear = W::load(&linear.0);
+                let mut along = linear;
+                for (v, w) in values.iter().zip(row) {
+                    along = along + W::load(&v.0) * W::splat(*w);
+                }
+                sum = sum + along * W::load(&slope.0);
+                twice = twice + (along + linear) * W::load(&value.0);
+            }
+            slope.0 = sum.store();
+        }
+        W::splat(0.5) * twice
+    }
+
+    /// The cost of a squared change of moved input `moved`. It is never negative: a reward for effort itself would
+    /// let rollouts run away, and the model predicts one only where it knows too little.
+    #[inline(always)]
+    pub fn effort(&self, moved: usize) -> f32 {
+        (-self.weights[self.squares + moved]).max(0.0)
+    }
+
+    /// Number of functions of the moved inputs.
+    pub fn moved_functions(&self) -> usize {
+        self.values.len() - self.starts[self.fixed]
+    }
+}
