@@ -47,16 +47,15 @@ impl Slopes {
         weights: &[f32],
         ticks: &mut [RolloutTick],
     ) {
-        let moved = constants.wraps.len();
         // Slopes of all later cost along the moved inputs.
         let mut later = [Lanes::ZERO; MAX_INPUTS];
         self.of_target = [Lanes::ZERO; MAX_OUTPUTS];
         let mut weight = constants.last_counts;
         for tick in ticks.iter_mut().rev() {
             let mut slopes = [Lanes::ZERO; MAX_OUTPUTS];
-            for i in 0..moved {
-                let all = W::load(&later[i].0) + W::splat(weight) * W::load(&tick.cost_slopes[i].0);
-                later[i].0 = all.store();
+            for (i, later) in later.iter_mut().enumerate().take(constants.wraps.len()) {
+                let all = W::load(&later.0) + W::splat(weight) * W::load(&tick.cost_slopes[i].0);
+                later.0 = all.store();
                 let along = all + W::splat(2.0 * cost.effort(i)) * W::load(&tick.changes[i].0);
                 for (slope, gain) in slopes.iter_mut().zip(&movement.gains[i]).take(constants.outputs) {
                     slope.0 = (W::load(&slope.0) + along * W::splat(*gain)).store();
@@ -102,15 +101,15 @@ fn output_slopes<W: F32x16>(
 ) -> W {
     let scale = W::load(&tick.scale.0);
     let mut norm_slope = W::splat(-0.0);
-    for output in 0..constants.outputs {
+    for (output, slope) in slopes.iter_mut().enumerate().take(constants.outputs) {
         // A command beyond the gate's limit has no effect by how far it is beyond. Its slope counts only where
         // the descent, which goes against the slope, leads back.
         let limit = constants.max_command[output];
-        for (slope, mean) in slopes[output].0.iter_mut().zip(&tick.mean[output].0) {
+        for (slope, mean) in slope.0.iter_mut().zip(&tick.mean[output].0) {
             let leads_out = (mean.abs() > limit) & (*slope * mean < 0.0);
             *slope = if leads_out { 0.0 } else { *slope };
         }
-        let slope = W::load(&slopes[output].0);
+        let slope = W::load(&slope.0);
         norm_slope = norm_slope + W::load(&tick.mean[output].0) * slope;
         tick.output_slopes[output].0 = (slope * scale).store();
     }
@@ -129,17 +128,17 @@ fn slopes_of_features<W: F32x16>(minus_norm_slope: W, weights: &[f32], tick: &Ro
     let (blocks, rest) = along.as_chunks_mut::<FEATURES>();
     for (block, at) in blocks.iter_mut().zip((0..).step_by(FEATURES)) {
         let mut sums = [minus_norm_slope; FEATURES];
-        for k in 0..FEATURES {
-            sums[k] = sums[k] * W::load(&tick.features[at + k].0);
+        for (sum, feature) in sums.iter_mut().zip(&tick.features[at..]) {
+            *sum = *sum * W::load(&feature.0);
         }
         for (row, slope) in weights.chunks_exact(n).zip(&tick.output_slopes) {
-            let (row, slope) = (&row[at..at + FEATURES], W::load(&slope.0));
-            for k in 0..FEATURES {
-                sums[k] = sums[k] + slope * W::splat(row[k]);
+            let slope = W::load(&slope.0);
+            for (sum, w) in sums.iter_mut().zip(&row[at..at + FEATURES]) {
+                *sum = *sum + slope * W::splat(*w);
             }
         }
-        for k in 0..FEATURES {
-            block[k].0 = sums[k].store();
+        for (along, sum) in block.iter_mut().zip(sums) {
+            along.0 = sum.store();
         }
     }
     for (along, at) in rest.iter_mut().zip(n - n % FEATURES..) {
@@ -165,9 +164,13 @@ fn add_slopes<'a, L: F32x8>(
     for start in (0..n).step_by(ROLLOUTS) {
         let width = (n - start).min(ROLLOUTS);
         for (rows, (features, _)) in rows.iter_mut().zip(ticks.clone()) {
-            let mut block = [Lanes::ZERO; ROLLOUTS];
-            block[..width].copy_from_slice(&features[start..start + width]);
-            *rows = lanes::transposed::<L>(&block);
+            if let Some(block) = features[start..].first_chunk() {
+                lanes::transpose::<L>(block, rows);
+            } else {
+                let mut block = [Lanes::ZERO; ROLLOUTS];
+                block[..width].copy_from_slice(&features[start..]);
+                lanes::transpose::<L>(&block, rows);
+            }
         }
         let mut output = 0;
         while output < outputs {

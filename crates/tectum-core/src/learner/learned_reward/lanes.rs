@@ -49,7 +49,7 @@ pub(super) fn wrap<W: F32x16>(angle: W) -> W {
     let mut is_inside = true;
     for x in &lanes {
         let turned = x + PI;
-        is_inside &= (turned >= 0.0) & (turned < 2.0 * PI);
+        is_inside &= (0.0..2.0 * PI).contains(&turned);
     }
     if !is_inside {
         wrap_each(&mut lanes);
@@ -68,6 +68,20 @@ fn wrap_each(lanes: &mut [f32; ROLLOUTS]) {
 
 /// Where [`libm::sincosf`] goes from one quarter of a turn to the next: rounded multiples of `pi / 4`.
 const QUARTERS: [f32; 3] = [f32::from_bits(0x3f49_0fda), f32::from_bits(0x4016_cbe3), f32::from_bits(0x407b_53d1)];
+
+/// libm's polynomials on `[-pi / 4, pi / 4]`, without their first terms.
+const SINE: [f64; 4] = [
+    f64::from_bits(0xbfc5_5555_54cb_ac77),
+    f64::from_bits(0x3f81_1110_896e_fbb2),
+    f64::from_bits(0xbf2a_00f9_e2ca_e774),
+    f64::from_bits(0x3ec6_cd87_8c3b_46a7),
+];
+const COSINE: [f64; 4] = [
+    f64::from_bits(0xbfdf_ffff_fd0c_5e81),
+    f64::from_bits(0x3fa5_5553_e105_3a42),
+    f64::from_bits(0xbf56_c087_e80f_1e27),
+    f64::from_bits(0x3ef9_9342_e0ee_5069),
+];
 
 /// Sine and cosine, with the bits of [`libm::sincosf`].
 #[inline(always)]
@@ -105,11 +119,11 @@ fn near_sine_and_cosine(x: f32) -> (f32, f32) {
     let y = if is_third { wide - PI } else { turned };
     let z = y * y;
     let w = z * z;
-    let r = -0.000_198_393_348_360_966_317_347 + z * 0.000_002_718_311_493_989_821_906_4;
+    let r = SINE[2] + z * SINE[3];
     let s = z * y;
-    let sine = (y + s * (-0.166_666_666_416_265_235_595 + z * 0.008_333_329_385_889_463_175_6)) + s * w * r;
-    let r = -0.001_388_676_377_460_992_946_92 + z * 0.000_024_390_448_796_277_409_065_4;
-    let cosine = ((1.0 + z * -0.499_999_997_251_031_003_120) + w * 0.041_666_623_323_739_063_189_4) + (w * z) * r;
+    let sine = (y + s * (SINE[0] + z * SINE[1])) + s * w * r;
+    let r = COSINE[2] + z * COSINE[3];
+    let cosine = ((1.0 + z * COSINE[0]) + w * COSINE[1]) + (w * z) * r;
     let (sine, cosine) = (sine as f32, cosine as f32);
     // In the second quarter they change places, in the third their signs.
     let is_swapped = is_second & !is_third;
@@ -121,10 +135,9 @@ fn near_sine_and_cosine(x: f32) -> (f32, f32) {
     (if is_tiny { x } else { signed }, if is_tiny { 1.0 } else { b })
 }
 
-/// The transposed matrix of sixteen rows.
+/// Writes the transposed matrix of sixteen rows to `to`.
 #[inline(always)]
-pub(super) fn transposed<L: F32x8>(of: &[Lanes; ROLLOUTS]) -> [Lanes; ROLLOUTS] {
-    let mut to = [Lanes::ZERO; ROLLOUTS];
+pub(super) fn transpose<L: F32x8>(of: &[Lanes; ROLLOUTS], to: &mut [Lanes; ROLLOUTS]) {
     for i in 0..2 {
         for j in 0..2 {
             let mut block = [L::splat(0.0); LANES];
@@ -137,7 +150,6 @@ pub(super) fn transposed<L: F32x8>(of: &[Lanes; ROLLOUTS]) -> [Lanes; ROLLOUTS] 
             }
         }
     }
-    to
 }
 
 #[cfg(test)]

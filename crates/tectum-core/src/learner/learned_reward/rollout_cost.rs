@@ -10,6 +10,9 @@ use super::basis::Basis;
 use super::lanes::Lanes;
 use super::reward_model::RewardModel;
 
+/// Functions whose slopes are summed at the same time.
+const FUNCTIONS: usize = 4;
+
 /// The reward model's weights in single precision, as rollouts need them.
 #[derive(Debug, Clone)]
 pub(super) struct RolloutCost {
@@ -27,6 +30,8 @@ pub(super) struct RolloutCost {
     /// The functions' values and slopes.
     values: Vec<Lanes>,
     slopes: Vec<Lanes>,
+    /// Slopes of the cost along the moved inputs' functions.
+    along: Vec<Lanes>,
 }
 
 impl RolloutCost {
@@ -45,6 +50,7 @@ impl RolloutCost {
             products: vec![0.0; moved * moved],
             values: vec![Lanes::ZERO; total],
             slopes: vec![Lanes::ZERO; total],
+            along: vec![Lanes::ZERO; moved],
         }
     }
 
@@ -126,25 +132,54 @@ impl RolloutCost {
             basis.eval_lanes(W::load(&x.0), &mut self.values[first + start..], &mut self.slopes[first + start..]);
             start += basis.len();
         }
-        let size = linear.len();
-        let (values, slopes_of) = (&self.values[first..][..size], &self.slopes[first..][..size]);
-        let mut rows = self.products.chunks_exact(size.max(1)).zip(values).zip(slopes_of).zip(linear);
+        self.along_functions::<W>(linear);
         // The sums contain the terms of pairs twice and the linear terms once; adding `linear` makes it twice for all.
         let mut twice = W::splat(-0.0);
+        let functions = self.values[first..].iter().zip(&self.slopes[first..]);
+        let mut functions = self.along.iter().zip(linear).zip(functions);
         for (basis, slope) in self.bases[self.fixed..].iter().zip(slopes) {
             let mut sum = W::splat(-0.0);
-            for (((row, value), slope), linear) in rows.by_ref().take(basis.len()) {
-                let linear = W::load(&linear.0);
-                let mut along = linear;
-                for (v, w) in values.iter().zip(row) {
-                    along = along + W::load(&v.0) * W::splat(*w);
-                }
+            for ((along, linear), (value, slope)) in functions.by_ref().take(basis.len()) {
+                let along = W::load(&along.0);
                 sum = sum + along * W::load(&slope.0);
-                twice = twice + (along + linear) * W::load(&value.0);
+                twice = twice + (along + W::load(&linear.0)) * W::load(&value.0);
             }
             slope.0 = sum.store();
         }
         W::splat(0.5) * twice
+    }
+
+    /// The slopes of the cost along the moved inputs' functions.
+    #[inline(always)]
+    fn along_functions<W: F32x16>(&mut self, linear: &[Lanes]) {
+        let (size, first) = (linear.len(), self.starts[self.fixed]);
+        let values = &self.values[first..][..size];
+        let (blocks, rest) = self.along.as_chunks_mut::<FUNCTIONS>();
+        let (linear_blocks, linear_rest) = linear.as_chunks::<FUNCTIONS>();
+        let (rows, rest_rows) = self.products.split_at(blocks.len() * FUNCTIONS * size);
+        let rows = rows.chunks_exact((FUNCTIONS * size).max(1));
+        for ((block, linear), rows) in blocks.iter_mut().zip(linear_blocks).zip(rows) {
+            let mut sums = [W::splat(0.0); FUNCTIONS];
+            for (sum, linear) in sums.iter_mut().zip(linear) {
+                *sum = W::load(&linear.0);
+            }
+            for (a, value) in values.iter().enumerate() {
+                let v = W::load(&value.0);
+                for (k, sum) in sums.iter_mut().enumerate() {
+                    *sum = *sum + v * W::splat(rows[k * size + a]);
+                }
+            }
+            for (along, sum) in block.iter_mut().zip(sums) {
+                along.0 = sum.store();
+            }
+        }
+        for ((along, linear), row) in rest.iter_mut().zip(linear_rest).zip(rest_rows.chunks_exact(size.max(1))) {
+            let mut sum = W::load(&linear.0);
+            for (v, w) in values.iter().zip(row) {
+                sum = sum + W::load(&v.0) * W::splat(*w);
+            }
+            along.0 = sum.store();
+        }
     }
 
     /// The cost of a squared change of moved input `moved`. It is never negative: a reward for effort itself would

@@ -225,7 +225,7 @@ fn forward<W: F32x16>(rollouts: &mut Rollouts, batch: usize, weights: &[Vec<f32>
         output.0 = dot::<W>(row, &target.features).store();
     }
     for tick in ticks {
-        tick.inputs = *state;
+        tick.inputs[..fixed + moved].copy_from_slice(&state[..fixed + moved]);
         let more: W = feature_groups[1].encode_lanes(state, &mut tick.lines, &mut tick.features);
         let scale =
             if constants.normalise { lanes::inverse_root(W::load(&target.squares.0) + more) } else { W::splat(1.0) };

@@ -182,9 +182,9 @@ fn descend(
     let add = |to: &mut [f32], from: &[f32], factor: f32| to.iter_mut().zip(from).for_each(|(t, f)| *t += factor * f);
     for tick in ticks.iter().rev() {
         let mut slopes = [0.0; MAX_OUTPUTS];
-        for i in 0..constants.wraps.len() {
-            later[i] += weight * tick.cost_slopes[i];
-            let along = later[i] + 2.0 * rollouts.cost.effort(i) * tick.changes[i];
+        for (i, later) in later.iter_mut().enumerate().take(constants.wraps.len()) {
+            *later += weight * tick.cost_slopes[i];
+            let along = *later + 2.0 * rollouts.cost.effort(i) * tick.changes[i];
             add(&mut slopes, &movement.gains[i], along);
         }
         weight = 1.0;

@@ -9,6 +9,8 @@
 
 use tectum_encoder::simd::{F32x16, WIDE_LANES};
 
+/// Rows that are multiplied at the same time.
+const ROWS: usize = 4;
 /// Maximum number of sweeps of Jacobi's method; it needs fewer than ten.
 const MAX_SWEEPS: usize = 30;
 /// Number of points per unit over which the mean is taken.
@@ -85,19 +87,39 @@ impl Whitening {
 #[inline(always)]
 fn multiply<W: F32x16>(a: &[f32], b: &[f32], n: usize, to: &mut [f32]) {
     let width = b.len() / n;
-    for (a, to) in a.chunks_exact(n).zip(to.chunks_exact_mut(width)) {
-        let (blocks, rest) = to.as_chunks_mut::<WIDE_LANES>();
-        for (at, block) in blocks.iter_mut().enumerate() {
-            let mut sum = W::splat(0.0);
-            for (row, factor) in b.chunks_exact(width).zip(a) {
-                sum = sum + W::splat(*factor) * W::load(&row.as_chunks().0[at]);
+    let whole = a.len() / (ROWS * n) * ROWS;
+    let (a, a_rest) = a.split_at(whole * n);
+    let (to, to_rest) = to.split_at_mut(whole * width);
+    for (a, to) in a.chunks_exact(ROWS * n).zip(to.chunks_exact_mut(ROWS * width)) {
+        multiply_rows::<W, ROWS>(a, b, n, to);
+    }
+    for (a, to) in a_rest.chunks_exact(n).zip(to_rest.chunks_exact_mut(width)) {
+        multiply_rows::<W, 1>(a, b, n, to);
+    }
+}
+
+/// [`multiply`] for `N` rows of `a`.
+#[inline(always)]
+fn multiply_rows<W: F32x16, const N: usize>(a: &[f32], b: &[f32], n: usize, to: &mut [f32]) {
+    let width = b.len() / n;
+    let blocks = width / WIDE_LANES;
+    for at in 0..blocks {
+        let mut sums = [W::splat(0.0); N];
+        for (k, row) in b.chunks_exact(width).enumerate() {
+            let row = W::load(&row.as_chunks().0[at]);
+            for (i, sum) in sums.iter_mut().enumerate() {
+                *sum = *sum + W::splat(a[i * n + k]) * row;
             }
-            *block = sum.store();
         }
-        let from = width - rest.len();
-        rest.fill(0.0);
+        for (to, sum) in to.chunks_exact_mut(width).zip(sums) {
+            to.as_chunks_mut().0[at] = sum.store();
+        }
+    }
+    let from = blocks * WIDE_LANES;
+    for (a, to) in a.chunks_exact(n).zip(to.chunks_exact_mut(width)) {
+        to[from..].fill(0.0);
         for (row, factor) in b.chunks_exact(width).zip(a) {
-            for (to, x) in rest.iter_mut().zip(&row[from..]) {
+            for (to, x) in to[from..].iter_mut().zip(&row[from..]) {
                 *to += factor * x;
             }
         }
