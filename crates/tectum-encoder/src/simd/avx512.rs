@@ -2,11 +2,14 @@
 
 use std::arch::is_x86_feature_detected;
 use std::arch::x86_64::{
-    __m512, _mm512_add_ps, _mm512_castps_si512, _mm512_castps256_ps512, _mm512_castps512_ps256, _mm512_castsi512_ps,
-    _mm512_extractf32x8_ps, _mm512_insertf32x8, _mm512_max_ps, _mm512_min_ps, _mm512_mul_ps, _mm512_set1_epi32,
-    _mm512_set1_ps, _mm512_sllv_epi32, _mm512_sub_epi32, _mm512_sub_ps,
+    __m512, _mm512_add_ps, _mm512_castps_si512, _mm512_castps256_ps512, _mm512_castps512_ps128, _mm512_castps512_ps256,
+    _mm512_castsi512_ps, _mm512_extractf32x4_ps, _mm512_extractf32x8_ps, _mm512_insertf32x8, _mm512_max_ps,
+    _mm512_min_ps, _mm512_mul_ps, _mm512_set1_epi32, _mm512_set1_ps, _mm512_shuffle_f32x4, _mm512_sllv_epi32,
+    _mm512_sub_epi32, _mm512_sub_ps,
 };
 use std::ops::{Add, Mul, Sub};
+
+use glam::Vec4;
 
 use super::avx2::Ymm;
 use super::{F32x16, Kernel, WIDE_LANES};
@@ -107,5 +110,15 @@ impl F32x16 for Avx512F32x16 {
     fn joined([low, high]: [Ymm<true>; 2]) -> Self {
         // SAFETY: see above.
         Self(unsafe { _mm512_insertf32x8::<1>(_mm512_castps256_ps512(low.0), high.0) })
+    }
+
+    #[inline(always)]
+    fn quarters_total(self) -> Vec4 {
+        // SAFETY: see above.
+        unsafe {
+            let neighbours = _mm512_shuffle_f32x4::<0b10_11_00_01>(self.0, self.0);
+            let pairs = _mm512_add_ps(self.0, neighbours);
+            Vec4::from(_mm512_castps512_ps128(pairs)) + Vec4::from(_mm512_extractf32x4_ps::<2>(pairs))
+        }
     }
 }

@@ -82,6 +82,8 @@ pub trait F32x16: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = 
     fn halves(self) -> [Self::Half; 2];
     /// Sixteen lanes from two times eight, the lower ones first.
     fn joined(halves: [Self::Half; 2]) -> Self;
+    /// The sum of the four quarters of four lanes: `(a + b) + (c + d)`.
+    fn quarters_total(self) -> Vec4;
 }
 
 /// A loop over lanes, together with its arguments; [`SimdPath::run`] runs it.

@@ -2,6 +2,8 @@
 
 use std::ops::{Add, Mul, Sub};
 
+use glam::Vec4;
+
 use super::{F32x8, F32x16, LANES, WIDE_LANES};
 
 /// The lower and the upper eight lanes.
@@ -74,5 +76,11 @@ impl<L: F32x8> F32x16 for Pair<L> {
     #[inline(always)]
     fn joined([low, high]: [L; 2]) -> Self {
         Self(low, high)
+    }
+
+    #[inline(always)]
+    fn quarters_total(self) -> Vec4 {
+        let ([a, b], [c, d]) = (self.0.halves(), self.1.halves());
+        (a + b) + (c + d)
     }
 }
