@@ -18,14 +18,16 @@ use glam::Vec4;
 
 use super::exponential::{SUM_SCALE, exp2_negative_lanes, inverse_norm, scaled};
 use super::features::{BLOCK, CacheLine, Features, GROUP};
+use super::held::HeldPlanes;
 use super::tables::{EncoderTables, UnitGroup};
 use crate::simd::{F32x8, F32x16, Kernel};
 
-/// Encodes `inputs` into `out`; `lines` is scratch memory for the activations of the lines.
+/// Encodes `inputs` into `out`; `lines` has the activations of the lines, those of `held` from the call before.
 pub(super) struct Encode<'a> {
     pub tables: &'a EncoderTables,
     pub inputs: &'a [f32],
     pub lines: &'a mut Features,
+    pub held: &'a mut HeldPlanes,
     pub out: &'a mut Features,
 }
 
@@ -34,11 +36,20 @@ impl Kernel for Encode<'_> {
 
     #[inline(always)]
     fn run<L: F32x8>(self) {
-        let Self { tables, inputs, lines, out } = self;
+        let Self { tables, inputs, lines, held, out } = self;
         let groups = lines.cache_lines_mut();
-        exponents::<L>(inputs, &tables.groups, tables.centres.cache_lines(), tables.floors.cache_lines(), groups);
-        activations::<L>(groups);
-        let scale = if tables.normalise { inverse_norm(sum_of_squares::<L>(tables, groups)) } else { 1.0 };
+        let from = if held.take(tables, inputs) { tables.lines } else { 0 };
+        let (centres, floors) = (&tables.centres.cache_lines()[from..], &tables.floors.cache_lines()[from..]);
+        exponents::<L>(inputs, &tables.groups[from..], centres, floors, &mut groups[from..]);
+        activations::<L>(&mut groups[from..]);
+        if from == 0 {
+            held.keep(sum_of_squares::<L>(tables, groups));
+        }
+        let scale = if tables.normalise {
+            inverse_norm(held.squares + squares::<L>(&groups[tables.lines..]) * SUM_SCALE)
+        } else {
+            1.0
+        };
         expand::<L>(tables, lines.as_slice(), scale, out.as_mut_slice());
     }
 }
@@ -68,8 +79,8 @@ fn activations<L: F32x8>(lines: &mut [CacheLine]) {
     }
 }
 
-/// Third pass: the sum of squares of all features, times [`SUM_SCALE`]. For a plane it is the product of the
-/// sums of its two lines.
+/// Third pass: the sum of squares of the features of all planes, times [`SUM_SCALE`]. For a plane it is the product of
+/// the sums of its two lines.
 #[inline(always)]
 fn sum_of_squares<L: F32x8>(tables: &EncoderTables, lines: &[CacheLine]) -> f32 {
     let mut total = 0.0;
@@ -77,7 +88,7 @@ fn sum_of_squares<L: F32x8>(tables: &EncoderTables, lines: &[CacheLine]) -> f32 
         let slow = squares::<L>(&lines[plane.slow..plane.fast]) * SUM_SCALE;
         total += slow * squares::<L>(&lines[plane.fast..plane.end]);
     }
-    total + squares::<L>(&lines[tables.lines..]) * SUM_SCALE
+    total
 }
 
 /// The sum of squares of some groups. The order is fixed: the four blocks of a group, then the groups, then the

@@ -62,6 +62,7 @@
 
 mod exponential;
 mod features;
+mod held;
 mod kernel;
 #[doc(hidden)]
 pub mod naive;
@@ -73,6 +74,7 @@ mod tables;
 pub use exponential::{exp2_negative, exp2_negative_lanes};
 use features::BLOCK;
 pub use features::Features;
+use held::HeldPlanes;
 use tables::EncoderTables;
 
 pub use simd::SimdPath;
@@ -106,8 +108,10 @@ pub enum Map {
 #[derive(Debug, Clone)]
 pub struct Encoder {
     tables: EncoderTables,
-    /// Scratch memory for the activations of all lines, so that encoding does not allocate.
+    /// The activations of all lines, so that encoding does not allocate.
     lines: Features,
+    /// Which of them need not be computed again.
+    held: HeldPlanes,
     /// Indices of the inputs that are passed through as features, after those of the maps.
     scalars: Vec<usize>,
     path: SimdPath,
@@ -121,7 +125,8 @@ impl Encoder {
     pub fn new(maps: &[Map], normalise: bool) -> Self {
         let tables = EncoderTables::new(maps, normalise);
         let lines = tables.centres.clone();
-        Self { tables, lines, scalars: Vec::new(), path: SimdPath::best() }
+        let held = HeldPlanes::new(&tables);
+        Self { tables, lines, held, scalars: Vec::new(), path: SimdPath::best() }
     }
 
     /// The same encoder with the inputs of these indices passed through as further features.
@@ -188,8 +193,8 @@ impl Encoder {
     /// features.
     pub fn encode(&mut self, inputs: &[f32], out: &mut Features) {
         assert_eq!(out.len(), self.len(), "the features were made for another encoder");
-        let (tables, lines) = (&self.tables, &mut self.lines);
-        self.path.run(kernel::Encode { tables, inputs, lines, out });
+        let (tables, lines, held) = (&self.tables, &mut self.lines, &mut self.held);
+        self.path.run(kernel::Encode { tables, inputs, lines, held, out });
         self.pass_through(inputs, out);
     }
 
@@ -200,6 +205,7 @@ impl Encoder {
     /// As [`encode`](Self::encode).
     pub fn encode_scalar(&mut self, inputs: &[f32], out: &mut Features) {
         assert_eq!(out.len(), self.len(), "the features were made for another encoder");
+        self.held.forget();
         scalar::encode(&self.tables, inputs, &mut self.lines, out);
         self.pass_through(inputs, out);
     }

@@ -31,6 +31,26 @@ fn input() -> impl Strategy<Value = f32> {
     prop_oneof![6 => -20.0f32..20.0, 2 => -1e6f32..1e6, 1 => finite, 1 => Just(1e30f32)]
 }
 
+/// What happens to an input from one call to the next.
+#[derive(Debug, Clone, Copy)]
+enum Change {
+    Hold,
+    Jump(f32),
+    Jitter,
+    Sign,
+    Scalar(f32),
+}
+
+fn change() -> impl Strategy<Value = Change> {
+    prop_oneof![
+        4 => Just(Change::Hold),
+        2 => input().prop_map(Change::Jump),
+        2 => Just(Change::Jitter),
+        1 => Just(Change::Sign),
+        1 => input().prop_map(Change::Scalar),
+    ]
+}
+
 /// The error bound of the crate's documentation, for one axis.
 fn bound(axis: &Axis, x: f64) -> f64 {
     let largest = axis.min.abs().max(axis.max.abs()).max(x.abs().min(1e9)) * 0.85 / axis.radius;
@@ -67,6 +87,36 @@ proptest! {
             if normalise {
                 let norm = fast.as_slice().iter().map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
                 prop_assert!((norm - 1.0).abs() < 1e-6, "norm {}", norm);
+            }
+        }
+    }
+
+    /// The activations of planes whose inputs keep their bits are not computed again.
+    #[test]
+    fn inputs_that_jump_hold_and_jitter_give_the_features_of_a_new_encoder(
+        maps in prop::collection::vec(map(), 1..6),
+        start in prop::array::uniform5(input()),
+        changes in prop::collection::vec((0..INPUTS, change()), 1..30),
+        normalise: bool,
+    ) {
+        let plain = Encoder::new(&maps, normalise);
+        for path in SimdPath::all() {
+            let (mut encoder, mut inputs) = (plain.clone().on(path), start);
+            let (mut seen, mut expected) = (encoder.features(), encoder.features());
+            for (input, change) in &changes {
+                let x = &mut inputs[*input];
+                match *change {
+                    Change::Hold => {}
+                    Change::Jump(to) => *x = to,
+                    Change::Jitter => *x = f32::from_bits(x.to_bits() ^ 1),
+                    Change::Sign => *x = -*x,
+                    // The other implementation in between, which leaves its own activations.
+                    Change::Scalar(to) => encoder.encode_scalar(&[to; INPUTS], &mut seen),
+                }
+                encoder.encode(&inputs, &mut seen);
+                plain.clone().on(path).encode(&inputs, &mut expected);
+                let bits = |features: &[f32]| features.iter().map(|g| g.to_bits()).collect::<Vec<_>>();
+                prop_assert_eq!(bits(seen.as_slice()), bits(expected.as_slice()));
             }
         }
     }
