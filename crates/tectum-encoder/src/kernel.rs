@@ -33,6 +33,7 @@ pub(super) struct Encode<'a> {
 
 impl Kernel for Encode<'_> {
     type Output = ();
+    const IS_WIDE: bool = true;
 
     #[inline(always)]
     fn run<L: F32x8>(self) {

@@ -96,6 +96,7 @@ struct NormKernel<'a>(&'a [Vec<Tile>]);
 
 impl Kernel for NormKernel<'_> {
     type Output = f32;
+    const IS_WIDE: bool = true;
 
     #[inline(always)]
     fn run<L: F32x8>(self) -> f32 {
@@ -136,6 +137,7 @@ pub(super) struct StepKernel<'a, const WITH_MEAN: bool> {
 
 impl<const WITH_MEAN: bool> Kernel for StepKernel<'_, WITH_MEAN> {
     type Output = ();
+    const IS_WIDE: bool = true;
 
     #[inline(always)]
     fn run<L: F32x8>(self) {
@@ -211,6 +213,7 @@ pub(super) struct MeanKernel<'a> {
 
 impl Kernel for MeanKernel<'_> {
     type Output = ();
+    const IS_WIDE: bool = true;
 
     #[inline(always)]
     fn run<L: F32x8>(self) {

@@ -21,7 +21,10 @@ pub(super) struct Avx512F32x16(__m512);
 /// Whether this machine has what [`run`] is compiled for.
 #[inline]
 pub(super) fn detected() -> bool {
-    is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") && is_x86_feature_detected!("avx512vl")
+    is_x86_feature_detected!("avx2")
+        && is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512vl")
 }
 
 /// Runs `kernel`, compiled for AVX-512. Calling this on a machine where it is not [`detected`] is undefined behaviour.

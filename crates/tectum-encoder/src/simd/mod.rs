@@ -95,6 +95,9 @@ pub trait F32x16: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = 
 pub trait Kernel {
     /// The result.
     type Output;
+    /// Whether the loop gains from AVX-512: it works on [`F32x8::Wide`]. Others run with AVX2 there, and need not be
+    /// compiled a third time.
+    const IS_WIDE: bool = false;
     /// Runs the loop with vectors of type `L`.
     fn run<L: F32x8>(self) -> Self::Output;
 }
@@ -152,9 +155,9 @@ impl SimdPath {
             // SAFETY: only `SimdPath::avx2` makes this kind, after it has detected AVX2.
             #[cfg(target_arch = "x86_64")]
             Kind::Avx2 => unsafe { avx2::run(kernel) },
-            // SAFETY: only `SimdPath::avx512` makes this kind, after it has detected AVX-512.
+            // SAFETY: only `SimdPath::avx512` makes this kind, after it has detected AVX-512 and AVX2.
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => unsafe { avx512::run(kernel) },
+            Kind::Avx512 => unsafe { if K::IS_WIDE { avx512::run(kernel) } else { avx2::run(kernel) } },
         }
     }
 }
@@ -195,6 +198,7 @@ mod tests {
 
     impl Kernel for Operations {
         type Output = [Vec<f32>; 4];
+        const IS_WIDE: bool = true;
 
         fn run<L: F32x8>(self) -> [Vec<f32>; 4] {
             let rows = self.0.each_ref().map(L::load);

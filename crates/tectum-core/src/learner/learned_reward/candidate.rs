@@ -180,6 +180,7 @@ struct Descend<'a> {
 
 impl Kernel for Descend<'_> {
     type Output = ();
+    const IS_WIDE: bool = true;
 
     #[inline(always)]
     fn run<L: F32x8>(self) {

@@ -162,6 +162,7 @@ mod tests {
 
     impl Kernel for Functions {
         type Output = [[f32; ROLLOUTS]; 3];
+        const IS_WIDE: bool = true;
 
         fn run<L: F32x8>(self) -> Self::Output {
             let x = L::Wide::load(&self.0);

@@ -181,6 +181,7 @@ struct SetTargets<'a> {
 
 impl Kernel for SetTargets<'_> {
     type Output = ();
+    const IS_WIDE: bool = true;
 
     #[inline(always)]
     fn run<L: F32x8>(self) {
@@ -203,6 +204,7 @@ struct Simulate<'a> {
 
 impl Kernel for Simulate<'_> {
     type Output = ();
+    const IS_WIDE: bool = true;
 
     #[inline(always)]
     fn run<L: F32x8>(self) {

@@ -176,6 +176,7 @@ mod tests {
 
     impl Kernel for Product<'_> {
         type Output = ();
+        const IS_WIDE: bool = true;
 
         fn run<L: F32x8>(self) {
             multiply::<L::Wide>(self.0, self.1, KERNELS, self.2);
