@@ -1,13 +1,17 @@
 //! Every SIMD path of the inner loops gives the same bits: encoder, mean output, and the learning rules with their
-//! traces, over a million random inputs each. A machine with only one path has nothing to compare; the test then prints
+//! traces, over a million random inputs each, and learned-reward over some hundred ticks of the arm. A machine with only one path has nothing to compare; the test then prints
 //! that it is skipped.
 
 use rand::RngExt as _;
+use tectum::agent::learned_hash;
 use tectum::encoder::{Axis, Encoder, Map};
 use tectum::learner::{ActorCritic, CriticConstants, LearningRule, PaperRule, Transition};
 use tectum::policy::{LinearPolicy, Outputs};
+use tectum::runtime::Simulation;
+use tectum::scenario::Scenario;
 use tectum::seed::{Rng, stream};
 use tectum::simd::SimdPath;
+use tectum::state;
 
 const MILLION: usize = 1_000_000;
 
@@ -134,6 +138,30 @@ fn the_papers_rule_agrees_bit_for_bit() {
             let rule = PaperRule::new(len, outputs, 0.9, 0.01);
             Pair::new([rule.clone(), rule], path, len, outputs).run(&mut rng, len, MILLION / SIZES.len());
         }
+    }
+}
+
+/// Learned-reward in the arm's scenario, with rollouts of both candidates and a blocked joint: what it has learned and
+/// its whole state.
+#[test]
+fn learned_reward_agrees_bit_for_bit() {
+    let mut scenario = Scenario::find("arm").unwrap();
+    scenario.plant.arm.as_mut().unwrap().block[0].tick = 200;
+    let plan = scenario.plan().unwrap();
+    let learned = |path| {
+        let mut run = Simulation::new(&plan, plan.simulated_plant().unwrap()).on(path);
+        for _ in 0..300 {
+            run.sense();
+            run.answer();
+            run.improve();
+            run.advance();
+        }
+        let mut agent = run.finish().agent;
+        (learned_hash(&mut agent), state::hash(&mut agent))
+    };
+    let expected = learned(SimdPath::BASELINE);
+    for path in other_paths() {
+        assert_eq!(learned(path), expected, "{path}");
     }
 }
 

@@ -14,6 +14,9 @@ use crate::encoder::{Axis, Encoder, Map};
 use crate::scenario::{Scenario, ScenarioError};
 use crate::simd::SimdPath;
 
+/// Calls for which the arm's target holds.
+const HELD_CALLS: u64 = 80;
+
 /// Number of inputs in the ring; a power of two.
 const RING: usize = 256;
 
@@ -53,6 +56,29 @@ impl InputRing {
         })
     }
 
+    /// A case of the arm's encoder, with new angles in every call and the target that `target` makes of the number of
+    /// the call and a new target.
+    fn target_case<'a, K>(
+        &'a self,
+        key: K,
+        maps: &[Map],
+        path: SimdPath,
+        mut target: impl FnMut(u64, [f32; 2]) -> [f32; 2] + 'a,
+    ) -> CallCase<'a, K> {
+        let mut encoder = Encoder::new(maps, true).on(path);
+        let mut features = encoder.features();
+        let mut calls = 0;
+        self.case(key, move |inputs| {
+            let mut here = [0.0; 6];
+            here.copy_from_slice(inputs);
+            let [x, y] = target(calls, [here[0], here[1]]);
+            (here[0], here[1]) = (x, y);
+            calls += 1;
+            encoder.encode(black_box(&here), &mut features);
+            black_box(&mut features);
+        })
+    }
+
     /// The encoder of the paper's arm (section 4.2) in every version; their keys are (what is called, version).
     ///
     /// # Errors
@@ -79,6 +105,18 @@ impl InputRing {
             }),
         ];
         cases.extend(SimdPath::all().map(|path| self.kernel_case(key(format!("final, {path}")), &maps, path)));
+        // A target that holds, as in the scenarios, and one that never does: a tracker's, with noise in its last bits.
+        for path in SimdPath::all() {
+            let mut held = [0.0; 2];
+            cases.push(self.target_case(key(format!("target held, {path}")), &maps, path, move |call, new| {
+                if call.is_multiple_of(HELD_CALLS) {
+                    held = new;
+                }
+                held
+            }));
+            let jitter = |call: u64, _| [0.3, -0.4].map(|x: f32| f32::from_bits(x.to_bits() ^ (call as u32 & 7)));
+            cases.push(self.target_case(key(format!("jittering target, {path}")), &maps, path, jitter));
+        }
         Ok(cases)
     }
 

@@ -136,7 +136,7 @@ impl ControlLoop {
     }
 }
 
-/// The controller of the arm with every rule that has a policy, and with the paper's rule on every path. `name_of`
+/// The controller of the arm with every rule that has a policy; the paper's rule and learned-reward on every path. `name_of`
 /// names a rule. The keys are (rule and part of the tick, path).
 ///
 /// # Errors
@@ -146,7 +146,8 @@ pub fn tick_cases(name_of: &dyn Fn(Rule) -> String) -> Result<Vec<CallCase<'stat
     // A planner's tick takes so long that filling the ring alone would take minutes; `tectum tasks` measures it.
     for rule in Rule::ALL.into_iter().filter(|rule| rule.is_linear()) {
         let plan = plan(rule)?;
-        let paths: Vec<SimdPath> = if rule == Rule::Paper { SimdPath::all().collect() } else { vec![SimdPath::best()] };
+        let on_all = matches!(rule, Rule::Paper | Rule::LearnedReward);
+        let paths: Vec<SimdPath> = if on_all { SimdPath::all().collect() } else { vec![SimdPath::best()] };
         for path in paths {
             let key = |part: &str| (format!("{}: {part}", name_of(rule)), path.to_string());
             let mut control_loop = ControlLoop::new(&plan, path)?;
