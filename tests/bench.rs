@@ -171,7 +171,7 @@ fn encoder_and_learner_are_measured_in_every_version_on_every_path() {
     let versions: Vec<_> = list(&found, "costs").iter().map(|c| c["version"].as_str().unwrap()).collect();
     let mut expected = vec!["naive".to_owned(), "separable".to_owned(), "scalar twin".to_owned()];
     expected.extend(paths().iter().map(|path| format!("final, {path}")));
-    let targets = |path: &String| [format!("target held, {path}"), format!("jittering target, {path}")];
+    let targets = |path: &String| [format!("target held, {path}"), format!("target jitters, {path}")];
     expected.extend(paths().iter().flat_map(targets));
     assert_eq!(versions, expected);
     let csv = fs::read_to_string(test_folder.path().join("enc/encoder.csv")).unwrap();

@@ -1,6 +1,6 @@
 //! Every SIMD path of the inner loops gives the same bits: encoder, mean output, and the learning rules with their
-//! traces, over a million random inputs each, and learned-reward over some hundred ticks of the arm. A machine with only one path has nothing to compare; the test then prints
-//! that it is skipped.
+//! traces, over a million random inputs each, and learned-reward over some hundred ticks of the arm. A machine with
+//! only one path has nothing to compare; the test then prints that it is skipped.
 
 use rand::RngExt as _;
 use tectum::agent::learned_hash;

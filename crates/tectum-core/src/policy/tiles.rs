@@ -13,7 +13,7 @@ use tectum_encoder::simd::{F32x8, F32x16, Kernel, LANES, SimdPath, WIDE_LANES, f
 /// Number of outputs in a group.
 pub(super) const ROWS: usize = 4;
 
-/// Number of pairs of outputs in a group. Where there are registers of sixteen lanes, one holds the rows of two outputs.
+/// Number of pairs of outputs in a group. A register of sixteen lanes, where there is one, holds the rows of a pair.
 const PAIRS: usize = ROWS / 2;
 
 /// Eight features of four outputs.

@@ -9,11 +9,11 @@
 //! policy is built.
 //!
 //! All paths give the same bits. Every operation is lane by lane and rounded on its own. None is fused: AVX2
-//! does not imply FMA, and the compiler does not fuse what is written as two operations. Sums over features keep eight
-//! partial sums, one per lane, for any register width, and are added in a fixed order at the end.
+//! does not imply FMA, and the compiler does not fuse what is written as two operations. Sums over features keep
+//! eight partial sums, one per lane, for any register width, and are added in a fixed order at the end.
 //!
-//! Users need [`SimdPath`] alone. [`Kernel`], [`F32x8`], [`F32x16`] and [`filled`] are public because the policy and the
-//! learning rules, in another crate, are written with them.
+//! Users need [`SimdPath`] alone. [`Kernel`], [`F32x8`], [`F32x16`] and [`filled`] are public because the policy and
+//! the learning rules, in another crate, are written with them.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;

@@ -115,7 +115,7 @@ impl InputRing {
                 held
             }));
             let jitter = |call: u64, _| [0.3, -0.4].map(|x: f32| f32::from_bits(x.to_bits() ^ (call as u32 & 7)));
-            cases.push(self.target_case(key(format!("jittering target, {path}")), &maps, path, jitter));
+            cases.push(self.target_case(key(format!("target jitters, {path}")), &maps, path, jitter));
         }
         Ok(cases)
     }

@@ -136,8 +136,8 @@ impl ControlLoop {
     }
 }
 
-/// The controller of the arm with every rule that has a policy; the paper's rule and learned-reward on every path. `name_of`
-/// names a rule. The keys are (rule and part of the tick, path).
+/// The controller of the arm with every rule that has a policy; the paper's rule and learned-reward on every path.
+/// `name_of` names a rule. The keys are (rule and part of the tick, path).
 ///
 /// # Errors
 /// [`TimingError::Scenario`], though the scenarios are built in.

@@ -46,7 +46,7 @@ pub(super) struct RolloutTick {
 
 /// What depends on the targets of sixteen rollouts alone.
 #[derive(Debug, Clone)]
-pub(super) struct Targets {
+pub(super) struct RolloutTargets {
     pub inputs: [Lanes; MAX_INPUTS],
     pub lines: Vec<Lanes>,
     pub features: Vec<Lanes>,
@@ -78,7 +78,7 @@ pub(super) struct Rollouts {
     /// Features of the fixed inputs alone, and features that depend on moved inputs.
     pub feature_groups: [MapFeatures; 2],
     pub cost: RolloutCost,
-    targets: Vec<Targets>,
+    targets: Vec<RolloutTargets>,
     pub ticks: Vec<RolloutTick>,
     /// The state of sixteen rollouts, and the cost of their last tick.
     state: [Lanes; MAX_INPUTS],
@@ -109,7 +109,7 @@ impl Rollouts {
             cost_slopes: [Lanes::ZERO; MAX_INPUTS],
             output_slopes: [Lanes::ZERO; MAX_OUTPUTS],
         };
-        let targets = Targets {
+        let targets = RolloutTargets {
             inputs: [Lanes::ZERO; MAX_INPUTS],
             lines: zeros(of_target.plane_lines),
             features: zeros(of_target.len()),
