@@ -214,6 +214,29 @@ fn bench_all_writes_a_page_with_figures_and_numbers() {
     assert!(list(&found, "targets").len() >= 10, "{}", found["targets"]);
 }
 
+#[test]
+fn growth_is_measured_over_joints_watchers_and_logs() {
+    let test_folder = TestFolder::new();
+    let short = ["--ticks", "8", "--seconds", "0.2", "--log-ticks", "4096", "--out", "growth", "--json"];
+    let found = bench(&test_folder, &[&["growth"][..], &short].concat()).expect(0).json();
+    assert_machine(&found);
+    // Six learners on seven arms and on one with a target in space.
+    let joints = list(&found, "joints");
+    assert_eq!(joints.len(), 6 * 8);
+    for row in joints {
+        assert!(number(&row["tick_us"], "p50") > 0.0 && number(row, "share_of_50_ms") > 0.0, "{row}");
+    }
+    let watchers: Vec<_> = list(&found, "watchers").iter().map(|row| number(row, "watchers")).collect();
+    assert_eq!(watchers, [0.0, 1.0, 2.0, 3.0, 4.0]);
+    let log: Vec<_> = list(&found, "log").iter().map(|row| number(row, "ticks")).collect();
+    assert_eq!(log, [2048.0, 2048.0, 2048.0, 4096.0]);
+    assert!(number(&found["start"]["first_observation_ms"], "median") > 30.0, "{}", found["start"]);
+    let svg = fs::read_to_string(test_folder.path().join("growth/joints.svg")).unwrap();
+    assert!(svg.contains("model-predictive") && svg.contains("a tick of 50 ms"));
+    let files: Vec<_> = fs::read_dir(test_folder.path().join("growth")).unwrap().collect();
+    assert_eq!(files.len(), 2, "{files:?}");
+}
+
 /// A bench that empties caches between ticks relies on this.
 #[test]
 fn ticks_of_a_real_time_run_begin_at_whole_multiples_of_the_period() {
@@ -273,6 +296,9 @@ fn bad_input_is_refused_in_one_sentence() {
         (&["latency", "--seconds", "nan"], "--seconds"),
         (&["lockstep", "--ticks", "1"], "--ticks"),
         (&["encoder", "--batches", "0"], "--batches"),
+        (&["growth", "--ticks", "7"], "--ticks"),
+        (&["growth", "--seconds", "nan"], "--seconds"),
+        (&["growth", "--log-ticks", "100"], "--log-ticks"),
         (&["encoder", "--batches", "1", "--out", "file"], "file"),
         (&["peer", "--over", "pigeon"], "iceoryx2-event"),
     ] {
@@ -284,7 +310,7 @@ fn bad_input_is_refused_in_one_sentence() {
     // Started by hand it has no bench to answer.
     let outcome = bench(&test_folder, &["peer", "--over", "futex"]);
     assert!(outcome.code == Some(4) && outcome.stderr.contains("the other process of futex"), "{outcome:?}");
-    for command in ["latency", "lockstep", "encoder", "learner", "all"] {
+    for command in ["latency", "lockstep", "encoder", "learner", "growth", "all"] {
         let help = bench(&test_folder, &[command, "--help"]).expect(0).stdout;
         assert!(
             help.contains("Example") && help.contains(&format!("tectum bench {command}")) || command == "learner",

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
 use tectum::bench::{
-    self, AllBenches, BenchError, CallsSettings, CostsOutcome, LatencySettings, LockstepSettings, Pace,
+    self, AllBenches, BenchError, CallsSettings, CostsOutcome, GrowthSettings, LatencySettings, LockstepSettings, Pace,
 };
 use tectum::process::print_error_line;
 use tectum::timing::{Transport, serve};
@@ -36,6 +36,8 @@ enum Command {
     Encoder(CallsArguments),
     /// What learning costs: nanoseconds a call, by version, path, rule and number of features
     Learner(CallsArguments),
+    /// How costs grow with joints, watchers and the length of the log
+    Growth(GrowthArguments),
     /// All benches, with a page, figures and all numbers in a folder
     All(AllArguments),
     /// The peer process of a bare transport; started by the other commands
@@ -123,6 +125,33 @@ struct CallsArguments {
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
+Every learner on planar arms of 2 to 8 joints and on the SO-101, whose target has three coordinates; the paper's
+arm in real time with 0 to 4 processes that watch it; in lockstep with logs of more and more ticks; and the time
+from the start of a run to its first observation.
+
+Examples:
+  tectum bench growth                       about three minutes
+  tectum bench growth --out runs/growth     numbers and figure in that folder")]
+struct GrowthArguments {
+    /// Ticks of the slowest learner on each body; quicker ones run more
+    #[arg(long, value_name = "N", default_value_t = 160, value_parser = tick_count, allow_negative_numbers = true)]
+    ticks: u64,
+    /// For how long each number of watchers watches, seconds; may be a fraction
+    #[arg(long, value_name = "N", default_value_t = 10.0)]
+    seconds: f64,
+    /// Ticks of the longest log
+    #[arg(long, value_name = "N", default_value_t = 2_000_000, value_parser = tick_count, allow_negative_numbers = true)]
+    log_ticks: u64,
+    /// Folder for the numbers and the figure [default: runs/bench-growth-<n>]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object instead of the tables
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
 Example: tectum bench all --report runs/performance    about four minutes; the page is performance.md in there")]
 struct AllArguments {
     /// Folder for page, figures and numbers
@@ -168,6 +197,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         Command::Lockstep(arguments) => lockstep(arguments),
         Command::Encoder(arguments) => calls(arguments, bench::encoder),
         Command::Learner(arguments) => calls(arguments, bench::learner),
+        Command::Growth(arguments) => growth(arguments),
         Command::All(arguments) => all(arguments),
         Command::Peer(arguments) => {
             serve(arguments.over, arguments.domain, arguments.parent).map(|()| String::new()).map_err(BenchError::from)
@@ -204,6 +234,17 @@ fn calls(
 ) -> Result<String, BenchError> {
     let (batches, out) = (arguments.batches, arguments.out.clone());
     let outcome = bench(&CallsSettings { batches, out, progress: true })?;
+    Ok(if arguments.json { outcome.to_json() + "\n" } else { outcome.to_text() })
+}
+
+fn growth(arguments: &GrowthArguments) -> Result<String, BenchError> {
+    let outcome = bench::growth(&GrowthSettings {
+        ticks: arguments.ticks,
+        seconds: arguments.seconds,
+        log_ticks: arguments.log_ticks,
+        out: arguments.out.clone(),
+        progress: true,
+    })?;
     Ok(if arguments.json { outcome.to_json() + "\n" } else { outcome.to_text() })
 }
 

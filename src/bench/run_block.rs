@@ -2,7 +2,7 @@
 //! `tectum run` starts it, and its result.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::BenchError;
@@ -59,13 +59,18 @@ pub(super) fn plan(block: &RunBlock) -> Result<Plan, BenchError> {
     Ok(scenario.plan()?)
 }
 
+/// The folder of the run of a block that is measured in `folder`.
+pub(super) fn folder(folder: &Path) -> PathBuf {
+    folder.join(FOLDER)
+}
+
 /// Runs a block in a folder within `folder`, and removes that folder afterwards.
 ///
 /// # Errors
 /// [`BenchError::Launch`] and [`BenchError::Run`] when the run fails, [`BenchError::Signal`] when a signal ends it,
 /// [`BenchError::Log`] when its log cannot be read.
 pub(super) fn measure(block: &RunBlock, folder: &Path) -> Result<BlockOutcome, BenchError> {
-    let run_folder = folder.join(FOLDER);
+    let run_folder = self::folder(folder);
     let result = measure_in(block, &run_folder);
     let _ = std::fs::remove_dir_all(&run_folder);
     result
@@ -115,7 +120,7 @@ fn check(summary: &RunSummary) -> Result<(), BenchError> {
 }
 
 /// The ticks of a real-time run, from its log.
-fn logged(folder: &Path) -> Result<Vec<TickTimes>, BenchError> {
+pub(super) fn logged(folder: &Path) -> Result<Vec<TickTimes>, BenchError> {
     let (mut sensed, mut commands) = (Vec::new(), BTreeMap::new());
     for record in RunLog::open(&segments(folder))? {
         match record? {

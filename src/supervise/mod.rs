@@ -104,8 +104,11 @@ pub struct Launch {
     pub progress: bool,
 }
 
-/// In real time: from the moment when the last process is connected to tick 0, ns.
-const LEAD_NS: u64 = 100_000_000;
+/// In real time: from the moment when the last process is connected to tick 0, ns, at least. Long enough for all to see
+/// it, also on a machine that is busy.
+const LEAD_NS: u64 = 30_000_000;
+/// The longest period at a multiple of which a run begins, ns.
+const LONGEST_ALIGNED_NS: u64 = 100_000_000;
 
 impl Launch {
     /// A run of `plan` in processes of their own (`mode` is lockstep or real time), with no more than that: in a new
@@ -202,9 +205,9 @@ fn launch_run(launch: &Launch, owner: RunOwner) -> Result<RunSummary, LaunchErro
     }
 
     let began = monotonic_ns();
-    // At a whole multiple of the period, so that every process can compute when ticks begin. With a period
-    // longer than the lead, the run starts at a multiple of the lead instead of waiting for the next period.
-    let start = (began + LEAD_NS).next_multiple_of(plan.period_ns.clamp(1, LEAD_NS));
+    // At a whole multiple of the period, so that every process can compute when ticks begin. With a longer period, the
+    // run does not wait for the next one.
+    let start = (began + LEAD_NS).next_multiple_of(plan.period_ns.clamp(1, LONGEST_ALIGNED_NS));
     let start = launch.stand_in.as_ref().and_then(|stand_in| stand_in.start_ns(folder.path())).unwrap_or(start);
     supervisor.run_ticks(if launch.mode == Mode::Realtime { start } else { 0 });
     let seconds = supervisor.close(began);

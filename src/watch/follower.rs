@@ -7,6 +7,7 @@ use tectum_view::RunView;
 use super::WatchError;
 use super::living::LivingRun;
 use super::run_watcher::RunWatcher;
+use crate::clock::go_behind_others;
 use crate::log::{LogRecord, ViewFacts};
 use crate::wire::ChannelNames;
 
@@ -46,11 +47,13 @@ enum Watched {
 }
 
 impl Follower {
-    /// Finds the run. With `wait`, a run that is not there yet may begin later.
+    /// Finds the run. With `wait`, a run that is not there yet may begin later. From now on the calling thread leaves
+    /// the processors to others, above all to the run.
     ///
     /// # Errors
     /// [`WatchError`] if there is no such run, or it is over.
     pub fn open(target: WatchTarget, wait: bool) -> Result<Self, WatchError> {
+        go_behind_others();
         let (waits_for, samples) = (String::new(), Vec::new());
         let mut follower =
             Self { target, watched: None, waits_for, next_search: 0.0, generation: 0, keeps_samples: false, samples };

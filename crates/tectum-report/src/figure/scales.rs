@@ -18,7 +18,7 @@ pub struct AxisScales {
     pub x: String,
     /// Name of the axis up.
     pub y: String,
-    /// How a whole power of ten along is written.
+    /// How a whole power of ten along is written; on an axis shorter than that, every digit.
     pub label_x: fn(f64) -> String,
     /// Curves with their names; of more than eight the colours begin again. Points that are not above 0 are
     /// left out.
@@ -88,10 +88,12 @@ fn axes(panel: &AxisScales, area: &Area) -> Result<(), ReportError> {
     };
     let ((left, bottom), (right, top)) = (place(&chart, x.0, y.0), place(&chart, x.1, y.1));
     let faint = |bold: bool| FAINT.mix(if bold { 1.0 } else { 0.5 }).stroke_width(fine(0.8));
+    // An axis that is shorter than a power of ten is labelled at every digit.
+    let short = x.1 - x.0 < 1.0;
     for (value, digit) in grid(x) {
         let at = place(&chart, value, y.0).0;
         area.draw(&PathElement::new([(at, top), (at, bottom)], faint(digit == 1))).map_err(refused)?;
-        if digit == 1 {
+        if digit == 1 || short {
             let text = anchored(font(12.0, INK), HPos::Center, VPos::Top);
             let label = (panel.label_x)(10_f64.powf(value));
             area.draw(&Text::new(label, (at, bottom + px(7)), text)).map_err(refused)?;

@@ -67,6 +67,18 @@ pub fn precise_timers() {
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
 }
 
+/// The niceness of whoever only watches.
+const WATCHER_NICENESS: i32 = 10;
+
+/// Lets all others go before the calling thread where processors are short, as whoever only watches a run should. What
+/// it starts later does so, too.
+pub fn go_behind_others() {
+    use rustix::process::{getpriority_process, setpriority_process};
+    if getpriority_process(None).is_ok_and(|niceness| niceness < WATCHER_NICENESS) {
+        let _ = setpriority_process(None, WATCHER_NICENESS);
+    }
+}
+
 fn nanoseconds(t: Timespec) -> u64 {
     t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
 }

@@ -3,13 +3,15 @@
 //! They stand below the benches because loops of nanoseconds must be compiled with full optimisation, and the benches
 //! around them need none. For the same reason their functions give lists and no iterators, whose closures would be
 //! compiled where they are used. `calls.rs` times batches of calls in turns; `encoder_cases.rs` and `learner_cases.rs`
-//! are what is called. `exchange.rs` exchanges samples with a peer process over a bare transport, `tick_times.rs` turns
-//! instants into latencies, and `cache_evictor.rs` makes the caches cold between ticks.
+//! are what is called, and `joint_growth.rs` runs every learner on bodies of several sizes. `exchange.rs` exchanges
+//! samples with a peer process over a bare transport, `tick_times.rs` turns instants into latencies, and
+//! `cache_evictor.rs` makes the caches cold between ticks.
 
 mod cache_evictor;
 mod calls;
 mod encoder_cases;
 mod exchange;
+mod joint_growth;
 mod learner_cases;
 mod peer;
 mod tick_times;
@@ -19,6 +21,7 @@ pub use cache_evictor::CacheEvictor;
 pub use calls::{CallCase, CallTimes, GrowthKey, in_turns};
 pub use encoder_cases::InputRing;
 pub use exchange::PeerExchange;
+pub use joint_growth::{BodyCost, body_cost};
 pub use learner_cases::{ControlLoop, WHOLE_TICK, rule_growth, rule_versions, tick_cases};
 pub use peer::serve;
 pub use tick_times::{Latencies, SERIES, SeriesPercentiles, TickTimes, hgrm};
