@@ -86,3 +86,21 @@ fn nanoseconds(t: Timespec) -> u64 {
 fn timespec(ns: u64) -> Timespec {
     Timespec { tv_sec: (ns / 1_000_000_000) as i64, tv_nsec: (ns % 1_000_000_000) as i64 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rustix::process::getpriority_process;
+
+    #[test]
+    fn only_the_thread_that_asks_goes_behind_others() {
+        let before = getpriority_process(None).unwrap();
+        let behind = std::thread::spawn(|| {
+            go_behind_others();
+            go_behind_others();
+            getpriority_process(None).unwrap()
+        });
+        assert_eq!(behind.join().unwrap(), before.max(WATCHER_NICENESS));
+        assert_eq!(getpriority_process(None).unwrap(), before);
+    }
+}
