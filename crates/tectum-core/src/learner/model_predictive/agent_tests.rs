@@ -94,11 +94,12 @@ fn run(units: [f64; 3], ticks: usize, mut change: impl FnMut(u64, f64) -> f64) -
 #[test]
 fn it_learns_to_reach() {
     // Each target has twenty ticks, and moves take less than ten. Standing still in the middle gives -0.27. The sixth
-    // or seventh may come too early for a few.
-    let mut missed = Vec::new();
+    // or seventh may come too early for a few: of 32 seeds 9 targets of 160 were missed.
+    let (mut missed, mut all) = (Vec::new(), 0.0);
     for seed in 1..=8 {
         let (mut plant, mut agent) = (Reach::new([1.0; 3]), seeded([1.0; 3], seed));
         let rewards: Vec<f64> = (0..200).map(|_| plant.tick(&mut agent, |_, r| r).1).collect();
+        all += mean(&rewards, 60, 200) / 8.0;
         for target in 5..10 {
             let settled = mean(&rewards, 20 * target + 10, 20 * target + 20);
             if settled <= -0.004 {
@@ -106,7 +107,8 @@ fn it_learns_to_reach() {
             }
         }
     }
-    assert!(missed.len() <= 2 && missed.iter().all(|missed| missed.1 <= 6), "{missed:?}");
+    assert!(missed.len() <= 4 && missed.iter().all(|missed| missed.1 <= 6), "{missed:?}");
+    assert!(all > -0.1, "{all}");
 }
 
 #[test]
@@ -136,9 +138,10 @@ fn units_are_without_effect() {
         // Rewards are centred and scaled by sums whose rounding depends on the unit.
         assert!((command - other / units[1]).abs() < 1e-6, "tick {tick}: {command} {}", other / units[1]);
     }
-    let (rewards, _) = run([1.0; 3], 200, |_, r| r);
-    let (others, _) = run([1000.0, 1000.0, 1000.0], 200, |_, r| r);
-    let (a, b) = (mean(&rewards, 60, 200), mean(&others, 60, 200));
+    // A thousand is rounded, which changes when each of the first targets is reached; later ones are all reached.
+    let (rewards, _) = run([1.0; 3], 400, |_, r| r);
+    let (others, _) = run([1000.0, 1000.0, 1000.0], 400, |_, r| r);
+    let (a, b) = (mean(&rewards, 200, 400), mean(&others, 200, 400));
     assert!((a - b).abs() < 0.1 * a.abs(), "{a} {b}");
 }
 
@@ -188,6 +191,23 @@ fn what_a_joint_did_before_it_blocked_no_longer_teaches() {
     }
     assert!(agent.counts.alarms > 0);
     assert_eq!(agent.counts.worlds, 1);
+}
+
+#[test]
+fn a_target_that_jumps_is_answered_in_the_same_tick() {
+    // The plan for that tick was made for the old target, and asks for nothing: the gains answer. The optimum goes 0.9
+    // of the way at once.
+    let (mut plant, mut agent) = (Reach::new([1.0; 3]), agent([1.0; 3]));
+    let mut parts = Vec::new();
+    for tick in 0..400 {
+        let before = plant.position;
+        plant.tick(&mut agent, |_, r| r);
+        if tick >= 200 && tick % 20 == 0 {
+            parts.push(plant.gain * agent.mean()[0] / (plant.target - before));
+        }
+    }
+    parts.sort_by(f64::total_cmp);
+    assert!(parts[1] > 0.3 && parts[8] < 1.2, "{parts:?}");
 }
 
 #[test]

@@ -36,9 +36,10 @@ pub fn of_model(model: &Model, width: u64) -> [u64; 2] {
 }
 
 impl StepCost {
-    /// That of a world of these models; the reward's Hessian has `active` places.
-    pub fn of(places: Places, dynamics: &Dynamics, reward: &Model, active: usize) -> Self {
+    /// That of a world of these models; the reward's Hessian has `active` places, `moving` of which it is concave in.
+    pub fn of(places: Places, dynamics: &Dynamics, reward: &Model, (active, moving): (usize, usize)) -> Self {
         let (width, states, active) = (places.len() as u64, places.state() as u64, active as u64);
+        let moving = moving as u64;
         let [value, slopes] = of_model(reward, width);
         let [move_value, move_slopes] = dynamics
             .moving_models()
@@ -47,7 +48,7 @@ impl StepCost {
         let (waves, products) = (reward.fit.features.pairs as u64, reward.fit.features.nodes.len() as u64);
         let curves = active * active * waves / 2 + 4 * active * products;
         // The eigenvalues take some five sweeps of rotations where the reward is not concave, and nothing elsewhere.
-        let concave = 6 * active * active * active;
+        let concave = 6 * moving * moving * moving;
         let back = states * states * width + states * width * width;
         Self { step: move_value + value, expansion: move_slopes + slopes + curves + concave + back }
     }

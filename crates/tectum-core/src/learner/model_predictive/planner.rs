@@ -19,6 +19,9 @@ use super::world::World;
 use crate::MAX_OUTPUTS;
 use crate::state::{Persist, StateVisitor};
 
+/// The regularisation of a plan's first iteration in a tick, at most.
+pub const FIRST_MU: f64 = 1e-3;
+
 /// A plan: states, commands, gains.
 #[derive(Debug, Clone)]
 pub struct CommandPlan {
@@ -48,7 +51,7 @@ impl CommandPlan {
             commands: vec![0.0; horizon * m],
             gains: vec![0.0; horizon * m * nx],
             value: 0.0,
-            mu: 1e-3,
+            mu: FIRST_MU,
         }
     }
 

@@ -16,7 +16,7 @@ use rand::RngExt as _;
 
 use super::linalg::{add_scaled, cholesky, dot, packed, solve_lower, solve_lower_transposed};
 use super::memory::Memory;
-use super::planner::CommandPlan;
+use super::planner::{CommandPlan, FIRST_MU};
 use super::world::{CHANGE, LearnedWorld, World as _, wrap};
 use crate::seed::Rng;
 use crate::{MAX_INPUTS, MAX_OUTPUTS};
@@ -39,7 +39,7 @@ pub fn draw(
     rival: &mut CommandPlan,
 ) {
     let start = plan.state(0);
-    rival.mu = 1e-3;
+    rival.mu = FIRST_MU;
     match kind {
         0 => rival.commands.fill(0.0),
         1 => {

@@ -81,10 +81,13 @@ pub struct WorldScratch {
     small: Vec<f64>,
     copy: Vec<f64>,
     vectors: Vec<f64>,
+    block: Vec<f64>,
     chain: Vec<f64>,
     product: Vec<f64>,
-    /// Places of the reward's Hessian: moving inputs, their changes, commands.
+    /// Places of the reward's Hessian: moving inputs, their changes, commands; then inputs that do not move.
     pub active: Vec<usize>,
+    /// The first so many of them are those of moving inputs and commands.
+    pub moving: usize,
 }
 
 impl WorldScratch {
@@ -98,9 +101,26 @@ impl WorldScratch {
             small: vec![0.0; most * most],
             copy: vec![0.0; most * most],
             vectors: vec![0.0; most * most],
+            block: vec![0.0; most * most],
             chain: vec![0.0; most * width],
             product: vec![0.0; most * width],
             active: Vec::with_capacity(most),
+            moving: 0,
+        }
+    }
+}
+
+impl WorldScratch {
+    /// Makes the reward's Hessian concave in what commands move, and in the commands. The rest only tells how their
+    /// slopes depend on inputs that do not move.
+    fn make_concave(&mut self) {
+        let (order, moving) = (self.active.len(), self.moving);
+        for (to, row) in self.block.chunks_exact_mut(moving).zip(self.small.chunks_exact(order)).take(moving) {
+            to.copy_from_slice(&row[..moving]);
+        }
+        clip_to_concave(&mut self.block[..moving * moving], moving, &mut self.copy, &mut self.vectors);
+        for (row, from) in self.small.chunks_exact_mut(order).zip(self.block.chunks_exact(moving)).take(moving) {
+            row[..moving].copy_from_slice(from);
         }
     }
 }
@@ -266,8 +286,7 @@ impl LearnedWorld<'_> {
     /// Gradient and Hessian of the reward by `q`; the reward model's point is in `after`.
     fn expand_reward(&mut self, jacobian: &[f64], gradient: &mut [f64], hessian: &mut [f64]) {
         let (n, width) = (self.places.inputs, self.places.len());
-        let WorldScratch { after, gradient: by_look, small, copy, vectors, chain, product, active, .. } =
-            &mut *self.scratch;
+        let WorldScratch { after, gradient: by_look, small, active, .. } = &mut *self.scratch;
         let order = active.len();
         let small = &mut small[..order * order];
         let Model { layout, fit, weighted, .. } = &mut *self.reward;
@@ -278,7 +297,9 @@ impl LearnedWorld<'_> {
         if slope == 0.0 {
             return;
         }
-        clip_to_concave(small, order, copy, vectors);
+        self.scratch.make_concave();
+        let WorldScratch { gradient: by_look, small, chain, product, active, .. } = &mut *self.scratch;
+        let small = &mut small[..order * order];
         small.iter_mut().chain(by_look.iter_mut()).for_each(|x| *x *= slope);
         if !self.after {
             gradient.copy_from_slice(by_look);

@@ -1,7 +1,7 @@
 //! The plan of the next tick: the old one, some steps better, or a rival.
 
 use super::super::operations::{OperationBudget, StepCost};
-use super::super::planner::{CommandPlan, Planner};
+use super::super::planner::{CommandPlan, FIRST_MU, Planner};
 use super::super::rivals;
 use super::super::world::{LearnedWorld, World as _};
 use super::ModelPredictive;
@@ -24,7 +24,8 @@ impl ModelPredictive {
         reward.take(sampled);
         let best = (self.best - reward.fit.center) / reward.fit.scale;
         let aim = (self.best - reward.fit.center) / reward.fit.scale * self.plan.horizon as f64;
-        self.budget.cost = StepCost::of(self.places, &self.dynamics, reward, self.scratch.active.len());
+        let active = self.scratch.active.len();
+        self.budget.cost = StepCost::of(self.places, &self.dynamics, reward, (active, self.scratch.moving));
         let mut world = LearnedWorld {
             places: self.places,
             dynamics: &mut self.dynamics,
@@ -42,6 +43,9 @@ impl ModelPredictive {
         world.step(&self.after, &mut self.start);
         world.find_idle(&self.after);
         self.plan.shift();
+        // A plan that cannot become better has raised this: its gains would vanish, and with them the answer to what
+        // was not foreseen.
+        self.plan.mu = self.plan.mu.min(FIRST_MU);
         let began = self.planner.work;
         self.planner.roll_out(&mut world, &mut self.plan, &self.start);
         for _ in 0..self.config.iterations {
@@ -71,7 +75,8 @@ impl ModelPredictive {
         self.counts.plans += 1;
     }
 
-    /// The places over which the reward's Hessian is taken: inputs that move, their changes, and the commands.
+    /// The places over which the reward's Hessian is taken: inputs that move, their changes, and the commands; then the
+    /// inputs that do not move, as targets: the gains need them for the answer to one that jumps.
     fn find_active(&mut self) {
         let (n, m) = (self.places.inputs, self.places.commands);
         self.scratch.active.clear();
@@ -80,6 +85,8 @@ impl ModelPredictive {
         }
         self.scratch.active.sort_unstable();
         self.scratch.active.extend((0..m).map(|j| self.places.command(j, 0)));
+        self.scratch.moving = self.scratch.active.len();
+        self.scratch.active.extend((0..n).filter(|&i| !self.dynamics.moves(i)));
     }
 }
 
