@@ -126,12 +126,12 @@ impl Alignment {
                 self.take_points(memory, reading, choice);
             }
             let layout = &self.layouts[reading as usize];
+            let cost = self.evidence.cost(layout);
             if self.evidence.len >= LEAST_POINTS {
                 self.weight = self.evidence.step(layout, 2.5, 0.3, noise_floor).unwrap_or(self.weight);
-                self.spent += self.evidence.cost(layout);
+                self.spent += cost;
                 self.steps += 1;
             }
-            let cost = self.evidence.cost(layout);
             if self.steps >= steps || self.evidence.len < LEAST_POINTS {
                 self.conclude();
             }

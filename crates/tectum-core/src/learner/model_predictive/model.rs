@@ -3,7 +3,7 @@
 use super::features::{BasisValues, ModelFeatures};
 use super::layout::{Layout, NOISE};
 use super::memory::{Data, Lesson};
-use super::refit::{Refit, RefitSettings};
+use super::refit::{Refit, RefitSettings, RefitSource};
 use super::regression::Regression;
 use super::weighted::Weighted;
 use crate::seed::Rng;
@@ -206,9 +206,10 @@ impl Model {
     /// Works on the refit with about `operations`. Returns how many it took, and whether a new fit is in use.
     pub fn work(&mut self, data: &dyn Data, operations: u64, rng: &mut Rng) -> (u64, bool) {
         let Self { layout, fit, refit, basis, phi, .. } = self;
+        let mut source = RefitSource { layout, fit, data, basis, phi };
         let mut done = 0;
         while done < operations && refit.busy() {
-            let (cost, finished) = refit.step(layout, fit, data, basis, phi, rng);
+            let (cost, finished) = refit.step(&mut source, rng);
             done += cost;
             if finished {
                 return (done, true);

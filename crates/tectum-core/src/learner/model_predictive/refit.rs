@@ -115,6 +115,20 @@ pub struct Refit {
     pub log_evidence: f64,
 }
 
+/// What a refit is made from: the model with the fit that predicts, and its ticks.
+pub struct RefitSource<'a> {
+    /// What the model looks at.
+    pub layout: &'a Layout,
+    /// The fit that predicts, until the new one takes its place.
+    pub fit: &'a mut ModelFit,
+    /// The ticks.
+    pub data: &'a dyn Data,
+    /// Scratch memory of its predictions: values of the features' parts,
+    pub basis: &'a mut BasisValues,
+    /// and of the features.
+    pub phi: &'a mut [f64],
+}
+
 impl Refit {
     /// No refit yet.
     pub fn new(layout: &Layout, fit: &ModelFit, settings: RefitSettings) -> Self {
@@ -183,26 +197,18 @@ impl Refit {
     }
 
     /// One slice. Returns its operations, and whether `fit` is a new one now.
-    pub fn step(
-        &mut self,
-        layout: &Layout,
-        fit: &mut ModelFit,
-        data: &dyn Data,
-        basis: &mut BasisValues,
-        phi: &mut [f64],
-        rng: &mut Rng,
-    ) -> (u64, bool) {
-        let len = fit.regression.len;
+    pub fn step(&mut self, source: &mut RefitSource, rng: &mut Rng) -> (u64, bool) {
+        let len = source.fit.regression.len;
         let cost = match self.phase {
             Phase::Idle => 0,
-            Phase::Points => self.choose_points(layout, fit, data, basis, phi, rng),
-            Phase::Ascend => self.ascend(layout, rng),
-            Phase::Gather => self.gather(layout, fit, data, basis, phi),
+            Phase::Points => self.choose_points(source, rng),
+            Phase::Ascend => self.ascend(source.layout, rng),
+            Phase::Gather => self.gather(source),
             Phase::Factor | Phase::Again => self.factor(len),
             Phase::Weigh => self.weigh(len),
             Phase::InvertLower => self.invert_lower(len, rng),
             Phase::Invert => self.invert(len),
-            Phase::CatchUp => return self.catch_up(layout, fit, data, basis, phi, rng),
+            Phase::CatchUp => return self.catch_up(source, rng),
         };
         (cost, false)
     }
@@ -254,27 +260,20 @@ impl Refit {
         }
     }
 
-    fn gather(
-        &mut self,
-        layout: &Layout,
-        fit: &mut ModelFit,
-        data: &dyn Data,
-        basis: &mut BasisValues,
-        phi: &mut [f64],
-    ) -> u64 {
+    fn gather(&mut self, source: &mut RefitSource) -> u64 {
         let tick = self.range[0] + self.at;
         self.at += 1;
-        if tick >= self.range[1] || tick < data.range().0 {
+        if tick >= self.range[1] || tick < source.data.range().0 {
             if tick >= self.range[1] {
                 self.enter(Phase::Factor);
             }
             return 1;
         }
-        if !self.read(layout, fit, data, tick, basis, phi) {
+        if !self.read(source, tick) {
             return 1;
         }
-        let outputs = fit.regression.outputs;
-        self.next.features.evaluate(layout, &self.q, basis, &mut self.phi);
+        let outputs = source.fit.regression.outputs;
+        self.next.features.evaluate(source.layout, &self.q, source.basis, &mut self.phi);
         let weight = 1.0 / self.noisier();
         add_outer(&mut self.matrix, weight, &self.phi);
         for j in 0..outputs {
@@ -286,18 +285,10 @@ impl Refit {
         (self.phi.len() * (self.phi.len() + 2 * outputs)) as u64
     }
 
-    fn catch_up(
-        &mut self,
-        layout: &Layout,
-        fit: &mut ModelFit,
-        data: &dyn Data,
-        basis: &mut BasisValues,
-        phi: &mut [f64],
-        rng: &mut Rng,
-    ) -> (u64, bool) {
+    fn catch_up(&mut self, source: &mut RefitSource, rng: &mut Rng) -> (u64, bool) {
         let tick = self.range[1] + self.at;
         self.at += 1;
-        if tick >= data.range().1 {
+        if tick >= source.data.range().1 {
             if self.range[0] == self.range[1] && self.rounds == 0 {
                 // Recursion from the beginning; once more if the noise turns out to be another.
                 self.rounds = 1;
@@ -312,18 +303,18 @@ impl Refit {
                     return (1, false);
                 }
             }
-            std::mem::swap(fit, &mut self.next);
+            std::mem::swap(source.fit, &mut self.next);
             self.completed += 1;
             self.enter(Phase::Idle);
             return (1, true);
         }
-        if !self.read(layout, fit, data, tick, basis, phi) {
+        if !self.read(source, tick) {
             return (1, false);
         }
-        let outputs = fit.regression.outputs;
+        let outputs = source.fit.regression.outputs;
         let noisier = self.noisier();
         let mut errors = [0.0; MAX_MODEL_OUTPUTS];
-        self.next.features.evaluate(layout, &self.q, basis, &mut self.phi);
+        self.next.features.evaluate(source.layout, &self.q, source.basis, &mut self.phi);
         let regression = &mut self.next.regression;
         regression.predict(&self.phi, &mut errors[..outputs]);
         for (error, y) in errors[..outputs].iter_mut().zip(&self.y) {

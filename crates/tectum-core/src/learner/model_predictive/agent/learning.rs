@@ -209,7 +209,7 @@ impl ModelPredictive {
     /// before, the reward models begin anew.
     fn weigh_assumptions(&mut self) -> bool {
         let present = RewardAssumption { shift: self.shift, reading: self.reading };
-        let operations = self.budget.for_refits((self.config.refit_operations * 1e6) as u64);
+        let operations = self.refit_operations();
         let weighed = self.alignment.weigh(&self.memory, present, self.config.noise_floor, operations);
         self.budget.spent += self.alignment.spent;
         if let Some(assumed) = weighed.filter(|assumed| *assumed != present) {
@@ -224,6 +224,11 @@ impl ModelPredictive {
             }
         }
         weighed.is_some()
+    }
+
+    /// What refits may take of what is left of the tick.
+    fn refit_operations(&self) -> u64 {
+        self.budget.for_refits((self.config.refit_operations * 1e6) as u64)
     }
 
     /// Works on refits.
@@ -249,7 +254,7 @@ impl ModelPredictive {
             self.refits += 1;
             self.next_refit = self.tick + (0.35 * self.tick as f64).min(1000.0) as u64 + 10;
         }
-        let mut left = self.budget.for_refits((self.config.refit_operations * 1e6) as u64);
+        let mut left = self.refit_operations();
         let better = self.better();
         let used = self.dynamics.work(&self.memory, left, &mut self.rng);
         self.budget.spent += used;

@@ -3,12 +3,11 @@
 
 use rand::RngExt as _;
 
-use super::super::features::BasisValues;
 use super::super::layout::Layout;
 use super::super::memory::{Data, Lesson};
 use super::super::model::{MAX_MODEL_OUTPUTS, ModelFit};
 use super::super::spread::spread_out;
-use super::{Phase, Refit};
+use super::{Phase, Refit, RefitSource};
 use crate::seed::Rng;
 
 /// The part of the points that are spread out.
@@ -16,15 +15,8 @@ const SPREAD: f64 = 0.7;
 
 impl Refit {
     /// Reads a tick into `q` and `y`, with what it does not teach filled in by `fit`. Returns whether it teaches.
-    pub(super) fn read(
-        &mut self,
-        layout: &Layout,
-        fit: &mut ModelFit,
-        data: &dyn Data,
-        tick: u64,
-        basis: &mut BasisValues,
-        phi: &mut [f64],
-    ) -> bool {
+    pub(super) fn read(&mut self, source: &mut RefitSource, tick: u64) -> bool {
+        let RefitSource { layout, fit, data, basis, phi } = source;
         let outputs = fit.regression.outputs;
         let Some(lesson) = data.get(tick, &mut self.q, &mut self.y[..outputs]) else { return false };
         self.contact = lesson.contact;
@@ -47,24 +39,17 @@ impl Refit {
         true
     }
 
-    pub(super) fn choose_points(
-        &mut self,
-        layout: &Layout,
-        fit: &mut ModelFit,
-        data: &dyn Data,
-        basis: &mut BasisValues,
-        phi: &mut [f64],
-        rng: &mut Rng,
-    ) -> u64 {
+    pub(super) fn choose_points(&mut self, source: &mut RefitSource, rng: &mut Rng) -> u64 {
+        let RefitSource { layout, fit, data, .. } = &*source;
         let (first, end) = data.range();
         self.range = [first, end];
         self.next.features.scales.copy_from_slice(&fit.features.scales);
         self.evidence.restart(&fit.features.scales);
-        self.standardise(fit, data);
+        self.standardise(fit, *data);
         let outputs = fit.regression.outputs;
         let wanted = self.settings.points.min((end - first) as usize);
         self.strange.clear();
-        let spread = if self.settings.spread { self.spread_out(layout, fit, data, wanted) } else { 0 };
+        let spread = if self.settings.spread { self.spread_out(layout, fit, *data, wanted) } else { 0 };
         // Of what is not chosen yet the newest third, and of the others as many as are needed, each with equal chance.
         let newest = if self.settings.spread { 0 } else { (wanted / 3) as u64 };
         let mut needed = wanted as u64 - newest - spread.min(wanted as u64);
@@ -79,7 +64,7 @@ impl Refit {
                 needed -= u64::from(take);
                 take
             };
-            if take && self.read(layout, fit, data, tick, basis, phi) {
+            if take && self.read(source, tick) {
                 for y in &mut self.y[..outputs] {
                     *y = (*y - self.next.center) / self.next.scale;
                 }
@@ -93,7 +78,7 @@ impl Refit {
         }
         self.weigh_points();
         self.enter(if self.evidence.len < 8 { Phase::Idle } else { Phase::Ascend });
-        (wanted * fit.regression.len) as u64
+        (wanted * source.fit.regression.len) as u64
     }
 
     /// Chooses most of the `wanted` points, far from each other over the components of all units. Marks them by a
