@@ -231,7 +231,7 @@ fn four_watchers_of_which_one_is_stopped_change_nothing() {
 fn a_run_is_launched_and_watched_in_one() {
     let folder = TestFolder::new();
     let terminal = TestTerminal::new([80, 24]);
-    let mut run = terminal.start(&folder, &["run", "--watch", "--out", "run", "--ticks", "400"], true);
+    let mut run = terminal.start(&folder, &["run", "--watch", "--out", "run", "--ticks", "4000"], true);
     wait_for(&mut run, &terminal, &["lockstep, seed 1", "running"]);
     run.wait().expect(0);
     terminal.assert_restored();

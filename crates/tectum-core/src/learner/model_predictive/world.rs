@@ -35,8 +35,8 @@ const IDLE_PRICE: f64 = 0.01;
 pub trait World {
     /// The state after `q`, and the reward.
     fn step(&mut self, q: &[f64], next: &mut [f64]) -> f64;
-    /// Writes the Jacobian of the next state (rows of `D`), and gradient and Hessian (rows of `D`) of the reward, all by
-    /// `q`. The Hessian is concave in all that commands can change.
+    /// Writes the Jacobian of the next state (rows of `D`), and gradient and Hessian (rows of `D`) of the reward, all
+    /// by `q`. The Hessian is concave in all that commands can change.
     fn expand(&mut self, q: &[f64], jacobian: &mut [f64], gradient: &mut [f64], hessian: &mut [f64]);
     /// Writes `a - b` for states, the short way round for inputs that come round.
     fn difference(&self, a: &[f64], b: &[f64], out: &mut [f64]);
