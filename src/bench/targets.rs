@@ -75,9 +75,9 @@ fn lockstep_rows(lockstep: &LockstepOutcome) -> [Option<TargetRow>; 4] {
     let bare = "of bare iceoryx2";
     [
         case(2).map(|c| TargetRow::at_most("one process, 12e6 ticks", 4.0, "s", seconds(c))),
-        share(0).map(|s| TargetRow::at_least("lockstep, complete log", 0.5, bare, s)),
-        case(0).map(|c| TargetRow::at_most("lockstep, complete log, 12e6 ticks", 90.0, "s", seconds(c))),
-        share(1).map(|s| TargetRow::at_least("lockstep, every 100th tick logged", 0.75, bare, s)),
+        share(0).map(|s| TargetRow::at_least("lockstep, complete log", 0.6, bare, s)),
+        case(0).map(|c| TargetRow::at_most("lockstep, complete log, 12e6 ticks", 25.0, "s", seconds(c))),
+        share(1).map(|s| TargetRow::at_least("lockstep, every 100th tick logged", 0.8, bare, s)),
     ]
 }
 
@@ -86,9 +86,9 @@ fn realtime_rows(latency: &LatencyOutcome) -> [Option<TargetRow>; 3] {
     let event = "of a bare event round trip";
     let share = latency.usage.share_of_a_core.map(|share| 100.0 * share);
     [
-        ratio.map(|r| TargetRow::at_most("real time, observation to command, p50", 1.15, event, r.p50)),
+        ratio.map(|r| TargetRow::at_most("real time, observation to command, p50", 0.5, event, r.p50)),
         ratio.map(|r| TargetRow::at_most("real time, observation to command, p99", 1.3, event, r.p99)),
-        share.map(|s| TargetRow::at_most("real time, all processes at 50 ms", 0.5, "% of one core", s)),
+        share.map(|s| TargetRow::at_most("real time, all processes at 50 ms", 0.3, "% of one core", s)),
     ]
 }
 
