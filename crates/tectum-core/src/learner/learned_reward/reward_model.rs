@@ -41,10 +41,10 @@ const EXPECTED_SURPRISE: f64 = 4.0;
 /// much.
 const NOISE_RATE: f64 = 2e-3;
 
-/// The reward model. Inputs are in the model's order: first the fixed ones, which commands do not move, then
-/// the moved ones.
+/// The terms of the reward model, in the order of psi. Inputs are in the model's order: first the fixed ones, which
+/// commands do not move, then the moved ones.
 #[derive(Debug, Clone)]
-pub(super) struct RewardModel {
+pub(super) struct RewardTerms {
     pub bases: Vec<Basis>,
     /// Start of each input's functions in `values`.
     pub starts: Vec<usize>,
@@ -56,6 +56,12 @@ pub(super) struct RewardModel {
     pub pairs: Vec<(usize, usize, usize)>,
     /// Start of the squared changes in psi.
     pub squares: usize,
+}
+
+/// The reward model.
+#[derive(Debug, Clone)]
+pub(super) struct RewardModel {
+    pub terms: RewardTerms,
     weights: Vec<f64>,
     /// Upper triangle, row by row.
     covariance: Vec<f64>,
@@ -89,12 +95,7 @@ impl RewardModel {
         let ModelFeatures { singles, pairs, squares, prior } = ModelFeatures::of(config, &bases, fixed);
         let n = prior.len();
         let mut model = Self {
-            bases,
-            starts,
-            fixed,
-            singles,
-            pairs,
-            squares,
+            terms: RewardTerms { bases, starts, fixed, singles, pairs, squares },
             weights: vec![0.0; n],
             covariance: vec![0.0; n * (n + 1) / 2],
             prior,
@@ -137,17 +138,17 @@ impl RewardModel {
 
     /// Computes psi.
     fn compute_features(&mut self, inputs: &[f32], changes: &[f32]) {
-        for ((basis, &start), &x) in self.bases.iter().zip(&self.starts).zip(inputs) {
+        for ((basis, &start), &x) in self.terms.bases.iter().zip(&self.terms.starts).zip(inputs) {
             basis.eval(x, &mut self.values[start..], &mut self.slopes[start..]);
         }
-        let functions = |i: usize| &self.values[self.starts[i]..][..self.bases[i].len()];
+        let functions = |i: usize| &self.values[self.terms.starts[i]..][..self.terms.bases[i].len()];
         self.psi[0] = 1.0;
-        if let Some(singles) = self.singles {
+        if let Some(singles) = self.terms.singles {
             for (psi, &v) in self.psi[singles..].iter_mut().zip(&self.values) {
                 *psi = v.into();
             }
         }
-        for &(i, j, start) in &self.pairs {
+        for &(i, j, start) in &self.terms.pairs {
             let columns = functions(j);
             for (psi, &a) in self.psi[start..].chunks_exact_mut(columns.len()).zip(functions(i)) {
                 for (psi, &b) in psi.iter_mut().zip(columns) {
@@ -155,7 +156,7 @@ impl RewardModel {
                 }
             }
         }
-        for (psi, &c) in self.psi[self.squares..].iter_mut().zip(changes) {
+        for (psi, &c) in self.psi[self.terms.squares..].iter_mut().zip(changes) {
             *psi = f64::from(c * c);
         }
     }

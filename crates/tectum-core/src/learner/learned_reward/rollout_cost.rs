@@ -8,7 +8,7 @@ use tectum_encoder::simd::F32x16;
 
 use super::basis::Basis;
 use super::lanes::Lanes;
-use super::reward_model::RewardModel;
+use super::reward_model::{RewardModel, RewardTerms};
 
 /// Functions whose slopes are summed at the same time.
 const FUNCTIONS: usize = 4;
@@ -16,14 +16,7 @@ const FUNCTIONS: usize = 4;
 /// The reward model's weights in single precision, as rollouts need them.
 #[derive(Debug, Clone)]
 pub(super) struct RolloutCost {
-    pub bases: Vec<Basis>,
-    /// Start of each input's functions among all functions.
-    pub starts: Vec<usize>,
-    /// Number of inputs that commands do not move.
-    pub fixed: usize,
-    pub singles: Option<usize>,
-    pub pairs: Vec<(usize, usize, usize)>,
-    pub squares: usize,
+    pub terms: RewardTerms,
     pub weights: Vec<f32>,
     /// Coefficients for the products of two moved inputs' functions: a symmetric matrix, row by row.
     pub products: Vec<f32>,
@@ -37,15 +30,10 @@ pub(super) struct RolloutCost {
 impl RolloutCost {
     /// The cost of rollouts by `model`, with weights 0.
     pub fn of(model: &RewardModel) -> Self {
-        let total = model.bases.iter().map(Basis::len).sum::<usize>();
-        let moved = total - model.starts[model.fixed];
+        let total = model.terms.bases.iter().map(Basis::len).sum::<usize>();
+        let moved = total - model.terms.starts[model.terms.fixed];
         Self {
-            bases: model.bases.clone(),
-            starts: model.starts.clone(),
-            fixed: model.fixed,
-            singles: model.singles,
-            pairs: model.pairs.clone(),
-            squares: model.squares,
+            terms: model.terms.clone(),
             weights: vec![0.0; model.weights().len()],
             products: vec![0.0; moved * moved],
             values: vec![Lanes::ZERO; total],
@@ -56,15 +44,15 @@ impl RolloutCost {
 
     /// Takes over the weights of the model.
     pub fn load(&mut self, weights: &[f64]) {
-        let (first, size) = (self.starts[self.fixed], self.moved_functions());
+        let (first, size) = (self.terms.starts[self.terms.fixed], self.moved_functions());
         for (single, w) in self.weights.iter_mut().zip(weights) {
             *single = *w as f32;
         }
-        for &(i, j, start) in self.pairs.iter().filter(|(i, _, _)| *i >= self.fixed) {
-            let columns = self.bases[j].len();
-            for (a, row) in self.weights[start..].chunks_exact(columns).take(self.bases[i].len()).enumerate() {
+        for &(i, j, start) in self.terms.pairs.iter().filter(|(i, _, _)| *i >= self.terms.fixed) {
+            let columns = self.terms.bases[j].len();
+            for (a, row) in self.weights[start..].chunks_exact(columns).take(self.terms.bases[i].len()).enumerate() {
                 for (b, w) in row.iter().enumerate() {
-                    let (a, b) = (self.starts[i] - first + a, self.starts[j] - first + b);
+                    let (a, b) = (self.terms.starts[i] - first + a, self.terms.starts[j] - first + b);
                     self.products[a * size + b] = -w;
                     self.products[b * size + a] = -w;
                 }
@@ -76,14 +64,14 @@ impl RolloutCost {
     /// the cost that does not depend on the moved inputs.
     #[inline(always)]
     pub fn of_target<W: F32x16>(&mut self, inputs: &[Lanes], linear: &mut [Lanes]) -> W {
-        let first = self.starts[self.fixed];
-        for (input, x) in inputs.iter().enumerate().take(self.fixed) {
-            let start = self.starts[input];
-            self.bases[input].eval_lanes(W::load(&x.0), &mut self.values[start..], &mut self.slopes[start..]);
+        let first = self.terms.starts[self.terms.fixed];
+        for (input, x) in inputs.iter().enumerate().take(self.terms.fixed) {
+            let start = self.terms.starts[input];
+            self.terms.bases[input].eval_lanes(W::load(&x.0), &mut self.values[start..], &mut self.slopes[start..]);
         }
         let value = |at: usize| &self.values[at].0;
         let mut constant = W::splat(-self.weights[0]);
-        match self.singles {
+        match self.terms.singles {
             Some(singles) => {
                 for (l, w) in linear.iter_mut().zip(&self.weights[singles + first..]) {
                     l.0 = W::splat(-w).store();
@@ -96,24 +84,24 @@ impl RolloutCost {
             }
             None => linear.fill(Lanes::ZERO),
         }
-        for &(i, j, start) in self.pairs.iter().filter(|(i, _, _)| *i < self.fixed) {
-            let columns = self.bases[j].len();
-            let rows = self.weights[start..].chunks_exact(columns).take(self.bases[i].len()).enumerate();
-            if j < self.fixed {
+        for &(i, j, start) in self.terms.pairs.iter().filter(|(i, _, _)| *i < self.terms.fixed) {
+            let columns = self.terms.bases[j].len();
+            let rows = self.weights[start..].chunks_exact(columns).take(self.terms.bases[i].len()).enumerate();
+            if j < self.terms.fixed {
                 let mut sum = W::splat(-0.0);
                 for (a, row) in rows {
                     let mut along = W::splat(-0.0);
                     for (b, w) in row.iter().enumerate() {
-                        along = along + W::splat(*w) * W::load(value(self.starts[j] + b));
+                        along = along + W::splat(*w) * W::load(value(self.terms.starts[j] + b));
                     }
-                    sum = sum + W::load(value(self.starts[i] + a)) * along;
+                    sum = sum + W::load(value(self.terms.starts[i] + a)) * along;
                 }
                 constant = constant - sum;
                 continue;
             }
-            let linear = &mut linear[self.starts[j] - first..][..columns];
+            let linear = &mut linear[self.terms.starts[j] - first..][..columns];
             for (a, row) in rows {
-                let v = W::load(value(self.starts[i] + a));
+                let v = W::load(value(self.terms.starts[i] + a));
                 for (l, w) in linear.iter_mut().zip(row) {
                     l.0 = (W::load(&l.0) - v * W::splat(*w)).store();
                 }
@@ -126,9 +114,9 @@ impl RolloutCost {
     /// [`of_target`](Self::of_target). Returns the part of the cost that depends on the moved inputs.
     #[inline(always)]
     pub fn of_tick<W: F32x16>(&mut self, inputs: &[Lanes], linear: &[Lanes], slopes: &mut [Lanes]) -> W {
-        let first = self.starts[self.fixed];
+        let first = self.terms.starts[self.terms.fixed];
         let mut start = 0;
-        for (basis, x) in self.bases[self.fixed..].iter().zip(inputs) {
+        for (basis, x) in self.terms.bases[self.terms.fixed..].iter().zip(inputs) {
             basis.eval_lanes(W::load(&x.0), &mut self.values[first + start..], &mut self.slopes[first + start..]);
             start += basis.len();
         }
@@ -137,7 +125,7 @@ impl RolloutCost {
         let mut twice = W::splat(-0.0);
         let functions = self.values[first..].iter().zip(&self.slopes[first..]);
         let mut functions = self.along.iter().zip(linear).zip(functions);
-        for (basis, slope) in self.bases[self.fixed..].iter().zip(slopes) {
+        for (basis, slope) in self.terms.bases[self.terms.fixed..].iter().zip(slopes) {
             let mut sum = W::splat(-0.0);
             for ((along, linear), (value, slope)) in functions.by_ref().take(basis.len()) {
                 let along = W::load(&along.0);
@@ -152,7 +140,7 @@ impl RolloutCost {
     /// The slopes of the cost along the moved inputs' functions.
     #[inline(always)]
     fn along_functions<W: F32x16>(&mut self, linear: &[Lanes]) {
-        let (size, first) = (linear.len(), self.starts[self.fixed]);
+        let (size, first) = (linear.len(), self.terms.starts[self.terms.fixed]);
         let values = &self.values[first..][..size];
         let (blocks, rest) = self.along.as_chunks_mut::<FUNCTIONS>();
         let (linear_blocks, linear_rest) = linear.as_chunks::<FUNCTIONS>();
@@ -186,11 +174,11 @@ impl RolloutCost {
     /// let rollouts run away, and the model predicts one only where it knows too little.
     #[inline(always)]
     pub fn effort(&self, moved: usize) -> f32 {
-        (-self.weights[self.squares + moved]).max(0.0)
+        (-self.weights[self.terms.squares + moved]).max(0.0)
     }
 
     /// Number of functions of the moved inputs.
     pub fn moved_functions(&self) -> usize {
-        self.values.len() - self.starts[self.fixed]
+        self.values.len() - self.terms.starts[self.terms.fixed]
     }
 }

@@ -81,24 +81,24 @@ fn functions(bases: &[Basis], inputs: &[f32]) -> [Vec<Vec<f32>>; 2] {
 
 /// The constant part of the cost, and the coefficients of the moved inputs' functions.
 fn linear_cost(cost: &RolloutCost, inputs: &State) -> (f32, Vec<f32>) {
-    let first = cost.starts[cost.fixed];
-    let [values, _] = functions(&cost.bases[..cost.fixed], inputs);
+    let first = cost.terms.starts[cost.terms.fixed];
+    let [values, _] = functions(&cost.terms.bases[..cost.terms.fixed], inputs);
     let mut linear = vec![0.0; cost.moved_functions()];
     let mut constant = -cost.weights[0];
-    if let Some(singles) = cost.singles {
+    if let Some(singles) = cost.terms.singles {
         linear.iter_mut().zip(&cost.weights[singles + first..]).for_each(|(l, w)| *l = -w);
         constant -= values.concat().iter().zip(&cost.weights[singles..]).map(|(v, w)| v * w).sum::<f32>();
     }
-    for &(i, j, start) in cost.pairs.iter().filter(|(i, _, _)| *i < cost.fixed) {
-        let columns = cost.bases[j].len();
+    for &(i, j, start) in cost.terms.pairs.iter().filter(|(i, _, _)| *i < cost.terms.fixed) {
+        let columns = cost.terms.bases[j].len();
         let rows = cost.weights[start..].chunks_exact(columns).zip(&values[i]);
-        if j < cost.fixed {
+        if j < cost.terms.fixed {
             let along = |row: &[f32]| row.iter().zip(&values[j]).map(|(w, b)| w * b).sum::<f32>();
             constant -= rows.map(|(row, a)| a * along(row)).sum::<f32>();
             continue;
         }
         for (row, v) in rows {
-            linear[cost.starts[j] - first..].iter_mut().zip(row).for_each(|(l, w)| *l -= v * w);
+            linear[cost.terms.starts[j] - first..].iter_mut().zip(row).for_each(|(l, w)| *l -= v * w);
         }
     }
     (constant, linear)
@@ -106,7 +106,7 @@ fn linear_cost(cost: &RolloutCost, inputs: &State) -> (f32, Vec<f32>) {
 
 /// The part of the cost that depends on the moved inputs `inputs`, and its slopes along them.
 fn moved_cost(cost: &RolloutCost, inputs: &[f32], linear: &[f32]) -> (f32, Vec<f32>) {
-    let [values, slopes] = functions(&cost.bases[cost.fixed..], inputs);
+    let [values, slopes] = functions(&cost.terms.bases[cost.terms.fixed..], inputs);
     let mut along = linear.to_vec();
     for (row, v) in cost.products.chunks_exact(linear.len()).zip(values.iter().flatten()) {
         along.iter_mut().zip(row).for_each(|(out, w)| *out += v * w);
