@@ -140,7 +140,9 @@ struct GrowthArguments {
     #[arg(long, value_name = "N", default_value_t = 10.0)]
     seconds: f64,
     /// Ticks of the longest log
-    #[arg(long, value_name = "N", default_value_t = 2_000_000, value_parser = tick_count)]
+    #[arg(
+        long, value_name = "N", default_value_t = 2_000_000, value_parser = tick_count, allow_negative_numbers = true
+    )]
     log_ticks: u64,
     /// Folder for the numbers and the figure [default: runs/bench-growth-<n>]
     #[arg(long, value_name = "DIR")]

@@ -8,18 +8,15 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 
 use serde::Serialize;
 
 use super::context::{BenchContext, check_signals, write_file};
 use super::run_block::{self, RunBlock};
 use super::{BenchError, Machine};
-use crate::clock::{monotonic_ns, pause};
+use crate::clock::monotonic_ns;
 use crate::report::figure::{AxisScales, draw_scales};
-use crate::runtime::Mode;
+use crate::runtime::{Mode, exit};
 use crate::scenario::Rule;
 use crate::stats::{Percentiles, Spread};
 use crate::study::compare::name_of;
@@ -191,10 +188,9 @@ fn watchers(settings: &GrowthSettings, context: &mut BenchContext) -> Result<Vec
     for watchers in 0..=WATCHERS {
         check_signals(&context.signals)?;
         context.progress.show(&format!("growth: {watchers} watchers"));
-        let watching = Watching::start(context.folder.path(), watchers);
-        let outcome = run_block::measure(&block, context.folder.path());
-        drop(watching);
-        let times = outcome?.tick_times;
+        let mut watching = Watching::start(context.folder.path(), watchers)?;
+        let times = run_block::measure(&block, context.folder.path())?.tick_times;
+        watching.check()?;
         let missed = times.iter().rev().skip(1).filter(|times| times.applied_ns.is_none()).count() as u64;
         let mut latencies = Latencies::default();
         latencies.record(&times, 0, WATCHED_PERIOD_NS);
@@ -204,41 +200,49 @@ fn watchers(settings: &GrowthSettings, context: &mut BenchContext) -> Result<Vec
     Ok(rows)
 }
 
-/// Processes that watch the next run in a folder, from its begin.
-struct Watching {
-    ends: Arc<AtomicBool>,
-    starter: Option<JoinHandle<Vec<Child>>>,
-}
+/// Processes that watch the next run in a folder, from its begin. They are killed when this is dropped.
+struct Watching(Vec<Child>);
 
 impl Watching {
-    fn start(folder: &Path, watchers: usize) -> Self {
-        let run = run_block::folder(folder);
-        let ends = Arc::new(AtomicBool::new(false));
-        let ended = Arc::clone(&ends);
-        let starter = std::thread::spawn(move || {
-            while watchers > 0 && !run.join("run.json").exists() && !ended.load(Ordering::Relaxed) {
-                pause(1_000_000);
+    fn start(folder: &Path, watchers: usize) -> Result<Self, BenchError> {
+        let mut watching = Self(Vec::new());
+        for _ in 0..watchers {
+            let mut command = own_command(&["watch", "--wait", "--web", "127.0.0.1:0"])?;
+            command.arg(run_block::folder(folder)).stdout(Stdio::null()).stderr(Stdio::null());
+            watching.0.push(command.spawn().map_err(not_started)?);
+        }
+        Ok(watching)
+    }
+
+    /// An error if one of them has failed meanwhile.
+    fn check(&mut self) -> Result<(), BenchError> {
+        for watcher in &mut self.0 {
+            if let Some(status) = watcher.try_wait().map_err(not_started)?.filter(|status| !status.success()) {
+                return Err(BenchError::Run { code: exit::PROCESS, message: format!("a watcher failed: {status}") });
             }
-            let Ok(program) = std::env::current_exe() else { return Vec::new() };
-            let watch = |_| {
-                let mut command = Command::new(&program);
-                command.args(["watch", "--web", "127.0.0.1:0"]).arg(&run);
-                command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().ok()
-            };
-            (0..watchers).filter_map(watch).collect()
-        });
-        Self { ends, starter: Some(starter) }
+        }
+        Ok(())
     }
 }
 
 impl Drop for Watching {
     fn drop(&mut self) {
-        self.ends.store(true, Ordering::Relaxed);
-        for mut watcher in self.starter.take().and_then(|starter| starter.join().ok()).unwrap_or_default() {
+        for watcher in &mut self.0 {
             let _ = watcher.kill();
             let _ = watcher.wait();
         }
     }
+}
+
+/// This program with `arguments`.
+fn own_command(arguments: &[&str]) -> Result<Command, BenchError> {
+    let mut command = Command::new(std::env::current_exe().map_err(not_started)?);
+    command.args(arguments).stdin(Stdio::null());
+    Ok(command)
+}
+
+fn not_started(cause: std::io::Error) -> BenchError {
+    BenchError::Run { code: exit::ERROR, message: format!("tectum itself cannot be started: {cause}") }
 }
 
 fn log(settings: &GrowthSettings, context: &mut BenchContext) -> Result<Vec<LogRow>, BenchError> {
@@ -257,29 +261,22 @@ fn log(settings: &GrowthSettings, context: &mut BenchContext) -> Result<Vec<LogR
 
 fn start(context: &mut BenchContext) -> Result<StartRow, BenchError> {
     context.progress.show("growth: starts");
-    let program = std::env::current_exe().map_err(|error| BenchError::Run { code: 1, message: error.to_string() })?;
     let folder = run_block::folder(context.folder.path());
     let mut ms = Vec::new();
     for _ in 0..STARTS {
         check_signals(&context.signals)?;
-        let mut command = Command::new(&program);
-        command.args(["run", SCENARIO, "--mode", "realtime", "--ticks", "2", "--json", "--out"]).arg(&folder);
+        let mut command = own_command(&["run", SCENARIO, "--mode", "realtime", "--ticks", "2", "--json", "--out"])?;
         let began = monotonic_ns();
-        let output = command.stdin(Stdio::null()).output();
-        let sensed = run_block::logged(&folder).ok().and_then(|times| Some(times.first()?.sensed_ns));
+        let output = command.arg(&folder).output().map_err(not_started)?;
+        let sensed = run_block::logged(&folder);
         let _ = std::fs::remove_dir_all(&folder);
-        let message = match output {
-            Ok(output) if output.status.success() => None,
-            Ok(output) => Some(String::from_utf8_lossy(&output.stderr).trim().to_owned()),
-            Err(error) => Some(error.to_string()),
-        };
-        match (message, sensed) {
-            (None, Some(sensed)) => ms.push(sensed.saturating_sub(began) as f64 / 1e6),
-            (message, _) => {
-                let message = message.unwrap_or_else(|| "it left no observation".to_owned());
-                return Err(BenchError::Run { code: 1, message });
-            }
+        // A signal for all of them ends the run first.
+        check_signals(&context.signals)?;
+        if !output.status.success() {
+            let message = String::from_utf8_lossy(&output.stderr).trim().to_owned();
+            return Err(BenchError::Run { code: exit::PROCESS, message });
         }
+        ms.extend(sensed?.first().map(|first| first.sensed_ns.saturating_sub(began) as f64 / 1e6));
     }
     Ok(StartRow { first_observation_ms: Spread::of(ms), runs: STARTS })
 }
