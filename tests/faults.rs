@@ -155,16 +155,7 @@ fn commands_ahead_are_equal_in_one_process_and_in_three_and_replay() {
         }
     }
 
-    let replayed = (0..5).any(|_| {
-        let test_folder = TestFolder::new();
-        let summary = stalled(&test_folder, &scenario, "tectum-controller", "140").expect(0).json();
-        let complete = summary["lost"] == 0 && summary["ahead"].as_u64() > Some(3);
-        if complete {
-            replays(&test_folder);
-        }
-        complete
-    });
-    assert!(replayed, "no run of five was stalled with a complete log");
+    a_stalled_run_replays(&scenario, "tectum-controller", "140", |run| run["ahead"].as_u64() > Some(3));
 }
 
 /// I2 with faults. A stall of the machine causes a miss in addition to those of the faults. Then only the replay of
@@ -199,21 +190,29 @@ fn stalled(test_folder: &TestFolder, scenario: &str, program: &str, ticks: &str)
     run.wait()
 }
 
+/// Requires that the log of a run in which `program` is stalled replays: that of the first of five runs whose log is
+/// complete, and which is `wanted`.
+#[track_caller]
+fn a_stalled_run_replays(scenario: &str, program: &str, ticks: &str, wanted: impl Fn(&Value) -> bool) {
+    let replayed = (0..5).any(|_| {
+        let test_folder = TestFolder::new();
+        let summary = stalled(&test_folder, scenario, program, ticks).expect(0).json();
+        let complete = summary["lost"] == 0 && wanted(&summary);
+        if complete {
+            replays(&test_folder);
+        }
+        complete
+    });
+    assert!(replayed, "none of five runs had a complete log and what is wanted of it");
+}
+
 /// A log replays whether its ticks were missed because of a fault or because of the clock.
 #[test]
 fn a_real_time_log_with_faults_and_stalls_replays() {
+    let test_folder = TestFolder::new();
+    let scenario = scenario(&test_folder, GATE, FAULTS, &[("period_ms", "2")]);
     for program in ["tectum-controller", "tectum-simulator"] {
-        let replayed = (0..5).any(|_| {
-            let test_folder = TestFolder::new();
-            let scenario = scenario(&test_folder, GATE, FAULTS, &[("period_ms", "2")]);
-            let summary = stalled(&test_folder, &scenario, program, "400").expect(0).json();
-            if summary["lost"] != 0 {
-                return false;
-            }
-            replays(&test_folder);
-            true
-        });
-        assert!(replayed, "the logger lost samples in each of five runs");
+        a_stalled_run_replays(&scenario, program, "400", |_| true);
     }
 }
 
@@ -229,16 +228,7 @@ fn position_limits_of_a_plant_without_simulation_replay() {
     let summary = run(&test_folder, &scenario, "lockstep", "1000");
     assert!(summary["position_limited"].as_u64() > Some(10), "{summary}");
     assert_eq!(replays(&test_folder)["plant_simulated"], false);
-    let replayed = (0..5).any(|_| {
-        let test_folder = TestFolder::new();
-        let summary = stalled(&test_folder, &scenario, "rig", "400").expect(0).json();
-        let complete = summary["lost"] == 0 && summary["skipped"].as_u64() > Some(10);
-        if complete {
-            replays(&test_folder);
-        }
-        complete
-    });
-    assert!(replayed, "the logger lost samples in each of five runs");
+    a_stalled_run_replays(&scenario, "rig", "400", |run| run["skipped"].as_u64() > Some(10));
 }
 
 #[test]

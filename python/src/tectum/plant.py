@@ -102,8 +102,7 @@ class PlantLoop(TickLoop):
         self.gate = Gate(run.settings["gate"], len(run.outputs))
         self._refuse_what_cannot_be()
         self.participant = PlantPorts(run)
-        counts = ("ticks", "missed", "ahead", "late", "skipped", "clamped", "step_limited", "position_limited", "ramped")
-        self.report: dict[str, Any] = dict.fromkeys((*counts, "non_finite", "checkpoints"), 0)
+        self.report: dict[str, Any] = dict.fromkeys(("ticks", "late", "skipped", *COUNTED, "checkpoints"), 0)
         self.observation, self.flags = Observation(), int(Flag.FIRST)
         self.observation.header.run = run.id
         self.observation.header.incarnation = self.participant.incarnation

@@ -101,7 +101,7 @@ fn run_subject(
     for tick in 0..ticks {
         side.observe(tick, 0, 0, &mut observation);
         costs.extend(subject.tick(&observation, &mut command, (tick % stride < TIMED).then_some(clock))?);
-        subject.ahead().into_iter().for_each(|ahead| side.keep_ahead(ahead));
+        side.keep_ahead(subject.ahead());
         side.step(tick, Some(&command));
 
         let done = tick + 1;

@@ -37,7 +37,7 @@ pub(super) fn run(task: &TaskPlan, rule: Rule, seed: u64, go_on: &dyn Fn(u64) ->
         controller.respond(&observation, &mut command);
         controller.after_command(&observation);
         used_ns += thread_cpu_ns() - began;
-        controller.ahead().into_iter().for_each(|ahead| side.keep_ahead(ahead));
+        side.keep_ahead(controller.ahead());
         side.step(tick, Some(&command));
 
         let done = tick + 1;

@@ -22,12 +22,11 @@
 //! [`Controller`](super::Controller#credit-for-a-limited-command) documents what is learned from a limited
 //! command.
 
+use super::commands_ahead::CommandAhead;
 use crate::plant::JointState;
 use crate::scenario::GateConfig;
 use crate::state::{Persist, StateVisitor};
 use crate::wire::{MAX_OUTPUTS, OutputValues, flag};
-
-pub use super::commands_ahead::CommandAhead;
 
 /// The gate's output in one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,18 +103,18 @@ impl Gate {
     /// One tick: takes the command that arrived for it, or `None`, and the ranges that the position limits
     /// leave ([`Gate::command_ranges`]). A command with a value that is not finite counts as none.
     pub fn pass(&mut self, command: Option<&OutputValues>, ranges: Option<&CommandRanges>) -> Applied {
-        self.pass_or(command, || None, ranges)
+        self.pass_or(command, None, ranges)
     }
 
     /// [`pass`](Self::pass), with a command ahead for a tick in which none arrives.
     pub fn pass_or(
         &mut self,
         command: Option<&OutputValues>,
-        ahead: impl FnOnce() -> Option<CommandAhead>,
+        ahead: Option<CommandAhead>,
         ranges: Option<&CommandRanges>,
     ) -> Applied {
         let arrived = command.map(|command| self.used(command)).filter(all_finite);
-        let ahead = if arrived.is_some() { None } else { self.used_ahead(ahead()) };
+        let ahead = if arrived.is_some() { None } else { self.used_ahead(ahead) };
         let (wanted, mut flags) = match (&arrived, &ahead) {
             (Some(command), _) => self.limit_rate(command, 0),
             (None, Some(CommandAhead { command, age })) => {

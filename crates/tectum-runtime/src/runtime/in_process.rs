@@ -82,7 +82,7 @@ impl Simulation {
 
     /// The plant applies the command, and the tick is over.
     pub fn advance(&mut self) {
-        self.controller.ahead().into_iter().for_each(|ahead| self.side.keep_ahead(ahead));
+        self.side.keep_ahead(self.controller.ahead());
         self.side.step(self.tick, Some(&self.command));
         self.tick += 1;
     }
@@ -186,7 +186,7 @@ pub fn in_process_with_agent<P: Plant, A: Agent>(
         }
         controller.respond(&observation, &mut command);
         controller.after_command(&observation);
-        controller.ahead().into_iter().for_each(|ahead| side.keep_ahead(ahead));
+        side.keep_ahead(controller.ahead());
         side.step(tick, Some(&command));
     }
     let (controller, agent) = controller.finish_with_agent();

@@ -41,12 +41,13 @@ mod wire_manifest;
 pub use crate::channel::{ChannelError, DomainName};
 pub use crate::stats::Window;
 pub use budget::{SlackPercentiles, TickBudget};
+pub use commands_ahead::CommandAhead;
 pub use controller::Controller;
 pub use controller_loop::{run_controller, run_shipped_controller};
 pub use error::channel_exit_code;
 pub use error::{RuntimeError, exit};
 pub use faults::{Faultable, FaultyChannel, SignalCounts};
-pub use gate::{Applied, CommandAhead, CommandRange, CommandRanges, Gate};
+pub use gate::{Applied, CommandRange, CommandRanges, Gate};
 pub use in_process::{
     InProcess, Simulation, in_process, in_process_over_pipe, in_process_with_agent, in_process_with_observer, simulate,
 };

@@ -86,20 +86,15 @@ impl<P: Plant> PlantSide<P> {
         self.body
     }
 
-    /// Keeps the commands ahead that came with a command, for ticks in which none arrives.
-    pub fn keep_ahead(&mut self, ahead: &Ahead) {
-        self.tick.ahead.keep(ahead);
-    }
-
-    /// Whether the scenario has commands ahead.
-    pub fn uses_ahead(&self) -> bool {
-        self.tick.ahead.is_used()
+    /// Keeps the commands ahead that came with a command, if any did, for ticks in which none arrives.
+    pub fn keep_ahead(&mut self, ahead: Option<&Ahead>) {
+        ahead.into_iter().for_each(|ahead| self.tick.ahead.keep(ahead));
     }
 
     /// For a replay: in the next step, the command ahead that `observation` says was applied, with the flags of its
     /// limits. Its `age` is not in the log.
     pub fn know_ahead(&mut self, observation: &Observation, age: u32) {
-        let flags = observation.header.flags & LIMITS;
+        let flags = observation.header.flags & GATE_LIMITS;
         self.tick.known_ahead = Some((CommandAhead { command: observation.applied, age }, flags));
     }
 
@@ -152,7 +147,7 @@ struct PlantTick {
     ahead: CommandsAhead,
     /// The one that a replay knows from the log, and the flags of its limits.
     known_ahead: Option<(CommandAhead, u32)>,
-    /// Whether ticks are passed over: a command ahead would be for a time that is gone.
+    /// Whether ticks are passed over.
     skipping: bool,
     inputs: usize,
     outputs: usize,
@@ -164,7 +159,7 @@ struct PlantTick {
 }
 
 /// Flags of the gate's limits.
-const LIMITS: u32 = flag::CLAMPED | flag::STEP_LIMITED | flag::POSITION_LIMITED | flag::RAMPED;
+const GATE_LIMITS: u32 = flag::CLAMPED | flag::STEP_LIMITED | flag::POSITION_LIMITED | flag::RAMPED;
 
 impl PlantTick {
     fn new(plan: &Plan) -> Self {
@@ -186,7 +181,7 @@ impl PlantTick {
     }
 
     fn adopt_applied(&mut self, observation: &Observation) {
-        const LIMITS: u32 = flag::CLAMPED | flag::STEP_LIMITED | flag::POSITION_LIMITED;
+        const LIMITS: u32 = GATE_LIMITS & !flag::RAMPED;
         self.applied = observation.applied;
         self.flags = self.flags & !LIMITS | observation.header.flags & LIMITS;
         self.gate.set_applied(self.applied);
@@ -213,20 +208,10 @@ impl PlantTick {
             });
             passed_on.as_ref()
         };
+        let known = self.known_ahead.take();
+        let ahead = known.map_or_else(|| self.command_ahead(tick), |(command, _)| Some(command));
         let ranges = self.gate.command_ranges(|| body.joints());
         let ranges = self.known_ranges.as_ref().or(ranges.as_ref());
-        let (known, faulty, skipping) = (self.known_ahead.take(), !self.commands.is_fault_free(), self.skipping);
-        let ahead = &mut self.ahead;
-        let ahead = || match known {
-            Some((command, _)) => Some(command),
-            None if ahead.is_used() && !skipping => {
-                if !faulty {
-                    ahead.hear_all(tick);
-                }
-                ahead.command_for(tick)
-            }
-            None => None,
-        };
         let mut applied = self.gate.pass_or(received, ahead, ranges);
         if let Some((_, limits)) = known.filter(|_| applied.flags & flag::AHEAD != 0) {
             applied.flags |= limits;
@@ -243,6 +228,18 @@ impl PlantTick {
         // An episode that ended in a skipped tick is stated in the next observation.
         let ended = self.flags & flag::EPISODE_END;
         self.flags = applied.flags | ended | if late > 0 { flag::LATE } else { 0 };
+    }
+
+    /// The command for `tick` that an earlier one brought ahead. In a tick that is passed over it would be for a time
+    /// that is gone.
+    fn command_ahead(&mut self, tick: u64) -> Option<CommandAhead> {
+        if !self.ahead.is_used() || self.skipping {
+            return None;
+        }
+        if self.commands.is_fault_free() {
+            self.ahead.hear_all(tick);
+        }
+        self.ahead.command_for(tick)
     }
 
     /// Counts what the gate did in a tick, by its flags, and the commands that came late.

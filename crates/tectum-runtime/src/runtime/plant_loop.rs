@@ -309,7 +309,7 @@ impl<P: Plant> PlantLoop<P> {
     fn take_ahead(&mut self) -> Result<(), RuntimeError> {
         if let Some(channel) = &self.ports.ahead {
             while let Some(ahead) = channel.receive()? {
-                self.state.side.keep_ahead(&ahead);
+                self.state.side.keep_ahead(Some(&ahead));
             }
         }
         Ok(())

@@ -208,13 +208,13 @@ impl ControllerTick {
     /// Why nothing may be learned from the observation's reward, if the agent answered tick `answered` last.
     fn withheld(&self, observation: &Observation, answered: u64, invalid: bool) -> Option<Withheld> {
         let flags = observation.header.flags;
-        let lost = observation.header.tick != answered + 1;
-        match Withheld::of(flags) {
-            // What was applied in between is not known.
-            Some(Withheld::Missed) if lost => return Some(Withheld::Lost),
-            Some(why) => return Some(why),
-            None if lost => return Some(Withheld::Lost),
-            None => {}
+        let why = Withheld::of(flags);
+        // What was applied in between is not known.
+        if observation.header.tick != answered + 1 && matches!(why, None | Some(Withheld::Missed)) {
+            return Some(Withheld::Lost);
+        }
+        if why.is_some() {
+            return why;
         }
         let limited = flags & flag::CLAMPED != 0;
         if limited && !self.off_policy && !self.gate_could_apply(&observation.applied[..self.outputs]) {

@@ -69,7 +69,7 @@ fn a_command_that_is_not_finite_counts_as_none() {
 
 /// The applied command of the first output, and the flags, of a tick in which no command arrives, with one ahead.
 fn pass_ahead(gate: &mut Gate, u: f32, age: u32) -> (f32, u32) {
-    let applied = gate.pass_or(None, || Some(CommandAhead { command: first(u), age }), None);
+    let applied = gate.pass_or(None, Some(CommandAhead { command: first(u), age }), None);
     assert!(applied.flags & flag::MISSED != 0);
     (applied.command[0], applied.flags & !flag::MISSED)
 }
@@ -104,7 +104,7 @@ fn a_command_ahead_takes_the_place_of_a_held_one_only() {
     assert_eq!(pass_one(&mut gate, None, None), (0.5, flag::HELD));
     // A command that has arrived goes before one ahead, and one that is not finite does not.
     let with =
-        |gate: &mut Gate, u| gate.pass_or(Some(&first(u)), || Some(CommandAhead { command: first(0.2), age: 1 }), None);
+        |gate: &mut Gate, u| gate.pass_or(Some(&first(u)), Some(CommandAhead { command: first(0.2), age: 1 }), None);
     assert_eq!(with(&mut gate, 0.1).command[0], 0.1);
     let corrupted = with(&mut gate, f32::NAN);
     assert_eq!((corrupted.command[0], corrupted.flags), (0.2, flag::MISSED | a | flag::NON_FINITE));
@@ -242,7 +242,7 @@ proptest! {
             let ranges = gate.command_ranges(|| Some(joints));
             let applied = match aged {
                 // What came ahead is any bits, too, and of any age.
-                age @ 1.. => gate.pass_or(None, || Some(CommandAhead { command, age }), ranges.as_ref()),
+                age @ 1.. => gate.pass_or(None, Some(CommandAhead { command, age }), ranges.as_ref()),
                 0 => gate.pass(bits.map(|_| command).as_ref(), ranges.as_ref()),
             };
             prop_assert!(applied.command[2..].iter().all(|&u| u == 0.0));
