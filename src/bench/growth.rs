@@ -190,6 +190,8 @@ fn watchers(settings: &GrowthSettings, context: &mut BenchContext) -> Result<Vec
         context.progress.show(&format!("growth: {watchers} watchers"));
         let mut watching = Watching::start(context.folder.path(), watchers)?;
         let times = run_block::measure(&block, context.folder.path())?.tick_times;
+        // A signal for all of them ends the watchers first.
+        check_signals(&context.signals)?;
         watching.check()?;
         let missed = times.iter().rev().skip(1).filter(|times| times.applied_ns.is_none()).count() as u64;
         let mut latencies = Latencies::default();
