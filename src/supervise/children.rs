@@ -172,7 +172,7 @@ impl ChildProcesses {
         let mut deaths = Vec::new();
         for (role, slot) in Role::ALL.into_iter().zip(&mut self.slots) {
             let stand_in = self.stand_in == Some(role);
-            if let Some(ended) = slot.poll_end(role, &services.status(role), services.domain(), stand_in) {
+            if let Some(ended) = slot.poll_end(role, &|| services.status(role), services.domain(), stand_in) {
                 if let ChildSlot::Child { stderr, .. } = std::mem::replace(slot, ChildSlot::Empty) {
                     self.left.push(stderr);
                 }
@@ -263,38 +263,47 @@ impl ChildSlot {
     }
 
     /// `None` while the process runs or the slot is empty; once it has ended, `Some` with its death, if it had not
-    /// finished its part of the run.
+    /// finished its part of the run. Until its end it can say that it has finished, so its end is looked at first,
+    /// and `board`, which reads what it says, after it.
     fn poll_end(
         &mut self,
         role: Role,
-        board: &Status,
+        board: &dyn Fn() -> Status,
         domain: &DomainName,
         stand_in: bool,
     ) -> Option<Option<ProcessDeath>> {
-        let finished = board.state() == ProcessState::Finished;
+        let finished = || board().state() == ProcessState::Finished;
         match self {
             Self::Empty => None,
             Self::Child { child, process, stderr } => {
                 stderr.read();
-                if let Some(process) = process.as_ref().filter(|process| !finished && process.ended()) {
+                if let Some(process) = process {
+                    if !process.ended() {
+                        return None;
+                    }
                     // What it has started ends with it, before it is collected: a successor needs the same devices.
-                    process.kill_group();
+                    if !finished() {
+                        process.kill_group();
+                    }
                 }
                 match child.try_wait() {
                     Ok(None) => None,
-                    Ok(Some(status)) => Some(death_of(role, status, stderr.take(), board.ticks, finished, stand_in)),
-                    Err(_) => Some(Some(ended_early(role, board.ticks, DeathKind::Failure))),
+                    Ok(Some(status)) => {
+                        Some(death_of(role, status, stderr.take(), board().ticks, finished(), stand_in))
+                    }
+                    Err(_) => Some(Some(ended_early(role, board().ticks, DeathKind::Failure))),
                 }
             }
             Self::ByHand { process } => {
                 let mut ended = process.as_ref().is_some_and(ProcessHandle::ended);
-                if process.is_none() && board.pid != 0 {
+                let pid = board().pid;
+                if process.is_none() && pid != 0 {
                     // The id comes from shared memory. Whatever process has it now, it may be killed only if it is
                     // a process of this run.
-                    *process = ProcessHandle::of(board.pid).filter(|_| is_member(domain, board.pid));
+                    *process = ProcessHandle::of(pid).filter(|_| is_member(domain, pid));
                     ended = process.is_none();
                 }
-                ended.then(|| (!finished).then(|| ended_early(role, board.ticks, DeathKind::Final)))
+                ended.then(|| (!finished()).then(|| ended_early(role, board().ticks, DeathKind::Final)))
             }
         }
     }
@@ -385,6 +394,8 @@ fn death_of(
 
 #[cfg(test)]
 mod tests {
+    use std::cell::RefCell;
+
     use super::*;
 
     #[test]
@@ -399,5 +410,28 @@ mod tests {
         assert_eq!(death(SIGKILL, false), Some(DeathKind::Failure));
         assert_eq!(death(SEGV, true), Some(DeathKind::Final));
         assert_eq!((death(0, true), death(0, false)), (None, Some(DeathKind::EarlyExit)));
+    }
+
+    /// The launcher reads that it has not finished; before the next line it finishes and ends.
+    #[test]
+    fn a_process_that_ends_while_it_is_looked_at_has_finished() {
+        let mut child = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let (input, process) = (RefCell::new(child.stdin.take()), ProcessHandle::of(child.id()).unwrap());
+        let state = |state| Status { state: state as u32, ..Status::default() };
+        let board = || {
+            if input.take().is_none() {
+                return state(ProcessState::Finished);
+            }
+            ProcessHandle::await_any([&process].into_iter(), u64::MAX);
+            state(ProcessState::Running)
+        };
+        let domain = DomainName::of(0);
+        let watch_files = Arc::new(WatchFiles::create(&domain, Path::new("nowhere")));
+        let stderr = ErrorOutput::of(None, Role::Plant, false, watch_files);
+        let mut slot = ChildSlot::Child { process: ProcessHandle::of(child.id()), child, stderr };
+        let mut look = || slot.poll_end(Role::Plant, &board, &domain, false).map(|death| death.is_some());
+        assert_eq!(look(), None, "it runs");
+        board();
+        assert_eq!(look(), Some(false), "it has finished");
     }
 }
