@@ -3,13 +3,29 @@
 mod support;
 
 use serde_json::{Value, json};
-use support::{TECTUM, TestFolder};
+use support::{TECTUM, TestFolder, example};
 
 /// Measures some cells of the table and returns the JSON object.
 fn tasks(arguments: &[&str]) -> Value {
-    let test_folder = TestFolder::new();
+    tasks_in(&TestFolder::new(), arguments)
+}
+
+fn tasks_in(test_folder: &TestFolder, arguments: &[&str]) -> Value {
     let all: Vec<&str> = ["tasks", "--json"].iter().chain(arguments).copied().collect();
     test_folder.start(TECTUM, &all).wait().expect(0).json()
+}
+
+/// A scenario with a program of one's own as its controller, for another plant than those of the tasks. Returns its
+/// path.
+fn own_scenario(test_folder: &TestFolder, rule: &str) -> String {
+    let program = example("foreign");
+    let text = format!(
+        "name = \"own\"\nticks = 9\n[plant]\nprogram = \"elsewhere\"\n\
+         inputs = [{{ name = \"x\", unit = \"m\", min = 0.0, max = 1.0 }}]\n\
+         outputs = [{{ name = \"v\", unit = \"m/s\", min = -1.0, max = 1.0 }}]\n\
+         [controller]\nprogram = {program:?}\n[learner]\nrule = {rule:?}\n"
+    );
+    test_folder.write_file("own.toml", text).to_str().unwrap().to_owned()
 }
 
 /// The entries without times, which differ from call to call.
@@ -66,6 +82,39 @@ fn a_planner_is_at_the_level_and_a_learner_comes_near_it() {
     assert!(entry["reward"][0].as_f64().unwrap() > -0.1 && entry["end"][0].as_f64().unwrap() < 0.4, "{entry}");
 }
 
+/// A program that runs the paper's rule over a pipe, beside the same rule in this process: every number is the same, on
+/// plants with other numbers of inputs, with episodes, and after a change.
+#[test]
+fn a_controllers_program_is_measured_as_the_rule_that_it_runs() {
+    let test_folder = TestFolder::new();
+    let own = own_scenario(&test_folder, "paper");
+    let arguments = ["--task", "pendulum", "--task", "arm-block", "--seeds", "2", "--ticks", "1300"];
+    let table = tasks_in(&test_folder, &[&arguments[..], &["--learner", &own, "--learner", "paper"]].concat());
+    assert!(table["tasks"].as_array().unwrap().iter().all(|entry| entry["ms_per_tick"].as_f64().unwrap() > 0.0));
+    let mut entries = numbers(&table);
+    let names: Vec<Value> =
+        entries.iter_mut().map(|entry| entry.as_object_mut().unwrap().remove("learner").unwrap()).collect();
+    assert_eq!(names, ["own", "paper", "own", "paper"], "in the order in which they were asked for");
+    assert_eq!((&entries[0], &entries[2]), (&entries[1], &entries[3]));
+}
+
+#[test]
+fn a_controllers_program_that_fails_ends_the_study_with_a_sentence() {
+    for (rule, code, expected) in [
+        ("ends", 4, "foreign ended with exit code 7 at tick 100, before the run was over"),
+        ("fails-in-tests", 4, "foreign ended with exit code 8 at tick 50, before the run was over"),
+        ("none", 2, ": learner.rule is \"none\"; foreign has \"paper\", \"wide\", \"ends\","),
+    ] {
+        let test_folder = TestFolder::new();
+        let own = own_scenario(&test_folder, rule);
+        let all = ["tasks", "--task", "pendulum", "--seeds", "2", "--ticks", "200", "--learner", &own];
+        let outcome = test_folder.start(TECTUM, &all).wait().expect(code);
+        assert!(outcome.stderr.starts_with("tectum: own on pendulum with seed 500"), "{outcome:#?}");
+        assert!(outcome.stderr.contains(expected) && outcome.stderr.lines().count() == 1, "{outcome:#?}");
+        assert_eq!(outcome.stdout, "");
+    }
+}
+
 #[test]
 fn the_list_names_tasks_levels_and_controllers() {
     let list = tasks(&["--list"]);
@@ -103,6 +152,7 @@ fn bad_input_is_refused_in_one_sentence() {
         (&["--learner", "x"], "tectum: there is no learner \"x\"; the learners and reference controllers are zero, "),
         (&["--task", "arm", "--task", "arm"], "tectum: --task names arm twice; name each once"),
         (&["--learner", "zero", "--learner", "zero"], "tectum: --learner names zero twice; name each once"),
+        (&["--learner", "nowhere.toml"], "tectum: there is no scenario"),
         (&["--seeds", "0"], "tectum: --seeds is 0; give at least 1"),
         (&["--ticks", "1"], "tectum: arm: ticks is 1; give 2 to 1000000000000 ticks"),
         (&["--first-seed", "9223372036854775807"], "tectum: --first-seed and --seeds go beyond the largest seed; "),

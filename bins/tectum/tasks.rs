@@ -21,12 +21,15 @@ Examples:
                                                 two tasks, all learners
   tectum tasks --task arm --learner learned-reward --learner ilqr --seeds 3
                                                 one learner beside a planner that knows the arm
+  tectum tasks --task pendulum --learner model-predictive --learner mine.toml
+                                                a controller of your own beside it (docs/controllers.md)
   tectum tasks --json > tasks.json              everything; takes hours")]
 pub struct Arguments {
     /// A task; may be given more than once [default: the usual ones]
     #[arg(long, value_name = "NAME")]
     task: Vec<String>,
-    /// A learner or reference controller; may be given more than once [default: all]
+    /// A learner or reference controller, or a scenario file with a controller or settings of your own; may be given
+    /// more than once [default: all that have names]
     #[arg(long, value_name = "NAME")]
     learner: Vec<String>,
     /// Number of seeds

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use crate::clock::{monotonic_ns, pause};
+use crate::clock::{cpu_ns_of_thread, monotonic_ns, pause, process_cpu_ns};
 
 /// The beginning of a process's name in `/proc` (which has at most 15 letters), and its role.
 const PROCESSES: [(&str, &str); 3] =
@@ -113,24 +113,8 @@ struct UsageSample {
 impl UsageSample {
     /// The state of process `pid`, all its threads together; `None` when it has ended.
     fn of(pid: u32) -> Option<Self> {
-        Some(Self { cpu_ns: cpu_ns(pid)?, resident_kib: resident_kib(pid)?, core: core(&stat(pid)?)? })
+        Some(Self { cpu_ns: process_cpu_ns(pid)?, resident_kib: resident_kib(pid)?, core: core(&stat(pid)?)? })
     }
-}
-
-fn cpu_ns(pid: u32) -> Option<u64> {
-    let mut sum = 0;
-    for thread in fs::read_dir(format!("/proc/{pid}/task")).ok()?.flatten() {
-        // A thread that has ended meanwhile no longer belongs to the process.
-        let Ok(text) = fs::read_to_string(thread.path().join("schedstat")) else { continue };
-        sum += running_ns(&text)?;
-    }
-    Some(sum)
-}
-
-/// The first field of `schedstat`: time on a core, ns. Time waiting for a core and the number of time slices
-/// follow.
-fn running_ns(schedstat: &str) -> Option<u64> {
-    schedstat.split(' ').next()?.parse().ok()
 }
 
 fn resident_kib(pid: u32) -> Option<u64> {
@@ -258,7 +242,7 @@ impl UsageMeter {
         let began_ns = monotonic_ns();
         let samples: Vec<_> =
             found.into_iter().filter_map(|(role, pid)| Some((role, pid, UsageSample::of(pid)?))).collect();
-        let launcher_first_ns = thread_ns(launcher_thread);
+        let launcher_first_ns = cpu_ns_of_thread(launcher_thread);
         let kib = resident_kib(std::process::id()).unwrap_or(0);
         let unused = |process, kib, cores| ProcessUse { process, cpu_ns: 0, first_kib: kib, last_kib: kib, cores };
         Self {
@@ -285,7 +269,7 @@ impl UsageMeter {
             used.cores.insert(now.core);
         }
         let this = std::process::id();
-        self.launcher.cpu_ns = thread_ns(self.launcher_thread).saturating_sub(self.launcher_first_ns);
+        self.launcher.cpu_ns = cpu_ns_of_thread(self.launcher_thread).saturating_sub(self.launcher_first_ns);
         self.launcher.last_kib = resident_kib(this).unwrap_or(0);
         self.launcher.cores.extend(core_of(this));
         true
@@ -300,12 +284,6 @@ impl UsageMeter {
         }
         usage
     }
-}
-
-/// The processor time of a thread of this process, ns; 0 if it cannot be read.
-fn thread_ns(thread: i32) -> u64 {
-    let text = fs::read_to_string(format!("/proc/self/task/{thread}/schedstat"));
-    text.ok().and_then(|text| running_ns(&text)).unwrap_or(0)
 }
 
 #[cfg(test)]

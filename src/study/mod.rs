@@ -16,6 +16,7 @@ pub mod replay;
 pub mod report_page;
 pub mod reproduce;
 mod study_rows;
+mod subject;
 pub mod sweep;
 pub mod tasks;
 mod text;

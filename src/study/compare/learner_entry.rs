@@ -70,12 +70,17 @@ pub enum ComparedLearner {
     Scenario(Box<Scenario>),
 }
 
+/// Whether a learner's name is the path of a scenario.
+pub(crate) fn is_path(name: &str) -> bool {
+    name.contains('/') || name.ends_with(".toml")
+}
+
 /// The learner with this name: that of a rule, or the path of a scenario.
 ///
 /// # Errors
 /// [`StudyError::Asked`], with a list of the names; for a path, when there is no such scenario.
 pub fn learner(name: &str) -> Result<ComparedLearner, StudyError> {
-    if name.contains('/') || name.ends_with(".toml") {
+    if is_path(name) {
         return Ok(ComparedLearner::Scenario(Box::new(Scenario::find(name)?)));
     }
     let source: serde::de::value::StrDeserializer<'_, serde::de::value::Error> = name.into_deserializer();

@@ -4,11 +4,12 @@
 //! Every learner runs with every seed, in one process without transport, on the built-in arm. At intervals
 //! the policy is tested without exploration noise on the [test set](crate::reference), which is the same for
 //! all learners; the loss in this test is the only measure of learning. A controller's program of one's own is
-//! a child, and is tested over the same pipe (`subject.rs`). The tick at which the level is reached, or a
+//! a child, and is tested over the same pipe (`study/subject.rs`). The tick at which the level is reached, or a
 //! change is recovered from, is known to the interval between tests, `test_interval` in `run.rs`. Everything
 //! except times is a function of learners and seeds.
 
 mod change;
+mod cost;
 mod definition;
 mod files;
 mod jobs;
@@ -16,17 +17,16 @@ mod learner_entry;
 mod outcome;
 mod references;
 mod run;
-mod subject;
 mod table;
 
 pub use change::{ArmChange, ArmChangeKind};
+use cost::TickCost;
 pub(super) use learner_entry::without_line;
 pub use learner_entry::{Changes, ComparedLearner, LEARNERS, learner};
-pub(crate) use learner_entry::{LearnerEntry, name_of};
+pub(crate) use learner_entry::{LearnerEntry, is_path, name_of};
 use outcome::{DECADES, LearnerOutcome, SeedRow};
 use references::{Condition, ReferenceScores, ReferenceTable, conditions};
 use run::LearnerRun;
-use subject::TickCost;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

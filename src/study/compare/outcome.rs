@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use super::cost::TickCost;
 use super::run::LearnerRun;
-use super::subject::TickCost;
 use super::{LearnerEntry, ReferenceTable};
 use crate::reference::LEVEL;
 use crate::scenario::{LearnerConfig, Scenario};

@@ -2,10 +2,12 @@
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::subject::{ClockCost, Subject, TickCost};
+use super::cost::{ClockCost, TickCost};
 use super::{Condition, LearnerEntry};
+use crate::policy::Outputs;
 use crate::reference::Score;
 use crate::runtime::{PipeError, PlantSide};
+use crate::study::subject::Subject;
 use crate::study::{JobProgress, StudyError, exact};
 use crate::wire::{Command, Observation};
 
@@ -100,7 +102,12 @@ fn run_subject(
     let (mut condition, mut next) = (0, entry.test_stride * test_interval(0));
     for tick in 0..ticks {
         side.observe(tick, 0, 0, &mut observation);
-        costs.extend(subject.tick(&observation, &mut command, (tick % stride < TIMED).then_some(clock))?);
+        if tick % stride < TIMED {
+            costs.push(clock.timed(&mut subject, &observation, &mut command)?);
+        } else {
+            subject.respond(&observation, &mut command)?;
+            subject.after_command(&observation)?;
+        }
         side.keep_ahead(subject.ahead());
         side.step(tick, Some(&command));
 
@@ -110,7 +117,7 @@ fn run_subject(
         }
         let change = entry.changes.get(condition).map(|change| change.tick);
         if done == next || done == ticks || change == Some(done) {
-            let Some(score) = subject.test(&conditions[condition], done, progress)? else { return Ok(None) };
+            let Some(score) = test(&mut subject, &conditions[condition], done, progress)? else { return Ok(None) };
             tests.push(PolicyTest { tick: done, condition, score });
             if change == Some(done) {
                 condition += 1;
@@ -124,6 +131,22 @@ fn run_subject(
     }
     let report = subject.finish()?;
     Ok(Some(LearnerRun { tests, costs, diverged_at: report.diverged_at, weights_hash: report.weights_hash }))
+}
+
+/// Tests what was learned in the first `done` ticks. `None` if the study has to stop.
+fn test(
+    subject: &mut Subject,
+    condition: &Condition,
+    done: u64,
+    progress: &JobProgress,
+) -> Result<Option<Score>, PipeError> {
+    let (mut frozen, mut stopped) = (subject.frozen(condition.test.plan(), done)?, false);
+    let score = condition.test.drive(|seen| {
+        stopped |= !progress.report(0);
+        if stopped { Outputs::default() } else { frozen.command(seen) }
+    });
+    frozen.end()?;
+    Ok((!stopped).then_some(score))
 }
 
 #[cfg(test)]

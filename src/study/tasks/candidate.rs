@@ -1,32 +1,56 @@
 //! What is measured on a task: a learner, or a reference controller.
 
+use std::sync::Arc;
+
 use super::outcome::RunResult;
 use super::plan::TaskPlan;
 use super::references::{self, ReferenceKind};
 use super::run;
-use crate::scenario::Rule;
-use crate::study::compare::{LEARNERS, name_of};
+use crate::scenario::{Rule, Scenario};
+use crate::study::compare::{ComparedLearner, LEARNERS, is_path, learner, name_of};
+use crate::study::{JobProgress, StudyError};
 
-/// A learner with its preset, or a reference controller.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// A learner, or a reference controller.
+#[derive(Debug, Clone)]
 pub enum Candidate {
     /// A reference controller.
     Reference(ReferenceKind),
-    /// A learning rule.
+    /// A learning rule with its preset.
     Learner(Rule),
+    /// The `[controller]` and the `[learner]` of a scenario: a program of one's own, or a rule with other settings.
+    Own(Arc<Scenario>),
 }
 
 impl Candidate {
-    /// All of them: first the references, from the one that knows least to the one that knows most.
+    /// Those of this package: first the references, from the one that knows least to the one that knows most.
     pub fn all() -> Vec<Self> {
         ReferenceKind::ALL.map(Self::Reference).into_iter().chain(LEARNERS.map(Self::Learner)).collect()
     }
 
-    /// The name by which it is chosen.
+    /// The one of a scenario's file; `None` if `name` is no path.
+    ///
+    /// # Errors
+    /// When there is no such file, or it is invalid.
+    pub(super) fn of_path(name: &str) -> Result<Option<Self>, StudyError> {
+        if !is_path(name) {
+            return Ok(None);
+        }
+        match learner(name)? {
+            ComparedLearner::Rule(rule) => Ok(Some(Self::Learner(rule))),
+            ComparedLearner::Scenario(own) => {
+                // What is wrong with the file as it is has its line there.
+                own.clone().plan()?;
+                Ok(Some(Self::Own(Arc::from(own))))
+            }
+        }
+    }
+
+    /// The name by which it is chosen; that of a scenario for one's own.
     pub fn name(&self) -> String {
         match self {
             Self::Reference(kind) => kind.name().to_owned(),
             Self::Learner(rule) => name_of(*rule),
+            Self::Own(scenario) => scenario.name.clone(),
         }
     }
 
@@ -39,7 +63,7 @@ impl Candidate {
     pub(super) fn serves(&self, task: &TaskPlan) -> bool {
         match self {
             Self::Reference(kind) => kind.serves(&task.task),
-            Self::Learner(_) => true,
+            Self::Learner(_) | Self::Own(_) => true,
         }
     }
 
@@ -47,7 +71,7 @@ impl Candidate {
     pub(super) fn ticks(&self, task: &TaskPlan) -> u64 {
         match self {
             Self::Reference(_) => task.test_ticks() * task.conditions() as u64,
-            Self::Learner(_) => task.ticks,
+            Self::Learner(_) | Self::Own(_) => task.ticks,
         }
     }
 
@@ -58,36 +82,25 @@ impl Candidate {
             Self::Learner(Rule::LearnedReward) => 3_000_000,
             Self::Learner(Rule::ModelPredictive) => 60_000_000,
             Self::Learner(Rule::NaturalActorCritic) => 30_000,
+            Self::Own(_) => 5_000_000,
             _ => 3_000,
         };
         tick_ns * self.ticks(task)
     }
 
-    /// Its result on a task with one seed. Calls `go_on` with the ticks done since the last call; the result is `None`
-    /// once that returns false.
-    pub(super) fn run(&self, task: &TaskPlan, seed: u64, go_on: &dyn Fn(u64) -> bool) -> Option<RunResult> {
+    /// Its result on a task with one seed; `None` if the study has to stop before.
+    ///
+    /// # Errors
+    /// When a controller's program of one's own fails.
+    pub(super) fn run(
+        &self,
+        task: &TaskPlan,
+        seed: u64,
+        progress: &JobProgress,
+    ) -> Result<Option<RunResult>, StudyError> {
         match self {
-            Self::Reference(kind) => references::run(*kind, task, go_on),
-            Self::Learner(rule) => run::run(task, *rule, seed, go_on),
+            Self::Reference(kind) => Ok(references::run(*kind, task, &|ticks| progress.report(ticks))),
+            Self::Learner(_) | Self::Own(_) => run::run(task, self, seed, progress),
         }
-    }
-
-    /// Its place in [`all`](Self::all).
-    fn place(&self) -> usize {
-        Self::all().iter().position(|candidate| candidate == self).unwrap_or(usize::MAX)
-    }
-}
-
-impl Eq for Candidate {}
-
-impl PartialOrd for Candidate {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Candidate {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.place().cmp(&other.place())
     }
 }

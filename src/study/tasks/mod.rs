@@ -37,7 +37,8 @@ use plan::TaskPlan;
 pub struct TaskStudy {
     /// Names of tasks; empty for the usual ones.
     pub tasks: Vec<String>,
-    /// Names of learners and reference controllers; empty for all.
+    /// Names of learners and reference controllers, or paths of scenarios with a controller or settings of one's own;
+    /// empty for all that have names.
     pub candidates: Vec<String>,
     /// Number of seeds.
     pub seeds: u64,
@@ -62,13 +63,12 @@ pub struct TaskTable {
     seconds: f64,
 }
 
-/// The runs of one controller on a task, with their seeds.
-type TaskRuns<'a> = (&'a TaskPlan, Vec<(u64, RunResult)>);
-
 /// One job of the pool: a controller on a task, with one seed.
 struct Job<'a> {
     task: &'a TaskPlan,
-    candidate: Candidate,
+    candidate: &'a Candidate,
+    /// The controller's place among those that were asked for.
+    place: usize,
     seed: u64,
 }
 
@@ -97,19 +97,25 @@ pub fn measure(study: &TaskStudy) -> Result<TaskTable, StudyError> {
     let jobs = jobs(study, &plans, &candidates);
     let ticks = jobs.iter().map(|job| job.candidate.ticks(job.task)).sum();
     let results = pool.run("tasks", ticks, &jobs, |job, progress| {
-        job.candidate.run(job.task, job.seed, &|ticks| progress.report(ticks))
+        let result = job.candidate.run(job.task, job.seed, progress);
+        if result.is_err() {
+            progress.stop_all();
+        }
+        result
     })?;
+    // Several programs may have failed at once: the first says why.
+    let results = results.into_iter().collect::<Result<Vec<_>, _>>()?;
     let seconds = (monotonic_ns() - began) as f64 / 1e9;
     Ok(TaskTable { tasks: outcomes(&jobs, results), build: crate::BUILD, machine: machine_facts(), seconds })
 }
 
 /// All jobs: the references, which are the same for all seeds, and then seed by seed.
-fn jobs<'a>(study: &TaskStudy, plans: &'a [TaskPlan], candidates: &[Candidate]) -> Vec<Job<'a>> {
+fn jobs<'a>(study: &TaskStudy, plans: &'a [TaskPlan], candidates: &'a [Candidate]) -> Vec<Job<'a>> {
     let mut jobs = Vec::new();
     for task in plans {
-        for candidate in candidates.iter().filter(|candidate| candidate.serves(task)) {
+        for (place, candidate) in candidates.iter().enumerate().filter(|(_, candidate)| candidate.serves(task)) {
             let seeds = if candidate.is_reference() { 1 } else { study.seeds };
-            jobs.extend((0..seeds).map(|i| Job { task, candidate: *candidate, seed: study.first_seed + i }));
+            jobs.extend((0..seeds).map(|i| Job { task, candidate, place, seed: study.first_seed + i }));
         }
     }
     // The longest first, so that no core works alone on a long one at the end. The sort keeps the order of equal ones.
@@ -119,18 +125,19 @@ fn jobs<'a>(study: &TaskStudy, plans: &'a [TaskPlan], candidates: &[Candidate]) 
 
 /// The results by task and controller, in the order in which they were asked for.
 fn outcomes(jobs: &[Job], results: Vec<Option<RunResult>>) -> Vec<TaskOutcome> {
-    let mut found: BTreeMap<(usize, Candidate), TaskRuns> = BTreeMap::new();
+    let mut found: BTreeMap<(usize, usize), Vec<(&Job, RunResult)>> = BTreeMap::new();
     for (job, result) in jobs.iter().zip(results) {
         if let Some(result) = result {
-            let entry = found.entry((job.task.number, job.candidate)).or_insert_with(|| (job.task, Vec::new()));
-            entry.1.push((job.seed, result));
+            found.entry((job.task.number, job.place)).or_default().push((job, result));
         }
     }
-    let of = |((_, candidate), (task, mut runs)): ((usize, Candidate), TaskRuns)| {
-        runs.sort_by_key(|(seed, _)| *seed);
-        TaskOutcome::of(task, candidate, &runs)
+    let of = |mut runs: Vec<(&Job, RunResult)>| {
+        runs.sort_by_key(|(job, _)| job.seed);
+        let job = runs.first()?.0;
+        let runs: Vec<_> = runs.into_iter().map(|(job, result)| (job.seed, result)).collect();
+        Some(TaskOutcome::of(job.task, job.candidate, &runs))
     };
-    found.into_iter().map(of).collect()
+    found.into_values().filter_map(of).collect()
 }
 
 /// The tasks that are named, or the usual ones.
@@ -158,19 +165,29 @@ fn candidates(study: &TaskStudy) -> Result<Vec<Candidate>, StudyError> {
     if study.candidates.is_empty() {
         return Ok(all);
     }
-    let names: Vec<&str> = study.candidates.iter().map(String::as_str).collect();
-    unique("--learner", &names)?;
-    let of = |name: &&str| {
-        all.iter().find(|candidate| candidate.name() == **name).copied().ok_or_else(|| {
-            let known: Vec<String> = all.iter().map(Candidate::name).collect();
-            let remedy = match nearest_name(name, known.iter().map(String::as_str)) {
-                Some(nearest) => format!("did you mean {nearest:?}?"),
-                None => format!("the learners and reference controllers are {}", word_list(&known, "and")),
-            };
-            StudyError::Asked(format!("there is no learner {name:?}; {remedy}"))
-        })
+    let of = |name: &String| match Candidate::of_path(name)? {
+        Some(own) => Ok(own),
+        None => named(&all, name),
     };
-    names.iter().map(of).collect()
+    let candidates: Vec<Candidate> = study.candidates.iter().map(of).collect::<Result<_, _>>()?;
+    let names: Vec<String> = candidates.iter().map(Candidate::name).collect();
+    unique("--learner", &names.iter().map(String::as_str).collect::<Vec<_>>())?;
+    Ok(candidates)
+}
+
+/// The one of `all` with this name.
+fn named(all: &[Candidate], name: &str) -> Result<Candidate, StudyError> {
+    all.iter().find(|candidate| candidate.name() == name).cloned().ok_or_else(|| {
+        let known: Vec<String> = all.iter().map(Candidate::name).collect();
+        let remedy = match nearest_name(name, known.iter().map(String::as_str)) {
+            Some(nearest) => format!("did you mean {nearest:?}?"),
+            None => format!(
+                "the learners and reference controllers are {}, and a scenario file (NAME.toml) is one of your own",
+                word_list(&known, "and")
+            ),
+        };
+        StudyError::Asked(format!("there is no learner {name:?}; {remedy}"))
+    })
 }
 
 fn unique(option: &str, names: &[&str]) -> Result<(), StudyError> {

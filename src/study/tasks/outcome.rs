@@ -89,7 +89,7 @@ pub struct TaskOutcome {
 }
 
 impl TaskOutcome {
-    pub(super) fn of(task: &TaskPlan, candidate: Candidate, runs: &[(u64, RunResult)]) -> Self {
+    pub(super) fn of(task: &TaskPlan, candidate: &Candidate, runs: &[(u64, RunResult)]) -> Self {
         let [level, after] = &task.levels;
         let change = task.change();
         let is_reference = candidate.is_reference();

@@ -53,21 +53,34 @@ impl TaskPlan {
     pub fn check(&self, candidate: &Candidate) -> Result<(), StudyError> {
         match candidate {
             Candidate::Reference(_) => Ok(()),
-            Candidate::Learner(rule) => {
-                let mut scenario = self.plan.scenario.clone();
-                scenario.learner = preset(*rule, &self.task.body);
+            Candidate::Learner(_) | Candidate::Own(_) => {
                 let name = format!("{}, {}", self.task.name, candidate.name());
-                scenario.plan().map(drop).map_err(|error| without_line(error, &name))
+                self.scenario(candidate, 0).plan().map(drop).map_err(|error| without_line(error, &name))
             }
         }
     }
 
-    /// The plan of a run with a rule's preset; its plan is valid, as [`check`](Self::check) found.
-    pub fn of_run(&self, rule: Rule, seed: u64) -> Option<Plan> {
+    /// The plan of a run; it is valid, as [`check`](Self::check) found.
+    pub fn of_run(&self, candidate: &Candidate, seed: u64) -> Option<Plan> {
+        self.scenario(candidate, seed).plan().ok()
+    }
+
+    /// The task with a learner. Of a scenario of one's own, `[controller]` and `[learner]` count: its encoder and its
+    /// noise are made for another plant.
+    fn scenario(&self, candidate: &Candidate, seed: u64) -> Scenario {
         let mut scenario = self.plan.scenario.clone();
-        scenario.learner = preset(rule, &self.task.body);
+        match candidate {
+            Candidate::Reference(_) => {}
+            Candidate::Learner(rule) => scenario.learner = preset(*rule, &self.task.body),
+            Candidate::Own(own) => {
+                scenario.controller = own.controller.clone();
+                (scenario.learner, scenario.own_learner) = (own.learner.clone(), own.own_learner.clone());
+                scenario.restart.hang_s = own.restart.hang_s;
+                scenario.source = own.source.clone();
+            }
+        }
         scenario.seed = seed;
-        scenario.plan().ok()
+        scenario
     }
 
     /// The plan without a rule of its own.

@@ -1,12 +1,14 @@
 //! The run of one learner on one task with one seed: its tests, and the processor time of its ticks.
 
+use super::candidate::Candidate;
 use super::outcome::{PhaseTest, RunResult};
 use super::plan::TaskPlan;
 use super::test::{TestScore, TestView, drive};
-use crate::clock::thread_cpu_ns;
-use crate::reference::{FrozenAgent, TestPercept};
-use crate::runtime::{Controller, PlantSide};
-use crate::scenario::{Plan, Rule};
+use crate::reference::TestPercept;
+use crate::runtime::{PipeError, PlantSide};
+use crate::scenario::Plan;
+use crate::study::subject::Subject;
+use crate::study::{JobProgress, StudyError};
 use crate::wire::{Command, Observation};
 
 /// Ticks between two reports of progress, so that a slow learner's run stops soon.
@@ -23,30 +25,49 @@ pub(super) fn test_interval(since: u64) -> u64 {
     }
 }
 
-/// Runs a rule and tests it at intervals, at the change and at the end. `None` once `go_on` returns false.
-pub(super) fn run(task: &TaskPlan, rule: Rule, seed: u64, go_on: &dyn Fn(u64) -> bool) -> Option<RunResult> {
-    let plan = task.of_run(rule, seed)?;
-    let mut side = PlantSide::new(plan.simulated_plant()?, &plan);
-    let mut controller = Controller::new(&plan);
+/// Runs a learner and tests it at intervals, at the change and at the end. `None` if the study has to stop before.
+///
+/// # Errors
+/// When the learner is a program of one's own, and fails.
+pub(super) fn run(
+    task: &TaskPlan,
+    learner: &Candidate,
+    seed: u64,
+    progress: &JobProgress,
+) -> Result<Option<RunResult>, StudyError> {
+    let Some(plan) = task.of_run(learner, seed) else { return Ok(None) };
+    match run_subject(task, &plan, progress) {
+        // The pool says it of the whole study.
+        Err(PipeError::Interrupted { .. }) => Ok(None),
+        other => other.map_err(|error| {
+            let name = format!("{} on {}", learner.name(), task.task.name);
+            StudyError::Controller { name, seed, error }
+        }),
+    }
+}
+
+fn run_subject(task: &TaskPlan, plan: &Plan, progress: &JobProgress) -> Result<Option<RunResult>, PipeError> {
+    let Some(plant) = plan.simulated_plant() else { return Ok(None) };
+    let (mut side, mut subject) = (PlantSide::new(plant, plan), Subject::new(plan, progress)?);
     let (mut observation, mut command) = (Observation::default(), Command::default());
     let change = task.change();
     let (mut tests, mut begins, mut next, mut used_ns) = (Vec::new(), 0, test_interval(0), 0);
     for tick in 0..task.ticks {
         side.observe(tick, 0, 0, &mut observation);
-        let began = thread_cpu_ns();
-        controller.respond(&observation, &mut command);
-        controller.after_command(&observation);
-        used_ns += thread_cpu_ns() - began;
-        side.keep_ahead(controller.ahead());
+        let began = subject.cpu_ns();
+        subject.respond(&observation, &mut command)?;
+        subject.after_command(&observation)?;
+        used_ns += subject.cpu_ns().saturating_sub(began);
+        side.keep_ahead(subject.ahead());
         side.step(tick, Some(&command));
 
         let done = tick + 1;
-        if done.is_multiple_of(REPORT) && !go_on(REPORT) {
-            return None;
+        if done.is_multiple_of(REPORT) && !progress.report(REPORT) {
+            return Ok(None);
         }
         if done == next || done == task.ticks || change == Some(done) {
             let changed = begins > 0;
-            let score = test(task, &plan, &controller, changed, go_on)?;
+            let Some(score) = test(task, plan, &mut subject, (done, changed), progress)? else { return Ok(None) };
             tests.push(PhaseTest { tick: done, changed, score });
             if change == Some(done) {
                 begins = done;
@@ -54,29 +75,31 @@ pub(super) fn run(task: &TaskPlan, rule: Rule, seed: u64, go_on: &dyn Fn(u64) ->
             next = done + test_interval(done - begins);
         }
     }
-    go_on(task.ticks % REPORT);
-    let diverged = controller.halted();
-    Some(RunResult { tests, diverged, ms_per_tick: used_ns as f64 / 1e6 / task.ticks as f64 })
+    progress.report(task.ticks % REPORT);
+    let diverged = subject.finish()?.diverged_at.is_some();
+    Ok(Some(RunResult { tests, diverged, ms_per_tick: used_ns as f64 / 1e6 / task.ticks as f64 }))
 }
 
-/// Tests what the controller's agent knows.
+/// Tests what was learned in the first `done` ticks; `None` if the study has to stop.
 fn test(
     task: &TaskPlan,
     plan: &Plan,
-    controller: &Controller,
-    changed: bool,
-    go_on: &dyn Fn(u64) -> bool,
-) -> Option<TestScore> {
+    subject: &mut Subject,
+    (done, changed): (u64, bool),
+    progress: &JobProgress,
+) -> Result<Option<TestScore>, PipeError> {
     let (inputs, outputs) = (plan.inputs.len(), plan.outputs.len());
-    let mut agent = FrozenAgent::of(controller.agent(), plan);
+    let mut frozen = subject.frozen(plan, done)?;
     let mut ticks = 0..;
     let control = |view: &TestView| {
         let observation = view.observation;
         let (inputs, applied) = (&observation.inputs[..inputs], &observation.applied[..outputs]);
         let (tick, flags) = (ticks.next().unwrap_or_default(), observation.header.flags);
-        agent.command(&TestPercept { tick, inputs, applied, flags })
+        frozen.command(&TestPercept { tick, inputs, applied, flags })
     };
-    drive(task, changed, false, control, &|| go_on(0))
+    let score = drive(task, changed, false, control, &|| progress.report(0));
+    frozen.end()?;
+    Ok(score)
 }
 
 #[cfg(test)]

@@ -22,6 +22,8 @@ pub use realtime::{RealtimeGranted, RealtimeRefusal, RealtimeReport, RealtimeReq
 pub use signals::{TerminationSignals, let_children_hear_hangup};
 pub use source::{Backoff, TimeSource, WakeReason};
 
+use std::path::Path;
+
 use rustix::thread::{NanosleepRelativeResult, clock_nanosleep_absolute, nanosleep};
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
@@ -44,6 +46,28 @@ pub fn wall_ns() -> u64 {
 /// The processor time that the calling thread has used, ns.
 pub fn thread_cpu_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::ThreadCPUTime))
+}
+
+/// The processor time that a process of this user has used, all its threads together, ns; `None` when it has ended.
+pub fn process_cpu_ns(pid: u32) -> Option<u64> {
+    let mut sum = 0;
+    for thread in std::fs::read_dir(format!("/proc/{pid}/task")).ok()?.flatten() {
+        // A thread that has ended meanwhile no longer belongs to the process.
+        sum += running_ns(&thread.path()).unwrap_or(0);
+    }
+    Some(sum)
+}
+
+/// The processor time that a thread of this process has used, ns; 0 when it has ended.
+pub fn cpu_ns_of_thread(thread: i32) -> u64 {
+    running_ns(Path::new(&format!("/proc/self/task/{thread}"))).unwrap_or(0)
+}
+
+/// The first field of a thread's `schedstat`: time on a core, ns. Time waiting for a core and the number of time
+/// slices follow.
+fn running_ns(thread: &Path) -> Option<u64> {
+    let text = std::fs::read_to_string(thread.join("schedstat")).ok()?;
+    text.split(' ').next()?.parse().ok()
 }
 
 /// Sleeps until the absolute instant `at` on CLOCK_MONOTONIC, ns; returns at once if it has passed. A signal

@@ -81,6 +81,11 @@ impl TestSet {
         Self { plan, arm, policy }
     }
 
+    /// The scenario of the test.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
     /// The true positions of the test's targets, m. A mirrored camera shows them elsewhere.
     pub fn targets(&self) -> &[[f64; 2]] {
         self.plan.scenario.plant.arm.as_ref().map_or(&[], |arm| &arm.targets)

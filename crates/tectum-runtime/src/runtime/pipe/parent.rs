@@ -75,6 +75,11 @@ impl PipedController {
         &self.columns
     }
 
+    /// Operating-system id of the program's process.
+    pub fn pid(&self) -> u32 {
+        self.program.pid()
+    }
+
     /// Whether a signal has come: the run is to end.
     pub fn interrupted(&self) -> bool {
         self.program.signal() != 0

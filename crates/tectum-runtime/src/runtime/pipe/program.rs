@@ -59,6 +59,11 @@ impl PipedProgram {
         })
     }
 
+    /// Operating-system id of the child.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Ends the child's standard input.
     pub fn close(&mut self) {
         self.to = None;
