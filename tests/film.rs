@@ -150,6 +150,26 @@ fn without_a_change_of_the_body_the_last_panel_is_the_end() {
     assert!(!fs::read_to_string(test_folder.run_folder().join("film.svg")).unwrap().contains("blocked"));
 }
 
+/// An episode is a movement. It ends where the rod has got to, and not with the hanging rod of the next one, 2 m from
+/// upright.
+#[test]
+fn a_pendulums_film_shows_episodes() {
+    let test_folder = TestFolder::new();
+    let pendulum = fs::read_to_string("scenarios/pendulum.toml").unwrap();
+    let quick = pendulum.replace("episode_ticks = 200", "episode_ticks = 60").replace("model-predictive", "paper");
+    let scenario = test_folder.write_file("swing.toml", quick).to_str().unwrap().to_owned();
+    test_folder.run(&[&scenario, "--ticks", "700"]).wait().expect(0);
+    let json = test_folder.tectum("film", &["run", "--json"]).expect(0).json();
+    let panels = json["panels"].as_array().unwrap();
+    let captions: Vec<_> = panels.iter().map(|panel| panel["caption"].as_str().unwrap()).collect();
+    assert_eq!(captions, ["The first episode", "After ten seconds", "At the end"]);
+    assert!(panels.iter().all(|panel| panel["from"].as_u64().unwrap().is_multiple_of(60)), "{json}");
+    let error = |panel: &Value| panel["end_error_m"].as_f64().unwrap();
+    assert!(panels.iter().all(|panel| (0.0..1.9999).contains(&error(panel))), "{json}");
+    let svg = fs::read_to_string(test_folder.run_folder().join("film.svg")).unwrap();
+    assert!(svg.contains("Shown: the first episode") && well_formed(&svg).contains(&"polyline".to_owned()), "{json}");
+}
+
 #[test]
 fn logs_without_a_film_are_refused_with_the_remedy() {
     let test_folder = TestFolder::new();

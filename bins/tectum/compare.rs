@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
-use tectum::reference::STARTS;
+use tectum::reference::{STARTS, TEST_SEED};
 use tectum::runtime::exit;
 use tectum::study::compare::{ArmChange, Changes, ComparedLearner, Comparison, LEARNERS, compare, learner};
 use tectum::study::{StudyError, StudyPlace, verify};
@@ -30,6 +30,8 @@ Examples:
                                                        one change after another
   tectum compare --learners learned-reward,mine.toml --ticks 6000
                                                        beside a controller of your own (docs/controllers.md)
+  tectum compare --learners learned-reward --test-seed 77
+                                                       on targets that nothing was tuned with
   tectum compare --learners actor-critic --first-seed 1 --set learner.critic.step=0.1
                                                        try a setting, on seeds to tune on
   tectum compare --seeds 1000..1010 --part a.jsonl     a part of a comparison; see tectum merge
@@ -64,6 +66,9 @@ pub struct Arguments {
     /// First guesses for each movement of the trajectory optimum
     #[arg(long, value_name = "N", default_value_t = STARTS)]
     starts: usize,
+    /// Seed of the test's targets; learners were tuned with the usual ones
+    #[arg(long, value_name = "S", default_value_t = TEST_SEED)]
+    test_seed: u64,
     /// Folder for tables and figure [default: runs/compare-<n>]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -72,12 +77,12 @@ pub struct Arguments {
     part: Option<PathBuf>,
     /// Go on with a comparison that was interrupted, in its folder
     #[arg(long, value_name = "DIR", conflicts_with_all = ["learners", "seeds", "first_seed", "ticks", "block", "change",
-        "set", "starts", "out", "part"])]
+        "set", "starts", "test_seed", "out", "part"])]
     r#continue: Option<PathBuf>,
     /// Compare results bit for bit: that of the first file, or folder, with those of the others; a single one with
     /// what this machine makes of a part of its seeds. Rows of other studies will do as well
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["learners", "seeds", "first_seed", "ticks",
-        "block", "change", "set", "starts", "out", "part", "continue"])]
+        "block", "change", "set", "starts", "test_seed", "out", "part", "continue"])]
     verify: Vec<PathBuf>,
     /// Share of the seeds that --verify makes again, at least one
     #[arg(long, value_name = "SHARE", default_value_t = 0.05, requires = "verify", allow_negative_numbers = true)]
@@ -132,6 +137,7 @@ fn comparison(arguments: &Arguments) -> Result<Comparison, StudyError> {
         changes,
         settings: arguments.set.clone(),
         starts: arguments.starts,
+        test_seed: arguments.test_seed,
         out: arguments.out.clone(),
         place: arguments.part.clone().map_or(StudyPlace::Folder, StudyPlace::Part),
         progress: true,

@@ -21,6 +21,7 @@ Examples:
   tectum film runs/arm-1                 three reaches of that run as an animated SVG: runs/arm-1/film.svg
   tectum film arm-1 -o reach.gif         the same by the run's name, as a GIF, for slides and chats
   tectum film arm-1 -o reach.mp4         as a video, where ffmpeg is installed
+  tectum run pendulum                    a pendulum swings up; its film shows three episodes
   tectum film log.mcap --json            one JSON object on standard output
 
 The SVG has no script, so that it plays wherever an SVG can be shown as an image. It is the sharpest and smallest of the

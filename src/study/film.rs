@@ -1,7 +1,8 @@
-//! The film of a run from its log: the arm's reaches are read, and three of them are shown.
+//! The film of a run from its log: the arm's reaches, or a pendulum's episodes, are read, and three of them are shown.
 
 mod video;
 
+use std::f32::consts::FRAC_PI_2;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -15,7 +16,7 @@ use crate::runtime::Snapshot;
 use crate::scenario::{ArmConfig, Plan, Scenario, ScenarioError};
 use crate::supervise::{RunProgress, body_changes, reach};
 use crate::text::{columns, thousands};
-use crate::wire::{Observation, flag};
+use crate::wire::{MAX_INPUTS, Observation, flag};
 
 /// Why there is no film of a log.
 #[derive(Debug, thiserror::Error)]
@@ -42,10 +43,10 @@ pub enum FilmError {
         /// Every how many ticks are in it.
         every: u64,
     },
-    /// The plant is no arm, or one whose ticks are no movement.
+    /// The plant is neither an arm nor a pendulum, or an arm whose ticks are no movement.
     #[error(
-        "the plant of scenario \"{scenario}\" is {plant}, and a film shows an arm that reaches for targets; \
-         run a scenario with [plant.arm] and a closed loop"
+        "the plant of scenario \"{scenario}\" is {plant}, and a film shows an arm that reaches for targets, or a \
+         pendulum; run a scenario with [plant.arm] and a closed loop, or with [plant.pendulum]"
     )]
     NoReaches {
         /// The scenario's name.
@@ -199,14 +200,15 @@ pub fn film(segments: &[PathBuf], progress: bool) -> Result<Film, FilmError> {
     let plan = Scenario::parse(log.scenario(), "scenario.toml")
         .and_then(Scenario::plan)
         .map_err(|error| FilmError::Scenario { path: path.clone(), error: Box::new(error) })?;
-    let arm = reaching_arm(&plan)?;
+    let body = filmed_body(&plan)?;
+    let arm = body.arm();
     if log.every() > 1 {
         return Err(FilmError::Thinned { path, every: log.every() });
     }
     let period_s = plan.period_ns as f64 / 1e9;
     let changes = body_changes(arm);
     let mut selector = ReachSelector::new(period_s, changes.iter().map(|change| change.tick).collect());
-    let mut recorder = ReachRecorder::new(&plan, arm);
+    let mut recorder = ReachRecorder::new(&plan, &body);
     let mut ticks = 0;
     let mut progress = RunProgress::study(&plan.scenario.name, plan.scenario.ticks, progress);
     for record in log.by_ref() {
@@ -222,24 +224,69 @@ pub fn film(segments: &[PathBuf], progress: bool) -> Result<Film, FilmError> {
     progress.clear();
     let reaches = selector.count();
     let selected = selector.select().ok_or(FilmError::TooShort { path, ticks, reaches })?;
-    Ok(compose(&plan, arm, selected))
+    Ok(compose(&plan, &body, selected))
 }
 
-/// The arm of a plan whose movements can be shown.
-fn reaching_arm(plan: &Plan) -> Result<&ArmConfig, FilmError> {
+/// What a film shows.
+enum FilmedBody<'a> {
+    /// An arm; a reach lasts from target to target.
+    Arm(&'a ArmConfig),
+    /// A pendulum, drawn as an arm of one segment, 1 m long, whose target is the upright position; a reach is an
+    /// episode.
+    Pendulum(Box<ArmConfig>),
+}
+
+impl FilmedBody<'_> {
+    fn pendulum() -> Self {
+        Self::Pendulum(Box::new(ArmConfig { lengths: vec![1.0], base: [0.0, 0.0], ..ArmConfig::default() }))
+    }
+
+    /// The arm that is drawn.
+    fn arm(&self) -> &ArmConfig {
+        match self {
+            Self::Arm(arm) => arm,
+            Self::Pendulum(rod) => rod,
+        }
+    }
+
+    /// The drawn arm's inputs: the target's position, and then the angles.
+    fn inputs(&self, inputs: &[f32; MAX_INPUTS]) -> [f32; MAX_INPUTS] {
+        match self {
+            Self::Arm(_) => *inputs,
+            Self::Pendulum(_) => {
+                let mut drawn = [0.0; MAX_INPUTS];
+                // The pendulum's angle counts from upright, the arm's from the x axis.
+                drawn[..3].copy_from_slice(&[0.0, 1.0, inputs[0] + FRAC_PI_2]);
+                drawn
+            }
+        }
+    }
+
+    /// What the film's words call a movement.
+    fn movement(&self) -> &'static str {
+        match self {
+            Self::Arm(_) => "reach",
+            Self::Pendulum(_) => "episode",
+        }
+    }
+}
+
+/// The body of a plan whose movements can be shown.
+fn filmed_body(plan: &Plan) -> Result<FilmedBody<'_>, FilmError> {
     let plant = &plan.scenario.plant;
     let no = |what| FilmError::NoReaches { scenario: plan.scenario.name.clone(), plant: what };
-    match (&plant.arm, &plant.eye) {
-        (Some(arm), _) if arm.open_loop => Err(no("an arm in an open loop, where each tick is a trial of its own")),
-        (Some(arm), _) => Ok(arm),
-        (None, Some(_)) => Err(no("an eye")),
-        (None, None) => Err(no("not one of the simulator's")),
+    match (&plant.arm, &plant.pendulum, &plant.eye) {
+        (Some(arm), ..) if arm.open_loop => Err(no("an arm in an open loop, where each tick is a trial of its own")),
+        (Some(arm), ..) => Ok(FilmedBody::Arm(arm)),
+        (None, Some(_), _) => Ok(FilmedBody::pendulum()),
+        (None, None, Some(_)) => Err(no("an eye")),
+        (None, None, None) => Err(no("neither of the two")),
     }
 }
 
 /// Puts observations together to whole reaches.
 struct ReachRecorder<'a> {
-    arm: &'a ArmConfig,
+    body: &'a FilmedBody<'a>,
     /// Where the measure `error` stands, if the plant measures it.
     error: Option<usize>,
     /// The reach in progress, from the observation in which its target appeared.
@@ -249,9 +296,10 @@ struct ReachRecorder<'a> {
 }
 
 impl<'a> ReachRecorder<'a> {
-    fn new(plan: &Plan, arm: &'a ArmConfig) -> Self {
-        let error = plan.error;
-        Self { arm, error, snapshots: Vec::new(), whole: false }
+    fn new(plan: &Plan, body: &'a FilmedBody<'a>) -> Self {
+        // A pendulum's error is an angle.
+        let error = plan.error.filter(|_| matches!(body, FilmedBody::Arm(_)));
+        Self { body, error, snapshots: Vec::new(), whole: false }
     }
 
     /// Takes the next observation. Gives the reach that ended with it, if one did and is whole.
@@ -261,7 +309,7 @@ impl<'a> ReachRecorder<'a> {
         let finite = inputs.iter().all(|x| x.is_finite());
         let in_a_row = self.snapshots.last().is_none_or(|last| last.tick + 1 == tick);
         self.whole &= finite && in_a_row;
-        self.snapshots.push(Snapshot { tick, inputs: *inputs });
+        self.snapshots.push(Snapshot { tick, inputs: self.body.inputs(inputs) });
         if observation.header.flags & flag::NEW_TARGET == 0 {
             if !self.whole {
                 self.snapshots.clear();
@@ -274,9 +322,12 @@ impl<'a> ReachRecorder<'a> {
         done
     }
 
-    /// The reach that ends with `observation`, which has the posture at the end of its last tick.
+    /// The reach that ends with `observation`, which has the posture at the end of its last tick, unless another
+    /// episode begins with it.
     fn close(&self, observation: &Observation) -> Option<RecordedReach> {
-        let reach = reach(self.arm, &self.snapshots)?;
+        let is_another = observation.header.flags & (flag::TERMINATED | flag::TRUNCATED) != 0;
+        let last = self.snapshots.len() - usize::from(is_another);
+        let reach = reach(self.body.arm(), &self.snapshots[..last])?;
         let end = reach.postures.last()?.last()?;
         let distance = (end[0] - reach.target[0]).hypot(end[1] - reach.target[1]);
         let end_error_m = self.error.map_or(distance, |i| f64::from(observation.measures[i]));
@@ -285,7 +336,8 @@ impl<'a> ReachRecorder<'a> {
 }
 
 /// Panels, captions and remarks.
-fn compose(plan: &Plan, arm: &ArmConfig, selected: SelectedReaches) -> Film {
+fn compose(plan: &Plan, body: &FilmedBody, selected: SelectedReaches) -> Film {
+    let arm = body.arm();
     let period_s = plan.period_ns as f64 / 1e9;
     let panel = |caption: &str, reach: RecordedReach| {
         let from = reach.reach.from;
@@ -300,8 +352,9 @@ fn compose(plan: &Plan, arm: &ArmConfig, selected: SelectedReaches) -> Film {
         Some(_) => "After the body changes",
         None => "At the end",
     };
-    let choice = choice(&selected);
-    let mut first = panel("The first target", selected.first);
+    let choice = choice(&selected, body.movement());
+    let caption = if let FilmedBody::Arm(_) = body { "The first target" } else { "The first episode" };
+    let mut first = panel(caption, selected.first);
     if first.reach.reach.from == 0 && first.remark.is_empty() {
         // Not "before learning": the quicker rules learn to reach before it ends.
         first.remark = "untrained at the start".to_owned();
@@ -311,7 +364,7 @@ fn compose(plan: &Plan, arm: &ArmConfig, selected: SelectedReaches) -> Film {
 }
 
 /// How the reaches were chosen, in a line.
-fn choice(selected: &SelectedReaches) -> String {
+fn choice(selected: &SelectedReaches, movement: &str) -> String {
     let early = match selected.early_count {
         1 => "the one from 10 s on".to_owned(),
         n => format!("the median of the {n} from 10 s on"),
@@ -321,5 +374,5 @@ fn choice(selected: &SelectedReaches) -> String {
         (n, Some(_)) if n < LATE_REACHES => format!("the median of the {n} since the body changed"),
         (n, _) => format!("the median of the last {n}"),
     };
-    format!("Shown: the first reach, {early}, and {late} (by end error). With exploration noise.")
+    format!("Shown: the first {movement}, {early}, and {late} (by end error). With exploration noise.")
 }

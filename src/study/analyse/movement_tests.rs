@@ -51,6 +51,20 @@ fn thresholds_make_the_profile_flatter() {
     near(m.profile.get(PROFILE / 2).map(|&x| f64::from(x)), 1.6585, 0.005);
 }
 
+/// A fifth of what is left in every tick: as long for every distance, with a peak at once. docs/results.md compares
+/// what was learned with it.
+#[test]
+fn an_exponential_approach_lasts_as_long_for_every_distance() {
+    for length in [0.1, 0.4, 1.6] {
+        let point = |tick: i32| [length * (1.0 - 0.8_f64.powi(tick)), 0.0];
+        let m = measure(&movement((0..=80).map(point).collect()), PERIOD, &Definitions::default());
+        // 0.8^13 is the last power above 5 %.
+        near(m.duration_s, 14.0 * PERIOD, 1e-9);
+        near(m.peak_speed, 0.2 * length / PERIOD, 1e-9);
+        near(m.peak_to_mean, 14.0 * 0.2 / (1.0 - 0.8_f64.powi(14)), 1e-6);
+    }
+}
+
 /// 10 t^3 - 15 t^4 + 6 t^5 is 0.9 at t = 0.7534 and 0.8 at t = 0.6734.
 #[test]
 fn settling_is_when_the_error_stays_within_the_tolerance() {

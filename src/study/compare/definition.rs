@@ -25,6 +25,7 @@ struct Definition {
     changes: String,
     settings: Vec<String>,
     starts: usize,
+    test_seed: u64,
 }
 
 /// The definition of a comparison.
@@ -43,6 +44,7 @@ pub(super) fn of(comparison: &Comparison) -> Value {
         },
         settings: comparison.settings.clone(),
         starts: comparison.starts,
+        test_seed: comparison.test_seed,
     };
     serde_json::to_value(definition).unwrap_or_default()
 }
@@ -87,6 +89,7 @@ impl Comparison {
             },
             settings: definition.settings,
             starts: definition.starts,
+            test_seed: definition.test_seed,
             out: None,
             place,
             progress: true,

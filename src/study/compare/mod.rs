@@ -36,7 +36,7 @@ use serde::Serialize;
 use super::opened_study::OpenedStudy;
 use super::{SeedRange, StudyEnd, StudyError, StudyHead, StudyPart, StudyPlace, WorkerPool};
 use crate::clock::{machine_facts, monotonic_ns};
-use crate::reference::{LEVEL, TARGETS, TEST_SEED};
+use crate::reference::{LEVEL, TARGETS};
 
 /// The name of this study in its rows.
 pub(super) const STUDY: &str = "compare";
@@ -56,6 +56,8 @@ pub struct Comparison {
     pub settings: Vec<String>,
     /// First guesses for each movement of the trajectory optimum.
     pub starts: usize,
+    /// Seed of the test's targets; [`TEST_SEED`](crate::reference::TEST_SEED) is the one that learners were tuned with.
+    pub test_seed: u64,
     /// The folder; `None` for `runs/compare-<n>`.
     pub out: Option<PathBuf>,
     /// Where the runs are kept.
@@ -116,7 +118,7 @@ pub fn compare(comparison: &Comparison) -> Result<StudyEnd<ComparisonResult>, St
     let began = monotonic_ns();
     // All learners meet the same changes, but maybe at different ticks, and a short run may have none.
     let most_changes = entries.iter().max_by_key(|entry| entry.changes.len());
-    let conditions = most_changes.map_or_else(|| Ok(Vec::new()), conditions)?;
+    let conditions = most_changes.map_or_else(|| Ok(Vec::new()), |entry| conditions(entry, comparison.test_seed))?;
     let seeds = comparison.seeds.seeds();
     let runs = jobs::runs(&pool, &study.rows, &entries, &seeds, &conditions)?;
     let Some(folder) = &study.folder else { return Ok(StudyEnd::Part(StudyPart::of(&study.rows))) };
@@ -130,7 +132,7 @@ pub fn compare(comparison: &Comparison) -> Result<StudyEnd<ComparisonResult>, St
         test: TestFacts {
             targets: TARGETS,
             ticks_a_target: conditions.first().map_or(0, |condition| condition.test.ticks_a_target()),
-            seed: TEST_SEED,
+            seed: comparison.test_seed,
         },
         build: crate::BUILD,
         machine: machine_facts(),

@@ -14,12 +14,13 @@ pub(super) struct Condition {
     pub test: TestSet,
 }
 
-/// The conditions in which a learner meets the arm: at the beginning, and after each change.
-pub(super) fn conditions(entry: &LearnerEntry) -> Result<Vec<Condition>, StudyError> {
+/// The conditions in which a learner meets the arm, with the test's targets of this seed: at the beginning, and after
+/// each change.
+pub(super) fn conditions(entry: &LearnerEntry, test_seed: u64) -> Result<Vec<Condition>, StudyError> {
     let plan = &entry.test_plan()?;
     let period_s = plan.scenario.period_ms / 1000.0;
     let config = plan.scenario.plant.arm.clone().unwrap_or_default();
-    let test = |tick| TestSet::new(plan, FixedArm::at(&config, period_s, tick));
+    let test = |tick| TestSet::of_seed(plan, FixedArm::at(&config, period_s, tick), test_seed);
     let name = |change: &ArmChange| match (&entry.changes[..], change.what) {
         ([_], ArmChangeKind::Block(..)) => "blocked".to_owned(),
         _ => format!("{} at {}", change.what, change.tick),

@@ -1,4 +1,8 @@
 //! The closed-loop arm (paper section 4.2, figure 4): 12 million ticks, joint 3 blocked at 9.3 million.
+//!
+//! The reward charges angular rates, and a blocked joint has none. Runs that reach the block are made a second time
+//! with the other reading, in which its command is charged ([`ArmRewardConfig::blocked_pays`]); until then they are
+//! equal.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -10,7 +14,7 @@ use super::experiment::{Experiment, ExperimentFacts, LearnerEnd, run, seeds_in_w
 use crate::report::Reach;
 use crate::report::figure::{LossFigure, draw_loss};
 use crate::runtime::{RunStatistics, Snapshot, Switch};
-use crate::scenario::{ArmConfig, Plan};
+use crate::scenario::{ArmConfig, ArmRewardConfig, Plan};
 use crate::stats::{Spread, Window};
 use crate::study::text::{cells, csv_cell, push_divergences, push_files, spread_in_words, write_lines};
 use crate::study::{JobProgress, StudyEnd, StudyError, exact};
@@ -50,6 +54,8 @@ pub struct ArmResult {
     block_tick: Option<u64>,
     /// One row per million ticks.
     windows: Vec<ArmRow>,
+    /// The same rows where the command of the blocked joint costs; empty where the run ended before the block.
+    windows_blocked_pays: Vec<ArmRow>,
     /// XXH3-64 of the final weights, one per seed.
     weights_hash: Vec<String>,
     /// The tick at which the weights were no longer numbers, one per seed; null where they are.
@@ -81,28 +87,36 @@ type FigureSwitches = [Vec<Snapshot>; 4];
 /// # Errors
 /// When the folder or a file cannot be written, or a signal ended the study.
 pub fn arm(settings: &ReproduceSettings) -> Result<StudyEnd<ArmResult>, StudyError> {
-    let experiment = match settings.run("arm", settings.plans("paper", |_| {})?, run_arm)? {
+    let mut plans = settings.plans("paper", |_| {})?;
+    if blocks(&plans[0]) {
+        let pays = |arm: &mut ArmConfig| arm.reward = ArmRewardConfig { blocked_pays: true, ..arm.reward.clone() };
+        plans.extend(settings.plans("paper", |scenario| scenario.plant.arm.iter_mut().for_each(pays))?);
+    }
+    let experiment = match settings.run("arm", plans, run_arm)? {
         StudyEnd::Whole(experiment) => experiment,
         StudyEnd::Part(part) => return Ok(StudyEnd::Part(part)),
     };
-    let shown = median_run(&experiment.runs);
+    let runs = &experiment.runs[..settings.seeds().len()];
+    let shown = median_run(runs);
     let result = result(settings, &experiment, experiment.plans[shown].scenario.seed);
     draw_loss(&figure(&result, &experiment, shown), &result.figure)?;
-    write_tables(&result, &experiment.runs)?;
+    write_tables(&result, runs)?;
     result.facts.write_json(&result.to_json())?;
     Ok(StudyEnd::Whole(result))
 }
 
 fn result(settings: &ReproduceSettings, experiment: &Experiment<ArmRun>, shown_seed: u64) -> ArmResult {
-    let Experiment { plans, runs, facts, .. } = experiment;
+    let Experiment { plans, facts, .. } = experiment;
+    let (runs, paying) = experiment.runs.split_at(settings.seeds().len());
     let ticks = plans[0].scenario.ticks;
     let (weights_hash, diverged) = LearnerEnd::lists(runs.iter().map(|run| &run.end));
     ArmResult {
         scenario: plans[0].scenario.name.clone(),
         seeds: settings.seeds(),
         ticks,
-        block_tick: block_tick(&plans[0]).filter(|&tick| tick < ticks),
+        block_tick: block_tick(&plans[0]).filter(|_| blocks(&plans[0])),
         windows: rows(runs, ticks),
+        windows_blocked_pays: rows(paying, ticks),
         weights_hash,
         diverged,
         shown_seed,
@@ -114,6 +128,11 @@ fn result(settings: &ReproduceSettings, experiment: &Experiment<ArmRun>, shown_s
 
 fn block_tick(plan: &Plan) -> Option<u64> {
     plan.scenario.plant.arm.as_ref()?.block.first().map(|b| b.tick)
+}
+
+/// Whether the run reaches the block.
+fn blocks(plan: &Plan) -> bool {
+    block_tick(plan).is_some_and(|tick| tick < plan.scenario.ticks)
 }
 
 /// Ticks of a window: short enough for a curve, and a divisor of a row's ticks.
@@ -177,14 +196,17 @@ fn rows(runs: &[ArmRun], ticks: u64) -> Vec<ArmRow> {
 }
 
 fn figure(result: &ArmResult, experiment: &Experiment<ArmRun>, shown: usize) -> LossFigure {
-    let Experiment { plans, runs, .. } = experiment;
+    let Experiment { plans, .. } = experiment;
+    let (runs, paying) = experiment.runs.split_at(result.seeds.len());
+    let windows = |runs: &[ArmRun]| runs.iter().map(|run| run.windows.clone()).collect::<Vec<_>>();
     let config: ArmConfig = plans[0].scenario.plant.arm.clone().unwrap_or_default();
     let reaches: [Option<Reach>; 4] = std::array::from_fn(|i| reach(&config, &runs[shown].switches[i]));
     let names = ["(a) at first", "(b) after learning", "(c) after the damage", "(d) after recovery"];
     LossFigure {
         title: format!("Closed-loop arm, {}: median and span over seeds", seeds_in_words(&result.seeds)),
         period_s: plans[0].period_ns as f64 / 1e9,
-        runs: runs.iter().map(|r| r.windows.clone()).collect(),
+        runs: windows(runs),
+        other: (!paying.is_empty()).then(|| ("if a blocked joint's command cost".to_owned(), windows(paying))),
         mark: result.block_tick.map(|tick| (tick, "joint 3 blocked".to_owned())),
         reaches: names.into_iter().zip(reaches).filter_map(|(name, r)| Some((name.to_owned(), r?))).collect(),
     }
@@ -226,26 +248,32 @@ impl ArmResult {
             thousands(self.ticks),
             thousands((total as f64 / seconds.max(1e-9)).round() as u64),
         );
-        let mut rows =
-            vec![cells(["up to tick", "loss a tick", "without noise", "RMS error (m)", "error at a target's end (m)"])];
-        for row in &self.windows {
-            rows.push(vec![
-                thousands(row.upto),
-                spread_in_words(Some(row.loss)),
-                spread_in_words(Some(row.loss_without_noise)),
-                spread_in_words(row.rms_error_m),
-                spread_in_words(row.end_error_m),
-            ]);
-        }
-        text.push_str(&columns(&rows));
+        text.push_str(&table(&self.windows));
         text.push_str("\nmedian over seeds (least to largest); means over each million ticks\n");
         if let Some(tick) = self.block_tick {
             let _ = writeln!(text, "joint 3 blocked at tick {}", thousands(tick));
+            let from = self.windows_blocked_pays.iter().position(|row| row.upto > tick).unwrap_or(0);
+            let _ = writeln!(text, "\nif the command of the blocked joint cost as if the joint turned:");
+            text.push_str(&table(&self.windows_blocked_pays[from..]));
         }
         push_divergences(&mut text, "", "tick", &self.seeds, &self.diverged);
         push_files(&mut text, Some(&self.figure), &self.csv);
         text
     }
+}
+
+fn table(windows: &[ArmRow]) -> String {
+    let head = ["up to tick", "loss a tick", "without noise", "RMS error (m)", "error at a target's end (m)"];
+    let row = |row: &ArmRow| {
+        vec![
+            thousands(row.upto),
+            spread_in_words(Some(row.loss)),
+            spread_in_words(Some(row.loss_without_noise)),
+            spread_in_words(row.rms_error_m),
+            spread_in_words(row.end_error_m),
+        ]
+    };
+    columns(&std::iter::once(cells(head)).chain(windows.iter().map(row)).collect::<Vec<_>>())
 }
 
 #[cfg(test)]

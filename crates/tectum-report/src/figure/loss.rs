@@ -20,6 +20,8 @@ pub struct LossFigure {
     pub period_s: f64,
     /// Windows of equal length, run by run.
     pub runs: Vec<Vec<Window>>,
+    /// The same runs under another assumption, with its name; none, if there is nothing to compare with.
+    pub other: Option<(String, Vec<Vec<Window>>)>,
     /// A tick at which something happened, and what.
     pub mark: Option<(u64, String)>,
     /// Target switches with their captions, in m; up to four.
@@ -62,19 +64,25 @@ fn curves(figure: &LossFigure, area: &Area) -> Result<(), ReportError> {
         }));
         points
     };
-    let each = |value: &dyn Fn(&Window) -> f64| -> Vec<Polyline> {
-        figure.runs.iter().map(|run| run.iter().map(|w| (clock.middle(w), value(w))).collect()).collect()
+    let each = |runs: &[Vec<Window>], value: &dyn Fn(&Window) -> f64| -> Vec<Polyline> {
+        runs.iter().map(|run| run.iter().map(|w| (clock.middle(w), value(w))).collect()).collect()
     };
     let mark = figure.mark.as_ref().map(|(tick, what)| (clock.at(*tick), what.as_str()));
     let (upper, lower) = area.split_vertically(px((SIZE.1 - TITLE_HEIGHT) / 2));
     let sums: Vec<_> = figure.runs.iter().map(cumulative).collect();
     let y = "cumulative loss (thousands)".to_owned();
     let axes = Axes { end: clock.end, x: None, top: 0.0, y, mark, levels: &[] };
-    bands::draw(&[Band::of("cumulative loss", BLUE, &sums)], &axes, &upper)?;
-    let losses = [
-        Band::of("with exploration noise", GREY, &each(&|w| w.loss)),
-        Band::of("without", BLUE, &each(&Window::loss_without_noise)),
-    ];
+    // The other curves first: up to where they part, they lie below.
+    let other = figure.other.iter();
+    let mut cumulatives: Vec<Band> = other
+        .clone()
+        .map(|(name, runs)| Band::of(name, ORANGE, &runs.iter().map(cumulative).collect::<Vec<_>>()))
+        .collect();
+    cumulatives.push(Band::of("cumulative loss", BLUE, &sums));
+    bands::draw(&cumulatives, &axes, &upper)?;
+    let mut losses: Vec<Band> = other.map(|(name, runs)| Band::of(name, ORANGE, &each(runs, &|w| w.loss))).collect();
+    losses.push(Band::of("with exploration noise", GREY, &each(&figure.runs, &|w| w.loss)));
+    losses.push(Band::of("without", BLUE, &each(&figure.runs, &Window::loss_without_noise)));
     let axes = Axes {
         x: Some(clock.label()),
         top: 0.0,
@@ -101,15 +109,18 @@ mod tests {
             title: "Two seeds".into(),
             period_s: 0.05,
             runs: vec![history.windows.clone(), history.windows[..60].to_vec()],
+            other: Some(("with a fine".into(), vec![history.windows.clone()])),
             mark: Some((9_300_000, "joint 3 blocked".into())),
             reaches: vec![("(a) at first".into(), reach)],
         };
         draw_loss(&figure, &path).unwrap();
         let svg = std::fs::read_to_string(&path).unwrap();
-        for words in ["Two seeds", "cumulative loss (thousands)", "joint 3 blocked", "(a) at first: from tick 80"] {
+        for words in
+            ["Two seeds", "with a fine", "cumulative loss (thousands)", "joint 3 blocked", "(a) at first: from tick 80"]
+        {
             assert!(svg.contains(words), "{words}");
         }
         // Nothing to show is still a figure.
-        draw_loss(&LossFigure { runs: Vec::new(), reaches: Vec::new(), ..figure }, &path).unwrap();
+        draw_loss(&LossFigure { runs: Vec::new(), other: None, reaches: Vec::new(), ..figure }, &path).unwrap();
     }
 }

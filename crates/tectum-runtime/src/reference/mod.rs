@@ -51,7 +51,7 @@ use crate::scenario::Plan;
 pub const LEVEL: f64 = 0.0375;
 /// Number of targets in the test.
 pub const TARGETS: usize = 40;
-/// The seed of every study's test targets, and of the random reference.
+/// The seed of every study's test targets, unless it is asked for others, and of the random reference.
 pub const TEST_SEED: u64 = 2010;
 
 /// The result of a test.
@@ -75,8 +75,13 @@ pub struct TestSet {
 impl TestSet {
     /// The test with `arm` for policies of `plan`, whose plant is the simulator's arm.
     pub fn new(plan: &Plan, arm: FixedArm) -> Self {
+        Self::of_seed(plan, arm, TEST_SEED)
+    }
+
+    /// The same with the targets of another seed.
+    pub fn of_seed(plan: &Plan, arm: FixedArm, seed: u64) -> Self {
         let mut plan = plan.clone();
-        plan.scenario.plant.arm = Some(arm.with_targets(&arm.draw_targets(TARGETS, TEST_SEED)));
+        plan.scenario.plant.arm = Some(arm.with_targets(&arm.draw_targets(TARGETS, seed)));
         let policy = MeanPolicy::new(&plan);
         Self { plan, arm, policy }
     }

@@ -78,6 +78,10 @@ pub struct ArmRewardConfig {
     /// If given, the error counts only within this distance from the target, m, as a positive reward (section 5).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub near: Option<f64>,
+    /// Whether the rate that is asked of a blocked joint costs as if it turned. The paper's sum goes over the angular
+    /// rates, and a blocked joint has none; in this other reading the command is what costs.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub blocked_pays: bool,
 }
 
 /// `[[plant.arm.block]]`: from a tick on, a joint stays at an angle and ignores commands.
@@ -200,6 +204,6 @@ impl Default for ArmConfig {
 
 impl Default for ArmRewardConfig {
     fn default() -> Self {
-        Self { scale: 0.1, speed: 0.025, angle: 0.01, collision: 0.0, near: None }
+        Self { scale: 0.1, speed: 0.025, angle: 0.01, collision: 0.0, near: None, blocked_pays: false }
     }
 }

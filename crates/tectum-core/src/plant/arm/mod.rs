@@ -206,11 +206,12 @@ fn blocked_angle(blocks: &[BlockConfig], joint: usize, tick: u64) -> Option<f32>
 }
 
 /// The mean cost of exploration noise of standard deviation `sigma` in `tick`, through the squared rates: the
-/// part of the loss that no policy can avoid. A blocked joint does not move and costs nothing. A joint at a
-/// stop costs less than this function assumes.
+/// part of the loss that no policy can avoid. A blocked joint does not move and costs nothing, unless its command
+/// [pays](ArmRewardConfig::blocked_pays). A joint at a stop costs less than this function assumes.
 pub fn noise_share(config: &ArmConfig, sigma: f64, tick: u64) -> f64 {
-    let moving = (0..config.lengths.len()).filter(|&j| blocked_angle(&config.block, j, tick).is_none()).count();
-    config.reward.scale * config.reward.speed * (config.gain * sigma).powi(2) * moving as f64
+    let pays = |joint: usize| config.reward.blocked_pays || blocked_angle(&config.block, joint, tick).is_none();
+    let paying = (0..config.lengths.len()).filter(|&joint| pays(joint)).count();
+    config.reward.scale * config.reward.speed * (config.gain * sigma).powi(2) * paying as f64
 }
 
 impl Plant for Arm {
@@ -239,6 +240,9 @@ impl Plant for Arm {
         let (mut rates, mut angles) = (0.0, 0.0);
         for (joint, &u) in applied[..self.joints].iter().enumerate() {
             let theta = if let Some(angle) = blocked_angle(&self.config.block, joint, tick) {
+                if self.config.reward.blocked_pays {
+                    rates += square(self.gain * u);
+                }
                 angle
             } else {
                 let from = if self.config.open_loop { 0.0 } else { self.theta[joint] };

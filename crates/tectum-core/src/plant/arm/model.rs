@@ -80,6 +80,9 @@ impl StateSpace for ArmModel {
         let (mut rates, mut angles) = (0.0, 0.0);
         for joint in 0..joints {
             if let Some(angle) = self.fixed[joint] {
+                if self.config.reward.blocked_pays {
+                    rates += (self.config.gain * command[joint]) * (self.config.gain * command[joint]);
+                }
                 state[joint] = angle;
             } else {
                 let wanted = self.config.gain * command[joint] - self.droop(joint, &before);

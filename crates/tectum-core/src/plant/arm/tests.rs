@@ -58,6 +58,28 @@ fn a_blocked_joint_does_not_move_and_costs_no_speed() {
     assert!((noise_share(&config, 0.003, 2) / noise_share(&config, 0.003, 0) - 0.75).abs() < 1e-12);
 }
 
+/// The other reading of the reward: the command of a blocked joint costs what it would cost if the joint turned.
+#[test]
+fn the_command_of_a_blocked_joint_pays_where_it_is_wanted() {
+    let block = vec![BlockConfig { joint: 3, tick: 0, angle: 0.25 }];
+    let reward = ArmRewardConfig { blocked_pays: true, ..Default::default() };
+    let usual = ArmConfig { block, ..Default::default() };
+    let paying = ArmConfig { reward, ..usual.clone() };
+    let rewards = |third: f32| [&usual, &paying].map(|config| step(config, [0.01, 0.0, third, 0.0]));
+    let [[free, same], [usual_, paid]] = [rewards(0.0), rewards(0.02)];
+    assert_eq!([free, free], [same, usual_], "nothing asked, nothing paid");
+    let cost = 0.1 * 0.025 * (0.02 * 200.0 * PI).powi(2);
+    assert!((free - paid - cost).abs() < 1e-6, "{free} {paid} {cost}");
+    assert_eq!(noise_share(&paying, 0.003, 0), noise_share(&ArmConfig::default(), 0.003, 0));
+}
+
+/// The reward of a first tick.
+fn step(config: &ArmConfig, command: [f32; 4]) -> f32 {
+    let mut arm = Arm::new(config, 0.05, 1);
+    arm.sense(0, &mut [0.0; 6]);
+    arm.advance(0, &command).reward
+}
+
 proptest! {
     #[test]
     fn angles_stay_wrapped(commands in proptest::collection::vec(-0.05_f32..0.05, 4..400)) {
