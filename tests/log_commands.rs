@@ -77,10 +77,13 @@ fn a_packed_log_is_smaller_and_reads_the_same() {
     let bytes = done["bytes"].as_u64().unwrap();
     assert_eq!(bytes, test_folder.path().join("packed.mcap").metadata().unwrap().len());
     assert!(bytes * 2 < done["bytes_before"].as_u64().unwrap(), "{done}");
+    let archive = test_folder.tectum("log", &["pack", "run", "--archive", "--out", "archive.mcap", "--json"]);
+    assert!(archive.expect(0).json()["bytes"].as_u64().unwrap() < bytes);
     let refused = test_folder.refused("log", &["pack", "run", "--out", "packed.mcap"]);
     assert!(refused.contains("packed.mcap cannot be written: the file exists already"), "{refused}");
 
     let csv = |log: &str| test_folder.tectum("log", &["csv", log]).expect(0).stdout;
+    assert!(csv("archive.mcap") == csv("run"));
     let (table, info) = (csv("run"), test_folder.tectum("log", &["info", "run", "--json"]).expect(0).json());
     let text = test_folder.tectum("log", &["pack", "run"]).expect(0).stdout;
     assert!(text.starts_with("run/log.mcap is packed: "), "{text}");

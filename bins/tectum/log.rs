@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand, ValueEnum};
-use tectum::log::{CsvChannel, LogError, LogInfo, PackedLog, Repair, RunLog, csv, find, pack, repair};
+use tectum::log::{CsvChannel, LogError, LogInfo, PackExtras, PackedLog, Repair, RunLog, csv, find, pack, repair};
 use tectum::process::print_error_line;
 use tectum::runtime::exit;
 
@@ -48,7 +48,8 @@ Examples:
     #[command(after_help = "\
 Examples:
   tectum log pack runs/arm-1                        the packed log takes the other one's place
-  tectum log pack runs/arm-1 --out packed.mcap      the log stays as it is")]
+  tectum log pack runs/arm-1 --out packed.mcap      the log stays as it is
+  tectum log pack runs/arm-1 --archive              the smallest log")]
     Pack {
         #[command(flatten)]
         common: Common,
@@ -58,6 +59,10 @@ Examples:
         /// Leave out the topics that repeat the samples for viewers: /inputs, /joint_states, /loss, /scene/links, ...
         #[arg(long)]
         no_views: bool,
+        /// Leave out the views and the index of the messages in each chunk: the smallest log, for archives. tectum and
+        /// other programs that read a log from its beginning read it; viewers that jump may show nothing
+        #[arg(long)]
+        archive: bool,
     },
     /// Export a channel as CSV: one row per sample, columns by the scenario's names, with units
     #[command(after_help = "\
@@ -154,8 +159,13 @@ pub fn main(arguments: &Arguments) -> ExitCode {
                 })
             })
         }
-        Work::Pack { common, out, no_views } => {
-            find(&common.log).and_then(|log| pack_segments(&log, out.as_deref(), !no_views)).map(|packed| {
+        Work::Pack { common, out, no_views, archive } => {
+            let extras = match (archive, no_views) {
+                (true, _) => PackExtras::Nothing,
+                (false, true) => PackExtras::Index,
+                (false, false) => PackExtras::Views,
+            };
+            find(&common.log).and_then(|log| pack_segments(&log, out.as_deref(), extras)).map(|packed| {
                 print(&if common.json {
                     json(&packed, PackedLog::to_json) + "\n"
                 } else {
@@ -188,9 +198,9 @@ fn one_target(segments: &[PathBuf], out: Option<&Path>) -> Result<(), LogError> 
 }
 
 /// Packs every segment, one after the other. A failure leaves the segments before it packed.
-fn pack_segments(segments: &[PathBuf], out: Option<&Path>, views: bool) -> Result<Vec<PackedLog>, LogError> {
+fn pack_segments(segments: &[PathBuf], out: Option<&Path>, extras: PackExtras) -> Result<Vec<PackedLog>, LogError> {
     one_target(segments, out)?;
-    segments.iter().map(|log| pack(log, out, views)).collect()
+    segments.iter().map(|log| pack(log, out, extras)).collect()
 }
 
 /// Repairs every torn segment, one after the other. A failure leaves the segments before it repaired.

@@ -1,6 +1,7 @@
 //! The processes of a run: starts them, detects how each ended, and kills those that do not end by themselves.
 
 use std::io::ErrorKind;
+use std::os::fd::BorrowedFd;
 use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -94,6 +95,8 @@ pub(super) struct ChildProcesses {
     watch_files: Arc<WatchFiles>,
     /// The process whose place a program takes that waits for another machine, and says so.
     stand_in: Option<Role>,
+    /// Whether all processes were still there when the last wait ended, and none had said anything.
+    calm: bool,
 }
 
 impl ChildProcesses {
@@ -113,7 +116,8 @@ impl ChildProcesses {
         }
         let (slots, left) = (Vec::new(), Vec::new());
         let stand_in = stand_in.as_ref().map(|stand_in| stand_in.role);
-        let mut children = Self { folder: folder.to_owned(), commands, slots, left, watch_files, stand_in };
+        let folder = folder.to_owned();
+        let mut children = Self { folder, commands, slots, left, watch_files, stand_in, calm: false };
         for role in Role::ALL {
             let slot = match children.commands[role as usize] {
                 Some(_) => children.spawn(role)?,
@@ -170,6 +174,9 @@ impl ChildProcesses {
     /// the others have written to their standard error.
     pub fn reap(&mut self, services: &RunServices) -> Vec<ProcessDeath> {
         let mut deaths = Vec::new();
+        if std::mem::take(&mut self.calm) {
+            return deaths;
+        }
         for (role, slot) in Role::ALL.into_iter().zip(&mut self.slots) {
             let stand_in = self.stand_in == Some(role);
             if let Some(ended) = slot.poll_end(role, &|| services.status(role), services.domain(), stand_in) {
@@ -194,19 +201,22 @@ impl ChildProcesses {
     pub fn await_last_words(&mut self) {
         let began = monotonic_ns();
         while !self.left.is_empty() && monotonic_ns() - began < LAST_WORDS_NS {
-            self.await_end(LAST_WORDS_NS / 10);
+            self.await_end(LAST_WORDS_NS / 10, None);
             self.read_left();
         }
     }
 
-    /// Waits until a process has ended or written to its standard error, or for `ns` nanoseconds.
-    pub fn await_end(&self, ns: u64) {
+    /// Waits until a process has ended or written to its standard error, `alarm` can be read, or for `ns` nanoseconds.
+    /// Returns false if the time is over, and nothing of that has happened.
+    pub fn await_end(&mut self, ns: u64, alarm: Option<BorrowedFd<'_>>) -> bool {
         let pipes = self.slots.iter().filter_map(|slot| match slot {
             ChildSlot::Child { stderr, .. } => stderr.pipe(),
             _ => None,
         });
-        let pipes = pipes.chain(self.left.iter().filter_map(ErrorOutput::pipe));
-        ProcessHandle::await_any_or(self.slots.iter().filter_map(ChildSlot::process), pipes, ns);
+        let pipes = pipes.chain(self.left.iter().filter_map(ErrorOutput::pipe)).chain(alarm);
+        let stirred = ProcessHandle::await_any_or(self.slots.iter().filter_map(ChildSlot::process), pipes, ns);
+        self.calm = !stirred && self.slots.iter().all(ChildSlot::is_awaited);
+        stirred
     }
 
     /// Whether there is no process in this role: it has ended, and has not been started again.
@@ -259,6 +269,15 @@ impl ChildSlot {
         match self {
             Self::Child { process, .. } | Self::ByHand { process } => process.as_ref(),
             Self::Empty => None,
+        }
+    }
+
+    /// Whether a wait ends with the process, and with whatever else the launcher has to do about it.
+    fn is_awaited(&self) -> bool {
+        match self {
+            Self::Child { process, stderr, .. } => process.is_some() && !stderr.holds_line(),
+            Self::ByHand { process } => process.is_some(),
+            Self::Empty => true,
         }
     }
 

@@ -60,6 +60,11 @@ impl ErrorOutput {
         self.pipe.as_ref().map(|pipe| pipe.as_fd())
     }
 
+    /// Whether a line is held back, and has to be shown when the process writes no other.
+    pub fn holds_line(&self) -> bool {
+        self.held.is_some()
+    }
+
     /// Reads what has come, so that the process never blocks on a full pipe.
     pub fn read(&mut self) {
         let mut bytes = [0; 4096];

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use super::summary::total_bytes;
 use super::{RunOutcome, RunSummary};
-use crate::log::{self, LogError};
+use crate::log::{self, LogError, PackExtras};
 use crate::runtime::{RunWarning, exit};
 use crate::scenario::LogConfig;
 
@@ -49,7 +49,7 @@ impl RunSummary {
 /// The first error. The segments before it are packed, and all others are as they were.
 fn pack_segments(folder: &Path, views: bool) -> Result<(), LogError> {
     for segment in log::segments(folder) {
-        match log::pack(&segment, None, views) {
+        match log::pack(&segment, None, if views { PackExtras::Views } else { PackExtras::Index }) {
             Ok(_) | Err(LogError::Torn { .. }) => {}
             Err(error) => return Err(error),
         }

@@ -137,7 +137,7 @@ impl Launch {
 /// # Errors
 /// When the run cannot start. A run that started always returns a summary, which tells how it ended.
 pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
-    run_monitored(launch, &RunMonitor::default())
+    run_owned(launch, RunMonitor::default())
 }
 
 /// The same, and others in this process see through `monitor` how far it is.
@@ -145,12 +145,16 @@ pub fn run(launch: &Launch) -> Result<RunSummary, LaunchError> {
 /// # Errors
 /// As [`run`].
 pub fn run_monitored(launch: &Launch, monitor: &RunMonitor) -> Result<RunSummary, LaunchError> {
-    let signals = TerminationSignals::install().map_err(LaunchError::Signals)?;
+    run_owned(launch, monitor.clone())
+}
+
+fn run_owned(launch: &Launch, monitor: RunMonitor) -> Result<RunSummary, LaunchError> {
+    let signals = TerminationSignals::install_with_alarm().map_err(LaunchError::Signals)?;
     let notifier = ServiceNotifier::from_environment().unwrap_or_else(|cause| {
         print_error_line(&format!("tectum: warning: {cause}; the service manager is told nothing"));
         ServiceNotifier::default()
     });
-    launch_run(launch, RunOwner { signals, monitor: monitor.clone(), notifier })
+    launch_run(launch, RunOwner { signals, monitor, notifier })
 }
 
 fn launch_run(launch: &Launch, owner: RunOwner) -> Result<RunSummary, LaunchError> {

@@ -65,7 +65,9 @@ impl SupervisedWorld for ProcessWorld {
     }
 
     fn await_event(&mut self, ns: u64) {
-        self.children.await_end(ns);
+        if self.children.await_end(ns, self.owner.signals.alarm()) {
+            self.owner.signals.take_alarm();
+        }
     }
 
     fn signal(&self) -> u32 {
@@ -88,6 +90,13 @@ impl SupervisedWorld for ProcessWorld {
         self.watch_files.put(boards);
         self.owner.monitor.put(boards);
         self.owner.notifier.look(&boards, monotonic_ns());
+    }
+
+    fn is_watched(&self) -> bool {
+        self.progress.follows()
+            || self.owner.notifier.has_manager()
+            || self.owner.monitor.is_shared()
+            || self.watch_files.is_watched()
     }
 
     fn fill_memory(&mut self) -> Result<(), LaunchError> {

@@ -59,6 +59,11 @@ impl RunProgress {
         Self { line, name: name.to_owned(), ticks, realtime: false, printed: false, last: (0, 0), learner_ns: 0 }
     }
 
+    /// Whether a line is drawn again and again.
+    pub fn follows(&self) -> bool {
+        self.line.enabled()
+    }
+
     /// Draws or prints the line from the status boards, if it is due.
     pub fn show(&mut self, services: &RunServices) {
         if !self.due() {

@@ -108,6 +108,15 @@ impl RestartTracker {
         true
     }
 
+    /// How long the launcher may leave the processes alone, ns: not longer than `longest`, nor than a small part of the
+    /// time after which one counts as hung. `None` while a process waits for its restart, or gave no sign of life since
+    /// the last look.
+    pub fn longest_look_away(&self, longest: u64) -> Option<u64> {
+        let calm = self.records.iter().all(|record| record.pending.is_none() && record.silent_ns == 0);
+        let part = (self.config.hang_s * 1e8) as u64;
+        calm.then(|| if part == 0 { longest } else { longest.min(part) })
+    }
+
     /// A process whose restart is due.
     pub fn due(&self, now: u64) -> Option<Role> {
         let due = |role: &Role| self.records[*role as usize].pending.as_ref().is_some_and(|p| p.due_ns <= now);

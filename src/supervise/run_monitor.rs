@@ -41,6 +41,11 @@ impl RunMonitor {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Whether somebody else has this window.
+    pub(super) fn is_shared(&self) -> bool {
+        Arc::strong_count(&self.0) > 1
+    }
+
     /// The run's folder exists.
     pub(super) fn begin(&self, folder: PathBuf) {
         self.lock().folder = Some(folder);

@@ -55,6 +55,11 @@ impl ServiceNotifier {
         Ok(Self { to: Some(to), beat_every_ns, ..Self::default() })
     }
 
+    /// Whether a service manager waits for what this sends.
+    pub fn has_manager(&self) -> bool {
+        self.to.is_some()
+    }
+
     fn send(&self, message: &str) {
         if let Some((socket, address)) = &self.to {
             let _ = socket.send_to_addr(message.as_bytes(), address);

@@ -30,6 +30,8 @@ const KILL_LIMIT_NS: u64 = 10_000_000_000;
 /// signals wake it at once.
 const POLL_NS: u64 = 5_000_000;
 const POLL_REALTIME_NS: u64 = 200_000_000;
+/// The same in real time while all is well and nobody watches.
+const POLL_CALM_NS: u64 = 500_000_000;
 
 /// By which rules a run is supervised.
 #[derive(Debug, Clone, Default)]
@@ -176,8 +178,16 @@ impl<W: SupervisedWorld> Supervisor<W> {
             self.check_folder(false);
             self.restart_due();
             self.world.show_progress();
-            self.world.await_event(self.fault_injector.poll_interval(self.poll_ns));
+            self.world.await_event(self.look_interval());
         }
+    }
+
+    /// How long the launcher waits for an event until it looks again, ns.
+    fn look_interval(&self) -> u64 {
+        let runs = |role: &Role| self.state(*role) == ProcessState::Running;
+        let calm = self.poll_ns == POLL_REALTIME_NS && Role::ALL.iter().all(runs) && !self.world.is_watched();
+        let calm_ns = self.restarts.longest_look_away(POLL_CALM_NS).filter(|_| calm);
+        self.fault_injector.poll_interval(calm_ns.unwrap_or(0).max(self.poll_ns))
     }
 
     /// Handles deaths and signals. True when the run must end early.

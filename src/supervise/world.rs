@@ -43,6 +43,8 @@ pub trait SupervisedWorld {
     fn put_control(&mut self, control: Control);
     /// Gives watchers a copy of all boards.
     fn publish(&mut self, boards: BoardsCopy);
+    /// Whether somebody follows what is published, so that it should be new.
+    fn is_watched(&self) -> bool;
     /// Gives all memory of the run its pages.
     ///
     /// # Errors

@@ -4,14 +4,12 @@
 //! for longer than a ring lasts. In lockstep a run may do thousands of ticks between two looks, of which the newest are
 //! taken. What was not taken is counted. Nothing is ever written.
 
-use std::fs::File;
-
 use tectum_view::{RunView, SeenCommand, SeenLearning, SeenObservation, SeenProcess, WatchedState};
 
 use super::WatchError;
 use super::facts::facts;
 use super::living::LivingRun;
-use crate::channel::{BoardsCopy, DomainName, LogTail, MessageTail, WatchFiles};
+use crate::channel::{BoardsCopy, BoardsFile, DomainName, LogTail, MessageTail};
 use crate::clock::{ProcessHandle, monotonic_ns, wall_ns};
 use crate::log::{LogRecord, ViewFacts};
 use crate::plant::posture;
@@ -35,7 +33,7 @@ pub(super) struct RunWatcher {
     observations: LogTail<Observation>,
     commands: LogTail<Command>,
     learning: LogTail<Learning>,
-    boards: File,
+    boards: BoardsFile,
     messages: MessageTail,
     newest: BoardsCopy,
     /// The processes of which the boards tell, by role.
@@ -64,7 +62,7 @@ impl RunWatcher {
             observations: LogTail::watch(&domain, "observation").map_err(unwatchable)?,
             commands: LogTail::watch(&domain, "command").map_err(unwatchable)?,
             learning: LogTail::watch(&domain, "learning").map_err(unwatchable)?,
-            boards: WatchFiles::open_boards(&domain).map_err(unwatchable)?,
+            boards: BoardsFile::open(&domain).map_err(unwatchable)?,
             messages: MessageTail::open(&domain).map_err(unwatchable)?,
             newest: BoardsCopy::default(),
             processes: [const { None }; 3],
@@ -110,7 +108,7 @@ impl RunWatcher {
             let weights_norm = sample.weights_norm;
             self.view.learn(&SeenLearning { tick, flags, published_ns: header.published_ns, weights_norm });
         }
-        if let Some(boards) = WatchFiles::read_boards(&self.boards) {
+        if let Some(boards) = self.boards.read() {
             self.newest = boards;
             let seen = Role::ALL.map(|role| self.seen_process(&boards, role));
             self.view.boards(seen, now);

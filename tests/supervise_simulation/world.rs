@@ -39,6 +39,7 @@ pub struct World {
     checkpoint_at: Option<u64>,
     /// How many starts the operating system refuses.
     refused_starts: u32,
+    watched: bool,
     no_memory: bool,
     no_reclaim: bool,
     folder_removal_ns: Option<u64>,
@@ -75,7 +76,9 @@ impl World {
         let mut rng = stream(seed, "world");
         let policies = [RestartPolicy::Never, RestartPolicy::OnFailure, RestartPolicy::Always];
         let mut policy = || policies[rng.random_range(0..3)];
-        let restart = RestartConfig { plant: policy(), controller: policy(), logger: policy(), ..limits() };
+        // With a long limit the launcher looks seldom while all is well.
+        let hang_s = if seed % 4 < 2 { 1.0 } else { 6.0 };
+        let restart = RestartConfig { plant: policy(), controller: policy(), logger: policy(), hang_s, ..limits() };
         let realtime = rng.random_bool(0.5);
         let rules = SupervisorRules { realtime, waits: false, restart, faults: FaultsConfig::default() };
         let faulty = [0.0, 0.1, 0.3, 0.8][rng.random_range(0..4)];
@@ -93,6 +96,8 @@ impl World {
             signal_at: signal_at.map(|at| 1000 * MS + at),
             checkpoint_at: checkpoint_at.map(|at| 1000 * MS + at),
             refused_starts: if rng.random_bool(0.1) { rng.random_range(1..20) } else { 0 },
+            // From the seed, so that the others are drawn as ever.
+            watched: seed.is_multiple_of(2),
             no_memory: rng.random_bool(0.03),
             no_reclaim: rng.random_bool(0.05),
             folder_removal_ns: folder_removal_ns.map(|at| 1000 * MS + at),
@@ -153,12 +158,16 @@ impl World {
         }
     }
 
-    /// Lets `ns` pass, or less when a process ends. A run that takes too long is ended from outside.
+    /// Lets `ns` pass, or less when a process ends or a signal comes. A run that takes too long is ended from outside.
     fn pass(&mut self, ns: u64) {
-        let until = self.now + ns * self.slowness;
+        let (began, until) = (self.now, self.now + ns * self.slowness);
         while self.now < until {
             self.step(STEP_NS.min(until - self.now));
-            if self.processes.iter().flatten().any(|process| process.ended.is_some()) {
+            let comes = |at: Option<u64>| at.is_some_and(|at| began < at && at <= self.now);
+            if comes(self.signal_at)
+                || comes(self.checkpoint_at)
+                || self.processes.iter().flatten().any(|process| process.ended.is_some())
+            {
                 break;
             }
         }
@@ -325,6 +334,10 @@ impl SupervisedWorld for SimulatedWorld {
         }
     }
 
+    fn is_watched(&self) -> bool {
+        self.0.borrow().watched
+    }
+
     fn fill_memory(&mut self) -> Result<(), LaunchError> {
         match self.0.borrow().no_memory {
             true => Err(LaunchError::Signals(std::io::Error::from(std::io::ErrorKind::StorageFull))),
@@ -372,12 +385,17 @@ impl SupervisedWorld for SimulatedWorld {
         match action {
             ProcessAction::Kill => process.end(DeathKind::Failure, &board),
             ProcessAction::KillGroup => {
-                let (hang_ns, set_up_ns) = (1000 * MS, 3000 * MS);
+                let (hang_ns, set_up_ns) = ((world.rules.restart.hang_s * 1e9) as u64, 3000 * MS);
+                // Two looks until it counts as silent, and one until it is killed.
+                let late = process.silent_since.is_some_and(|since| now - since > hang_ns + 1250 * MS);
                 // The launcher's first look at a process may count as silence what was before its first sign of life.
                 let allowed = process.may_be_killed(now, &board, hang_ns - 210 * MS, set_up_ns);
                 process.end(DeathKind::Failure, &board);
                 world.killed_as_hung += 1;
                 world.note(format!("the {} is killed as hung", role.name()));
+                if late && world.slowness == 1 && board.state() == ProcessState::Running {
+                    world.broken(format!("the {} hung, and was killed too late", role.name()));
+                }
                 if !allowed {
                     world.broken(format!("the {} lived, and was killed as hung", role.name()));
                 }

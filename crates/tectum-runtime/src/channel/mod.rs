@@ -48,7 +48,7 @@ pub use stale_domains::{list_domains, remove_stale_domains};
 pub use vision_ports::{TrackerPorts, VisionReceiver};
 pub use wake::wake_file;
 pub use wake::{WakeListener, WakeNotifier};
-pub use watch_files::{BoardsCopy, MessageTail, WatchFiles, list_watched};
+pub use watch_files::{BoardsCopy, BoardsFile, MessageTail, WatchFiles, list_watched};
 
 use iceoryx2::prelude::ServiceName;
 

@@ -21,6 +21,8 @@ pub struct PlantPorts {
     pub log: LogAppender<Observation>,
     /// Wakes the controller.
     pub wake: WakeNotifier,
+    /// Wakes the plant in lockstep. Taken by its loop.
+    pub doze: Option<WakeListener>,
     /// Commands, the newest two.
     pub command: Receiver<Command>,
     /// Commands ahead, the newest two, once [opened](Self::open_ahead).
@@ -38,6 +40,10 @@ pub struct ControllerPorts {
     pub observation: Receiver<Observation>,
     /// Notified with every observation.
     pub wake: WakeListener,
+    /// The same, which wakes the controller in lockstep. Taken by its loop.
+    pub doze: Option<WakeListener>,
+    /// Wakes the plant in lockstep.
+    pub wake_plant: WakeNotifier,
     /// Commands, to the plant and viewers.
     pub command: Sender<Command>,
     /// Commands ahead, to the plant, once [opened](Self::open_ahead).
@@ -85,6 +91,7 @@ impl PlantPorts {
             observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
             log: LogAppender::open(name, "observation")?,
             wake: WakeNotifier::open(name)?,
+            doze: Some(WakeListener::open(name, Role::Plant)?),
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
             ahead: None,
             controller: read_peer(&domain, Role::Controller, &status_board)?,
@@ -122,7 +129,9 @@ impl ControllerPorts {
                 open_channel(&domain, &channels.observation)?,
                 LOOP_BUFFER,
             )?,
-            wake: WakeListener::open(name)?,
+            wake: WakeListener::open(name, Role::Controller)?,
+            doze: Some(WakeListener::open(name, Role::Controller)?),
+            wake_plant: WakeNotifier::of(name, Role::Plant)?,
             command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
             ahead: None,
             learning: Sender::new(&channels.learning, open_channel(&domain, &channels.learning)?)?,

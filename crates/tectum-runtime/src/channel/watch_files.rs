@@ -6,7 +6,8 @@
 //! places. So there may be any number of watchers, and whatever happens to one of them, nobody in the run notices.
 //!
 //! The copy of the boards is written whole with one call. A reader that meets it half written sees that by its
-//! checksum, and reads again.
+//! checksum, and reads again. A reader holds a shared lock on the file, which ends with it however it ends: so the
+//! launcher knows whether somebody watches, and that a copy every now and then is enough if nobody does.
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
@@ -97,6 +98,13 @@ impl WatchFiles {
         }
     }
 
+    /// Whether somebody has the copy of the boards open. Says yes where that cannot be known.
+    pub fn is_watched(&self) -> bool {
+        let Some(file) = &self.boards else { return false };
+        let locked = file.try_lock();
+        locked.is_err() || file.unlock().is_err()
+    }
+
     /// Adds a line that somebody said.
     pub fn say(&self, line: &str) {
         let Some(mut file) = self.messages.as_ref() else { return };
@@ -140,21 +148,32 @@ impl MessageTail {
     }
 }
 
-impl WatchFiles {
-    /// Opens the copy of a run's boards, to read it again and again.
+/// The copy of a run's boards, to be read again and again.
+#[derive(Debug)]
+pub struct BoardsFile {
+    file: File,
+    /// Whether this process holds its lock. For a moment the launcher may hold it.
+    locked: bool,
+}
+
+impl BoardsFile {
+    /// Opens the copy.
     ///
     /// # Errors
     /// [`ChannelError::SetUp`] when there is none.
-    pub fn open_boards(domain: &DomainName) -> Result<File, ChannelError> {
+    pub fn open(domain: &DomainName) -> Result<Self, ChannelError> {
         let file = open_own(&domain.root().join(BOARDS), File::options().read(true));
-        file.map_err(|e| ChannelError::set_up("the copy of the boards", e))
+        let file = file.map_err(|e| ChannelError::set_up("the copy of the boards", e))?;
+        let locked = file.try_lock_shared().is_ok();
+        Ok(Self { file, locked })
     }
 
-    /// Reads the copy of the boards; `None` if it has not been written yet.
-    pub fn read_boards(file: &File) -> Option<BoardsCopy> {
+    /// Reads the copy; `None` if it has not been written yet.
+    pub fn read(&mut self) -> Option<BoardsCopy> {
+        self.locked = self.locked || self.file.try_lock_shared().is_ok();
         let mut bytes = [0; COPY_BYTES];
         (0..ATTEMPTS).find_map(|_| {
-            file.read_exact_at(&mut bytes, 0).ok()?;
+            self.file.read_exact_at(&mut bytes, 0).ok()?;
             BoardsCopy::from_bytes(&bytes)
         })
     }
@@ -189,12 +208,18 @@ mod tests {
         let name = DomainName::of(u64::from(std::process::id()) << 32 ^ 0x3a7c);
         std::fs::create_dir_all(name.root()).unwrap();
         let files = WatchFiles::create(&name, std::path::Path::new("/somewhere/runs/arm-1"));
-        let boards = WatchFiles::open_boards(&name).unwrap();
-        assert_eq!(WatchFiles::read_boards(&boards), None);
+        assert!(!files.is_watched());
+        let mut boards = BoardsFile::open(&name).unwrap();
+        assert!(files.is_watched() && boards.read().is_none());
         let mut copy = BoardsCopy::default();
         (copy.control.phase, copy.status[1].ticks) = (2, 77);
         files.put(copy);
-        assert_eq!(WatchFiles::read_boards(&boards), Some(copy));
+        assert_eq!(boards.read(), Some(copy));
+        let other = BoardsFile::open(&name).unwrap();
+        drop(boards);
+        assert!(files.is_watched(), "by the other one");
+        drop(other);
+        assert!(!files.is_watched());
         let mut torn = copy.to_bytes();
         torn[40] ^= 1;
         assert_eq!(BoardsCopy::from_bytes(&torn), None);

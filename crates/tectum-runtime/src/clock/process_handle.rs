@@ -31,17 +31,18 @@ impl ProcessHandle {
         Self::await_any_or(processes, std::iter::empty(), ns);
     }
 
-    /// Waits until one of the processes has ended, one of the `pipes` can be read, or for `ns` nanoseconds.
+    /// Waits until one of the processes has ended, one of the `pipes` can be read, or for `ns` nanoseconds. False if
+    /// the time is over, and nothing of that has happened.
     pub fn await_any_or<'a>(
         processes: impl Iterator<Item = &'a Self>,
         pipes: impl Iterator<Item = BorrowedFd<'a>>,
         ns: u64,
-    ) {
+    ) -> bool {
         let mut fds: Vec<_> = processes.map(|process| PollFd::new(&process.fd, PollFlags::IN)).collect();
         fds.extend(pipes.map(|pipe| PollFd::from_borrowed_fd(pipe, PollFlags::IN)));
         let limit = Timespec { tv_sec: (ns / 1_000_000_000) as i64, tv_nsec: (ns % 1_000_000_000) as i64 };
         // A signal ends the wait early, so callers check their flags and call again.
-        let _ = poll(&mut fds, Some(&limit));
+        !matches!(poll(&mut fds, Some(&limit)), Ok(0))
     }
 
     /// Stops the process (SIGSTOP), or continues it (SIGCONT).
@@ -77,9 +78,11 @@ mod tests {
         let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
         let process = ProcessHandle::of(child.id()).unwrap();
         assert!(!process.ended());
+        let await_end = |ns| ProcessHandle::await_any_or([&process].into_iter(), std::iter::empty(), ns);
+        assert!(!await_end(1));
         process.kill();
         child.wait().unwrap();
-        assert!(process.ended());
+        assert!(process.ended() && await_end(3_600_000_000_000));
         assert!(ProcessHandle::of(0).is_none());
     }
 }

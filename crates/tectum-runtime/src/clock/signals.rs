@@ -1,8 +1,11 @@
 //! Signals as flags that the loops check: SIGINT, SIGTERM, SIGHUP and SIGQUIT end a process in good order, and
 //! SIGUSR1 requests a checkpoint.
 
+use std::io::Read as _;
+use std::os::fd::{AsFd as _, BorrowedFd};
+use std::os::unix::net::UnixStream;
 use std::sync::{
-    Arc,
+    Arc, OnceLock,
     atomic::{AtomicBool, AtomicUsize, Ordering},
 };
 
@@ -13,7 +16,12 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGUSR1, SIGXFSZ};
 pub struct TerminationSignals {
     number: Arc<AtomicUsize>,
     checkpoint_requested: Arc<AtomicBool>,
+    /// Can be read after a signal. `None` for signals that only flags tell.
+    alarm: Option<&'static UnixStream>,
 }
+
+/// The reading end of the process's alarm: handlers cannot be taken back, so there is one for all calls.
+static ALARM: OnceLock<Option<UnixStream>> = OnceLock::new();
 
 impl TerminationSignals {
     /// Handles SIGINT, SIGTERM, SIGHUP (a closed terminal, a lost connection), SIGQUIT and SIGUSR1 for this
@@ -31,6 +39,28 @@ impl TerminationSignals {
         signal_hook::flag::register(SIGUSR1, Arc::clone(&signals.checkpoint_requested))?;
         signal_hook::flag::register_usize(SIGXFSZ, Arc::new(AtomicUsize::new(0)), 0)?;
         Ok(signals)
+    }
+
+    /// The same for a loop that sleeps for long in `poll`. A signal ends such a sleep, but not one that begins just after
+    /// the loop has looked at the flags; the [alarm](Self::alarm) does.
+    ///
+    /// # Errors
+    /// As for [`install`](Self::install).
+    pub fn install_with_alarm() -> std::io::Result<Self> {
+        // The flags come first: whoever is woken finds them set.
+        let signals = Self::install()?;
+        Ok(Self { alarm: ALARM.get_or_init(|| alarm().ok()).as_ref(), ..signals })
+    }
+
+    /// What can be read from the arrival of a signal until [`take_alarm`](Self::take_alarm).
+    pub fn alarm(&self) -> Option<BorrowedFd<'_>> {
+        self.alarm.map(|alarm| alarm.as_fd())
+    }
+
+    /// Makes the alarm ready for the next signal.
+    pub fn take_alarm(&self) {
+        let mut bytes = [0; 64];
+        while self.alarm.is_some_and(|mut alarm| matches!(alarm.read(&mut bytes), Ok(1..))) {}
     }
 
     /// The number of the termination signal received; 0 if there was none.
@@ -54,6 +84,17 @@ impl TerminationSignals {
     }
 }
 
+/// A socket into which the handlers of all signals write a byte; its reading end, which does not block.
+fn alarm() -> std::io::Result<UnixStream> {
+    let (reader, writer) = UnixStream::pair()?;
+    reader.set_nonblocking(true)?;
+    let hangup = if ignored(SIGHUP) { None } else { Some(SIGHUP) };
+    for signal in [SIGINT, SIGTERM, SIGQUIT, SIGUSR1].into_iter().chain(hangup) {
+        signal_hook::low_level::pipe::register(signal, writer.try_clone()?)?;
+    }
+    Ok(reader)
+}
+
 /// Lets the programs that this process starts hear SIGHUP, even if `nohup` started it: an ignored signal stays ignored
 /// in a started program, a handled one does not. For tests of what a SIGHUP does.
 pub fn let_children_hear_hangup() {
@@ -68,4 +109,22 @@ fn ignored(signal: i32) -> bool {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
     mask >> (signal - 1) & 1 == 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::ProcessHandle;
+
+    /// Without the alarm a signal that comes before the wait would be noticed after an hour.
+    #[test]
+    fn a_signal_before_a_wait_ends_it() {
+        let signals = TerminationSignals::install_with_alarm().unwrap();
+        let wait = |ns| ProcessHandle::await_any_or(std::iter::empty(), signals.alarm().into_iter(), ns);
+        assert!(!wait(1));
+        signal_hook::low_level::raise(SIGUSR1).unwrap();
+        assert!(wait(3_600_000_000_000) && signals.checkpoint_asked());
+        signals.take_alarm();
+        assert!(!wait(1));
+    }
 }

@@ -123,16 +123,31 @@ impl TimeSource {
 /// after some milliseconds sleeps between turns.
 ///
 /// Beside other programs that compute, a yield gives the core away for a whole slice of the scheduler, some
-/// milliseconds, and every tick would take that long. A thread that sleeps and wakes up gets the core at once. So the
-/// length of a yield is measured now and then, and after a long one the next turns are short sleeps.
+/// milliseconds, and every tick would take that long. A thread that sleeps and is woken gets the core at once. So the
+/// length of a yield is measured now and then, and after two long ones in a row the next turns are sleeps. (One alone
+/// may be the logger's.)
 #[derive(Debug, Default)]
 pub struct Backoff {
     /// Turns of this wait.
     turns: u32,
     /// Yields of all waits.
     yields: u32,
-    /// Turns that still sleep because a yield took long.
+    /// Whether the yield that was measured last took long.
+    suspects: bool,
+    /// Turns that still sleep because yields took long.
     naps: u32,
+    /// What wakes this thread from such a sleep; without it the sleeps are short.
+    doze: Option<Box<dyn Doze>>,
+}
+
+/// A sleep from which the peer wakes this thread.
+pub trait Doze: std::fmt::Debug + Send {
+    /// Lets the peer know whether it has to wake this thread.
+    fn set_expected(&mut self, expected: bool);
+    /// Sleeps until the peer has sent something since the last call, or for a short time.
+    fn doze(&mut self);
+    /// What this thread slept for has arrived.
+    fn arrived(&mut self);
 }
 
 impl Backoff {
@@ -144,13 +159,24 @@ impl Backoff {
     const MEASURED: u32 = 64;
     /// A yield that takes longer found other programs on its core, ns.
     const LONG_YIELD_NS: u64 = 200_000;
-    /// Turns that sleep after a long yield, and how long, ns.
-    const NAPS: u32 = 1024;
+    /// Turns that sleep after long yields, and how long if nobody wakes this thread, ns.
+    const NAPS: u32 = 8192;
     const NAP_NS: u64 = 5_000;
+
+    /// A backoff whose thread `doze` wakes where it has to sleep.
+    pub fn dozing(doze: impl Doze + 'static) -> Self {
+        Self { doze: Some(Box::new(doze)), ..Self::default() }
+    }
 
     /// Begins another wait.
     #[inline]
     pub fn begin(&mut self) {
+        if self.naps > 0
+            && self.turns > 0
+            && let Some(doze) = &mut self.doze
+        {
+            doze.arrived();
+        }
         self.turns = 0;
     }
 
@@ -164,10 +190,7 @@ impl Backoff {
         }
         self.turns += 1;
         if self.naps > 0 {
-            self.naps -= 1;
-            pause(Self::NAP_NS);
-            // The first yield after them is measured.
-            self.yields = Self::MEASURED - 1;
+            self.nap();
         } else {
             self.yields = self.yields.wrapping_add(1);
             if self.yields.is_multiple_of(Self::MEASURED) {
@@ -182,8 +205,38 @@ impl Backoff {
     fn measured_yield(&mut self) {
         let began = monotonic_ns();
         rustix::thread::sched_yield();
-        if monotonic_ns() - began > Self::LONG_YIELD_NS {
+        self.judge(monotonic_ns() - began > Self::LONG_YIELD_NS);
+    }
+
+    /// Takes whether the yield that was measured took long.
+    fn judge(&mut self, long: bool) {
+        if long && self.suspects {
             self.naps = Self::NAPS;
+            self.expect(true);
+        } else if long {
+            // The next one is measured, too.
+            self.yields = Self::MEASURED - 1;
+        }
+        self.suspects = long;
+    }
+
+    #[cold]
+    fn nap(&mut self) {
+        self.naps -= 1;
+        match &mut self.doze {
+            Some(doze) => doze.doze(),
+            None => pause(Self::NAP_NS),
+        }
+        if self.naps == 0 {
+            // The first yield after them is measured, and still suspected.
+            self.yields = Self::MEASURED - 1;
+            self.expect(false);
+        }
+    }
+
+    fn expect(&mut self, expected: bool) {
+        if let Some(doze) = &mut self.doze {
+            doze.set_expected(expected);
         }
     }
 }
@@ -222,5 +275,40 @@ mod tests {
     fn a_stepped_wait_can_be_cancelled() {
         let mut time = TimeSource::stepped(1);
         assert_eq!(time.await_tick(1, &mut Backoff::default(), || false, || true), WakeReason::Cancelled);
+    }
+
+    #[derive(Debug, Default)]
+    struct CountedDoze(std::sync::Arc<std::sync::Mutex<Vec<&'static str>>>);
+
+    impl Doze for CountedDoze {
+        fn set_expected(&mut self, expected: bool) {
+            self.0.lock().unwrap().push(if expected { "expected" } else { "no longer" });
+        }
+
+        fn doze(&mut self) {
+            self.0.lock().unwrap().push("sleeps");
+        }
+
+        fn arrived(&mut self) {
+            self.0.lock().unwrap().push("arrived");
+        }
+    }
+
+    /// The peer hears of it when sleeps begin and when they are over.
+    #[test]
+    fn sleeps_after_long_yields_are_ended_by_the_peer() {
+        let doze = CountedDoze::default();
+        let said = std::sync::Arc::clone(&doze.0);
+        let mut backoff = Backoff::dozing(doze);
+        backoff.judge(true);
+        assert!(said.lock().unwrap().is_empty(), "one long yield may be the logger's");
+        backoff.judge(true);
+        backoff.naps = 2;
+        backoff.pause();
+        backoff.begin();
+        backoff.pause();
+        assert_eq!(*said.lock().unwrap(), ["expected", "sleeps", "arrived", "sleeps", "no longer"]);
+        backoff.judge(true);
+        assert_eq!(backoff.naps, Backoff::NAPS, "it is still suspected");
     }
 }

@@ -64,7 +64,7 @@ pub use header::{LogClock, LogHeader, LogSegment};
 pub use info::{ChannelInfo, LogInfo, LogState, SegmentInfo};
 pub use latency_histograms::LatencyHistograms;
 pub use message_counts::{ChannelCounts, MessageCounts};
-pub use pack::{PackedLog, pack};
+pub use pack::{PackExtras, PackedLog, pack};
 pub use reader::LogReader;
 pub use recovery::LogRecovery;
 pub use repair::{Repair, TornContents, mend, repair};

@@ -20,6 +20,17 @@ use super::{LogError, LogReader, MessageCounts, in_use};
 /// Size of a chunk's records before they are compressed, bytes. Its reader unpacks a chunk at a time.
 const CHUNK_BYTES: u64 = 1024 * 1024;
 
+/// What a packed log has beside the samples and statements of the log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PackExtras {
+    /// An index of the messages in each chunk, and views of the samples: for viewers.
+    Views,
+    /// The index alone.
+    Index,
+    /// Neither. The index of random numbers is a quarter of their packed size, and this package's readers do without.
+    Nothing,
+}
+
 /// The result of packing a log.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct PackedLog {
@@ -51,14 +62,14 @@ impl PackedLog {
     }
 }
 
-/// Packs the whole log at `path`, with views of its samples if they are wanted. Without `out` the packed log replaces
+/// Packs the whole log at `path`, with `extras`. Without `out` the packed log replaces
 /// it; with `out` it is written there. A log that is packed already is not changed.
 ///
 /// # Errors
 ///
 /// As [`LogReader::open`] and its iterator; [`LogError::InUse`] while its logger is running; [`LogError::Torn`] if it
 /// is torn; [`LogError::Write`] if the new file cannot be written or exists.
-pub fn pack(path: &Path, out: Option<&Path>, views: bool) -> Result<PackedLog, LogError> {
+pub fn pack(path: &Path, out: Option<&Path>, extras: PackExtras) -> Result<PackedLog, LogError> {
     let read = |e| LogError::read(path, e);
     let file = File::open(path).map_err(read)?;
     if in_use(&file) {
@@ -77,7 +88,7 @@ pub fn pack(path: &Path, out: Option<&Path>, views: bool) -> Result<PackedLog, L
     }
     let folder = target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut draft = tempfile::NamedTempFile::new_in(folder).map_err(write)?;
-    copy(path, file, log.position(), views, draft.as_file_mut()).map_err(|error| match error {
+    copy(path, file, log.position(), extras, draft.as_file_mut()).map_err(|error| match error {
         LogError::Write { error, .. } => write(error),
         other => other,
     })?;
@@ -100,9 +111,10 @@ pub fn pack(path: &Path, out: Option<&Path>, views: bool) -> Result<PackedLog, L
 }
 
 /// Copies the log `file` at `path` up to byte `end` into chunks.
-fn copy(path: &Path, file: File, end: u64, views: bool, target: &mut File) -> Result<(), LogError> {
+fn copy(path: &Path, file: File, end: u64, extras: PackExtras, target: &mut File) -> Result<(), LogError> {
     let mut sink = BufWriter::new(target);
     let options = mcap::WriteOptions::new().compression(Some(mcap::Compression::Zstd)).chunk_size(Some(CHUNK_BYTES));
+    let options = options.emit_message_indexes(extras != PackExtras::Nothing);
     let mut log = LogReader::open(path)?;
     let mut sample_views = SampleViews::new(ViewFacts::of_log(&log));
     // A packed log may have views. They are made anew, or are not wanted.
@@ -110,7 +122,7 @@ fn copy(path: &Path, file: File, end: u64, views: bool, target: &mut File) -> Re
     let copier = RecordCopier::begin(path, BufReader::new(file), &mut sink, end, options)?;
     let mut copier = copier.without(topics);
     while copier.copy_record()? {}
-    if views {
+    if extras == PackExtras::Views {
         let channels = copier.write(|mcap| declare(&sample_views, mcap))?;
         for record in log.by_ref() {
             let record = record?;
@@ -181,7 +193,7 @@ mod tests {
         let path = folder.path().join("log.mcap");
         write(&path, 9_000, true);
         let before = records(&path);
-        let packed = pack(&path, None, false).unwrap();
+        let packed = pack(&path, None, PackExtras::Index).unwrap();
         assert!(!packed.already_packed && packed.bytes < packed.bytes_before / 4, "{packed:?}");
         assert_eq!(records(&path), before);
         let bytes = std::fs::read(&path).unwrap();
@@ -189,7 +201,7 @@ mod tests {
         assert!(summary.chunk_indexes.len() > 1, "{}", summary.chunk_indexes.len());
         assert_eq!(summary.stats.unwrap().message_count, 9_000);
         assert_eq!(mcap::MessageStream::new(&bytes).unwrap().count(), 9_000);
-        assert!(pack(&path, None, false).unwrap().already_packed);
+        assert!(pack(&path, None, PackExtras::Index).unwrap().already_packed);
         assert_eq!(std::fs::read(&path).unwrap(), bytes);
     }
 
@@ -198,7 +210,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (path, packed) = (folder.path().join("log.mcap"), folder.path().join("packed.mcap"));
         write(&path, 100, true);
-        pack(&path, Some(&packed), true).unwrap();
+        pack(&path, Some(&packed), PackExtras::Views).unwrap();
         assert_eq!(records(&packed), records(&path));
         let bytes = std::fs::read(&packed).unwrap();
         let messages: Vec<_> = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
@@ -209,12 +221,16 @@ mod tests {
         assert_eq!(measures[7].log_time, 7);
         assert_eq!(measures[7].data[4..8], 7.0_f32.to_le_bytes());
         // Packed again they are there once, or not at all.
-        for (views, count) in [(true, messages.len()), (false, 100)] {
-            let again = folder.path().join(format!("again-{views}.mcap"));
-            pack(&packed, Some(&again), views).unwrap();
+        let mut sizes = Vec::new();
+        let kinds = [(PackExtras::Views, messages.len()), (PackExtras::Index, 100), (PackExtras::Nothing, 100)];
+        for (extras, count) in kinds {
+            let again = folder.path().join(format!("again-{extras:?}.mcap"));
+            sizes.push(pack(&packed, Some(&again), extras).unwrap().bytes);
             let bytes = std::fs::read(&again).unwrap();
             assert_eq!((mcap::MessageStream::new(&bytes).unwrap().count(), records(&again)), (count, records(&path)));
         }
+        // An entry of the index is an instant and a place.
+        assert!(sizes[0] > sizes[1] && sizes[1] > sizes[2] + 100 * 16, "{sizes:?}");
         let schema = measures[0].channel.schema.as_ref().unwrap();
         assert_eq!(std::str::from_utf8(&schema.data).unwrap(), "float32 reward # \nfloat32 error # \n");
     }
@@ -225,12 +241,12 @@ mod tests {
         let path = folder.path().join("log.mcap");
         write(&path, 9_000, false);
         let before = std::fs::read(&path).unwrap();
-        let error = pack(&path, None, false).unwrap_err().to_string();
+        let error = pack(&path, None, PackExtras::Index).unwrap_err().to_string();
         assert!(error.contains("torn") && error.contains("tectum log repair"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), before);
         repair(&path, None).unwrap();
         let all = records(&path);
-        pack(&path, None, false).unwrap();
+        pack(&path, None, PackExtras::Index).unwrap();
         let bytes = std::fs::read(&path).unwrap();
         let cut = folder.path().join("cut.mcap");
         for length in (0..bytes.len()).step_by(bytes.len() / 50) {

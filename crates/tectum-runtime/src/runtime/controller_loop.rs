@@ -189,7 +189,9 @@ impl<A: Agent> ControllerLoopState<A> {
         if let (Some(to), Some(ahead)) = (&ports.ahead, ahead) {
             to.send(&Ahead { header: Header { flags: 0, ..self.command.header }, ..*ahead })?;
         }
-        Ok(ports.command.send(&self.command)?)
+        ports.command.send(&self.command)?;
+        ports.wake_plant.notify_waiting();
+        Ok(())
     }
 
     /// Sends the learning record, and appends both to the log.
@@ -296,6 +298,7 @@ impl<A: Agent> ControllerLoop<A> {
             .begin(status_board, || Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 1))?;
         precise_timers();
         let real = time.is_real();
+        let backoff = ports.doze.take().map_or_else(Backoff::default, Backoff::dozing);
         state.set_writer(session.participant.manifest.run_id(), session.incarnation());
         let mut controller_loop = Self {
             meter: real.then(|| BudgetMeter::new(session.participant.plan.period_ns)),
@@ -309,7 +312,7 @@ impl<A: Agent> ControllerLoop<A> {
             ports,
             state,
             save_every,
-            backoff: Backoff::default(),
+            backoff,
             real,
         };
         if restarted {

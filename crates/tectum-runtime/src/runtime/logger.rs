@@ -168,6 +168,25 @@ fn check_losses(session: &Session, time: &TimeSource, report: &LoggerReport) -> 
     Ok(())
 }
 
+/// How long the logger sleeps between two polls, ns, and how often it may find nothing until it writes a tick without
+/// the samples that have not arrived.
+///
+/// No process waits for a particular sample to be logged, so the logger polls instead of being woken: often enough to
+/// stay far from the end of its buffer, and seldom enough to cost nothing. What it has not taken yet waits in rings that
+/// outlive it. In lockstep a poll costs as much as some ticks, and takes their core; a ring holds what the fastest run
+/// does in several milliseconds.
+fn pace(period_ns: u64, real: bool) -> (u64, u64) {
+    const LOCKSTEP_NS: u64 = 1_000_000;
+    const SHORTEST_NS: u64 = 200_000;
+    if !real {
+        return (LOCKSTEP_NS, u64::MAX);
+    }
+    let poll_ns = (4 * period_ns).clamp(SHORTEST_NS, 200_000_000);
+    // A sample may never arrive. Two periods are enough, and with short ones the writer may be held up for some.
+    let patience_ns = (2 * period_ns).max(8 * period_ns.clamp(SHORTEST_NS, 50_000_000));
+    (poll_ns, patience_ns.div_ceil(poll_ns))
+}
+
 /// Receives and writes until both senders have finished and everything is written.
 fn follow(
     merger: &mut LogMerger,
@@ -176,12 +195,8 @@ fn follow(
     session: &mut Session,
     time: &TimeSource,
 ) -> Result<(), RuntimeError> {
-    // No process waits for a particular sample to be logged, so the logger polls instead of being woken: often
-    // enough to stay far from the end of its buffer, and seldom enough to cost nothing.
     let real = time.is_real();
-    let poll_ns = if real { session.participant.plan.period_ns.clamp(200_000, 50_000_000) } else { 200_000 };
-    // In real time a sample may never arrive. Its tick is then written without it after two periods.
-    let max_idle_polls = (2 * session.participant.plan.period_ns / poll_ns).max(8);
+    let (poll_ns, max_idle_polls) = pace(session.participant.plan.period_ns, real);
     let mut idle_polls = 0;
     let mut learning = FaultyChannel::of(&session.participant.plan);
     let sync_ns = session.participant.plan.scenario.log.sync_s.map(|seconds| (1e9 * seconds) as u64);
@@ -282,4 +297,21 @@ fn header(session: &Session, time: &TimeSource, recovered: &LogRecovery) -> LogH
             reports.into_iter().filter_map(|(role, report)| Some((role.name().to_owned(), text(report?)))).collect();
     }
     header
+}
+
+#[cfg(test)]
+mod tests {
+    use super::pace;
+
+    /// In real time: far less than a ring holds between two polls, and a missing sample is waited for as long whatever
+    /// the pace is.
+    #[test]
+    fn polls_are_rare_and_rings_do_not_overflow() {
+        for (period_ms, poll_ms, polls) in [(0.05, 0.2, 8), (1.0, 4.0, 2), (50.0, 200.0, 2), (1000.0, 200.0, 10)] {
+            let (poll_ns, idle) = pace((1e6 * period_ms) as u64, true);
+            assert_eq!((poll_ns, idle), ((1e6 * poll_ms) as u64, polls), "{period_ms}");
+            assert!(poll_ms / period_ms <= 4.0);
+        }
+        assert_eq!(pace(50_000_000, false).0, 1_000_000);
+    }
 }

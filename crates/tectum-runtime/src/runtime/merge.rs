@@ -145,6 +145,8 @@ pub(super) struct LogMerger {
     before: LogSegment,
     /// The first tick of this segment.
     first_tick: u64,
+    /// Whether something was written since the last flush.
+    unflushed: bool,
     /// Flushes since the log was last compared with what was written.
     unchecked: u32,
     /// The newest tick of which a sample was written or left out.
@@ -189,6 +191,7 @@ impl LogMerger {
             failure: None,
             before: recovered.segment,
             first_tick: recovered.last_ticks.into_iter().min().flatten().map_or(0, |tick| tick + 1),
+            unflushed: true,
             unchecked: 0,
             written_tick: None,
             rotator: None,
@@ -261,8 +264,11 @@ impl LogMerger {
         if input.missing_since.is_none() {
             if !tick.is_multiple_of(self.every) {
                 input.thinned += 1;
-            } else if let Some(Err(error)) = self.log.as_mut().map(|log| log.append(record)) {
-                self.give_up(tick, &error);
+            } else {
+                self.unflushed = true;
+                if let Some(Err(error)) = self.log.as_mut().map(|log| log.append(record)) {
+                    self.give_up(tick, &error);
+                }
             }
         }
         self.inputs[first].head = None;
@@ -275,6 +281,10 @@ impl LogMerger {
         self.unchecked += 1;
         let check = self.unchecked >= CHECK_EVERY;
         self.unchecked *= u32::from(!check);
+        // Most polls of a thinned log find nothing to write.
+        if !std::mem::take(&mut self.unflushed) && !check {
+            return;
+        }
         let Some(log) = &mut self.log else { return };
         if let Err(error) = log.flush().and_then(|()| if check { log.check_in_place() } else { Ok(()) }) {
             self.give_up(self.consumed(), &error);
@@ -333,6 +343,7 @@ impl LogMerger {
                 (self.log, self.before, self.first_tick) = (Some(next), segment, tick);
                 // With the account: one stretch of samples may fill several segments, and a logger that is killed in it
                 // would leave them all to be read again.
+                self.unflushed = true;
                 self.flush();
             }
             Err(error) => self.give_up(tick, &error),

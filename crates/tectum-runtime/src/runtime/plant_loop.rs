@@ -137,6 +137,8 @@ struct PlantLoop<P> {
     ports: PlantPorts,
     real: bool,
     backoff: Backoff,
+    /// For the logger, which wakes nobody.
+    logger_backoff: Backoff,
     /// The run's number of ticks.
     ticks: u64,
     checkpoints: CheckpointSchedule,
@@ -177,6 +179,7 @@ impl<P: Plant> PlantLoop<P> {
         precise_timers();
 
         let real = time.is_real();
+        let backoff = ports.doze.take().map_or_else(Backoff::default, Backoff::dozing);
         state.observation.header.run = session.participant.manifest.run_id();
         state.observation.header.incarnation = session.incarnation();
         let manifest = &session.participant.manifest;
@@ -188,7 +191,8 @@ impl<P: Plant> PlantLoop<P> {
             wake_up: histogram(),
             work: histogram(),
             real,
-            backoff: Backoff::default(),
+            backoff,
+            logger_backoff: Backoff::default(),
             ticks: session.participant.plan.scenario.ticks,
             checkpoints: CheckpointSchedule::new(manifest.checkpoint_every, session.checkpoints_requested(), real),
             tick: manifest.resumed.as_ref().map_or(0, |resumed| resumed.tick),
@@ -361,9 +365,9 @@ impl<P: Plant> PlantLoop<P> {
     /// first.
     fn await_logger(&mut self) -> Result<bool, RuntimeError> {
         let board: &mut BoardReader<Status> = &mut self.ports.logger;
-        self.backoff.begin();
+        self.logger_backoff.begin();
         while board.get().consumed + (LOG_BUFFER as u64) < self.tick + CREDIT_TICKS {
-            if self.backoff.pause() {
+            if self.logger_backoff.pause() {
                 self.logger.check(board, &self.session)?;
                 if self.session.end_reason().is_some() {
                     return Ok(false);
@@ -418,6 +422,8 @@ impl<P: Plant> PlantLoop<P> {
         if self.real {
             self.ports.wake.notify();
             self.work.saturating_record(self.time.now().saturating_sub(woken));
+        } else {
+            self.ports.wake.notify_waiting();
         }
         self.ports.log.append(&self.state.observation);
         self.session.status.sent = self.state.sent_count;
