@@ -41,8 +41,8 @@ impl TerminationSignals {
         Ok(signals)
     }
 
-    /// The same for a loop that sleeps for long in `poll`. A signal ends such a sleep, but not one that begins just after
-    /// the loop has looked at the flags; the [alarm](Self::alarm) does.
+    /// The same for a loop that sleeps for long in `poll`. A signal ends such a sleep, but not one that begins just
+    /// after the loop has looked at the flags; the [alarm](Self::alarm) does.
     ///
     /// # Errors
     /// As for [`install`](Self::install).

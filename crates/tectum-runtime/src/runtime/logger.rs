@@ -172,9 +172,9 @@ fn check_losses(session: &Session, time: &TimeSource, report: &LoggerReport) -> 
 /// the samples that have not arrived.
 ///
 /// No process waits for a particular sample to be logged, so the logger polls instead of being woken: often enough to
-/// stay far from the end of its buffer, and seldom enough to cost nothing. What it has not taken yet waits in rings that
-/// outlive it. In lockstep a poll costs as much as some ticks, and takes their core; a ring holds what the fastest run
-/// does in several milliseconds.
+/// stay far from the end of its buffer, and seldom enough to cost nothing. What it has not taken yet waits in rings
+/// that outlive it. In lockstep a poll costs as much as some ticks, and takes their core; a ring holds what the fastest
+/// run does in several milliseconds.
 fn pace(period_ns: u64, real: bool) -> (u64, u64) {
     const LOCKSTEP_NS: u64 = 1_000_000;
     const SHORTEST_NS: u64 = 200_000;
