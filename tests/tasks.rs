@@ -133,6 +133,27 @@ fn the_list_names_tasks_levels_and_controllers() {
 }
 
 #[test]
+fn a_folder_has_table_tests_and_a_figure_for_each_task() {
+    let test_folder = TestFolder::new();
+    let arguments = ["--task", "cart-pole", "--task", "point-mass", "--seeds", "2", "--ticks", "200", "--out", "run"];
+    let learners = ["--learner", "actor-critic", "--learner", "zero"];
+    let table = tasks_in(&test_folder, &[&arguments[..], &learners].concat());
+    let file = |name: &str| std::fs::read_to_string(test_folder.run_folder().join(name)).unwrap();
+    assert_eq!(
+        (&table["folder"], serde_json::from_str::<Value>(&file("tasks.json")).unwrap()),
+        (&"run".into(), table.clone())
+    );
+    let curves = file("curves.csv");
+    // Four tests of two seeds, and one of the reference, on each.
+    assert_eq!(curves.lines().count(), 1 + 2 * (2 * 4 + 1), "{curves}");
+    assert!(curves.contains("\ncart-pole,actor-critic,5001,200,0,") && curves.contains("\npoint-mass,zero,,0,0,"));
+    for (task, words) in [("cart-pole", "1 - reward a tick"), ("point-mass", "loss a tick in the test")] {
+        let figure = file(&format!("{task}.svg"));
+        assert!(figure.contains(words) && figure.contains("level 0.1") && figure.contains("actor-critic"), "{task}");
+    }
+}
+
+#[test]
 fn the_table_is_text_for_people() {
     let test_folder = TestFolder::new();
     let arguments = ["tasks", "--task", "pendulum", "--learner", "energy-swing-up", "--learner", "zero"];

@@ -1,5 +1,6 @@
 //! `tectum tasks`: the table of all learners on all tasks.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Args;
@@ -23,6 +24,7 @@ Examples:
                                                 one learner beside a planner that knows the arm
   tectum tasks --task pendulum --learner model-predictive --learner mine.toml
                                                 a controller of your own beside it (docs/controllers.md)
+  tectum tasks --task cart-pole --out figures   table, tests and a figure, figures/cart-pole.svg
   tectum tasks --json > tasks.json              everything; takes hours")]
 pub struct Arguments {
     /// A task; may be given more than once [default: the usual ones]
@@ -41,8 +43,11 @@ pub struct Arguments {
     /// Length of every run, in place of each task's usual one
     #[arg(long, value_name = "N", value_parser = tick_count, allow_negative_numbers = true)]
     ticks: Option<u64>,
+    /// Folder for the table, every test (curves.csv), and a figure for each task (TASK.svg)
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// List tasks, learners and reference controllers, and measure nothing
-    #[arg(long, conflicts_with_all = ["task", "learner", "seeds", "first_seed", "ticks"])]
+    #[arg(long, conflicts_with_all = ["task", "learner", "seeds", "first_seed", "ticks", "out"])]
     list: bool,
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -60,6 +65,7 @@ pub fn main(arguments: &Arguments) -> ExitCode {
         seeds: arguments.seeds,
         first_seed: arguments.first_seed,
         ticks: arguments.ticks,
+        out: arguments.out.clone(),
         progress: true,
     };
     let text = |table: TaskTable| if arguments.json { table.to_json() + "\n" } else { table.to_text() };

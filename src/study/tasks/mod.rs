@@ -7,6 +7,7 @@
 //! times is a function of tasks, controllers and seeds.
 
 mod candidate;
+mod files;
 mod levels;
 mod listing;
 mod outcome;
@@ -22,6 +23,7 @@ pub use outcome::TaskOutcome;
 pub use references::ReferenceKind;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use serde::Serialize;
 
@@ -29,6 +31,8 @@ use super::{StudyError, WorkerPool};
 use crate::clock::{machine_facts, monotonic_ns};
 use crate::plant::task::{self, Task};
 use crate::scenario::{nearest_name, word_list};
+use crate::supervise::RunFolder;
+use files::TaskRuns;
 use outcome::RunResult;
 use plan::TaskPlan;
 
@@ -46,6 +50,8 @@ pub struct TaskStudy {
     pub first_seed: u64,
     /// Length of every run, ticks; `None` for each task's usual length.
     pub ticks: Option<u64>,
+    /// The folder for table, curves and figures; none without one.
+    pub out: Option<PathBuf>,
     /// Show a progress line on standard error, if that is a terminal.
     pub progress: bool,
 }
@@ -61,6 +67,12 @@ pub struct TaskTable {
     machine: BTreeMap<String, String>,
     /// Seconds that the study took.
     seconds: f64,
+    /// The runs of each entry, for the files.
+    #[serde(skip)]
+    runs: Vec<TaskRuns>,
+    /// The folder with the files.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    folder: Option<PathBuf>,
 }
 
 /// One job of the pool: a controller on a task, with one seed.
@@ -93,6 +105,7 @@ pub fn measure(study: &TaskStudy) -> Result<TaskTable, StudyError> {
         }
     }
     let pool = WorkerPool::new(study.progress)?;
+    let folder = study.out.as_deref().map(|out| RunFolder::create(Some(out), None, "tasks")).transpose()?;
     let began = monotonic_ns();
     let jobs = jobs(study, &plans, &candidates);
     let ticks = jobs.iter().map(|job| job.candidate.ticks(job.task)).sum();
@@ -106,7 +119,14 @@ pub fn measure(study: &TaskStudy) -> Result<TaskTable, StudyError> {
     // Several programs may have failed at once: the first says why.
     let results = results.into_iter().collect::<Result<Vec<_>, _>>()?;
     let seconds = (monotonic_ns() - began) as f64 / 1e9;
-    Ok(TaskTable { tasks: outcomes(&jobs, results), build: crate::BUILD, machine: machine_facts(), seconds })
+    let (tasks, runs) = outcomes(&jobs, results).into_iter().unzip();
+    let path = folder.as_ref().map(|folder| folder.path().to_owned());
+    let table = TaskTable { tasks, build: crate::BUILD, machine: machine_facts(), seconds, runs, folder: path };
+    if let Some(folder) = folder {
+        folder.keep();
+        files::write(&table, folder.path())?;
+    }
+    Ok(table)
 }
 
 /// All jobs: the references, which are the same for all seeds, and then seed by seed.
@@ -124,7 +144,7 @@ fn jobs<'a>(study: &TaskStudy, plans: &'a [TaskPlan], candidates: &'a [Candidate
 }
 
 /// The results by task and controller, in the order in which they were asked for.
-fn outcomes(jobs: &[Job], results: Vec<Option<RunResult>>) -> Vec<TaskOutcome> {
+fn outcomes(jobs: &[Job], results: Vec<Option<RunResult>>) -> Vec<(TaskOutcome, TaskRuns)> {
     let mut found: BTreeMap<(usize, usize), Vec<(&Job, RunResult)>> = BTreeMap::new();
     for (job, result) in jobs.iter().zip(results) {
         if let Some(result) = result {
@@ -134,8 +154,8 @@ fn outcomes(jobs: &[Job], results: Vec<Option<RunResult>>) -> Vec<TaskOutcome> {
     let of = |mut runs: Vec<(&Job, RunResult)>| {
         runs.sort_by_key(|(job, _)| job.seed);
         let job = runs.first()?.0;
-        let runs: Vec<_> = runs.into_iter().map(|(job, result)| (job.seed, result)).collect();
-        Some(TaskOutcome::of(job.task, job.candidate, &runs))
+        let runs: TaskRuns = runs.into_iter().map(|(job, result)| (job.seed, result)).collect();
+        Some((TaskOutcome::of(job.task, job.candidate, &runs), runs))
     };
     found.into_values().filter_map(of).collect()
 }

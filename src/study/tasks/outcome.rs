@@ -59,6 +59,9 @@ pub struct TaskOutcome {
     pub reference: bool,
     /// The level, in words.
     pub level: String,
+    /// The level as a reward a tick, if it is one.
+    #[serde(skip)]
+    pub(super) level_reward: Option<f64>,
     /// The seeds, in the order of all lists. A reference controller has one run and no seeds.
     pub seeds: Vec<u64>,
     /// Length of a run, ticks.
@@ -104,6 +107,7 @@ impl TaskOutcome {
             learner: candidate.name(),
             reference: is_reference,
             level: level.words(),
+            level_reward: level.reward,
             seeds: if is_reference { Vec::new() } else { runs.iter().map(|(seed, _)| *seed).collect() },
             ticks: candidate.ticks(task),
             period_ms: task.task.period_ms,

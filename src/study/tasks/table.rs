@@ -32,6 +32,9 @@ impl TaskTable {
         let mut text = columns(&rows);
         let cores = self.machine.get("cores").map_or("the", String::as_str);
         let _ = writeln!(text, "\n{:.1} s, runs sharing {cores} cores; end, reward: worst of the seeds", self.seconds);
+        if let Some(folder) = &self.folder {
+            let _ = writeln!(text, "folder  {}", folder.display());
+        }
         text
     }
 }

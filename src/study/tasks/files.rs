@@ -1,0 +1,82 @@
+//! The files of a study of tasks: the table as JSON, every test as CSV, and a figure for each task.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use super::outcome::RunResult;
+use super::{TaskOutcome, TaskTable};
+use crate::report::figure::learning::{CurvePoint, LearnerCurve, LearningFigure, LearningPanel, ReferenceLine, draw};
+use crate::stats::Spread;
+use crate::study::StudyError;
+use crate::study::compare::{LEARNERS, name_of};
+use crate::study::error::write_file;
+
+/// The runs of a controller on a task, with their seeds.
+pub(super) type TaskRuns = Vec<(u64, RunResult)>;
+
+/// Writes the files into `folder`.
+///
+/// # Errors
+/// When one cannot be written.
+pub(super) fn write(table: &TaskTable, folder: &Path) -> Result<(), StudyError> {
+    write_file(&folder.join("tasks.json"), table.to_json())?;
+    write_file(&folder.join("curves.csv"), test_rows(table))?;
+    let entries: Vec<_> = table.tasks.iter().zip(&table.runs).collect();
+    for entries in entries.chunk_by(|(a, _), (b, _)| a.task == b.task) {
+        draw(&figure(entries), &folder.join(format!("{}.svg", entries[0].0.task)))?;
+    }
+    Ok(())
+}
+
+/// `curves.csv`: one row per test. A reference controller has no seed.
+fn test_rows(table: &TaskTable) -> String {
+    let mut text = "task,learner,seed,tick,changed,reward,end\n".to_owned();
+    for (outcome, runs) in table.tasks.iter().zip(&table.runs) {
+        for (seed, run) in runs {
+            let seed = if outcome.reference { String::new() } else { seed.to_string() };
+            for test in &run.tests {
+                let (reward, end) = (test.score.reward, test.score.end);
+                let (task, learner, tick) = (&outcome.task, &outcome.learner, test.tick);
+                let _ = writeln!(text, "{task},{learner},{seed},{tick},{},{reward},{end}", u8::from(test.changed));
+            }
+        }
+    }
+    text
+}
+
+/// The learning curves of one task up to its change, on logarithmic axes. A reward of at most 1 is shown as what is
+/// missing of it.
+fn figure(entries: &[(&TaskOutcome, &TaskRuns)]) -> LearningFigure {
+    let outcome = entries[0].0;
+    let best = if outcome.level_reward.is_some_and(|level| level > 0.0) { 1.0 } else { 0.0 };
+    let (learners, references): (Vec<_>, Vec<_>) = entries.iter().partition(|(outcome, _)| !outcome.reference);
+    let level = outcome.level_reward.map(|reward| ReferenceLine { name: "level".to_owned(), value: best - reward });
+    let line = |(outcome, _): &(&TaskOutcome, &TaskRuns)| {
+        let value = best - outcome.reward.first()?;
+        Some(ReferenceLine { name: outcome.learner.clone(), value })
+    };
+    let panel = LearningPanel {
+        title: format!("{}, ticks of {} ms", outcome.task, outcome.period_ms),
+        x: "ticks".to_owned(),
+        curves: learners.iter().enumerate().map(|(i, entry)| curve(i, entry, best)).collect(),
+        lines: level.into_iter().chain(references.iter().filter_map(line)).collect(),
+    };
+    let seeds = learners.iter().map(|(outcome, _)| outcome.seeds.len()).max().unwrap_or(0);
+    let what = if best > 0.0 { "1 - reward" } else { "loss" };
+    LearningFigure {
+        title: format!("{what} a tick in the test, without exploration noise; median and range of {seeds} seeds"),
+        panels: vec![panel],
+    }
+}
+
+fn curve(place: usize, (outcome, runs): &(&TaskOutcome, &TaskRuns), best: f64) -> LearnerCurve {
+    let tests = |run: usize| runs[run].1.tests.iter().filter(|test| !test.changed);
+    let points = tests(0).enumerate().filter_map(|(at, first)| {
+        let losses = (0..runs.len()).filter_map(|run| tests(run).nth(at)).map(|test| best - test.score.reward);
+        let Spread { min, median, max } = Spread::of(losses)?;
+        Some(CurvePoint { ticks: first.tick, low: min, middle: median, high: max })
+    });
+    // A rule has its colour in all figures, also in those of a comparison.
+    let colour = LEARNERS.iter().position(|&rule| name_of(rule) == outcome.learner);
+    LearnerCurve { name: outcome.learner.clone(), colour: colour.unwrap_or(place), points: points.collect() }
+}
