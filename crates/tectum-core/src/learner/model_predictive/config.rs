@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 pub struct ModelPredictiveConfig {
     /// Length of a plan, ticks; 0 for one that follows from the number of inputs and commands.
     pub horizon: usize,
-    /// Iterations of the plan in every tick.
+    /// Iterations of the plan in every tick, where the budget allows them.
     pub iterations: usize,
     /// Iterations of a rival plan in every tick.
     pub rival_iterations: usize,
@@ -34,8 +34,8 @@ pub struct ModelPredictiveConfig {
     pub first_noise: f64,
     /// Millions of operations that refits may take in a tick.
     pub refit_operations: f64,
-    /// Millions of operations that a tick may take in all; 0 for no limit. Learning from the tick and improving the
-    /// plan are always done; refits and rivals share what is left.
+    /// Millions of operations that a tick may take in all; 0 for no limit. Learning from the tick, a slice of a refit
+    /// and one iteration of the plan are always done; more of them, and rivals, share what is left.
     pub operations: f64,
     /// Least noise of a model, as a part of its prior's scale.
     pub noise_floor: f64,

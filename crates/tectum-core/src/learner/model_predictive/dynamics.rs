@@ -8,6 +8,7 @@ use super::layout::Places;
 use super::layouts::dynamics_layout;
 use super::memory::{ChangeData, Lesson, Memory};
 use super::model::{Model, ModelSize};
+use super::operations::RefitShare;
 use super::refit::RefitSettings;
 use crate::seed::Rng;
 use crate::state::{Persist, StateVisitor};
@@ -127,13 +128,11 @@ impl Dynamics {
         self.moving != 0 && self.movers().all(|(_, model)| model.refit.completed > 0)
     }
 
-    /// Works on refits. Returns the operations that it took.
-    pub fn work(&mut self, memory: &Memory, operations: u64, rng: &mut Rng) -> u64 {
-        let mut done = 0;
+    /// Works on refits, as far as the tick's share goes.
+    pub fn work(&mut self, memory: &Memory, share: &mut RefitShare, rng: &mut Rng) {
         for (i, model) in self.movers() {
-            done += model.work(&ChangeData { memory, input: i }, operations.saturating_sub(done), rng).0;
+            model.work(&ChangeData { memory, input: i }, share, rng);
         }
-        done
     }
 
     /// Makes an input's model less certain.

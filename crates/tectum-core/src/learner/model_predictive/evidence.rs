@@ -146,7 +146,8 @@ impl Evidence {
     /// Operations of one step.
     pub fn cost(&self, layout: &Layout) -> u64 {
         let n = self.len as u64;
-        n * n / 2 * (14 * layout.units.len() as u64 + 60 + 3 * self.outputs as u64) + n * n * n
+        // Pairs, in loops of half of the points on average.
+        n * (n + 16) / 2 * (14 * layout.units.len() as u64 + 60 + 3 * self.outputs as u64) + n * n * n
     }
 
     /// The log evidence with the prior of the scales; its gradient is then in `gradient`. `None` if the matrix is

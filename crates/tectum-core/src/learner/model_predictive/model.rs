@@ -3,6 +3,7 @@
 use super::features::{BasisValues, ModelFeatures};
 use super::layout::{Layout, NOISE};
 use super::memory::{Data, Lesson};
+use super::operations::RefitShare;
 use super::refit::{Refit, RefitSettings, RefitSource};
 use super::regression::Regression;
 use super::weighted::Weighted;
@@ -203,19 +204,18 @@ impl Model {
         apart.iter().map(|x| x * x).sum::<f64>() / (apart.len() as f64).max(1.0)
     }
 
-    /// Works on the refit with about `operations`. Returns how many it took, and whether a new fit is in use.
-    pub fn work(&mut self, data: &dyn Data, operations: u64, rng: &mut Rng) -> (u64, bool) {
+    /// Works on the refit as far as the tick's share goes. Returns whether a new fit is in use.
+    pub fn work(&mut self, data: &dyn Data, share: &mut RefitShare, rng: &mut Rng) -> bool {
         let Self { layout, fit, refit, basis, phi, .. } = self;
         let mut source = RefitSource { layout, fit, data, basis, phi };
-        let mut done = 0;
-        while done < operations && refit.busy() {
+        while refit.busy() && share.takes(refit.next_cost(&source)) {
             let (cost, finished) = refit.step(&mut source, rng);
-            done += cost;
+            share.done += cost;
             if finished {
-                return (done, true);
+                return true;
             }
         }
-        (done, false)
+        false
     }
 }
 

@@ -24,6 +24,10 @@ use super::model::{MAX_MODEL_OUTPUTS, ModelFit, normal};
 use crate::seed::Rng;
 use crate::state::StateVisitor;
 
+/// Ticks that are caught up in a slice: more than one, so that a refit comes nearer to the present even where the
+/// budget allows a slice a tick.
+const AT_ONCE: u64 = 2;
+
 /// How models are fitted anew.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RefitSettings {
@@ -196,6 +200,27 @@ impl Refit {
         self.at = 0;
     }
 
+    /// Operations of the next slice, at most.
+    pub fn next_cost(&self, source: &RefitSource) -> u64 {
+        let (len, outputs) = (self.row.len() as u64, source.fit.regression.outputs as u64);
+        match self.phase {
+            Phase::Idle => 0,
+            Phase::Points => self.cost_of_points(source),
+            Phase::Ascend => self.evidence.cost(source.layout),
+            Phase::Gather => len * (len + 2 * outputs),
+            Phase::Factor | Phase::Again => self.cost_of_row(),
+            Phase::Weigh => 3 * len * len * outputs,
+            Phase::InvertLower => self.cost_of_row() + self.cost_of_samples(),
+            Phase::Invert => 2 * (len - self.at) * (self.at + 1),
+            Phase::CatchUp => AT_ONCE * self.next.regression.cost_in_row(),
+        }
+    }
+
+    /// Operations on row `at` of a triangle.
+    fn cost_of_row(&self) -> u64 {
+        (self.at + 1) * (self.at + 1)
+    }
+
     /// One slice. Returns its operations, and whether `fit` is a new one now.
     pub fn step(&mut self, source: &mut RefitSource, rng: &mut Rng) -> (u64, bool) {
         let len = source.fit.regression.len;
@@ -208,7 +233,17 @@ impl Refit {
             Phase::Weigh => self.weigh(len),
             Phase::InvertLower => self.invert_lower(len, rng),
             Phase::Invert => self.invert(len),
-            Phase::CatchUp => return self.catch_up(source, rng),
+            Phase::CatchUp => {
+                let mut cost = 0;
+                for _ in 0..AT_ONCE {
+                    let (more, finished) = self.catch_up(source, rng);
+                    cost += more;
+                    if finished {
+                        return (cost, true);
+                    }
+                }
+                cost
+            }
         };
         (cost, false)
     }
@@ -323,7 +358,7 @@ impl Refit {
         regression.prepare(&self.phi);
         regression.discount(noisier);
         regression.update(&self.phi, &errors[..outputs], || normal(rng));
-        (regression.cost(), false)
+        (regression.cost_in_row(), false)
     }
 
     /// Passes on the state.

@@ -16,6 +16,7 @@ use rand::RngExt as _;
 
 use super::linalg::{add_scaled, cholesky, dot, packed, solve_lower, solve_lower_transposed};
 use super::memory::Memory;
+use super::operations::StepCost;
 use super::planner::{CommandPlan, FIRST_MU};
 use super::world::{CHANGE, LearnedWorld, World as _, wrap};
 use crate::seed::Rng;
@@ -51,6 +52,14 @@ pub fn draw(
             add_wave(rng, rival, world.places.commands);
         }
         _ => approach(rng, world, memory, moving, start, rival),
+    }
+}
+
+/// Operations of drawing a rival of `kind`.
+pub fn cost(kind: u32, cost: &StepCost, horizon: usize) -> u64 {
+    match kind {
+        0..=2 => 0,
+        _ => POSTURES as u64 * cost.posture + (horizon as u64 + 1) * (cost.movement + cost.step),
     }
 }
 

@@ -4,7 +4,7 @@ use super::super::alignment::RewardAssumption;
 use super::super::belief::BeliefVerdict;
 use super::super::memory::{ChangeData, Data, Entry, Lesson, RewardData};
 use super::super::model::{CONTACT, Model, SAMPLE};
-use super::super::operations::of_model;
+use super::super::operations::{RefitShare, of_model};
 use super::super::world::{CHANGE, Ranges};
 use super::ModelPredictive;
 use crate::MAX_INPUTS;
@@ -254,17 +254,14 @@ impl ModelPredictive {
             self.refits += 1;
             self.next_refit = self.tick + (0.35 * self.tick as f64).min(1000.0) as u64 + 10;
         }
-        let mut left = self.refit_operations();
+        let mut share = RefitShare { most: self.refit_operations(), done: 0 };
         let better = self.better();
-        let used = self.dynamics.work(&self.memory, left, &mut self.rng);
-        self.budget.spent += used;
-        left = left.saturating_sub(used);
+        self.dynamics.work(&self.memory, &mut share, &mut self.rng);
         for k in [better, 1 - better] {
             let data = RewardData { memory: &self.memory, after: k == 1, shift: self.shift };
-            let (used, _) = self.rewards[k].work(&data, left, &mut self.rng);
-            self.budget.spent += used;
-            left = left.saturating_sub(used);
+            self.rewards[k].work(&data, &mut share, &mut self.rng);
         }
+        self.budget.spent += share.done;
     }
 
     /// After an alarm: ticks from before it no longer teach how an input moves, or the reward, if the model has adapted

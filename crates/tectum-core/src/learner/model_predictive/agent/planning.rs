@@ -46,25 +46,20 @@ impl ModelPredictive {
         // A plan that cannot become better has raised this: its gains would vanish, and with them the answer to what
         // was not foreseen.
         self.plan.mu = self.plan.mu.min(FIRST_MU);
-        let began = self.planner.work;
-        self.planner.roll_out(&mut world, &mut self.plan, &self.start);
-        for _ in 0..self.config.iterations {
-            self.planner.improve(&mut world, &mut self.plan);
-        }
-        self.budget.spend_work(began, self.planner.work);
+        self.budget.spent += self.budget.cost.first();
+        // The first iteration is always made: it has the gains, with which the next observation is answered.
+        let iterations = [1, self.config.iterations];
+        work_on((&mut self.planner, &mut self.budget), &mut world, (&mut self.plan, &self.start), iterations);
         for _ in 0..self.rivals {
             if !self.budget.has_iteration(self.plan.horizon) {
                 break;
             }
             self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
             let known = (&self.memory, moving);
+            self.budget.spent += rivals::cost(self.rival_kind, &self.budget.cost, self.plan.horizon);
             rivals::draw(self.rival_kind, &mut self.rng, &mut world, known, &self.plan, &mut self.rival);
-            work_on_rival(
-                (&mut self.planner, &mut self.budget),
-                &mut world,
-                (&mut self.rival, &self.start),
-                self.config.rival_iterations,
-            );
+            let iterations = [0, self.config.rival_iterations];
+            work_on((&mut self.planner, &mut self.budget), &mut world, (&mut self.rival, &self.start), iterations);
             let gap = (aim - self.plan.value).max(0.0);
             if self.rival.value > self.plan.value + self.config.rival_gain * gap + 1e-9 {
                 self.counts.rivals += 1;
@@ -90,22 +85,22 @@ impl ModelPredictive {
     }
 }
 
-/// Improves a rival from `start`, as far as the budget goes.
-fn work_on_rival(
+/// Improves a plan from `start`: so many iterations at least, and up to so many as far as the budget goes.
+fn work_on(
     (planner, budget): (&mut Planner, &mut OperationBudget),
     world: &mut LearnedWorld,
-    (rival, start): (&mut CommandPlan, &[f64]),
-    iterations: usize,
+    (plan, start): (&mut CommandPlan, &[f64]),
+    [least, most]: [usize; 2],
 ) {
     let mut began = planner.work;
-    planner.roll_out(world, rival, start);
-    for _ in 0..iterations {
+    planner.roll_out(world, plan, start);
+    for iteration in 0..most {
         budget.spend_work(began, planner.work);
         began = planner.work;
-        if !budget.has_iteration(rival.horizon) {
+        if iteration >= least && !budget.has_iteration(plan.horizon) {
             break;
         }
-        planner.improve(world, rival);
+        planner.improve(world, plan);
     }
     budget.spend_work(began, planner.work);
 }

@@ -39,7 +39,19 @@ impl Refit {
         true
     }
 
+    /// Operations of choosing the points: each that is spread out is compared with all ticks, and what the model in use
+    /// finds strange takes its covariance.
+    pub(super) fn cost_of_points(&self, source: &RefitSource) -> u64 {
+        let (first, end) = source.data.range();
+        let (ticks, len) = (end - first, source.fit.regression.len as u64);
+        let wanted = ticks.min(self.settings.points as u64);
+        let each = if self.is_robust() { len * (len + 1) } else { len };
+        let compared = if self.settings.spread { 2 * wanted * source.layout.components as u64 } else { 0 };
+        wanted * each + ticks * compared
+    }
+
     pub(super) fn choose_points(&mut self, source: &mut RefitSource, rng: &mut Rng) -> u64 {
+        let cost = self.cost_of_points(source);
         let RefitSource { layout, fit, data, .. } = &*source;
         let (first, end) = data.range();
         self.range = [first, end];
@@ -78,7 +90,7 @@ impl Refit {
         }
         self.weigh_points();
         self.enter(if self.evidence.len < 8 { Phase::Idle } else { Phase::Ascend });
-        (wanted * source.fit.regression.len) as u64
+        cost
     }
 
     /// Chooses most of the `wanted` points, far from each other over the components of all units. Marks them by a
@@ -148,6 +160,7 @@ mod tests {
     use super::*;
     use crate::learner::model_predictive::layout::Priors;
     use crate::learner::model_predictive::model::{Model, ModelSize};
+    use crate::learner::model_predictive::operations::RefitShare;
     use crate::learner::model_predictive::refit::RefitSettings;
     use crate::seed::stream;
 
@@ -187,7 +200,7 @@ mod tests {
             let mut model =
                 Model::new(layout, ModelSize { outputs: 1, pairs: 4, products: 0, samples: 1 }, settings, rng);
             model.refit.begin();
-            model.work(&MostlyStill, 1, rng);
+            model.work(&MostlyStill, &mut RefitShare::default(), rng);
             let mut q = [0.0];
             let of = |point: usize| {
                 model.refit.evidence.point(point, &mut q);

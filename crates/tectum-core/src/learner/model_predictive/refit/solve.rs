@@ -10,7 +10,7 @@ use crate::seed::Rng;
 
 impl Refit {
     pub(super) fn factor(&mut self, len: usize) -> u64 {
-        let r = self.at as usize;
+        let (r, cost) = (self.at as usize, self.cost_of_row());
         let rows = packed(r)..packed(r + 1);
         let factor = &mut self.next.regression.covariance;
         factor[rows.clone()].copy_from_slice(&self.matrix[rows.clone()]);
@@ -26,7 +26,7 @@ impl Refit {
                 self.solve(len);
             }
         }
-        (r * r + 2 * r + 1) as u64
+        cost
     }
 
     /// Weights, and the sums behind the scales.
@@ -67,8 +67,15 @@ impl Refit {
         cost
     }
 
+    /// Operations of drawing the samples of the posterior, before the first row is inverted.
+    pub(super) fn cost_of_samples(&self) -> u64 {
+        let regression = &self.next.regression;
+        if self.at > 0 { 0 } else { (regression.deviation.len() * regression.len) as u64 }
+    }
+
     pub(super) fn invert_lower(&mut self, len: usize, rng: &mut Rng) -> u64 {
         let r = self.at as usize;
+        let cost = self.cost_of_row() + self.cost_of_samples();
         let regression = &mut self.next.regression;
         if r == 0 {
             let root = regression.lambda.sqrt();
@@ -82,7 +89,7 @@ impl Refit {
         if self.at as usize == len {
             self.enter(Phase::Invert);
         }
-        (r * r + 2 * r + 1) as u64
+        cost
     }
 
     pub(super) fn invert(&mut self, len: usize) -> u64 {
