@@ -94,8 +94,8 @@ fn run(units: [f64; 3], ticks: usize, mut change: impl FnMut(u64, f64) -> f64) -
 #[test]
 fn it_learns_to_reach() {
     // Each target has twenty ticks, and moves take less than ten. Standing still in the middle gives -0.27. The sixth
-    // or seventh may come too early for a few: of 32 seeds 5 targets of 160 were missed, two of them the tenth (9, one of
-    // them the tenth, before operations had prices).
+    // or seventh may come too early for a few: of 32 seeds 5 targets of 160 were missed, two of them the tenth (9, one
+    // of them the tenth, before operations had prices).
     let (mut missed, mut all) = (Vec::new(), 0.0);
     for seed in 1..=8 {
         let (mut plant, mut agent) = (Reach::new([1.0; 3]), seeded([1.0; 3], seed));
