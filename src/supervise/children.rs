@@ -96,7 +96,7 @@ pub(super) struct ChildProcesses {
     /// The process whose place a program takes that waits for another machine, and says so.
     stand_in: Option<Role>,
     /// Whether all processes were still there when the last wait ended, and none had said anything.
-    calm: bool,
+    undisturbed: bool,
 }
 
 impl ChildProcesses {
@@ -117,7 +117,7 @@ impl ChildProcesses {
         let (slots, left) = (Vec::new(), Vec::new());
         let stand_in = stand_in.as_ref().map(|stand_in| stand_in.role);
         let folder = folder.to_owned();
-        let mut children = Self { folder, commands, slots, left, watch_files, stand_in, calm: false };
+        let mut children = Self { folder, commands, slots, left, watch_files, stand_in, undisturbed: false };
         for role in Role::ALL {
             let slot = match children.commands[role as usize] {
                 Some(_) => children.spawn(role)?,
@@ -174,7 +174,7 @@ impl ChildProcesses {
     /// the others have written to their standard error.
     pub fn reap(&mut self, services: &RunServices) -> Vec<ProcessDeath> {
         let mut deaths = Vec::new();
-        if std::mem::take(&mut self.calm) {
+        if std::mem::take(&mut self.undisturbed) {
             return deaths;
         }
         for (role, slot) in Role::ALL.into_iter().zip(&mut self.slots) {
@@ -206,17 +206,17 @@ impl ChildProcesses {
         }
     }
 
-    /// Waits until a process has ended or written to its standard error, `alarm` can be read, or for `ns` nanoseconds.
-    /// Returns false if the time is over, and nothing of that has happened.
-    pub fn await_end(&mut self, ns: u64, alarm: Option<BorrowedFd<'_>>) -> bool {
+    /// Waits until a process has ended or written to its standard error, `signals` can be read, or for `ns`
+    /// nanoseconds. Returns false if the time is over, and nothing of that has happened.
+    pub fn await_end(&mut self, ns: u64, signals: Option<BorrowedFd<'_>>) -> bool {
         let pipes = self.slots.iter().filter_map(|slot| match slot {
             ChildSlot::Child { stderr, .. } => stderr.pipe(),
             _ => None,
         });
-        let pipes = pipes.chain(self.left.iter().filter_map(ErrorOutput::pipe)).chain(alarm);
-        let stirred = ProcessHandle::await_any_or(self.slots.iter().filter_map(ChildSlot::process), pipes, ns);
-        self.calm = !stirred && self.slots.iter().all(ChildSlot::is_awaited);
-        stirred
+        let pipes = pipes.chain(self.left.iter().filter_map(ErrorOutput::pipe)).chain(signals);
+        let happened = ProcessHandle::await_any_or(self.slots.iter().filter_map(ChildSlot::process), pipes, ns);
+        self.undisturbed = !happened && self.slots.iter().all(ChildSlot::is_awaited);
+        happened
     }
 
     /// Whether there is no process in this role: it has ended, and has not been started again.

@@ -149,7 +149,7 @@ pub fn run_monitored(launch: &Launch, monitor: &RunMonitor) -> Result<RunSummary
 }
 
 fn run_owned(launch: &Launch, monitor: RunMonitor) -> Result<RunSummary, LaunchError> {
-    let signals = TerminationSignals::install_with_alarm().map_err(LaunchError::Signals)?;
+    let signals = TerminationSignals::install_with_pipe().map_err(LaunchError::Signals)?;
     let notifier = ServiceNotifier::from_environment().unwrap_or_else(|cause| {
         print_error_line(&format!("tectum: warning: {cause}; the service manager is told nothing"));
         ServiceNotifier::default()

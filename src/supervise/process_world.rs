@@ -65,8 +65,8 @@ impl SupervisedWorld for ProcessWorld {
     }
 
     fn await_event(&mut self, ns: u64) {
-        if self.children.await_end(ns, self.owner.signals.alarm()) {
-            self.owner.signals.take_alarm();
+        if self.children.await_end(ns, self.owner.signals.pipe()) {
+            self.owner.signals.drain_pipe();
         }
     }
 

@@ -22,7 +22,7 @@ pub struct PlantPorts {
     /// Wakes the controller.
     pub wake: WakeNotifier,
     /// Wakes the plant in lockstep. Taken by its loop.
-    pub doze: Option<WakeListener>,
+    pub lockstep_wake: Option<WakeListener>,
     /// Commands, the newest two.
     pub command: Receiver<Command>,
     /// Commands ahead, the newest two, once [opened](Self::open_ahead).
@@ -41,7 +41,7 @@ pub struct ControllerPorts {
     /// Notified with every observation.
     pub wake: WakeListener,
     /// The same, which wakes the controller in lockstep. Taken by its loop.
-    pub doze: Option<WakeListener>,
+    pub lockstep_wake: Option<WakeListener>,
     /// Wakes the plant in lockstep.
     pub wake_plant: WakeNotifier,
     /// Commands, to the plant and viewers.
@@ -91,7 +91,7 @@ impl PlantPorts {
             observation: Sender::new(&channels.observation, open_channel(&domain, &channels.observation)?)?,
             log: LogAppender::open(name, "observation")?,
             wake: WakeNotifier::open(name)?,
-            doze: Some(WakeListener::open(name, Role::Plant)?),
+            lockstep_wake: Some(WakeListener::open(name, Role::Plant)?),
             command: Receiver::new(&channels.command, open_channel(&domain, &channels.command)?, LOOP_BUFFER)?,
             ahead: None,
             controller: read_peer(&domain, Role::Controller, &status_board)?,
@@ -130,7 +130,7 @@ impl ControllerPorts {
                 LOOP_BUFFER,
             )?,
             wake: WakeListener::open(name, Role::Controller)?,
-            doze: Some(WakeListener::open(name, Role::Controller)?),
+            lockstep_wake: Some(WakeListener::open(name, Role::Controller)?),
             wake_plant: WakeNotifier::of(name, Role::Plant)?,
             command: Sender::new(&channels.command, open_channel(&domain, &channels.command)?)?,
             ahead: None,

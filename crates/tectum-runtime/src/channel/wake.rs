@@ -9,9 +9,9 @@
 //! observation. A dead process leaves nothing behind, because the kernel forgets its sleep with it.
 //!
 //! In lockstep plant and controller poll and yield, and need no wake-up as long as no other program wants their cores.
-//! Where one does, they sleep instead ([`Doze`]). A second word beside each counter tells the peer that it is waited
-//! for; nobody writes it as long as nobody sleeps, so that reading it costs nothing. A peer in another language need
-//! not heed it: sleeps are short, and become shorter if nobody ends them.
+//! Where one does, they sleep instead ([`InterruptibleSleep`]). A second word beside each counter tells the peer
+//! that it is waited for; nobody writes it as long as nobody sleeps, so that reading it costs nothing. A peer in
+//! another language need not heed it: sleeps are short, and become shorter if nobody ends them.
 
 use std::fs::{File, OpenOptions};
 use std::path::PathBuf;
@@ -24,7 +24,7 @@ use rustix::thread::futex::{self, Flags, Timespec};
 
 use super::own_files::open_own;
 use super::{ChannelError, DomainName};
-use crate::clock::Doze;
+use crate::clock::InterruptibleSleep;
 use crate::wire::Role;
 
 /// Bytes of the file: for each process that is woken a counter, and whether it waits in lockstep.
@@ -111,7 +111,7 @@ impl WakeNotifier {
         WakeWord::open(domain, role).map(Self)
     }
 
-    /// Wakes every listener that [waits](Doze::set_expected) in lockstep, after a sample has been sent.
+    /// Wakes every listener that [waits](InterruptibleSleep::set_expected) in lockstep, after a sample has been sent.
     #[inline]
     pub fn notify_waiting(&self) {
         // The sample is visible before the word is read: whoever begins to wait later finds it.
@@ -138,13 +138,13 @@ pub struct WakeListener {
     /// The count at the last wake-up.
     seen: u32,
     /// In lockstep: the longest sleep, ns, and whether the last one took as long.
-    doze_ns: u64,
+    sleep_ns: u64,
     slept: bool,
 }
 
 /// Shortest and longest sleep in lockstep, ns.
-const SHORTEST_DOZE_NS: u64 = 5_000;
-const LONGEST_DOZE_NS: u64 = 1_000_000;
+const SHORTEST_SLEEP_NS: u64 = 5_000;
+const LONGEST_SLEEP_NS: u64 = 1_000_000;
 
 impl WakeListener {
     pub(super) fn open(domain: &DomainName, role: Role) -> Result<Self, ChannelError> {
@@ -152,7 +152,7 @@ impl WakeListener {
         // A process that was killed may have waited.
         word.waits().store(0, Ordering::Relaxed);
         let seen = word.count().load(Ordering::Acquire);
-        Ok(Self { word, seen, doze_ns: LONGEST_DOZE_NS / 8, slept: false })
+        Ok(Self { word, seen, sleep_ns: LONGEST_SLEEP_NS / 8, slept: false })
     }
 
     /// Sleeps until a notification arrives, for `timeout` at most, or until a signal. A notification since the last
@@ -168,23 +168,23 @@ impl WakeListener {
     }
 }
 
-impl Doze for WakeListener {
+impl InterruptibleSleep for WakeListener {
     fn set_expected(&mut self, expected: bool) {
         self.word.waits().store(u32::from(expected), Ordering::Relaxed);
         fence(Ordering::SeqCst);
         self.seen = self.word.count().load(Ordering::Acquire);
     }
 
-    fn doze(&mut self) {
+    fn sleep(&mut self) {
         let before = self.seen;
-        self.wait(Duration::from_nanos(self.doze_ns));
+        self.wait(Duration::from_nanos(self.sleep_ns));
         self.slept = self.seen == before;
     }
 
     /// If it came without a wake-up, the peer wakes nobody, and sleeps have to be short.
     fn arrived(&mut self) {
-        let next_ns = if self.slept { self.doze_ns / 2 } else { self.doze_ns * 2 };
-        self.doze_ns = next_ns.clamp(SHORTEST_DOZE_NS, LONGEST_DOZE_NS);
+        let next_ns = if self.slept { self.sleep_ns / 2 } else { self.sleep_ns * 2 };
+        self.sleep_ns = next_ns.clamp(SHORTEST_SLEEP_NS, LONGEST_SLEEP_NS);
     }
 }
 
@@ -234,15 +234,15 @@ mod tests {
         plant.notify_waiting();
         assert_eq!([&plant, &controller].map(|word| word.0.count().load(Ordering::Relaxed)), [1, 0]);
         // Woken in time, it may sleep for longer; what comes without a wake-up makes its sleeps short.
-        let first_ns = listener.doze_ns;
-        listener.doze();
+        let first_ns = listener.sleep_ns;
+        listener.sleep();
         listener.arrived();
-        assert_eq!(listener.doze_ns, 2 * first_ns);
+        assert_eq!(listener.sleep_ns, 2 * first_ns);
         (0..20).for_each(|_| {
-            listener.doze();
+            listener.sleep();
             listener.arrived();
         });
-        assert_eq!(listener.doze_ns, SHORTEST_DOZE_NS);
+        assert_eq!(listener.sleep_ns, SHORTEST_SLEEP_NS);
         // A process that comes back waits for nothing yet.
         let _again = WakeListener::open(&domain, Role::Plant).unwrap();
         plant.notify_waiting();

@@ -20,7 +20,7 @@ pub use process_handle::ProcessHandle;
 pub use realtime::set_fifo_priority;
 pub use realtime::{RealtimeGranted, RealtimeRefusal, RealtimeReport, RealtimeRequest};
 pub use signals::{TerminationSignals, let_children_hear_hangup};
-pub use source::{Backoff, Doze, TimeSource, WakeReason};
+pub use source::{Backoff, InterruptibleSleep, TimeSource, WakeReason};
 
 use std::path::Path;
 

@@ -17,11 +17,11 @@ pub struct TerminationSignals {
     number: Arc<AtomicUsize>,
     checkpoint_requested: Arc<AtomicBool>,
     /// Can be read after a signal. `None` for signals that only flags tell.
-    alarm: Option<&'static UnixStream>,
+    pipe: Option<&'static UnixStream>,
 }
 
-/// The reading end of the process's alarm: handlers cannot be taken back, so there is one for all calls.
-static ALARM: OnceLock<Option<UnixStream>> = OnceLock::new();
+/// The reading end of the process's signal pipe: handlers cannot be taken back, so there is one for all calls.
+static PIPE: OnceLock<Option<UnixStream>> = OnceLock::new();
 
 impl TerminationSignals {
     /// Handles SIGINT, SIGTERM, SIGHUP (a closed terminal, a lost connection), SIGQUIT and SIGUSR1 for this
@@ -42,25 +42,25 @@ impl TerminationSignals {
     }
 
     /// The same for a loop that sleeps for long in `poll`. A signal ends such a sleep, but not one that begins just
-    /// after the loop has looked at the flags; the [alarm](Self::alarm) does.
+    /// after the loop has looked at the flags; the [pipe](Self::pipe) does.
     ///
     /// # Errors
     /// As for [`install`](Self::install).
-    pub fn install_with_alarm() -> std::io::Result<Self> {
+    pub fn install_with_pipe() -> std::io::Result<Self> {
         // The flags come first: whoever is woken finds them set.
         let signals = Self::install()?;
-        Ok(Self { alarm: ALARM.get_or_init(|| alarm().ok()).as_ref(), ..signals })
+        Ok(Self { pipe: PIPE.get_or_init(|| signal_pipe().ok()).as_ref(), ..signals })
     }
 
-    /// What can be read from the arrival of a signal until [`take_alarm`](Self::take_alarm).
-    pub fn alarm(&self) -> Option<BorrowedFd<'_>> {
-        self.alarm.map(|alarm| alarm.as_fd())
+    /// What can be read from the arrival of a signal until [`drain_pipe`](Self::drain_pipe).
+    pub fn pipe(&self) -> Option<BorrowedFd<'_>> {
+        self.pipe.map(|pipe| pipe.as_fd())
     }
 
-    /// Makes the alarm ready for the next signal.
-    pub fn take_alarm(&self) {
+    /// Empties the pipe, for the next signal.
+    pub fn drain_pipe(&self) {
         let mut bytes = [0; 64];
-        while self.alarm.is_some_and(|mut alarm| matches!(alarm.read(&mut bytes), Ok(1..))) {}
+        while self.pipe.is_some_and(|mut pipe| matches!(pipe.read(&mut bytes), Ok(1..))) {}
     }
 
     /// The number of the termination signal received; 0 if there was none.
@@ -85,7 +85,7 @@ impl TerminationSignals {
 }
 
 /// A socket into which the handlers of all signals write a byte; its reading end, which does not block.
-fn alarm() -> std::io::Result<UnixStream> {
+fn signal_pipe() -> std::io::Result<UnixStream> {
     let (reader, writer) = UnixStream::pair()?;
     reader.set_nonblocking(true)?;
     let hangup = if ignored(SIGHUP) { None } else { Some(SIGHUP) };
@@ -116,15 +116,15 @@ mod tests {
     use super::*;
     use crate::clock::ProcessHandle;
 
-    /// Without the alarm a signal that comes before the wait would be noticed after an hour.
+    /// Without the pipe a signal that comes before the wait would be noticed after an hour.
     #[test]
     fn a_signal_before_a_wait_ends_it() {
-        let signals = TerminationSignals::install_with_alarm().unwrap();
-        let wait = |ns| ProcessHandle::await_any_or(std::iter::empty(), signals.alarm().into_iter(), ns);
+        let signals = TerminationSignals::install_with_pipe().unwrap();
+        let wait = |ns| ProcessHandle::await_any_or(std::iter::empty(), signals.pipe().into_iter(), ns);
         assert!(!wait(1));
         signal_hook::low_level::raise(SIGUSR1).unwrap();
         assert!(wait(3_600_000_000_000) && signals.checkpoint_asked());
-        signals.take_alarm();
+        signals.drain_pipe();
         assert!(!wait(1));
     }
 }

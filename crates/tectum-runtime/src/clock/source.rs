@@ -133,19 +133,19 @@ pub struct Backoff {
     /// Yields of all waits.
     yields: u32,
     /// Whether the yield that was measured last took long.
-    suspects: bool,
+    was_long: bool,
     /// Turns that still sleep because yields took long.
-    naps: u32,
+    short_sleeps: u32,
     /// What wakes this thread from such a sleep; without it the sleeps are short.
-    doze: Option<Box<dyn Doze>>,
+    sleep: Option<Box<dyn InterruptibleSleep>>,
 }
 
 /// A sleep from which the peer wakes this thread.
-pub trait Doze: std::fmt::Debug + Send {
+pub trait InterruptibleSleep: std::fmt::Debug + Send {
     /// Lets the peer know whether it has to wake this thread.
     fn set_expected(&mut self, expected: bool);
     /// Sleeps until the peer has sent something since the last call, or for a short time.
-    fn doze(&mut self);
+    fn sleep(&mut self);
     /// What this thread slept for has arrived.
     fn arrived(&mut self);
 }
@@ -160,22 +160,22 @@ impl Backoff {
     /// A yield that takes longer found other programs on its core, ns.
     const LONG_YIELD_NS: u64 = 200_000;
     /// Turns that sleep after long yields, and how long if nobody wakes this thread, ns.
-    const NAPS: u32 = 8192;
-    const NAP_NS: u64 = 5_000;
+    const SHORT_SLEEPS: u32 = 8192;
+    const SHORT_SLEEP_NS: u64 = 5_000;
 
-    /// A backoff whose thread `doze` wakes where it has to sleep.
-    pub fn dozing(doze: impl Doze + 'static) -> Self {
-        Self { doze: Some(Box::new(doze)), ..Self::default() }
+    /// A backoff whose short sleeps are `sleep`, from which the peer wakes it.
+    pub fn woken_by(sleep: impl InterruptibleSleep + 'static) -> Self {
+        Self { sleep: Some(Box::new(sleep)), ..Self::default() }
     }
 
     /// Begins another wait.
     #[inline]
     pub fn begin(&mut self) {
-        if self.naps > 0
+        if self.short_sleeps > 0
             && self.turns > 0
-            && let Some(doze) = &mut self.doze
+            && let Some(sleep) = &mut self.sleep
         {
-            doze.arrived();
+            sleep.arrived();
         }
         self.turns = 0;
     }
@@ -189,8 +189,8 @@ impl Backoff {
             return true;
         }
         self.turns += 1;
-        if self.naps > 0 {
-            self.nap();
+        if self.short_sleeps > 0 {
+            self.sleep_shortly();
         } else {
             self.yields = self.yields.wrapping_add(1);
             if self.yields.is_multiple_of(Self::MEASURED) {
@@ -210,24 +210,24 @@ impl Backoff {
 
     /// Takes whether the yield that was measured took long.
     fn judge(&mut self, long: bool) {
-        if long && self.suspects {
-            self.naps = Self::NAPS;
+        if long && self.was_long {
+            self.short_sleeps = Self::SHORT_SLEEPS;
             self.expect(true);
         } else if long {
             // The next one is measured, too.
             self.yields = Self::MEASURED - 1;
         }
-        self.suspects = long;
+        self.was_long = long;
     }
 
     #[cold]
-    fn nap(&mut self) {
-        self.naps -= 1;
-        match &mut self.doze {
-            Some(doze) => doze.doze(),
-            None => pause(Self::NAP_NS),
+    fn sleep_shortly(&mut self) {
+        self.short_sleeps -= 1;
+        match &mut self.sleep {
+            Some(sleep) => sleep.sleep(),
+            None => pause(Self::SHORT_SLEEP_NS),
         }
-        if self.naps == 0 {
+        if self.short_sleeps == 0 {
             // The first yield after them is measured, and still suspected.
             self.yields = Self::MEASURED - 1;
             self.expect(false);
@@ -235,8 +235,8 @@ impl Backoff {
     }
 
     fn expect(&mut self, expected: bool) {
-        if let Some(doze) = &mut self.doze {
-            doze.set_expected(expected);
+        if let Some(sleep) = &mut self.sleep {
+            sleep.set_expected(expected);
         }
     }
 }
@@ -278,14 +278,14 @@ mod tests {
     }
 
     #[derive(Debug, Default)]
-    struct CountedDoze(std::sync::Arc<std::sync::Mutex<Vec<&'static str>>>);
+    struct CountedSleep(std::sync::Arc<std::sync::Mutex<Vec<&'static str>>>);
 
-    impl Doze for CountedDoze {
+    impl InterruptibleSleep for CountedSleep {
         fn set_expected(&mut self, expected: bool) {
             self.0.lock().unwrap().push(if expected { "expected" } else { "no longer" });
         }
 
-        fn doze(&mut self) {
+        fn sleep(&mut self) {
             self.0.lock().unwrap().push("sleeps");
         }
 
@@ -297,18 +297,18 @@ mod tests {
     /// The peer hears of it when sleeps begin and when they are over.
     #[test]
     fn sleeps_after_long_yields_are_ended_by_the_peer() {
-        let doze = CountedDoze::default();
-        let said = std::sync::Arc::clone(&doze.0);
-        let mut backoff = Backoff::dozing(doze);
+        let sleep = CountedSleep::default();
+        let said = std::sync::Arc::clone(&sleep.0);
+        let mut backoff = Backoff::woken_by(sleep);
         backoff.judge(true);
         assert!(said.lock().unwrap().is_empty(), "one long yield may be the logger's");
         backoff.judge(true);
-        backoff.naps = 2;
+        backoff.short_sleeps = 2;
         backoff.pause();
         backoff.begin();
         backoff.pause();
         assert_eq!(*said.lock().unwrap(), ["expected", "sleeps", "arrived", "sleeps", "no longer"]);
         backoff.judge(true);
-        assert_eq!(backoff.naps, Backoff::NAPS, "it is still suspected");
+        assert_eq!(backoff.short_sleeps, Backoff::SHORT_SLEEPS, "it is still suspected");
     }
 }

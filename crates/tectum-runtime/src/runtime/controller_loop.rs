@@ -298,7 +298,7 @@ impl<A: Agent> ControllerLoop<A> {
             .begin(status_board, || Ok(ports.observation.connect()? >= 1 && ports.command.connect()? >= 1))?;
         precise_timers();
         let real = time.is_real();
-        let backoff = ports.doze.take().map_or_else(Backoff::default, Backoff::dozing);
+        let backoff = ports.lockstep_wake.take().map_or_else(Backoff::default, Backoff::woken_by);
         state.set_writer(session.participant.manifest.run_id(), session.incarnation());
         let mut controller_loop = Self {
             meter: real.then(|| BudgetMeter::new(session.participant.plan.period_ns)),

@@ -179,7 +179,7 @@ impl<P: Plant> PlantLoop<P> {
         precise_timers();
 
         let real = time.is_real();
-        let backoff = ports.doze.take().map_or_else(Backoff::default, Backoff::dozing);
+        let backoff = ports.lockstep_wake.take().map_or_else(Backoff::default, Backoff::woken_by);
         state.observation.header.run = session.participant.manifest.run_id();
         state.observation.header.incarnation = session.incarnation();
         let manifest = &session.participant.manifest;
