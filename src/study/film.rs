@@ -56,9 +56,9 @@ pub enum FilmError {
     },
     /// There are not enough reaches to choose from.
     #[error(
-        "the log {} is too short for a film: {ticks} ticks hold {} {}, and it needs the first, \
+        "the log {} is too short for a film: {ticks} ticks hold {} whole {}, and it needs the first, \
          {EARLY_REACHES} from ten seconds on, and one after those; make a longer run",
-        path.display(), thousands(*reaches), if *reaches == 1 { "whole reach" } else { "whole reaches" }
+        path.display(), thousands(*reaches), if *reaches == 1 { movement[0] } else { movement[1] }
     )]
     TooShort {
         /// The log.
@@ -67,6 +67,8 @@ pub enum FilmError {
         ticks: u64,
         /// Whole reaches in it.
         reaches: u64,
+        /// What one of them is called, and several.
+        movement: [&'static str; 2],
     },
     /// The film cannot be written.
     #[error(transparent)]
@@ -223,7 +225,7 @@ pub fn film(segments: &[PathBuf], progress: bool) -> Result<Film, FilmError> {
     }
     progress.clear();
     let reaches = selector.count();
-    let selected = selector.select().ok_or(FilmError::TooShort { path, ticks, reaches })?;
+    let selected = selector.select().ok_or(FilmError::TooShort { path, ticks, reaches, movement: body.movement() })?;
     Ok(compose(&plan, &body, selected))
 }
 
@@ -262,11 +264,11 @@ impl FilmedBody<'_> {
         }
     }
 
-    /// What the film's words call a movement.
-    fn movement(&self) -> &'static str {
+    /// What a movement is called, and several.
+    fn movement(&self) -> [&'static str; 2] {
         match self {
-            Self::Arm(_) => "reach",
-            Self::Pendulum(_) => "episode",
+            Self::Arm(_) => ["reach", "reaches"],
+            Self::Pendulum(_) => ["episode", "episodes"],
         }
     }
 }
@@ -280,7 +282,7 @@ fn filmed_body(plan: &Plan) -> Result<FilmedBody<'_>, FilmError> {
         (Some(arm), ..) => Ok(FilmedBody::Arm(arm)),
         (None, Some(_), _) => Ok(FilmedBody::pendulum()),
         (None, None, Some(_)) => Err(no("an eye")),
-        (None, None, None) => Err(no("neither of the two")),
+        (None, None, None) => Err(no("neither an arm nor a pendulum")),
     }
 }
 
@@ -352,7 +354,7 @@ fn compose(plan: &Plan, body: &FilmedBody, selected: SelectedReaches) -> Film {
         Some(_) => "After the body changes",
         None => "At the end",
     };
-    let choice = choice(&selected, body.movement());
+    let choice = choice(&selected, body.movement()[0]);
     let caption = if let FilmedBody::Arm(_) = body { "The first target" } else { "The first episode" };
     let mut first = panel(caption, selected.first);
     if first.reach.reach.from == 0 && first.remark.is_empty() {

@@ -2,10 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::{ComparisonResult, DECADES, LEARNERS, LearnerRun, name_of};
+use super::{ComparisonResult, DECADES, LearnerRun, colour_number};
 use crate::report::figure;
 use crate::report::figure::learning::{CurvePoint, LearnerCurve, LearningFigure, LearningPanel, ReferenceLine};
-use crate::stats::Spread;
 use crate::study::StudyError;
 use crate::study::error::write_file;
 use crate::study::text::csv_cell;
@@ -87,14 +86,9 @@ fn curve(result: &ComparisonResult, condition: usize, learner: usize) -> Option<
     let tests = |run: usize| runs[run].tests.iter().filter(move |test| test.condition == condition);
     let points = tests(0).enumerate().filter_map(|(at, first)| {
         let losses = (0..runs.len()).filter_map(|run| tests(run).nth(at)).map(|test| test.score.loss);
-        let Spread { min, median, max } = Spread::of(losses)?;
-        Some(CurvePoint { ticks: first.tick - from, low: min, middle: median, high: max })
+        CurvePoint::of(first.tick - from, losses)
     });
-    // A learner's colour does not depend on the other learners in the comparison.
-    let place = |name: &str| LEARNERS.iter().position(|&rule| name_of(rule) == name);
-    let own = result.learners.iter().filter(|other| place(&other.name).is_none());
-    let colour = place(&learner.name)
-        .unwrap_or_else(|| LEARNERS.len() + own.take_while(|other| other.name != learner.name).count());
+    let colour = colour_number(&learner.name, result.learners.iter().map(|other| &other.name[..]));
     Some(LearnerCurve { name: learner.name.clone(), colour, points: points.collect() })
 }
 

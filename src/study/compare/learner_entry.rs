@@ -97,6 +97,14 @@ pub(crate) fn name_of(rule: Rule) -> String {
     toml::Value::try_from(rule).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
+/// The number of a learner's colour in figures. A rule's does not depend on the other learners; those of one's own come
+/// after the rules, in the order of `names`.
+pub(crate) fn colour_number<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> usize {
+    let place = |name: &str| LEARNERS.iter().position(|&rule| name_of(rule) == name);
+    let own = names.filter(|other| place(other).is_none());
+    place(name).unwrap_or_else(|| LEARNERS.len() + own.take_while(|other| *other != name).count())
+}
+
 /// The built-in arm with seed 0: the arm that the reference controllers know, with no changes.
 fn arm() -> Result<Scenario, StudyError> {
     let mut scenario = Scenario::built_in("arm")?;

@@ -23,7 +23,7 @@ pub use change::{ArmChange, ArmChangeKind};
 use cost::TickCost;
 pub(super) use learner_entry::without_line;
 pub use learner_entry::{Changes, ComparedLearner, LEARNERS, learner};
-pub(crate) use learner_entry::{LearnerEntry, is_path, name_of};
+pub(crate) use learner_entry::{LearnerEntry, colour_number, is_path, name_of};
 use outcome::{DECADES, LearnerOutcome, SeedRow};
 use references::{Condition, ReferenceScores, ReferenceTable, conditions};
 use run::LearnerRun;

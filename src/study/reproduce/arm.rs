@@ -96,7 +96,7 @@ pub fn arm(settings: &ReproduceSettings) -> Result<StudyEnd<ArmResult>, StudyErr
         StudyEnd::Whole(experiment) => experiment,
         StudyEnd::Part(part) => return Ok(StudyEnd::Part(part)),
     };
-    let runs = &experiment.runs[..settings.seeds().len()];
+    let [runs, _] = readings(&experiment);
     let shown = median_run(runs);
     let result = result(settings, &experiment, experiment.plans[shown].scenario.seed);
     draw_loss(&figure(&result, &experiment, shown), &result.figure)?;
@@ -107,7 +107,7 @@ pub fn arm(settings: &ReproduceSettings) -> Result<StudyEnd<ArmResult>, StudyErr
 
 fn result(settings: &ReproduceSettings, experiment: &Experiment<ArmRun>, shown_seed: u64) -> ArmResult {
     let Experiment { plans, facts, .. } = experiment;
-    let (runs, paying) = experiment.runs.split_at(settings.seeds().len());
+    let [runs, paying] = readings(experiment);
     let ticks = plans[0].scenario.ticks;
     let (weights_hash, diverged) = LearnerEnd::lists(runs.iter().map(|run| &run.end));
     ArmResult {
@@ -124,6 +124,12 @@ fn result(settings: &ReproduceSettings, experiment: &Experiment<ArmRun>, shown_s
         csv: vec![facts.path("windows.csv"), facts.path("curve.csv")],
         facts: facts.clone(),
     }
+}
+
+/// The runs in which a blocked joint pays nothing, and those in which its command does, if there are any.
+fn readings(experiment: &Experiment<ArmRun>) -> [&[ArmRun]; 2] {
+    let mut variants = experiment.variants().map(|(_, runs)| runs);
+    [(); 2].map(|()| variants.next().unwrap_or_default())
 }
 
 fn block_tick(plan: &Plan) -> Option<u64> {
@@ -197,7 +203,7 @@ fn rows(runs: &[ArmRun], ticks: u64) -> Vec<ArmRow> {
 
 fn figure(result: &ArmResult, experiment: &Experiment<ArmRun>, shown: usize) -> LossFigure {
     let Experiment { plans, .. } = experiment;
-    let (runs, paying) = experiment.runs.split_at(result.seeds.len());
+    let [runs, paying] = readings(experiment);
     let windows = |runs: &[ArmRun]| runs.iter().map(|run| run.windows.clone()).collect::<Vec<_>>();
     let config: ArmConfig = plans[0].scenario.plant.arm.clone().unwrap_or_default();
     let reaches: [Option<Reach>; 4] = std::array::from_fn(|i| reach(&config, &runs[shown].switches[i]));

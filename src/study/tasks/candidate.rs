@@ -7,7 +7,7 @@ use super::plan::TaskPlan;
 use super::references::{self, ReferenceKind};
 use super::run;
 use crate::scenario::{Rule, Scenario};
-use crate::study::compare::{ComparedLearner, LEARNERS, is_path, learner, name_of};
+use crate::study::compare::{LEARNERS, is_path, name_of};
 use crate::study::{JobProgress, StudyError};
 
 /// A learner, or a reference controller.
@@ -35,14 +35,10 @@ impl Candidate {
         if !is_path(name) {
             return Ok(None);
         }
-        match learner(name)? {
-            ComparedLearner::Rule(rule) => Ok(Some(Self::Learner(rule))),
-            ComparedLearner::Scenario(own) => {
-                // What is wrong with the file as it is has its line there.
-                own.clone().plan()?;
-                Ok(Some(Self::Own(Arc::from(own))))
-            }
-        }
+        let own = Scenario::find(name)?;
+        // What is wrong with the file as it is has its line there.
+        own.clone().plan()?;
+        Ok(Some(Self::Own(Arc::new(own))))
     }
 
     /// The name by which it is chosen; that of a scenario for one's own.

@@ -6,9 +6,8 @@ use std::path::Path;
 use super::outcome::RunResult;
 use super::{TaskOutcome, TaskTable};
 use crate::report::figure::learning::{CurvePoint, LearnerCurve, LearningFigure, LearningPanel, ReferenceLine, draw};
-use crate::stats::Spread;
 use crate::study::StudyError;
-use crate::study::compare::{LEARNERS, name_of};
+use crate::study::compare::colour_number;
 use crate::study::error::write_file;
 
 /// The runs of a controller on a task, with their seeds.
@@ -55,10 +54,12 @@ fn figure(entries: &[(&TaskOutcome, &TaskRuns)]) -> LearningFigure {
         let value = best - outcome.reward.first()?;
         Some(ReferenceLine { name: outcome.learner.clone(), value })
     };
+    let names = || learners.iter().map(|(outcome, _)| &outcome.learner[..]);
+    let colour = |(outcome, _): &(&TaskOutcome, &TaskRuns)| colour_number(&outcome.learner, names());
     let panel = LearningPanel {
         title: format!("{}, ticks of {} ms", outcome.task, outcome.period_ms),
         x: "ticks".to_owned(),
-        curves: learners.iter().enumerate().map(|(i, entry)| curve(i, entry, best)).collect(),
+        curves: learners.iter().map(|entry| curve(entry, colour(entry), best)).collect(),
         lines: level.into_iter().chain(references.iter().filter_map(line)).collect(),
     };
     let seeds = learners.iter().map(|(outcome, _)| outcome.seeds.len()).max().unwrap_or(0);
@@ -69,14 +70,11 @@ fn figure(entries: &[(&TaskOutcome, &TaskRuns)]) -> LearningFigure {
     }
 }
 
-fn curve(place: usize, (outcome, runs): &(&TaskOutcome, &TaskRuns), best: f64) -> LearnerCurve {
+fn curve((outcome, runs): &(&TaskOutcome, &TaskRuns), colour: usize, best: f64) -> LearnerCurve {
     let tests = |run: usize| runs[run].1.tests.iter().filter(|test| !test.changed);
     let points = tests(0).enumerate().filter_map(|(at, first)| {
         let losses = (0..runs.len()).filter_map(|run| tests(run).nth(at)).map(|test| best - test.score.reward);
-        let Spread { min, median, max } = Spread::of(losses)?;
-        Some(CurvePoint { ticks: first.tick, low: min, middle: median, high: max })
+        CurvePoint::of(first.tick, losses)
     });
-    // A rule has its colour in all figures, also in those of a comparison.
-    let colour = LEARNERS.iter().position(|&rule| name_of(rule) == outcome.learner);
-    LearnerCurve { name: outcome.learner.clone(), colour: colour.unwrap_or(place), points: points.collect() }
+    LearnerCurve { name: outcome.learner.clone(), colour, points: points.collect() }
 }

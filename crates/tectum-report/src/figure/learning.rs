@@ -6,6 +6,7 @@
 //! has one colour in all panels. Dashed lines across are for scale.
 
 use super::*;
+use crate::stats::Spread;
 use crate::text::thousands;
 
 const WIDTH: u32 = 940;
@@ -66,6 +67,14 @@ pub struct CurvePoint {
     pub middle: f64,
     /// Largest.
     pub high: f64,
+}
+
+impl CurvePoint {
+    /// What the seeds did at a tick; `None` without any.
+    pub fn of(ticks: u64, losses: impl Iterator<Item = f64>) -> Option<Self> {
+        let Spread { min, median, max } = Spread::of(losses)?;
+        Some(Self { ticks, low: min, middle: median, high: max })
+    }
 }
 
 /// A line across, with its name beside it.
