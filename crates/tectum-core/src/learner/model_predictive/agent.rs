@@ -217,9 +217,15 @@ impl ModelPredictive {
         self.frozen = true;
     }
 
-    /// Answers an observation with a command, in its unit: `u* + K (x - x*)` and noise, within the limits.
+    /// Answers an observation with a command, in its unit: `u* + K (x - x*)` and noise, within the limits. For the
+    /// first observation of an episode it makes another plan first, with a quarter of the tick's operations: the one
+    /// at hand begins elsewhere.
     pub fn act(&mut self, observed: &Observed, command: &mut [f64]) {
         self.take_in(observed);
+        self.budget.spent = 0;
+        if self.planned && (observed.flags.terminated || observed.flags.truncated) {
+            self.make_plan_anew();
+        }
         let (nx, m) = (self.places.state(), self.places.commands);
         let u = &mut self.command[..m];
         if self.planned {
@@ -286,7 +292,6 @@ impl ModelPredictive {
 
     /// Learns from the last tick and plans the next command: a fixed amount of work, after the command has gone out.
     pub fn improve(&mut self) {
-        self.budget.spent = 0;
         if self.frozen {
             self.watch();
         } else {

@@ -242,3 +242,25 @@ fn a_command_that_moves_nothing_rests() {
     }
     assert!(largest < 0.2, "{largest}");
 }
+
+#[test]
+fn a_new_episode_is_answered_from_a_plan_of_its_own() {
+    let (mut plant, mut agent) = (Reach::new([1.0; 3]), agent([1.0; 3]));
+    for _ in 0..160 {
+        plant.tick(&mut agent, |_, r| r);
+    }
+    agent.freeze();
+    // A plan for a long way: its command is at the limit, where it has no gains.
+    let mut answer = |position: f64, truncated: bool| {
+        let flags = TickFlags { truncated, ..TickFlags::default() };
+        let mut command = [0.0];
+        agent.act(&Observed { inputs: &[0.8, position], reward: 0.0, applied: &[0.0], flags }, &mut command);
+        agent.improve();
+        command[0]
+    };
+    (0..3).for_each(|_| _ = answer(-0.9, false));
+    assert!(answer(-0.9, false) > 0.9);
+    // The episode that follows begins at the target.
+    let first = answer(0.8, true);
+    assert!(first.abs() < 0.1, "{first}");
+}

@@ -112,6 +112,11 @@ impl OperationBudget {
         Self { most: if millions > 0.0 { (millions * 1e6) as u64 } else { u64::MAX }, ..Self::default() }
     }
 
+    /// How far a plan that is made before the command goes out may go: a quarter of the tick.
+    pub fn before_command(&self) -> u64 {
+        self.most / 4
+    }
+
     /// What refits may take of the tick: no more than half of what is left, because a plan must follow.
     pub fn for_refits(&self, most: u64) -> u64 {
         most.min(self.most.saturating_sub(self.spent) / 2)

@@ -12,24 +12,53 @@ const CAUTION: f64 = 1.0;
 /// The same without learning, where a wrong promise would hold for good.
 const CAUTION_AT_REST: f64 = 3.0;
 
+/// Where a plan begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum PlanStart {
+    /// In the state after the command that has just gone out, with the commands of the plan before.
+    Commanded,
+    /// In the state that was observed, which no plan has foreseen, with commands of 0.
+    Observed,
+}
+
 impl ModelPredictive {
     /// Makes the plan for the state after the command that has just gone out.
     pub(super) fn make_plan(&mut self) {
-        let (nx, m) = (self.places.state(), self.places.commands);
-        let (better, moving) = (self.better(), self.dynamics.moving);
+        self.plan_from(PlanStart::Commanded, [1, self.config.iterations]);
+        self.planned = true;
+        self.counts.plans += 1;
+    }
+
+    /// Makes another plan, for the state that was observed, before its command goes out.
+    pub(super) fn make_plan_anew(&mut self) {
+        let most = self.budget.most;
+        self.budget.most = self.budget.before_command();
+        self.plan_from(PlanStart::Observed, [1, self.config.rival_iterations]);
+        self.budget.most = most;
+    }
+
+    /// Has the models ready to be planned through. Returns the best reward that was seen, in the reward model's units.
+    fn prepare(&mut self) -> f64 {
         self.find_active();
         let sampled = if self.frozen { 0.0 } else { self.config.sampled };
         self.dynamics.take(sampled);
+        let better = self.better();
         let reward = &mut self.rewards[better];
         reward.take(sampled);
-        let best = (self.best - reward.fit.center) / reward.fit.scale;
-        let aim = (self.best - reward.fit.center) / reward.fit.scale * self.plan.horizon as f64;
-        let active = self.scratch.active.len();
-        self.budget.cost = StepCost::of(self.places, &self.dynamics, reward, (active, self.scratch.moving));
+        let active = (self.scratch.active.len(), self.scratch.moving);
+        self.budget.cost = StepCost::of(self.places, &self.dynamics, reward, active);
+        (self.best - reward.fit.center) / reward.fit.scale
+    }
+
+    /// Makes a plan, with so many iterations at least and so many at most, and lets a rival compete with it.
+    fn plan_from(&mut self, from: PlanStart, iterations: [usize; 2]) {
+        let (nx, m) = (self.places.state(), self.places.commands);
+        let best = self.prepare();
+        let (better, moving) = (self.better(), self.dynamics.moving);
         let mut world = LearnedWorld {
             places: self.places,
             dynamics: &mut self.dynamics,
-            reward,
+            reward: &mut self.rewards[better],
             after: better == 1,
             best,
             caution: if self.frozen { CAUTION_AT_REST } else { CAUTION },
@@ -37,18 +66,25 @@ impl ModelPredictive {
             ranges: &self.ranges,
             scratch: &mut self.scratch,
         };
-        // The state after the command that has just gone out.
         self.after[..nx].copy_from_slice(&self.state);
-        self.after[nx..].copy_from_slice(&self.command[..m]);
-        world.step(&self.after, &mut self.start);
+        self.after[nx..].fill(0.0);
+        match from {
+            PlanStart::Commanded => {
+                self.after[nx..].copy_from_slice(&self.command[..m]);
+                world.step(&self.after, &mut self.start);
+                self.plan.shift();
+            }
+            PlanStart::Observed => {
+                self.start.copy_from_slice(&self.state);
+                self.plan.commands.fill(0.0);
+            }
+        }
         world.find_idle(&self.after);
-        self.plan.shift();
         // A plan that cannot become better has raised this: its gains would vanish, and with them the answer to what
         // was not foreseen.
         self.plan.mu = self.plan.mu.min(FIRST_MU);
         self.budget.spent += self.budget.cost.first();
         // The first iteration is always made: it has the gains, with which the next observation is answered.
-        let iterations = [1, self.config.iterations];
         work_on((&mut self.planner, &mut self.budget), &mut world, (&mut self.plan, &self.start), iterations);
         for _ in 0..self.rivals {
             if !self.budget.has_iteration(self.plan.horizon) {
@@ -60,14 +96,12 @@ impl ModelPredictive {
             rivals::draw(self.rival_kind, &mut self.rng, &mut world, known, &self.plan, &mut self.rival);
             let iterations = [0, self.config.rival_iterations];
             work_on((&mut self.planner, &mut self.budget), &mut world, (&mut self.rival, &self.start), iterations);
-            let gap = (aim - self.plan.value).max(0.0);
+            let gap = (best * self.plan.horizon as f64 - self.plan.value).max(0.0);
             if self.rival.value > self.plan.value + self.config.rival_gain * gap + 1e-9 {
                 self.counts.rivals += 1;
                 self.plan.copy_from(&self.rival);
             }
         }
-        self.planned = true;
-        self.counts.plans += 1;
     }
 
     /// The places over which the reward's Hessian is taken: inputs that move, their changes, and the commands; then the
