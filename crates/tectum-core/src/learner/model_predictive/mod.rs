@@ -5,7 +5,8 @@
 //! moves them. Dynamics and reward are Bayesian linear models on explicit features, whose scales follow from the
 //! marginal likelihood, on line. A control-limited iLQR plans through them. The plan for the next tick is made after
 //! the command of this tick has gone out ([`ModelPredictive::improve`]), so that an observation is answered within
-//! microseconds ([`ModelPredictive::act`]): `u = u* + K (x - x*)`, and exploration noise.
+//! microseconds ([`ModelPredictive::act`]): `u = u* + K (x - x*)`, and exploration noise. The first observation of an
+//! episode, which no plan foresees, is answered from a plan of its own.
 //!
 //! | file | content | source |
 //! |---|---|---|
