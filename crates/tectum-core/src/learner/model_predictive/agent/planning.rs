@@ -67,7 +67,6 @@ impl ModelPredictive {
             scratch: &mut self.scratch,
         };
         self.after[..nx].copy_from_slice(&self.state);
-        self.after[nx..].fill(0.0);
         match from {
             PlanStart::Commanded => {
                 self.after[nx..].copy_from_slice(&self.command[..m]);
@@ -75,6 +74,7 @@ impl ModelPredictive {
                 self.plan.shift();
             }
             PlanStart::Observed => {
+                self.after[nx..].fill(0.0);
                 self.start.copy_from_slice(&self.state);
                 self.plan.commands.fill(0.0);
             }
