@@ -84,7 +84,7 @@ pub struct ModelPredictive {
     dynamics: Dynamics,
     rewards: [Model; 2],
     scores: [f64; 2],
-    memory: Memory,
+    pub(super) memory: Memory,
     beliefs: Vec<Belief>,
     reward_belief: Belief,
     plan: CommandPlan,

@@ -264,3 +264,30 @@ fn a_new_episode_is_answered_from_a_plan_of_its_own() {
     let first = answer(0.8, true);
     assert!(first.abs() < 0.1, "{first}");
 }
+
+#[test]
+fn a_reward_is_learned_with_the_inputs_that_it_came_of() {
+    // The gain changes twice, and the position jumps once: single changes that no model foresees, and two in a row that
+    // are believed after all. What is stored with a reward that teaches is what it came of, to the last digit or so.
+    let (mut plant, mut agent) = (Reach::new([1.0; 3]), agent([1.0; 3]));
+    for tick in 0..300 {
+        plant.gain = if (100..180).contains(&tick) { -0.4 } else { 0.4 };
+        if tick == 250 {
+            plant.position = -plant.position;
+        }
+        plant.tick(&mut agent, |_, r| r);
+    }
+    let counts = agent.counts;
+    assert!(counts.input_outliers > 3, "{counts:?}");
+    let mut taught = 0;
+    for tick in agent.memory.first..agent.memory.stored {
+        let point = agent.memory.rewarded_point(tick, 0, true).unwrap();
+        let apart = point[1] - point[0];
+        let apart = [agent.memory.reward(tick), -(apart * apart + 0.02 * point[6] * point[6])];
+        if agent.memory.is_rewarded(tick) {
+            taught += 1;
+            assert!((apart[0] - apart[1]).abs() < 1e-9, "tick {tick}: {apart:?}");
+        }
+    }
+    assert!(taught > 150, "{taught}");
+}

@@ -1,6 +1,7 @@
 //! The ticks that were seen: what the models are fitted to anew.
 
 use super::layout::Places;
+use super::world::{CHANGE, wrap};
 use crate::state::{Persist, StateVisitor};
 
 /// What one tick of the memory teaches.
@@ -118,9 +119,29 @@ impl Memory {
         self.masks[(tick % self.capacity as u64) as usize][3] = u32::from(rewarded);
     }
 
-    /// Which outputs of `tick` teach nothing.
-    pub fn missing(&mut self, tick: u64) -> &mut u32 {
-        &mut self.masks[(tick % self.capacity as u64) as usize][0]
+    /// Whether some input after `tick` was not believed, though nothing began there: what is stored of it is what was
+    /// predicted.
+    pub fn is_doubted(&self, tick: u64) -> bool {
+        let at = (tick % self.capacity as u64) as usize;
+        self.masks[at][0] != 0 && self.stamps[at] % 2 == 0
+    }
+
+    /// Whether `next` is the tick right after a stored one.
+    pub fn follows(&self, next: u64, tick: u64) -> bool {
+        self.stamps[(tick % self.capacity as u64) as usize] / 2 + 1 == next
+    }
+
+    /// The change of `input` in `tick` is believed after all. Returns it.
+    pub fn believe(&mut self, tick: u64, input: usize, wraps: bool) -> f64 {
+        let (width, n) = (self.places.len(), self.places.inputs);
+        let at = (tick % self.capacity as u64) as usize;
+        let change = self.changes[at * n + input];
+        let z = self.before[at * width + input] + CHANGE * change;
+        let after = &mut self.after[at * width..][..width];
+        after[input] = if wraps { wrap(z) } else { z };
+        after[n + input] = change;
+        self.masks[at][0] &= !(1 << input);
+        change
     }
 
     /// Whether an input was at an end of its range after a stored tick or the one before.

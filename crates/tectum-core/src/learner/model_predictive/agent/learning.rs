@@ -115,7 +115,7 @@ impl ModelPredictive {
             match self.beliefs[i].judge(surprise, error, change, 0.1) {
                 BeliefVerdict::Believed => false,
                 BeliefVerdict::Both => {
-                    *self.memory.missing(self.memory.stored - 1) &= !bit;
+                    self.believe_after_all(i);
                     false
                 }
                 BeliefVerdict::Outlier => {
@@ -130,6 +130,15 @@ impl ModelPredictive {
             self.after[n + i] = predicted;
             self.after[i] = self.ranges.bring_in(i, self.before[i] + CHANGE * predicted);
             self.state[n + i] = if self.boundary { 0.0 } else { predicted };
+        }
+    }
+
+    /// The change of an input in the tick before was no outlier after all: it teaches, and is what came of that tick.
+    fn believe_after_all(&mut self, i: usize) {
+        let (n, last) = (self.places.inputs, self.memory.stored - 1);
+        let change = self.memory.believe(last, i, self.ranges.wraps[i]);
+        if self.memory.follows(self.tick, last) {
+            self.before[n + i] = change;
         }
     }
 
@@ -152,6 +161,10 @@ impl ModelPredictive {
             for model in &mut self.rewards {
                 model.fit.center = reward;
             }
+        }
+        // The point would be the models' own invention.
+        if self.memory.is_doubted(tick.saturating_sub(self.shift)) {
+            return false;
         }
         let mut surprises = [0.0; 2];
         for (k, model) in self.rewards.iter_mut().enumerate() {
