@@ -16,7 +16,7 @@ mod check;
 mod row;
 
 use super::functions::{exp, sines_and_cosines};
-use super::layout::{BIAS, Layout, NOISE, PRODUCTS, SMOOTH, ScaleKind};
+use super::layout::{BIAS, Layout, NOISE, PAIRS, PRODUCTS, SMOOTH, ScaleKind};
 use super::linalg::{add_scaled, cholesky, dot, invert, packed, solve_lower, solve_lower_transposed};
 use crate::state::{Persist, StateVisitor};
 use row::Row;
@@ -63,10 +63,11 @@ impl Evidence {
             inner: vec![0.0; layout.units.len() * capacity],
             turned: vec![0.0; layout.circles * capacity],
             factors: vec![0.0; layout.groups.len() * capacity],
+            sum: vec![0.0; capacity],
+            pairs: vec![0.0; capacity],
             product: vec![0.0; capacity],
             smooth: vec![0.0; capacity],
             kernel: vec![0.0; capacity],
-            scratch: vec![0.0; capacity],
         };
         Self {
             len: 0,
@@ -248,11 +249,9 @@ impl Evidence {
         let bias = exp(scales[BIAS]);
         row.kernel[..n].fill(bias);
         row.smooth[..n].fill(0.0);
-        row.scratch[..n].fill(1.0);
         for g in 0..layout.groups.len() {
             row.factors[g * capacity..][..n].fill(1.0);
         }
-        let products = exp(scales[PRODUCTS]);
         for (u, unit) in layout.units.iter().enumerate() {
             let inner = &mut row.inner[u * capacity..][..n];
             let scale = |s| if unit.scales[s as usize] { exp(scales[Layout::scale(u, s)]) } else { 0.0 };
@@ -280,20 +279,14 @@ impl Evidence {
                 let factors = &mut row.factors[group * capacity..][..n];
                 for j in 0..n {
                     factors[j] += v * inner[j];
-                    row.scratch[j] += v * inner[j];
                 }
             }
         }
-        row.product[..n].fill(1.0);
-        for g in 0..layout.groups.len() {
-            for (p, f) in row.product[..n].iter_mut().zip(&row.factors[g * capacity..][..n]) {
-                *p *= f;
-            }
-        }
-        let smooth = exp(scales[SMOOTH]);
+        row.multiply(n, layout.groups.len(), capacity);
+        let [pairs, products, smooth] = [PAIRS, PRODUCTS, SMOOTH].map(|k| exp(scales[k]));
         for j in 0..n {
             row.smooth[j] = smooth * exp(-row.smooth[j]);
-            row.kernel[j] += products * (row.product[j] - row.scratch[j]) + row.smooth[j];
+            row.kernel[j] += pairs * row.pairs[j] + products * row.product[j] + row.smooth[j];
         }
     }
 
@@ -312,14 +305,13 @@ impl Evidence {
         self.kernel_row(layout, i);
         let Self { row, scales, values, gradient, outer, plain, .. } = self;
         let outer = &outer[..n];
-        let products = exp(scales[PRODUCTS]);
+        let [pairs, products] = [PAIRS, PRODUCTS].map(|k| exp(scales[k]));
         gradient[BIAS] += exp(scales[BIAS]) * outer.iter().sum::<f64>();
         gradient[SMOOTH] += dot(outer, &row.smooth[..n]);
         for j in 0..n {
-            gradient[PRODUCTS] += outer[j] * products * (row.product[j] - row.scratch[j]);
+            gradient[PAIRS] += outer[j] * pairs * row.pairs[j];
+            gradient[PRODUCTS] += outer[j] * products * row.product[j];
             row.smooth[j] *= outer[j];
-            // From here on `scratch` has the weights of the products.
-            row.scratch[j] = products * outer[j];
         }
         for (u, unit) in layout.units.iter().enumerate() {
             let inner = &row.inner[u * capacity..][..n];
@@ -329,12 +321,7 @@ impl Evidence {
             gradient[Layout::scale(u, ScaleKind::Linear)] += linear * along_inner;
             let v = scale(ScaleKind::Product);
             if let Some(group) = unit.group {
-                let factors = &row.factors[group * capacity..][..n];
-                for j in 0..n {
-                    // A factor is 0 only by chance; the others' product is then taken as 0.
-                    let others = if factors[j] == 0.0 { 0.0 } else { row.product[j] / factors[j] };
-                    plain[j] = row.scratch[j] * (others - 1.0);
-                }
+                row.slopes_of_products(&row.factors[group * capacity..][..n], [pairs, products], outer, plain);
                 gradient[Layout::scale(u, ScaleKind::Product)] += v * dot(&plain[..n], inner);
             } else {
                 plain[..n].fill(0.0);

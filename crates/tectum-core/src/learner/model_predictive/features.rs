@@ -4,12 +4,14 @@
 //! phi = [ sqrt b | sqrt a_i x_i | sqrt c_i x_i^2 | sqrt(f / M) (cos W e, sin W e) | sqrt(s v_i v_j ..) x_i x_j .. ]
 //! ```
 //!
+//! with `p` in the place of `s` for products of two;
+//!
 //! with the components `e` of all units and `M` random frequencies `W = Xi sqrt(rho)`, `Xi` normal and drawn once
 //! (random Fourier features, Rahimi & Recht 2007), which only approximate their part of the kernel. Of the products,
 //! those of largest prior variance have a feature; they are chosen anew when the scales change.
 
 use super::functions::{exp, sines_and_cosines};
-use super::layout::{BIAS, Layout, PRODUCTS, SMOOTH, ScaleKind};
+use super::layout::{BIAS, Layout, PAIRS, PRODUCTS, SMOOTH, ScaleKind};
 use crate::state::StateVisitor;
 
 /// Most groups of a layout's products: inputs and commands.
@@ -158,7 +160,7 @@ impl ModelFeatures {
 
     /// Takes the memory that any build needs; a clone has less.
     pub fn reserve(&mut self, layout: &Layout) {
-        let beam = self.products + 1 + layout.components;
+        let beam = self.beam(layout);
         let components = |group: &Vec<usize>| group.iter().map(|&u| if layout.units[u].circle { 2 } else { 1 }).sum();
         let choices = 1 + layout.groups.iter().map(components).max().unwrap_or(0_usize);
         self.nodes.reserve(self.most_nodes - self.nodes.len());
@@ -203,10 +205,18 @@ impl ModelFeatures {
         self.choose_products(layout);
     }
 
+    /// Products of the first groups that are kept: all of at most two components, and as many of the others as can be
+    /// chosen.
+    fn beam(&self, layout: &Layout) -> usize {
+        let single = layout.components;
+        1 + single + single * single.saturating_sub(1) / 2 + self.products
+    }
+
     /// Chooses the products of largest prior variance. Keeping the best of the products of the first groups, group
-    /// after group, misses none, because variances are products over groups.
+    /// after group, misses none, because variances are products over groups, and one amplitude is that of all of three
+    /// or more.
     fn choose_products(&mut self, layout: &Layout) {
-        let beam = self.products + 1 + layout.components;
+        let beam = self.beam(layout);
         self.candidates.clear();
         self.candidates.push(Candidate { variance: 1.0, order: 0, choice: [0; MAX_GROUPS] });
         for (g, units) in layout.groups.iter().enumerate() {
@@ -225,11 +235,17 @@ impl ModelFeatures {
                     }
                 }
             }
-            self.spare.sort_unstable_by(|a, b| b.variance.total_cmp(&a.variance).then(a.choice.cmp(&b.choice)));
-            self.spare.truncate(beam);
+            let few = |c: &Candidate| c.order <= 2;
+            self.spare.sort_unstable_by(|a, b| few(b).cmp(&few(a)).then(larger_variance(a, b)));
+            self.spare.truncate(self.spare.iter().filter(|c| few(c)).count() + self.products);
+            debug_assert!(self.spare.len() <= beam);
             std::mem::swap(&mut self.candidates, &mut self.spare);
         }
         self.candidates.retain(|c| c.order >= 2);
+        for candidate in &mut self.candidates {
+            candidate.variance *= amplitude(&self.scales, candidate.order);
+        }
+        self.candidates.sort_unstable_by(larger_variance);
         self.candidates.truncate(self.products);
         self.candidates.sort_unstable_by_key(|candidate| candidate.choice);
         self.plant_nodes(layout);
@@ -238,7 +254,6 @@ impl ModelFeatures {
     /// Makes the tree of the chosen products, which share what they begin with.
     fn plant_nodes(&mut self, layout: &Layout) {
         let parts = self.parts(layout);
-        let amplitude = exp(self.scales[PRODUCTS]);
         self.nodes.clear();
         let mut before = [0_u8; MAX_GROUPS];
         // The node of each group's choice in the candidate before; the first `shared` groups are equal in both.
@@ -246,7 +261,7 @@ impl ModelFeatures {
         for (feature, candidate) in self.candidates.iter().enumerate() {
             let shared = (0..MAX_GROUPS).find(|&g| candidate.choice[g] != before[g]).unwrap_or(MAX_GROUPS);
             let shared = if feature == 0 { 0 } else { shared };
-            let mut variance = amplitude;
+            let mut variance = amplitude(&self.scales, candidate.order);
             let mut parent = NONE;
             for g in (0..MAX_GROUPS).filter(|&g| candidate.choice[g] > 0) {
                 let component = usize::from(candidate.choice[g]) - 1;
@@ -297,6 +312,16 @@ impl ModelFeatures {
     }
 }
 
+/// The amplitude of products of so many components.
+fn amplitude(scales: &[f64], order: u8) -> f64 {
+    exp(scales[if order > 2 { PRODUCTS } else { PAIRS }])
+}
+
+/// The order of candidates: that of larger variance comes first.
+fn larger_variance(a: &Candidate, b: &Candidate) -> std::cmp::Ordering {
+    b.variance.total_cmp(&a.variance).then(a.choice.cmp(&b.choice))
+}
+
 /// Normal directions by component, then pair, orthogonal to each other in blocks of as many pairs as there are
 /// components (orthogonal random features, Yu et al. 2016): a better approximation with as many features.
 fn orthogonal_draws(components: usize, pairs: usize, normal: &mut impl FnMut() -> f64) -> Vec<f64> {
@@ -338,8 +363,24 @@ mod tests {
     use crate::learner::model_predictive::layout::Priors;
 
     #[test]
+    fn products_of_two_are_chosen_by_their_own_amplitude() {
+        let chosen = |pairs: f64| {
+            let mut layout = Layout::new(4, [1.0, pairs, 0.5, 0.1, 1e-3]);
+            for at in 0..4 {
+                layout.number(at, Some(at), Priors { linear: 0.3, square: 0.2, product: 6.0, smooth: 0.2 });
+            }
+            let features = ModelFeatures::new(&layout, 4, 5, || 0.3);
+            let orders = features.candidates.iter().map(|c| c.order).collect::<Vec<_>>();
+            assert_eq!(orders.len(), 5);
+            orders.iter().filter(|order| **order == 2).count()
+        };
+        // 6 products of two, 4 of three, 1 of four, each variance twice that of the order below but for the amplitude.
+        assert_eq!([chosen(0.5), chosen(10.0)], [0, 5]);
+    }
+
+    #[test]
     fn all_products_of_a_small_layout_have_their_features() {
-        let mut layout = Layout::new(3, [1.0, 0.5, 0.1, 1e-3]);
+        let mut layout = Layout::new(3, [1.0, 0.9, 0.5, 0.1, 1e-3]);
         let priors = Priors { linear: 0.3, square: 0.2, product: 0.7, smooth: 0.2 };
         layout.circle(0, 2.0, true, Some(0), priors);
         layout.number(1, Some(1), priors);
@@ -355,7 +396,8 @@ mod tests {
         let from = features.parts(&layout).products;
         let product: f64 = a[from..].iter().zip(&b[from..]).map(|(a, b)| a * b).sum();
         let x = [libm::cos(2.0 * 0.9), -0.16, 0.45];
-        let all = x.iter().map(|x| 1.0 + 0.7 * x).product::<f64>() - 1.0 - 0.7 * x.iter().sum::<f64>();
-        assert!((product - 0.5 * all).abs() < 1e-9, "{product} {}", 0.5 * all);
+        let pairs = 0.49 * (x[0] * x[1] + x[0] * x[2] + x[1] * x[2]);
+        let expected = 0.9 * pairs + 0.5 * 0.343 * x.iter().product::<f64>();
+        assert!((product - expected).abs() < 1e-9, "{product} {expected}");
     }
 }

@@ -4,15 +4,16 @@
 //! (n), the commands of the two ticks before (m each), the command `u` (m); `D = 2 n + 3 m` numbers. A model sees
 //! some of them as *units*: a number itself, an angle as cosine and sine, whose frequency is learned unless it is
 //! known, or the sum of some angles as its cosine and sine. Its prior covariance (a kernel, Rasmussen & Williams 2006)
-//! is a sum of four parts:
+//! is a sum of five parts, with `z_g = sum_{i in g} v_i x_i.x_i'` for each group of units `g`:
 //!
 //! ```text
 //! k(q, q') = b + sum_i a_i x_i.x_i' + sum_i c_i (x_i x_i')^2         linear terms and squares
-//!          + s (prod_g (1 + sum_{i in g} v_i x_i.x_i') - 1 - ...)    multilinear products of two or more inputs
+//!          + p sum_{g < h} z_g z_h                                   products of two inputs
+//!          + s (prod_g (1 + z_g) - 1 - sum_g z_g - sum_{g < h} z_g z_h)   multilinear products of three or more
 //!          + f exp(-1/2 sum_i rho_i |x_i - x_i'|^2)                  anything smooth
 //! ```
 //!
-//! with `x_i` the value of unit `i` (one number, or cosine and sine). All of `b, a, c, s, v, f, rho`, the noise and
+//! with `x_i` the value of unit `i` (one number, or cosine and sine). All of `b, a, c, p, s, v, f, rho`, the noise and
 //! the frequencies are scales, learned as logarithms.
 
 /// Where the parts of `q` begin.
@@ -130,13 +131,15 @@ impl ScaleKind {
 
 /// Scales of the whole model, before those of the units.
 pub const BIAS: usize = 0;
-/// Amplitude of the products.
-pub const PRODUCTS: usize = 1;
+/// Amplitude of the products of two: distances and energies need no others, and a model that has found so extrapolates.
+pub const PAIRS: usize = 1;
+/// Amplitude of the products of three or more.
+pub const PRODUCTS: usize = 2;
 /// Amplitude of the smooth part.
-pub const SMOOTH: usize = 2;
+pub const SMOOTH: usize = 3;
 /// Noise, as a part of the prior's scale.
-pub const NOISE: usize = 3;
-const GLOBAL: usize = 4;
+pub const NOISE: usize = 4;
+const GLOBAL: usize = 5;
 
 /// What a model looks at, with the first logarithms of its scales.
 #[derive(Debug, Clone)]
@@ -171,8 +174,9 @@ pub struct Priors {
 }
 
 impl Layout {
-    /// An empty layout for `width` numbers; amplitudes of bias, products, smooth part, and the noise.
-    pub fn new(width: usize, amplitudes: [f64; 4]) -> Self {
+    /// An empty layout for `width` numbers; amplitudes of bias, products of two, larger ones, the smooth part, and the
+    /// noise.
+    pub fn new(width: usize, amplitudes: [f64; GLOBAL]) -> Self {
         let prior = amplitudes.map(libm::log).to_vec();
         let learned = vec![true; GLOBAL];
         Self { width, units: Vec::new(), circles: 0, components: 0, groups: Vec::new(), prior, learned }

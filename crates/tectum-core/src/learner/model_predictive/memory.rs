@@ -123,7 +123,7 @@ impl Memory {
     /// predicted.
     pub fn is_doubted(&self, tick: u64) -> bool {
         let at = (tick % self.capacity as u64) as usize;
-        self.masks[at][0] != 0 && self.stamps[at] % 2 == 0
+        self.masks[at][0] != 0 && self.stamps[at].is_multiple_of(2)
     }
 
     /// Whether `next` is the tick right after a stored one.

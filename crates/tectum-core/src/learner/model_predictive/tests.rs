@@ -13,7 +13,7 @@ fn normal(rng: &mut Rng) -> f64 {
 }
 
 fn layout() -> Layout {
-    let mut layout = Layout::new(5, [1.0, 0.5, 0.3, 1e-3]);
+    let mut layout = Layout::new(5, [1.0, 0.9, 0.5, 0.3, 1e-3]);
     let priors = Priors { linear: 0.3, square: 0.2, product: 0.7, smooth: 0.3 };
     layout.circle(0, 2.0, true, Some(0), priors);
     layout.circle(1, 2.5, true, Some(1), priors);
@@ -128,7 +128,7 @@ fn recursion_gives_what_the_normal_equations_give() {
 
 /// The kernel as the documentation of the layout states it.
 fn kernel(layout: &Layout, scales: &[f64], a: &[f64], b: &[f64]) -> f64 {
-    use super::layout::ScaleKind;
+    use super::layout::{BIAS, PAIRS, PRODUCTS, SMOOTH, ScaleKind};
     let at = |u: usize, s: ScaleKind| {
         if layout.units[u].scales[s as usize] { scales[Layout::scale(u, s)].exp() } else { 0.0 }
     };
@@ -142,17 +142,20 @@ fn kernel(layout: &Layout, scales: &[f64], a: &[f64], b: &[f64]) -> f64 {
             a[unit.at] * b[unit.at]
         }
     };
-    let mut k = scales[0].exp();
-    let (mut apart, mut singles) = (0.0_f64, 0.0);
+    let of = |scale: usize| scales[scale].exp();
+    let mut k = of(BIAS);
+    let mut apart = 0.0_f64;
     for (u, unit) in layout.units.iter().enumerate() {
         k += at(u, ScaleKind::Linear) * inner(u) + at(u, ScaleKind::Square) * inner(u).powi(2);
-        singles += if unit.group.is_some() { at(u, ScaleKind::Product) * inner(u) } else { 0.0 };
         let square = if unit.circle { 2.0 - 2.0 * inner(u) } else { (a[unit.at] - b[unit.at]).powi(2) };
         apart += at(u, ScaleKind::Smooth) * square;
     }
-    let factor = |units: &Vec<usize>| 1.0 + units.iter().map(|&u| at(u, ScaleKind::Product) * inner(u)).sum::<f64>();
-    let product: f64 = layout.groups.iter().map(factor).product();
-    k + scales[1].exp() * (product - 1.0 - singles) + scales[2].exp() * (-0.5 * apart).exp()
+    let of_group = |units: &Vec<usize>| units.iter().map(|&u| at(u, ScaleKind::Product) * inner(u)).sum::<f64>();
+    let z: Vec<f64> = layout.groups.iter().map(of_group).collect();
+    let pairs: f64 = (0..z.len()).flat_map(|g| (0..g).map(move |h| (g, h))).map(|(g, h)| z[g] * z[h]).sum();
+    let all: f64 = z.iter().map(|z| 1.0 + z).product();
+    let more = all - 1.0 - z.iter().sum::<f64>() - pairs;
+    k + of(PAIRS) * pairs + of(PRODUCTS) * more + of(SMOOTH) * (-0.5 * apart).exp()
 }
 
 /// `log |A|` and `yᵀ A⁻¹ y`, by Gaussian elimination.
@@ -195,7 +198,7 @@ fn the_evidence_is_that_of_a_dense_computation() {
         points.iter().map(|a| points.iter().map(|b| kernel(&layout, &scales, a, b)).collect()).collect();
     let amplitude = (0..n).map(|i| matrix[i][i]).sum::<f64>() / n as f64;
     for (i, row) in matrix.iter_mut().enumerate() {
-        row[i] += (floor + scales[3].exp()) * amplitude;
+        row[i] += (floor + scales[super::layout::NOISE].exp()) * amplitude;
     }
     let expected: f64 = targets
         .iter()
@@ -212,7 +215,7 @@ fn the_evidence_is_that_of_a_dense_computation() {
 #[test]
 fn features_give_the_kernel_where_there_is_no_smooth_part() {
     let mut layout = layout();
-    layout.prior[2] = -60.0;
+    layout.prior[super::layout::SMOOTH] = -60.0;
     let mut rng = stream(6, "test");
     let features = ModelFeatures::new(&layout, 4, 200, || normal(&mut rng));
     let mut basis = BasisValues::new(&layout, &features);

@@ -12,16 +12,51 @@ pub(super) struct Row {
     pub turned: Vec<f64>,
     /// Factor of each group.
     pub factors: Vec<f64>,
-    /// The product of all factors.
+    /// Sum of all factors less 1.
+    pub sum: Vec<f64>,
+    /// The products of two of them.
+    pub pairs: Vec<f64>,
+    /// The products of three or more: the product of all factors less the rest.
     pub product: Vec<f64>,
     /// The smooth part.
     pub smooth: Vec<f64>,
     /// The whole kernel.
     pub kernel: Vec<f64>,
-    pub scratch: Vec<f64>,
 }
 
 impl Row {
+    /// The products of the first `n` points' factors, of `groups` groups.
+    pub fn multiply(&mut self, n: usize, groups: usize, capacity: usize) {
+        let Self { factors, sum, pairs, product, .. } = self;
+        let (sum, pairs, product) = (&mut sum[..n], &mut pairs[..n], &mut product[..n]);
+        sum.fill(0.0);
+        pairs.fill(0.0);
+        product.fill(1.0);
+        for g in 0..groups {
+            for (j, factor) in factors[g * capacity..][..n].iter().enumerate() {
+                let z = factor - 1.0;
+                pairs[j] += sum[j] * z;
+                sum[j] += z;
+                product[j] *= factor;
+            }
+        }
+        for j in 0..n {
+            product[j] -= 1.0 + sum[j] + pairs[j];
+        }
+    }
+
+    /// Writes the slopes of the products by one of their `factors`, with the amplitudes of those of two and of more,
+    /// times `outer`.
+    pub fn slopes_of_products(&self, factors: &[f64], [pairs, more]: [f64; 2], outer: &[f64], to: &mut [f64]) {
+        for (j, factor) in factors.iter().enumerate() {
+            let all = 1.0 + self.sum[j] + self.pairs[j] + self.product[j];
+            // A factor is 0 only by chance; the others' product is then taken as 0.
+            let others = if *factor == 0.0 { 0.0 } else { all / factor };
+            let sum = self.sum[j] - (factor - 1.0);
+            to[j] = outer[j] * (pairs * sum + more * (others - 1.0 - sum));
+        }
+    }
+
     /// Gradient by the frequency and the inverse squared length of angle `u`; see `gradient_row` for the arguments.
     pub fn circle_gradient(
         &self,
