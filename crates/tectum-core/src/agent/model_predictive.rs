@@ -344,10 +344,11 @@ mod tests {
     #[test]
     fn angles_are_read_as_the_arm_measures_them() {
         use crate::state::{load, save, size};
-        for (name, chain) in [("arm", false), ("arm-relative", true), ("arm-relative-stops", true)] {
+        let chain = 0b111000;
+        for (name, chained) in [("arm", 0), ("arm-relative", chain), ("arm-relative-stops", chain)] {
             let mut original = agent(name, 1, &few_operations());
             run((name, 1), 60, 0, &mut original, |_| ());
-            assert_eq!(original.learner().reads_chain(), chain, "{name}");
+            assert_eq!(original.learner().chained(), chained, "{name}");
 
             // The reading comes back with the rest, and with it what the models predict.
             let mut bytes = vec![0; size(&mut original)];

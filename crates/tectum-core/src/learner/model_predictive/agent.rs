@@ -11,7 +11,7 @@ use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
 use super::dynamics::Dynamics;
 use super::exploration::NoiseSource;
 use super::layout::Places;
-use super::layouts::{AngleReading, reward_layout, reward_readings};
+use super::layouts::{AngleReading, reward_layout};
 use super::linalg::dot;
 use super::memory::Memory;
 use super::model::{Model, ModelSize};
@@ -177,8 +177,8 @@ impl ModelPredictive {
             boundary_rate: 0.0,
             strange: 0,
             shift: 0,
-            reading: AngleReading::Apart,
-            alignment: Alignment::new(reward_readings(places, &spec.inputs), config.memory),
+            reading: AngleReading::APART,
+            alignment: Alignment::new(before.layout.clone(), &spec.inputs, config.memory),
             best: f64::NEG_INFINITY,
             worst: f64::INFINITY,
             command: [0.0; MAX_OUTPUTS],
@@ -315,10 +315,9 @@ impl ModelPredictive {
         self.shift
     }
 
-    /// Whether the reward models read angles that follow each other as those of a chain, each measured from the body
-    /// before.
-    pub fn reads_chain(&self) -> bool {
-        self.reading == AngleReading::Chain
+    /// The inputs (bits) that the reward models read as angles measured from the body before.
+    pub fn chained(&self) -> u32 {
+        self.reading.bits()
     }
 
     /// The last command without exploration noise, in its unit; 0 before the first plan.
@@ -385,7 +384,7 @@ fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamic
         memory: config.memory,
     };
     let dynamics = Dynamics::new(spec, places, settings, rng);
-    let layout = reward_layout(places, &spec.inputs, AngleReading::Apart);
+    let layout = reward_layout(places, &spec.inputs, AngleReading::APART);
     // Rewards of many joints need products of many inputs: their number grows with the square of that of the inputs.
     let or = |value: usize, usual: usize| if value > 0 { value } else { usual };
     let products = or(config.reward_products, 14 * places.inputs * places.inputs);

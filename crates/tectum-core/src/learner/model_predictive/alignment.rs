@@ -9,22 +9,27 @@
 //!
 //! Where angles follow each other in the inputs, they may be directions of bodies, or each be measured from the body
 //! before, as the joints of most arms are. The reward of the second arm is that of the first in running sums of the
-//! angles ([`AngleReading`]). Which of the two it is follows from the evidence in the same way. When an assumption
-//! changes, both reward models begin anew.
+//! angles ([`AngleReading`]), and others have joints of both kinds: a base that turns about the vertical, then joints in
+//! a plane. Which it is follows from the evidence in the same way ([`Readings`]). When an assumption changes, both
+//! reward models begin anew.
 //!
 //! The rewards are those of remembered ticks that lie far from each other. At equal intervals they are mostly those of
 //! an arm that stands at its target, which fit any assumption: then the evidence of a reading had the wrong sign on
 //! three of six arms after 643 ticks, and models that were exact were thrown away. The steps of ascent are shared out
 //! over some ticks.
 
+mod readings;
+
+use super::config::InputRange;
 use super::evidence::Evidence;
 use super::functions::exp;
-use super::layout::{Layout, ScaleKind, Unit};
-use super::layouts::AngleReading;
+use super::layout::{Layout, ScaleKind};
+use super::layouts::{AngleReading, read_angles};
 use super::memory::Memory;
 use super::spread::spread_out;
 use crate::MAX_INPUTS;
 use crate::state::{Persist, StateVisitor};
+use readings::{MOST_READINGS, Readings};
 
 /// Assumptions: ticks that a reward comes late, and whether it depends on the inputs after the tick. A reward of the
 /// inputs before its tick, without their command, is the same as one of the inputs after the tick before.
@@ -43,8 +48,6 @@ const BONUS: f64 = 1.0 / 3.0;
 
 /// Steps of ascent for a reading of the angles.
 const READING_STEPS: u32 = 10;
-/// By how much evidence another reading must be better.
-const READING_GAIN: f64 = 3.0;
 
 /// The oldest ticks of a full memory, which will be forgotten before all assumptions are weighed, are left out.
 const SOON_FORGOTTEN: u64 = 32;
@@ -61,12 +64,12 @@ pub struct RewardAssumption {
 /// Compares assumptions about rewards.
 #[derive(Debug, Clone)]
 pub struct Alignment {
-    /// Those of the readings of angles, by [`AngleReading`], or one where there is one reading only.
-    layouts: Vec<Layout>,
+    /// That of the reward models, in the reading that is weighed.
+    layout: Layout,
+    ranges: Vec<InputRange>,
     evidence: Evidence,
     totals: [f64; CHOICES.len()],
-    /// By how much the evidence of a chain is larger than that of angles apart.
-    chain: f64,
+    readings: Readings,
     /// The assumption that is weighed: how late rewards are, then each reading.
     next: u32,
     /// Steps that were made for it, and the evidence before the last of them.
@@ -83,21 +86,22 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// For at most `memory` remembered rewards of these layouts, which have units of the same number and kind.
-    pub fn new(layouts: Vec<Layout>, memory: usize) -> Self {
+    /// For at most `memory` remembered rewards of this layout for these inputs.
+    pub fn new(layout: Layout, ranges: &[InputRange], memory: usize) -> Self {
         Self {
-            evidence: Evidence::new(&layouts[0], POINTS, 1),
+            evidence: Evidence::new(&layout, POINTS, 1),
             totals: [0.0; CHOICES.len()],
-            chain: 0.0,
+            readings: Readings::new(ranges),
+            ranges: ranges.to_vec(),
             next: 0,
             steps: 0,
             weight: 0.0,
             ticks: [0; POINTS],
             count: 0,
             spent: 0,
-            looks: vec![0.0; memory * layouts[0].components],
+            looks: vec![0.0; memory * layout.components],
             least: vec![0.0; memory],
-            layouts,
+            layout,
         }
     }
 
@@ -114,33 +118,26 @@ impl Alignment {
         if self.next == 0 && self.steps == 0 {
             self.choose_ticks(memory, present.shift);
         }
-        let count = CHOICES.len() + if self.layouts.len() > 1 { 2 } else { 0 };
         loop {
-            let next = self.next as usize;
-            let (reading, choice, steps) = match CHOICES.get(next) {
-                Some(choice) => (present.reading, *choice, STEPS),
-                None if next == CHOICES.len() => (AngleReading::Apart, self.best_of(present.shift), READING_STEPS),
-                None => (AngleReading::Chain, self.best_of(present.shift), READING_STEPS),
+            let Some((reading, choice, steps)) = self.next_assumption(present) else {
+                self.next = 0;
+                return Some(RewardAssumption {
+                    shift: self.decide(present.shift),
+                    reading: self.readings.decide(present.reading),
+                });
             };
+            read_angles(&mut self.layout, &self.ranges, reading);
             if self.steps == 0 {
-                self.take_points(memory, reading, choice);
+                self.take_points(memory, choice);
             }
-            let layout = &self.layouts[reading as usize];
-            let cost = self.evidence.cost(layout);
+            let cost = self.evidence.cost(&self.layout);
             if self.evidence.len >= LEAST_POINTS {
-                self.weight = self.evidence.step(layout, 2.5, 0.3, noise_floor).unwrap_or(self.weight);
+                self.weight = self.evidence.step(&self.layout, 2.5, 0.3, noise_floor).unwrap_or(self.weight);
                 self.spent += cost;
                 self.steps += 1;
             }
             if self.steps >= steps || self.evidence.len < LEAST_POINTS {
                 self.conclude();
-            }
-            if self.next as usize == count {
-                self.next = 0;
-                return Some(RewardAssumption {
-                    shift: self.decide(present.shift),
-                    reading: self.read(present.reading),
-                });
             }
             if self.spent + cost > operations {
                 return None;
@@ -148,33 +145,42 @@ impl Alignment {
         }
     }
 
+    /// The assumption that is weighed next, and its steps of ascent; `None` after the last of them.
+    fn next_assumption(&self, present: RewardAssumption) -> Option<(AngleReading, (u64, bool), u32)> {
+        let next = self.next as usize;
+        if let Some(choice) = CHOICES.get(next) {
+            return Some((present.reading, *choice, STEPS));
+        }
+        let reading = self.readings.candidate(present.reading, next - CHOICES.len())?;
+        Some((reading, self.best_of(present.shift), READING_STEPS))
+    }
+
     /// Adds the evidence of an assumption to what was known of it, and goes on to the next one.
     fn conclude(&mut self) {
         let next = self.next as usize;
-        if let Some(total) = self.totals.get_mut(next) {
-            *total = 0.5 * *total + self.weight;
-        } else if next == CHOICES.len() {
-            self.chain = 0.5 * self.chain - self.weight;
-        } else {
-            self.chain += self.weight;
+        match self.totals.get_mut(next) {
+            Some(total) => *total = 0.5 * *total + self.weight,
+            None => self.readings.note(next - CHOICES.len(), self.weight),
         }
         self.steps = 0;
         self.next += 1;
     }
 
-    /// The units of the reward models' layout in a reading that is known ([`knows`](Self::knows)).
-    pub fn units(&self, reading: AngleReading) -> &[Unit] {
-        &self.layouts[reading as usize].units
+    /// Has a layout of the reward models read angles so.
+    pub fn read(&self, layout: &mut Layout, reading: AngleReading) {
+        read_angles(layout, &self.ranges, reading);
     }
 
-    /// Whether there is such a reading.
-    pub fn knows(&self, reading: AngleReading) -> bool {
-        (reading as usize) < self.layouts.len()
+    /// The reading of these bits, as far as angles can be read so.
+    pub fn reading_of(&self, bits: u32) -> AngleReading {
+        AngleReading::of_bits(bits, self.readings.chain())
     }
 
     /// Chooses the ticks whose rewards are compared, far from each other if rewards come `shift` ticks late.
     fn choose_ticks(&mut self, memory: &Memory, shift: u64) {
-        let layout = &self.layouts[0];
+        // How far ticks are from each other is measured in one reading for all.
+        read_angles(&mut self.layout, &self.ranges, AngleReading::APART);
+        let layout = &self.layout;
         let forgotten = if memory.first > 0 { memory.first + SOON_FORGOTTEN } else { 0 };
         let (first, end) = (memory.rewards_from().max(forgotten), memory.stored);
         let (width, least) = (layout.components, &mut self.least[..end.saturating_sub(first) as usize]);
@@ -202,9 +208,9 @@ impl Alignment {
     }
 
     /// Begins to compare: the chosen rewards with their points under an assumption.
-    fn take_points(&mut self, memory: &Memory, reading: AngleReading, (shift, after): (u64, bool)) {
+    fn take_points(&mut self, memory: &Memory, (shift, after): (u64, bool)) {
         self.weight = 0.0;
-        self.evidence.restart(&self.layouts[reading as usize].prior);
+        self.evidence.restart(&self.layout.prior);
         let ticks = &self.ticks[..self.count as usize];
         let [origin, mean, deviation] = moments(memory, ticks);
         if deviation > 0.0 {
@@ -221,17 +227,6 @@ impl Alignment {
         let of = |k: &usize| self.totals[*k];
         let places = (0..CHOICES.len()).filter(|k| CHOICES[*k].0 == shift);
         places.max_by(|a, b| of(a).total_cmp(&of(b)).then(b.cmp(a))).map_or((0, true), |k| CHOICES[k])
-    }
-
-    /// How angles are read from now on.
-    fn read(&self, present: AngleReading) -> AngleReading {
-        if self.chain.abs() < READING_GAIN {
-            present
-        } else if self.chain > 0.0 {
-            AngleReading::Chain
-        } else {
-            AngleReading::Apart
-        }
     }
 
     fn decide(&self, present: u64) -> u64 {
@@ -268,10 +263,9 @@ fn moments(memory: &Memory, ticks: &[u64]) -> [f64; 3] {
 impl Persist for Alignment {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.numbers("totals", &mut self.totals);
-        visitor.number("chain", &mut self.chain);
+        visitor.nested("readings", &mut self.readings);
         visitor.number("next", &mut self.next);
-        let most = CHOICES.len() + if self.layouts.len() > 1 { 1 } else { 0 };
-        self.next = self.next.min(most as u32);
+        self.next = self.next.min((CHOICES.len() + MOST_READINGS - 1) as u32);
         visitor.number("steps", &mut self.steps);
         visitor.number("weight", &mut self.weight);
         visitor.numbers("ticks", &mut self.ticks);
@@ -286,7 +280,7 @@ mod tests {
     use super::*;
     use crate::learner::model_predictive::config::InputRange;
     use crate::learner::model_predictive::layout::Places;
-    use crate::learner::model_predictive::layouts::reward_readings;
+    use crate::learner::model_predictive::layouts::reward_layout;
     use crate::learner::model_predictive::memory::{Entry, Lesson};
     use crate::learner::model_predictive::model::normal;
     use crate::seed::stream;
@@ -296,15 +290,15 @@ mod tests {
     const TRIAL: u64 = 80;
 
     /// What an arm of three segments remembers that has reached eight targets: it goes there within ten ticks, and then
-    /// stands, but for noise.
-    fn remembered(is_chain: bool, ranges: &[InputRange], places: Places) -> Memory {
+    /// stands, but for noise. The bits say which angles are measured from the segment before.
+    fn remembered(bits: u32, ranges: &[InputRange], places: Places) -> Memory {
         let rng = &mut stream(5, "test");
         let mut memory = Memory::new(places, 1000);
         let (mut angles, mut goal, mut target) = ([0.0_f64; 3], [0.0; 3], [0.0; 2]);
         let end = |angles: &[f64; 3]| {
             let mut direction = 0.0;
-            angles.iter().fold([0.0, 0.0], |[x, y], angle| {
-                direction = if is_chain { direction + angle } else { *angle };
+            angles.iter().zip(2..).fold([0.0, 0.0], |[x, y], (angle, i)| {
+                direction = if bits >> i & 1 == 1 { direction + angle } else { *angle };
                 [x + 0.5 * direction.cos(), y + 0.5 * direction.sin()]
             })
         };
@@ -339,13 +333,19 @@ mod tests {
         let length = InputRange { min: -2.0, max: 2.0, wraps: false, radians: Some(0.0) };
         let angle = InputRange { min: -PI, max: PI, wraps: false, radians: Some(1.0) };
         let ranges = [length, length, angle, angle, angle];
-        for right in [AngleReading::Apart, AngleReading::Chain] {
-            let memory = remembered(right == AngleReading::Chain, &ranges, places);
-            for present in [AngleReading::Apart, AngleReading::Chain] {
-                let mut alignment = Alignment::new(reward_readings(places, &ranges), 1000);
-                let assumed = RewardAssumption { shift: 0, reading: present };
-                let found = (0..20).find_map(|_| alignment.weigh(&memory, assumed, 1e-7, 20_000_000)).expect("weighed");
-                assert_eq!(found.reading, right, "{present:?}, {}", alignment.chain);
+        assert_eq!(AngleReading::chain(&ranges).bits(), 0b11000);
+        for right in [0, 0b11000, 0b10000] {
+            let memory = remembered(right, &ranges, places);
+            for present in [0, 0b11000] {
+                let layout = reward_layout(places, &ranges, AngleReading::APART);
+                let mut alignment = Alignment::new(layout, &ranges, 1000);
+                let mut assumed = RewardAssumption { shift: 0, reading: alignment.reading_of(present) };
+                // An angle of its own beside a chain takes a second round.
+                for _ in 0..2 {
+                    let weighed = (0..40).find_map(|_| alignment.weigh(&memory, assumed, 1e-7, 20_000_000));
+                    assumed = weighed.expect("weighed");
+                }
+                assert_eq!(assumed.reading.bits(), right, "{present:#b}, {:?}", alignment.readings);
             }
         }
     }

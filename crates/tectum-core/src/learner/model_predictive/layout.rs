@@ -197,10 +197,10 @@ impl Layout {
     }
 
     /// Adds the sum of angles: places with the frequency of their angle, times its sign. It stands among the angles.
-    pub fn angle_sum(&mut self, terms: &[(usize, f64)], group: Option<usize>, priors: Priors) {
+    pub fn angle_sum(&mut self, terms: Terms, group: Option<usize>, priors: Priors) {
         assert_eq!(self.circles, self.units.len(), "angles come first");
         self.circles += 1;
-        self.unit(Terms::sum(terms), Some((1.0, false)), group, Priors { square: 0.0, ..priors });
+        self.unit(terms, Some((1.0, false)), group, Priors { square: 0.0, ..priors });
     }
 
     /// Adds place `at` as it is.

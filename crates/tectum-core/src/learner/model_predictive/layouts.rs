@@ -1,29 +1,53 @@
 //! What the models of dynamics and reward look at, and their first scales.
 
 use super::config::InputRange;
-use super::layout::{Layout, MOST_TERMS, Places, Priors};
+use super::layout::{Layout, MOST_TERMS, Places, Priors, Terms};
 
 /// First frequency of an input that may be an angle, for a range of [-1, 1].
 const FREQUENCY: f64 = 2.5;
 
-/// How the angles among the inputs are read.
+/// How the angles among the inputs are read: which of them (bits) are measured from the body before, as those of joints
+/// with parallel axes are. Any other is the direction of a body, or turns about an axis of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum AngleReading {
-    /// Each as it is: the direction of a body.
-    Apart = 0,
-    /// As running sums of those that follow each other: each measured from the body before, as joints along a chain
-    /// are.
-    Chain = 1,
-}
+pub struct AngleReading(u32);
 
 impl AngleReading {
+    /// Each angle as it is.
+    pub const APART: Self = Self(0);
+
+    /// Every angle that follows another one is measured from it: one chain of joints in a plane.
+    pub fn chain(ranges: &[InputRange]) -> Self {
+        let known: Vec<bool> = ranges.iter().map(|range| frequency(range).is_some()).collect();
+        Self((1..ranges.len()).filter(|&i| known[i - 1] && known[i]).fold(0, |bits, i| bits | 1 << i))
+    }
+
+    /// The bits.
+    pub fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// The reading with these bits, as far as `chain` has them.
+    pub fn of_bits(bits: u32, chain: Self) -> Self {
+        Self(bits & chain.0)
+    }
+
+    /// Another reading of input `i`.
+    pub fn with_flipped(self, i: usize) -> Self {
+        Self(self.0 ^ 1 << i)
+    }
+
     /// The terms of angle `i`: itself, or with the angles right before it, at most [`MOST_TERMS`].
-    fn terms(self, ranges: &[InputRange], i: usize) -> Vec<(usize, f64)> {
-        let of = |at: usize| frequency(&ranges[at]).map(|frequency| (at, frequency));
-        match self {
-            Self::Apart => of(i).into_iter().collect(),
-            Self::Chain => (0..=i).rev().take(MOST_TERMS).map_while(of).collect(),
+    fn terms(self, ranges: &[InputRange], i: usize) -> Terms {
+        let mut terms = [(i, 0.0); MOST_TERMS];
+        let mut len = 0;
+        for at in (0..=i).rev().take(MOST_TERMS) {
+            terms[len] = (at, frequency(&ranges[at]).unwrap_or(0.0));
+            len += 1;
+            if self.0 >> at & 1 == 0 {
+                break;
+            }
         }
+        Terms::sum(&terms[..len])
     }
 }
 
@@ -41,7 +65,7 @@ fn inputs(
         let known = frequency(range);
         let doubtful = Priors { linear: 0.1 * priors.linear, product: 0.1 * priors.product, ..priors };
         match known {
-            Some(_) => layout.angle_sum(&reading.terms(ranges, i), Some(i), priors),
+            Some(_) => layout.angle_sum(reading.terms(ranges, i), Some(i), priors),
             None => layout.circle(i, FREQUENCY, true, Some(i), doubtful),
         }
         if let Some(frequency) = known.filter(|_| doubled > 0.0) {
@@ -68,7 +92,7 @@ pub fn dynamics_layout(places: Places, ranges: &[InputRange]) -> Layout {
     let (n, m) = (places.inputs, places.commands);
     let mut layout = Layout::new(places.len(), [1.0, 0.01, 0.01, 0.03, 1e-4]);
     let priors = Priors { linear: 0.3, square: 0.0, product: 0.1, smooth: 0.3 };
-    inputs(&mut layout, ranges, priors, Priors::default(), (0.1, AngleReading::Apart));
+    inputs(&mut layout, ranges, priors, Priors::default(), (0.1, AngleReading::APART));
     for i in 0..n {
         layout.number(places.change(i), None, Priors { product: 0.0, ..priors });
     }
@@ -85,12 +109,13 @@ pub fn dynamics_layout(places: Places, ranges: &[InputRange]) -> Layout {
     layout
 }
 
-/// The layouts of all readings of the angles, by [`AngleReading`]; one alone where no angles follow each other. They
-/// differ in the terms of units alone.
-pub fn reward_readings(places: Places, ranges: &[InputRange]) -> Vec<Layout> {
-    let [apart, chain] = [AngleReading::Apart, AngleReading::Chain].map(|r| reward_layout(places, ranges, r));
-    let is_same = apart.units.iter().zip(&chain.units).all(|(a, b)| a.terms == b.terms);
-    if is_same { vec![apart] } else { vec![apart, chain] }
+/// Has a layout of rewards read angles in another way.
+pub fn read_angles(layout: &mut Layout, ranges: &[InputRange], reading: AngleReading) {
+    for unit in &mut layout.units[..layout.circles] {
+        if frequency(&ranges[unit.at]).is_some() {
+            unit.terms = reading.terms(ranges, unit.at);
+        }
+    }
 }
 
 /// Rewards: inputs, changes and commands of one tick.

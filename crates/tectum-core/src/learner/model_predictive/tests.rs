@@ -2,7 +2,7 @@
 
 use super::evidence::Evidence;
 use super::features::{BasisValues, ModelFeatures};
-use super::layout::{Layout, Priors};
+use super::layout::{Layout, Priors, Terms};
 use super::regression::Regression;
 use super::weighted::Weighted;
 use crate::seed::{Rng, stream};
@@ -17,7 +17,7 @@ fn layout() -> Layout {
     let priors = Priors { linear: 0.3, square: 0.2, product: 0.7, smooth: 0.3 };
     layout.circle(0, 2.0, true, Some(0), priors);
     layout.circle(1, 2.5, true, Some(1), priors);
-    layout.angle_sum(&[(0, 2.0), (1, -1.5), (4, 0.7)], Some(0), priors);
+    layout.angle_sum(Terms::sum(&[(0, 2.0), (1, -1.5), (4, 0.7)]), Some(0), priors);
     layout.number(1, Some(1), priors);
     layout.number(2, Some(2), priors);
     layout.number(4, Some(3), priors);

@@ -232,7 +232,7 @@ impl ModelPredictive {
             self.scores = [0.0; 2];
             let rng = &mut self.rng;
             for model in &mut self.rewards {
-                model.layout.units.copy_from_slice(self.alignment.units(assumed.reading));
+                self.alignment.read(&mut model.layout, assumed.reading);
                 model.forget(rng);
             }
         }

@@ -1,20 +1,16 @@
 //! The state of the learner.
 
-use super::{AngleReading, GuardCounts, ModelPredictive};
+use super::{GuardCounts, ModelPredictive};
 use crate::state::{Persist, StateVisitor};
 
 impl Persist for ModelPredictive {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         visitor.nested("dynamics", &mut self.dynamics);
-        let mut chained = self.reading == AngleReading::Chain;
-        visitor.boolean("chained", &mut chained);
-        self.reading = if chained && self.alignment.knows(AngleReading::Chain) {
-            AngleReading::Chain
-        } else {
-            AngleReading::Apart
-        };
-        let units = self.alignment.units(self.reading);
-        self.rewards.iter_mut().for_each(|model| model.layout.units.copy_from_slice(units));
+        let mut bits = self.reading.bits();
+        visitor.number("reading", &mut bits);
+        self.reading = self.alignment.reading_of(bits);
+        let (alignment, reading) = (&self.alignment, self.reading);
+        self.rewards.iter_mut().for_each(|model| alignment.read(&mut model.layout, reading));
         let [before, after] = &mut self.rewards;
         visitor.nested("reward_before", before);
         visitor.nested("reward_after", after);
