@@ -16,7 +16,7 @@ mod check;
 mod row;
 
 use super::functions::{exp, sines_and_cosines};
-use super::layout::{BIAS, Layout, NOISE, PAIRS, PRODUCTS, SMOOTH, ScaleKind};
+use super::layout::{BIAS, Layout, NOISE, PAIRS, PRODUCTS, SMOOTH, ScaleKind, TRIPLES};
 use super::linalg::{add_scaled, cholesky, dot, invert, packed, solve_lower, solve_lower_transposed};
 use crate::state::{Persist, StateVisitor};
 use row::Row;
@@ -65,6 +65,7 @@ impl Evidence {
             factors: vec![0.0; layout.groups.len() * capacity],
             sum: vec![0.0; capacity],
             pairs: vec![0.0; capacity],
+            triples: vec![0.0; capacity],
             product: vec![0.0; capacity],
             smooth: vec![0.0; capacity],
             kernel: vec![0.0; capacity],
@@ -283,10 +284,11 @@ impl Evidence {
             }
         }
         row.multiply(n, layout.groups.len(), capacity);
-        let [pairs, products, smooth] = [PAIRS, PRODUCTS, SMOOTH].map(|k| exp(scales[k]));
+        let [pairs, triples, products, smooth] = [PAIRS, TRIPLES, PRODUCTS, SMOOTH].map(|k| exp(scales[k]));
         for j in 0..n {
             row.smooth[j] = smooth * exp(-row.smooth[j]);
-            row.kernel[j] += pairs * row.pairs[j] + products * row.product[j] + row.smooth[j];
+            row.kernel[j] +=
+                pairs * row.pairs[j] + triples * row.triples[j] + products * row.product[j] + row.smooth[j];
         }
     }
 
@@ -305,11 +307,12 @@ impl Evidence {
         self.kernel_row(layout, i);
         let Self { row, scales, values, gradient, outer, plain, .. } = self;
         let outer = &outer[..n];
-        let [pairs, products] = [PAIRS, PRODUCTS].map(|k| exp(scales[k]));
+        let [pairs, triples, products] = [PAIRS, TRIPLES, PRODUCTS].map(|k| exp(scales[k]));
         gradient[BIAS] += exp(scales[BIAS]) * outer.iter().sum::<f64>();
         gradient[SMOOTH] += dot(outer, &row.smooth[..n]);
         for j in 0..n {
             gradient[PAIRS] += outer[j] * pairs * row.pairs[j];
+            gradient[TRIPLES] += outer[j] * triples * row.triples[j];
             gradient[PRODUCTS] += outer[j] * products * row.product[j];
             row.smooth[j] *= outer[j];
         }
@@ -321,7 +324,8 @@ impl Evidence {
             gradient[Layout::scale(u, ScaleKind::Linear)] += linear * along_inner;
             let v = scale(ScaleKind::Product);
             if let Some(group) = unit.group {
-                row.slopes_of_products(&row.factors[group * capacity..][..n], [pairs, products], outer, plain);
+                let factors = &row.factors[group * capacity..][..n];
+                row.slopes_of_products(factors, [pairs, triples, products], outer, plain);
                 gradient[Layout::scale(u, ScaleKind::Product)] += v * dot(&plain[..n], inner);
             } else {
                 plain[..n].fill(0.0);

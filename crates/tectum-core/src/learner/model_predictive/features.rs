@@ -4,14 +4,14 @@
 //! phi = [ sqrt b | sqrt a_i x_i | sqrt c_i x_i^2 | sqrt(f / M) (cos W e, sin W e) | sqrt(s v_i v_j ..) x_i x_j .. ]
 //! ```
 //!
-//! with `p` in the place of `s` for products of two;
+//! with `p` and `t` in the place of `s` for products of two and of three;
 //!
 //! with the components `e` of all units and `M` random frequencies `W = Xi sqrt(rho)`, `Xi` normal and drawn once
 //! (random Fourier features, Rahimi & Recht 2007), which only approximate their part of the kernel. Of the products,
 //! those of largest prior variance have a feature; they are chosen anew when the scales change.
 
 use super::functions::{exp, sines_and_cosines};
-use super::layout::{BIAS, Layout, PAIRS, PRODUCTS, SMOOTH, ScaleKind};
+use super::layout::{BIAS, Layout, PAIRS, PRODUCTS, SMOOTH, ScaleKind, TRIPLES};
 use crate::state::StateVisitor;
 
 /// Most groups of a layout's products: inputs and commands.
@@ -205,18 +205,17 @@ impl ModelFeatures {
         self.choose_products(layout);
     }
 
-    /// Products of the first groups that are kept: all of at most two components, and as many of the others as can be
-    /// chosen.
+    /// Most products of the first groups that are kept: all of at most two components, and as many of three, and of
+    /// more, as can be chosen.
     fn beam(&self, layout: &Layout) -> usize {
         let single = layout.components;
-        1 + single + single * single.saturating_sub(1) / 2 + self.products
+        1 + single + single * single.saturating_sub(1) / 2 + 2 * self.products
     }
 
     /// Chooses the products of largest prior variance. Keeping the best of the products of the first groups, group
-    /// after group, misses none, because variances are products over groups, and one amplitude is that of all of three
-    /// or more.
+    /// after group, misses none, because variances are products over groups, and the amplitude depends on their
+    /// number alone.
     fn choose_products(&mut self, layout: &Layout) {
-        let beam = self.beam(layout);
         self.candidates.clear();
         self.candidates.push(Candidate { variance: 1.0, order: 0, choice: [0; MAX_GROUPS] });
         for (g, units) in layout.groups.iter().enumerate() {
@@ -235,10 +234,14 @@ impl ModelFeatures {
                     }
                 }
             }
-            let few = |c: &Candidate| c.order <= 2;
-            self.spare.sort_unstable_by(|a, b| few(b).cmp(&few(a)).then(larger_variance(a, b)));
-            self.spare.truncate(self.spare.iter().filter(|c| few(c)).count() + self.products);
-            debug_assert!(self.spare.len() <= beam);
+            self.spare.sort_unstable_by(larger_variance);
+            let mut left = [usize::MAX, self.products, self.products];
+            self.spare.retain(|candidate| {
+                let left = &mut left[class(candidate.order)];
+                let is_kept = *left > 0;
+                *left = left.saturating_sub(1);
+                is_kept
+            });
             std::mem::swap(&mut self.candidates, &mut self.spare);
         }
         self.candidates.retain(|c| c.order >= 2);
@@ -312,9 +315,14 @@ impl ModelFeatures {
     }
 }
 
+/// Products of so many components share an amplitude: at most two, three, more.
+fn class(order: u8) -> usize {
+    usize::from(order.clamp(2, 4)) - 2
+}
+
 /// The amplitude of products of so many components.
 fn amplitude(scales: &[f64], order: u8) -> f64 {
-    exp(scales[if order > 2 { PRODUCTS } else { PAIRS }])
+    exp(scales[[PAIRS, TRIPLES, PRODUCTS][class(order)]])
 }
 
 /// The order of candidates: that of larger variance comes first.
@@ -365,7 +373,7 @@ mod tests {
     #[test]
     fn products_of_two_are_chosen_by_their_own_amplitude() {
         let chosen = |pairs: f64| {
-            let mut layout = Layout::new(4, [1.0, pairs, 0.5, 0.1, 1e-3]);
+            let mut layout = Layout::new(4, [1.0, pairs, 0.5, 0.5, 0.1, 1e-3]);
             for at in 0..4 {
                 layout.number(at, Some(at), Priors { linear: 0.3, square: 0.2, product: 6.0, smooth: 0.2 });
             }
@@ -380,7 +388,7 @@ mod tests {
 
     #[test]
     fn all_products_of_a_small_layout_have_their_features() {
-        let mut layout = Layout::new(3, [1.0, 0.9, 0.5, 0.1, 1e-3]);
+        let mut layout = Layout::new(3, [1.0, 0.9, 0.5, 0.4, 0.1, 1e-3]);
         let priors = Priors { linear: 0.3, square: 0.2, product: 0.7, smooth: 0.2 };
         layout.circle(0, 2.0, true, Some(0), priors);
         layout.number(1, Some(1), priors);

@@ -4,16 +4,17 @@
 //! (n), the commands of the two ticks before (m each), the command `u` (m); `D = 2 n + 3 m` numbers. A model sees
 //! some of them as *units*: a number itself, an angle as cosine and sine, whose frequency is learned unless it is
 //! known, or the sum of some angles as its cosine and sine. Its prior covariance (a kernel, Rasmussen & Williams 2006)
-//! is a sum of five parts, with `z_g = sum_{i in g} v_i x_i.x_i'` for each group of units `g`:
+//! is a sum of six parts, with `z_g = sum_{i in g} v_i x_i.x_i'` for each group of units `g`, and `e_k`, the sum of all
+//! products of `k` of them:
 //!
 //! ```text
 //! k(q, q') = b + sum_i a_i x_i.x_i' + sum_i c_i (x_i x_i')^2         linear terms and squares
-//!          + p sum_{g < h} z_g z_h                                   products of two inputs
-//!          + s (prod_g (1 + z_g) - 1 - sum_g z_g - sum_{g < h} z_g z_h)   multilinear products of three or more
+//!          + p e_2 + t e_3                                           products of two inputs, and of three
+//!          + s (prod_g (1 + z_g) - 1 - e_1 - e_2 - e_3)              multilinear products of four or more
 //!          + f exp(-1/2 sum_i rho_i |x_i - x_i'|^2)                  anything smooth
 //! ```
 //!
-//! with `x_i` the value of unit `i` (one number, or cosine and sine). All of `b, a, c, p, s, v, f, rho`, the noise and
+//! with `x_i` the value of unit `i` (one number, or cosine and sine). All of `b, a, c, p, t, s, v, f, rho`, the noise and
 //! the frequencies are scales, learned as logarithms.
 
 /// Where the parts of `q` begin.
@@ -131,15 +132,17 @@ impl ScaleKind {
 
 /// Scales of the whole model, before those of the units.
 pub const BIAS: usize = 0;
-/// Amplitude of the products of two: distances and energies need no others, and a model that has found so extrapolates.
+/// Amplitude of the products of two: distances in a plane need no others, and a model that has found so extrapolates.
 pub const PAIRS: usize = 1;
-/// Amplitude of the products of three or more.
-pub const PRODUCTS: usize = 2;
+/// Amplitude of the products of three: distances in space need these, too.
+pub const TRIPLES: usize = 2;
+/// Amplitude of the products of four or more.
+pub const PRODUCTS: usize = 3;
 /// Amplitude of the smooth part.
-pub const SMOOTH: usize = 3;
+pub const SMOOTH: usize = 4;
 /// Noise, as a part of the prior's scale.
-pub const NOISE: usize = 4;
-const GLOBAL: usize = 5;
+pub const NOISE: usize = 5;
+const GLOBAL: usize = 6;
 
 /// What a model looks at, with the first logarithms of its scales.
 #[derive(Debug, Clone)]
@@ -174,8 +177,8 @@ pub struct Priors {
 }
 
 impl Layout {
-    /// An empty layout for `width` numbers; amplitudes of bias, products of two, larger ones, the smooth part, and the
-    /// noise.
+    /// An empty layout for `width` numbers; amplitudes of bias, products of two, of three, and of more, the smooth part,
+    /// and the noise.
     pub fn new(width: usize, amplitudes: [f64; GLOBAL]) -> Self {
         let prior = amplitudes.map(libm::log).to_vec();
         let learned = vec![true; GLOBAL];

@@ -90,7 +90,7 @@ fn frequency(range: &InputRange) -> Option<f64> {
 /// Dynamics: everything but the angle of an input that comes round, which jumps.
 pub fn dynamics_layout(places: Places, ranges: &[InputRange]) -> Layout {
     let (n, m) = (places.inputs, places.commands);
-    let mut layout = Layout::new(places.len(), [1.0, 0.01, 0.01, 0.03, 1e-4]);
+    let mut layout = Layout::new(places.len(), [1.0, 0.01, 0.01, 0.01, 0.03, 1e-4]);
     let priors = Priors { linear: 0.3, square: 0.0, product: 0.1, smooth: 0.3 };
     inputs(&mut layout, ranges, priors, Priors::default(), (0.1, AngleReading::APART));
     for i in 0..n {
@@ -121,7 +121,7 @@ pub fn read_angles(layout: &mut Layout, ranges: &[InputRange], reading: AngleRea
 /// Rewards: inputs, changes and commands of one tick.
 pub fn reward_layout(places: Places, ranges: &[InputRange], reading: AngleReading) -> Layout {
     let (n, m) = (places.inputs, places.commands);
-    let mut layout = Layout::new(places.len(), [1.0, 0.3, 0.3, 0.3, 1e-4]);
+    let mut layout = Layout::new(places.len(), [1.0, 0.3, 0.3, 0.3, 0.3, 1e-4]);
     let priors = Priors { linear: 0.3, square: 0.3, product: 0.3, smooth: 0.3 };
     let wrapped = Priors { linear: 0.1, square: 0.1, product: 0.0, smooth: 0.0 };
     inputs(&mut layout, ranges, priors, wrapped, (0.0, reading));

@@ -13,7 +13,7 @@ fn normal(rng: &mut Rng) -> f64 {
 }
 
 fn layout() -> Layout {
-    let mut layout = Layout::new(5, [1.0, 0.9, 0.5, 0.3, 1e-3]);
+    let mut layout = Layout::new(5, [1.0, 0.9, 0.4, 0.5, 0.3, 1e-3]);
     let priors = Priors { linear: 0.3, square: 0.2, product: 0.7, smooth: 0.3 };
     layout.circle(0, 2.0, true, Some(0), priors);
     layout.circle(1, 2.5, true, Some(1), priors);
@@ -128,7 +128,7 @@ fn recursion_gives_what_the_normal_equations_give() {
 
 /// The kernel as the documentation of the layout states it.
 fn kernel(layout: &Layout, scales: &[f64], a: &[f64], b: &[f64]) -> f64 {
-    use super::layout::{BIAS, PAIRS, PRODUCTS, SMOOTH, ScaleKind};
+    use super::layout::{BIAS, PAIRS, PRODUCTS, SMOOTH, ScaleKind, TRIPLES};
     let at = |u: usize, s: ScaleKind| {
         if layout.units[u].scales[s as usize] { scales[Layout::scale(u, s)].exp() } else { 0.0 }
     };
@@ -152,10 +152,13 @@ fn kernel(layout: &Layout, scales: &[f64], a: &[f64], b: &[f64]) -> f64 {
     }
     let of_group = |units: &Vec<usize>| units.iter().map(|&u| at(u, ScaleKind::Product) * inner(u)).sum::<f64>();
     let z: Vec<f64> = layout.groups.iter().map(of_group).collect();
-    let pairs: f64 = (0..z.len()).flat_map(|g| (0..g).map(move |h| (g, h))).map(|(g, h)| z[g] * z[h]).sum();
-    let all: f64 = z.iter().map(|z| 1.0 + z).product();
-    let more = all - 1.0 - z.iter().sum::<f64>() - pairs;
-    k + of(PAIRS) * pairs + of(PRODUCTS) * more + of(SMOOTH) * (-0.5 * apart).exp()
+    // Sums of the products of so many, from their definition.
+    let mut e = [0.0; 5];
+    for chosen in 0_u32..1 << z.len() {
+        let product: f64 = z.iter().enumerate().filter(|(g, _)| chosen >> g & 1 == 1).map(|(_, z)| z).product();
+        e[chosen.count_ones().min(4) as usize] += product;
+    }
+    k + of(PAIRS) * e[2] + of(TRIPLES) * e[3] + of(PRODUCTS) * e[4] + of(SMOOTH) * (-0.5 * apart).exp()
 }
 
 /// `log |A|` and `yᵀ A⁻¹ y`, by Gaussian elimination.

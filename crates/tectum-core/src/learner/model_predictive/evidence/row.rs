@@ -16,7 +16,9 @@ pub(super) struct Row {
     pub sum: Vec<f64>,
     /// The products of two of them.
     pub pairs: Vec<f64>,
-    /// The products of three or more: the product of all factors less the rest.
+    /// The products of three of them.
+    pub triples: Vec<f64>,
+    /// The products of four or more: the product of all factors less the rest.
     pub product: Vec<f64>,
     /// The smooth part.
     pub smooth: Vec<f64>,
@@ -27,33 +29,38 @@ pub(super) struct Row {
 impl Row {
     /// The products of the first `n` points' factors, of `groups` groups.
     pub fn multiply(&mut self, n: usize, groups: usize, capacity: usize) {
-        let Self { factors, sum, pairs, product, .. } = self;
-        let (sum, pairs, product) = (&mut sum[..n], &mut pairs[..n], &mut product[..n]);
+        let Self { factors, sum, pairs, triples, product, .. } = self;
+        let [sum, pairs, triples, product] = [sum, pairs, triples, product].map(|values| &mut values[..n]);
         sum.fill(0.0);
         pairs.fill(0.0);
+        triples.fill(0.0);
         product.fill(1.0);
         for g in 0..groups {
             for (j, factor) in factors[g * capacity..][..n].iter().enumerate() {
                 let z = factor - 1.0;
+                triples[j] += pairs[j] * z;
                 pairs[j] += sum[j] * z;
                 sum[j] += z;
                 product[j] *= factor;
             }
         }
         for j in 0..n {
-            product[j] -= 1.0 + sum[j] + pairs[j];
+            product[j] -= 1.0 + sum[j] + pairs[j] + triples[j];
         }
     }
 
-    /// Writes the slopes of the products by one of their `factors`, with the amplitudes of those of two and of more,
+    /// Writes the slopes of the products by one of their `factors`, with the amplitudes of those of two, of three and of more,
     /// times `outer`.
-    pub fn slopes_of_products(&self, factors: &[f64], [pairs, more]: [f64; 2], outer: &[f64], to: &mut [f64]) {
+    pub fn slopes_of_products(&self, factors: &[f64], [pairs, triples, more]: [f64; 3], outer: &[f64], to: &mut [f64]) {
         for (j, factor) in factors.iter().enumerate() {
-            let all = 1.0 + self.sum[j] + self.pairs[j] + self.product[j];
+            let all = 1.0 + self.sum[j] + self.pairs[j] + self.triples[j] + self.product[j];
             // A factor is 0 only by chance; the others' product is then taken as 0.
             let others = if *factor == 0.0 { 0.0 } else { all / factor };
-            let sum = self.sum[j] - (factor - 1.0);
-            to[j] = outer[j] * (pairs * sum + more * (others - 1.0 - sum));
+            // Sums of the products of one and of two of the others.
+            let z = factor - 1.0;
+            let one = self.sum[j] - z;
+            let two = self.pairs[j] - z * one;
+            to[j] = outer[j] * (pairs * one + triples * two + more * (others - 1.0 - one - two));
         }
     }
 

@@ -182,7 +182,7 @@ mod tests {
     #[test]
     fn points_that_are_spread_out_have_what_is_rare() {
         let rare = |spread: bool| {
-            let mut layout = Layout::new(1, [1.0, 0.3, 0.3, 0.3, 1e-4]);
+            let mut layout = Layout::new(1, [1.0, 0.3, 0.3, 0.3, 0.3, 1e-4]);
             layout.number(0, Some(0), Priors { linear: 0.3, square: 0.3, product: 0.3, smooth: 0.3 });
             let settings = RefitSettings {
                 points: 20,
