@@ -2,6 +2,7 @@
 
 mod learning;
 mod look_ahead;
+mod models;
 mod persist;
 mod planning;
 
@@ -11,13 +12,12 @@ use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
 use super::dynamics::Dynamics;
 use super::exploration::NoiseSource;
 use super::layout::Places;
-use super::layouts::{AngleReading, reward_layout};
+use super::layouts::AngleReading;
 use super::linalg::dot;
 use super::memory::Memory;
-use super::model::{Model, ModelSize};
+use super::model::Model;
 use super::operations::OperationBudget;
 use super::planner::{CommandPlan, Planner};
-use super::refit::RefitSettings;
 use super::world::{CHANGE, Ranges, WorldScratch, wrap};
 use crate::seed::{Rng, stream};
 use crate::{MAX_INPUTS, MAX_OUTPUTS};
@@ -148,7 +148,7 @@ impl ModelPredictive {
         let places = Places { inputs: spec.inputs.len(), commands: spec.limits.len() };
         assert!(places.commands <= MAX_OUTPUTS && places.inputs <= MAX_INPUTS);
         let mut rng = stream(spec.seed, "models");
-        let (dynamics, [before, after]) = models(spec, places, &mut rng);
+        let (dynamics, [before, after]) = models::models(spec, places, &mut rng);
         let horizon = if config.horizon > 0 { config.horizon } else { (480 / places.len()).clamp(20, 40) };
         Self {
             middle: spec.inputs.iter().map(|r| 0.5 * (r.min + r.max)).collect(),
@@ -366,38 +366,4 @@ impl Differences<'_> {
             }
         }
     }
-}
-
-/// The models of a learner that knows nothing: movement, reward before the tick, reward after it.
-fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamics, [Model; 2]) {
-    let config = &spec.config;
-    let settings = RefitSettings {
-        points: config.points / 2,
-        steps: config.steps,
-        extra_steps: 50_000_000,
-        step: 0.25,
-        width: 2.5,
-        noise_floor: config.noise_floor,
-        standardise: false,
-        robust: true,
-        spread: false,
-        memory: config.memory,
-    };
-    let dynamics = Dynamics::new(spec, places, settings, rng);
-    let layout = reward_layout(places, &spec.inputs, AngleReading::APART);
-    // Rewards of many joints need products of many inputs: their number grows with the square of that of the inputs.
-    let or = |value: usize, usual: usize| if value > 0 { value } else { usual };
-    let products = or(config.reward_products, 14 * places.inputs * places.inputs);
-    let size = ModelSize::within(&layout, 1, products, or(config.reward_features, products + 260));
-    let size = ModelSize { samples: 6, ..size };
-    let settings = RefitSettings {
-        points: config.points,
-        extra_steps: 150_000_000,
-        standardise: true,
-        robust: false,
-        spread: true,
-        ..settings
-    };
-    let rewards = [0, 1].map(|_| Model::new(layout.clone(), size, settings, rng));
-    (dynamics, rewards)
 }

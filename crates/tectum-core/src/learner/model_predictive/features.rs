@@ -4,15 +4,16 @@
 //! phi = [ sqrt b | sqrt a_i x_i | sqrt c_i x_i^2 | sqrt(f / M) (cos W e, sin W e) | sqrt(s v_i v_j ..) x_i x_j .. ]
 //! ```
 //!
-//! with `p` and `t` in the place of `s` for products of two and of three;
-//!
-//! with the components `e` of all units and `M` random frequencies `W = Xi sqrt(rho)`, `Xi` normal and drawn once
+//! where products of two have `p` in the place of `s`, and those of three `t`, with the components `e` of all units and `M` random frequencies `W = Xi sqrt(rho)`, `Xi` normal and drawn once
 //! (random Fourier features, Rahimi & Recht 2007), which only approximate their part of the kernel. Of the products,
 //! those of largest prior variance have a feature; they are chosen anew when the scales change.
 
+mod products;
+
 use super::functions::{exp, sines_and_cosines};
-use super::layout::{BIAS, Layout, PAIRS, PRODUCTS, SMOOTH, ScaleKind, TRIPLES};
+use super::layout::{BIAS, Layout, SMOOTH, ScaleKind};
 use crate::state::StateVisitor;
+use products::Candidate;
 
 /// Most groups of a layout's products: inputs and commands.
 const MAX_GROUPS: usize = crate::MAX_INPUTS + crate::MAX_OUTPUTS;
@@ -29,14 +30,6 @@ pub struct Node {
     pub component: u32,
     /// Its feature, counted from the first product, or `u32::MAX`.
     pub feature: u32,
-}
-
-/// A candidate: its prior variance, and which component of each group it has (0 for none).
-#[derive(Debug, Clone, Copy)]
-struct Candidate {
-    variance: f64,
-    order: u8,
-    choice: [u8; MAX_GROUPS],
 }
 
 /// The features of a layout with certain scales.
@@ -205,83 +198,6 @@ impl ModelFeatures {
         self.choose_products(layout);
     }
 
-    /// Most products of the first groups that are kept: all of at most two components, and as many of three, and of
-    /// more, as can be chosen.
-    fn beam(&self, layout: &Layout) -> usize {
-        let single = layout.components;
-        1 + single + single * single.saturating_sub(1) / 2 + 2 * self.products
-    }
-
-    /// Chooses the products of largest prior variance. Keeping the best of the products of the first groups, group
-    /// after group, misses none, because variances are products over groups, and the amplitude depends on their
-    /// number alone.
-    fn choose_products(&mut self, layout: &Layout) {
-        self.candidates.clear();
-        self.candidates.push(Candidate { variance: 1.0, order: 0, choice: [0; MAX_GROUPS] });
-        for (g, units) in layout.groups.iter().enumerate() {
-            self.spare.clear();
-            for candidate in &self.candidates {
-                self.spare.push(*candidate);
-                for &u in units {
-                    let unit = &layout.units[u];
-                    let v = exp(self.scales[Layout::scale(u, ScaleKind::Product)]);
-                    for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
-                        let mut next = *candidate;
-                        next.variance *= v * self.mean_squares[c];
-                        next.order += 1;
-                        next.choice[g] = c as u8 + 1;
-                        self.spare.push(next);
-                    }
-                }
-            }
-            self.spare.sort_unstable_by(larger_variance);
-            let mut left = [usize::MAX, self.products, self.products];
-            self.spare.retain(|candidate| {
-                let left = &mut left[class(candidate.order)];
-                let is_kept = *left > 0;
-                *left = left.saturating_sub(1);
-                is_kept
-            });
-            std::mem::swap(&mut self.candidates, &mut self.spare);
-        }
-        self.candidates.retain(|c| c.order >= 2);
-        for candidate in &mut self.candidates {
-            candidate.variance *= amplitude(&self.scales, candidate.order);
-        }
-        self.candidates.sort_unstable_by(larger_variance);
-        self.candidates.truncate(self.products);
-        self.candidates.sort_unstable_by_key(|candidate| candidate.choice);
-        self.plant_nodes(layout);
-    }
-
-    /// Makes the tree of the chosen products, which share what they begin with.
-    fn plant_nodes(&mut self, layout: &Layout) {
-        let parts = self.parts(layout);
-        self.nodes.clear();
-        let mut before = [0_u8; MAX_GROUPS];
-        // The node of each group's choice in the candidate before; the first `shared` groups are equal in both.
-        let mut path = [NONE; MAX_GROUPS];
-        for (feature, candidate) in self.candidates.iter().enumerate() {
-            let shared = (0..MAX_GROUPS).find(|&g| candidate.choice[g] != before[g]).unwrap_or(MAX_GROUPS);
-            let shared = if feature == 0 { 0 } else { shared };
-            let mut variance = amplitude(&self.scales, candidate.order);
-            let mut parent = NONE;
-            for g in (0..MAX_GROUPS).filter(|&g| candidate.choice[g] > 0) {
-                let component = usize::from(candidate.choice[g]) - 1;
-                let unit = layout.units.iter().rposition(|u| u.component <= component).unwrap_or(0);
-                variance *= exp(self.scales[Layout::scale(unit, ScaleKind::Product)]);
-                if g >= shared {
-                    path[g] = self.nodes.len() as u32;
-                    self.nodes.push(Node { parent, component: component as u32, feature: NONE });
-                }
-                parent = path[g];
-            }
-            before = candidate.choice;
-            self.nodes[parent as usize].feature = feature as u32;
-            self.amplitudes[parts.products + feature] = variance.sqrt();
-        }
-    }
-
     /// Writes the features at `q` to `phi`.
     pub fn evaluate(&self, layout: &Layout, q: &[f64], basis: &mut BasisValues, phi: &mut [f64]) {
         basis.evaluate(layout, self, q);
@@ -313,21 +229,6 @@ impl ModelFeatures {
             self.build(layout);
         }
     }
-}
-
-/// Products of so many components share an amplitude: at most two, three, more.
-fn class(order: u8) -> usize {
-    usize::from(order.clamp(2, 4)) - 2
-}
-
-/// The amplitude of products of so many components.
-fn amplitude(scales: &[f64], order: u8) -> f64 {
-    exp(scales[[PAIRS, TRIPLES, PRODUCTS][class(order)]])
-}
-
-/// The order of candidates: that of larger variance comes first.
-fn larger_variance(a: &Candidate, b: &Candidate) -> std::cmp::Ordering {
-    b.variance.total_cmp(&a.variance).then(a.choice.cmp(&b.choice))
 }
 
 /// Normal directions by component, then pair, orthogonal to each other in blocks of as many pairs as there are
@@ -369,22 +270,6 @@ pub fn parent(node: &Node) -> Option<usize> {
 mod tests {
     use super::*;
     use crate::learner::model_predictive::layout::Priors;
-
-    #[test]
-    fn products_of_two_are_chosen_by_their_own_amplitude() {
-        let chosen = |pairs: f64| {
-            let mut layout = Layout::new(4, [1.0, pairs, 0.5, 0.5, 0.1, 1e-3]);
-            for at in 0..4 {
-                layout.number(at, Some(at), Priors { linear: 0.3, square: 0.2, product: 6.0, smooth: 0.2 });
-            }
-            let features = ModelFeatures::new(&layout, 4, 5, || 0.3);
-            let orders = features.candidates.iter().map(|c| c.order).collect::<Vec<_>>();
-            assert_eq!(orders.len(), 5);
-            orders.iter().filter(|order| **order == 2).count()
-        };
-        // 6 products of two, 4 of three, 1 of four, each variance twice that of the order below but for the amplitude.
-        assert_eq!([chosen(0.5), chosen(10.0)], [0, 5]);
-    }
 
     #[test]
     fn all_products_of_a_small_layout_have_their_features() {

@@ -1,0 +1,43 @@
+//! The models of a learner, and how they are fitted anew.
+
+use super::super::config::ModelPredictiveSpec;
+use super::super::dynamics::Dynamics;
+use super::super::layout::Places;
+use super::super::layouts::{AngleReading, reward_layout};
+use super::super::model::{Model, ModelSize};
+use super::super::refit::RefitSettings;
+use crate::seed::Rng;
+
+/// The models of a learner that knows nothing: movement, reward before the tick, reward after it.
+pub(super) fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamics, [Model; 2]) {
+    let config = &spec.config;
+    let settings = RefitSettings {
+        points: config.points / 2,
+        steps: config.steps,
+        extra_steps: 50_000_000,
+        step: 0.25,
+        width: 2.5,
+        noise_floor: config.noise_floor,
+        standardise: false,
+        robust: true,
+        spread: false,
+        memory: config.memory,
+    };
+    let dynamics = Dynamics::new(spec, places, settings, rng);
+    let layout = reward_layout(places, &spec.inputs, AngleReading::APART);
+    // Rewards of many joints need products of many inputs: their number grows with the square of that of the inputs.
+    let or = |value: usize, usual: usize| if value > 0 { value } else { usual };
+    let products = or(config.reward_products, 14 * places.inputs * places.inputs);
+    let size = ModelSize::within(&layout, 1, products, or(config.reward_features, products + 260));
+    let size = ModelSize { samples: 6, ..size };
+    let settings = RefitSettings {
+        points: config.points,
+        extra_steps: 150_000_000,
+        standardise: true,
+        robust: false,
+        spread: true,
+        ..settings
+    };
+    let rewards = [0, 1].map(|_| Model::new(layout.clone(), size, settings, rng));
+    (dynamics, rewards)
+}
