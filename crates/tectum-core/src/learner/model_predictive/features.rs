@@ -4,9 +4,10 @@
 //! phi = [ sqrt b | sqrt a_i x_i | sqrt c_i x_i^2 | sqrt(f / M) (cos W e, sin W e) | sqrt(s v_i v_j ..) x_i x_j .. ]
 //! ```
 //!
-//! where products of two have `p` in the place of `s`, and those of three `t`, with the components `e` of all units and `M` random frequencies `W = Xi sqrt(rho)`, `Xi` normal and drawn once
-//! (random Fourier features, Rahimi & Recht 2007), which only approximate their part of the kernel. Of the products,
-//! those of largest prior variance have a feature; they are chosen anew when the scales change.
+//! where products of two have `p` in the place of `s`, and those of three `t`, with the components `e` of all units and
+//! `M` random frequencies `W = Xi sqrt(rho)`, `Xi` normal and drawn once (random Fourier features, Rahimi & Recht 2007),
+//! which only approximate their part of the kernel. Of the products, those of largest prior variance have a feature;
+//! they are chosen anew when the scales change.
 
 mod products;
 
