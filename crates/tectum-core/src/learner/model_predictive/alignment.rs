@@ -9,8 +9,8 @@
 //!
 //! Where angles follow each other in the inputs, they may be directions of bodies, or each be measured from the body
 //! before, as the joints of most arms are. The reward of the second arm is that of the first in running sums of the
-//! angles ([`AngleReading`]), and others have joints of both kinds: a base that turns about the vertical, then joints in
-//! a plane. Which it is follows from the evidence in the same way ([`Readings`]). When an assumption changes, both
+//! angles ([`AngleReading`]), and others have joints of both kinds: a base that turns about the vertical, then joints
+//! in a plane. Which it is follows from the evidence in the same way ([`Readings`]). When an assumption changes, both
 //! reward models begin anew.
 //!
 //! The rewards are those of remembered ticks that lie far from each other. At equal intervals they are mostly those of

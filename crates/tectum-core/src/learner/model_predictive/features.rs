@@ -4,17 +4,17 @@
 //! phi = [ sqrt b | sqrt a_i x_i | sqrt c_i x_i^2 | sqrt(f / M) (cos W e, sin W e) | sqrt(s v_i v_j ..) x_i x_j .. ]
 //! ```
 //!
-//! where products of two have `p` in the place of `s`, and those of three `t`, with the components `e` of all units and
-//! `M` random frequencies `W = Xi sqrt(rho)`, `Xi` normal and drawn once (random Fourier features, Rahimi & Recht 2007),
-//! which only approximate their part of the kernel. Of the products, those of largest prior variance have a feature;
-//! they are chosen anew when the scales change.
+//! where products of two have `p` in the place of `s`, and those of three `t`, with the components `e` of all units
+//! and `M` random frequencies `W = Xi sqrt(rho)`, `Xi` normal and drawn once (random Fourier features, Rahimi & Recht
+//! 2007), which only approximate their part of the kernel. Of the products, those of largest prior variance have a
+//! feature; they are chosen anew when the scales change.
 
 mod products;
 
 use super::functions::{exp, sines_and_cosines};
 use super::layout::{BIAS, Layout, SMOOTH, ScaleKind};
 use crate::state::StateVisitor;
-use products::Candidate;
+use products::ProductCandidate;
 
 /// Most groups of a layout's products: inputs and commands.
 const MAX_GROUPS: usize = crate::MAX_INPUTS + crate::MAX_OUTPUTS;
@@ -60,8 +60,8 @@ pub struct ModelFeatures {
     built_squares: Vec<f64>,
     /// The products.
     pub nodes: Vec<Node>,
-    candidates: Vec<Candidate>,
-    spare: Vec<Candidate>,
+    candidates: Vec<ProductCandidate>,
+    spare: Vec<ProductCandidate>,
 }
 
 /// Where the parts of the features begin.

@@ -14,8 +14,8 @@
 //!          + f exp(-1/2 sum_i rho_i |x_i - x_i'|^2)                  anything smooth
 //! ```
 //!
-//! with `x_i` the value of unit `i` (one number, or cosine and sine). All of `b, a, c, p, t, s, v, f, rho`, the noise and
-//! the frequencies are scales, learned as logarithms.
+//! with `x_i` the value of unit `i` (one number, or cosine and sine). All of `b, a, c, p, t, s, v, f, rho`, the noise
+//! and the frequencies are scales, learned as logarithms.
 
 /// Where the parts of `q` begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

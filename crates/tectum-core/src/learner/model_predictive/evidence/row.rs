@@ -49,8 +49,8 @@ impl Row {
         }
     }
 
-    /// Writes the slopes of the products by one of their `factors`, with the amplitudes of those of two, of three and of more,
-    /// times `outer`.
+    /// Writes the slopes of the products by one of their `factors`, with the amplitudes of those of two, of three and
+    /// of more, times `outer`.
     pub fn slopes_of_products(&self, factors: &[f64], [pairs, triples, more]: [f64; 3], outer: &[f64], to: &mut [f64]) {
         for (j, factor) in factors.iter().enumerate() {
             let all = 1.0 + self.sum[j] + self.pairs[j] + self.triples[j] + self.product[j];

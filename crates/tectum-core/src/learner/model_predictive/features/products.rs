@@ -6,7 +6,7 @@ use super::{MAX_GROUPS, ModelFeatures, NONE, Node};
 
 /// A candidate: its prior variance, and which component of each group it has (0 for none).
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Candidate {
+pub(super) struct ProductCandidate {
     variance: f64,
     order: u8,
     choice: [u8; MAX_GROUPS],
@@ -25,7 +25,7 @@ impl ModelFeatures {
     /// number alone.
     pub(super) fn choose_products(&mut self, layout: &Layout) {
         self.candidates.clear();
-        self.candidates.push(Candidate { variance: 1.0, order: 0, choice: [0; MAX_GROUPS] });
+        self.candidates.push(ProductCandidate { variance: 1.0, order: 0, choice: [0; MAX_GROUPS] });
         for (g, units) in layout.groups.iter().enumerate() {
             self.spare.clear();
             for candidate in &self.candidates {
@@ -102,7 +102,7 @@ fn amplitude(scales: &[f64], order: u8) -> f64 {
 }
 
 /// The order of candidates: that of larger variance comes first.
-fn larger_variance(a: &Candidate, b: &Candidate) -> std::cmp::Ordering {
+fn larger_variance(a: &ProductCandidate, b: &ProductCandidate) -> std::cmp::Ordering {
     b.variance.total_cmp(&a.variance).then(a.choice.cmp(&b.choice))
 }
 
