@@ -177,8 +177,8 @@ pub struct Priors {
 }
 
 impl Layout {
-    /// An empty layout for `width` numbers; amplitudes of bias, products of two, of three, and of more, the smooth part,
-    /// and the noise.
+    /// An empty layout for `width` numbers; amplitudes of bias, products of two, of three, and of more, the smooth
+    /// part, and the noise.
     pub fn new(width: usize, amplitudes: [f64; GLOBAL]) -> Self {
         let prior = amplitudes.map(libm::log).to_vec();
         let learned = vec![true; GLOBAL];
