@@ -1,8 +1,8 @@
 //! Which reading of the angles ([`AngleReading`]) the rewards speak for.
 //!
 //! The readings are too many to weigh them all. In every round these are: all angles apart; all as one chain; the
-//! present reading, if it is neither; and the present one with one angle read in the other way, for up to four angles in
-//! turn, where there are several to choose from. What a round finds counts half in the next one.
+//! present reading, if it is neither; and the present one with one angle read in the other way, for up to four angles
+//! in turn, where there are several to choose from. What a round finds counts half in the next one.
 
 use super::super::config::InputRange;
 use super::super::layouts::AngleReading;
