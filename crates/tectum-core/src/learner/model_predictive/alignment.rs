@@ -337,7 +337,7 @@ mod tests {
         for right in [0, 0b11000, 0b10000] {
             let memory = remembered(right, &ranges, places);
             for present in [0, 0b11000] {
-                let layout = reward_layout(places, &ranges, AngleReading::APART);
+                let layout = reward_layout(places, &ranges);
                 let mut alignment = Alignment::new(layout, &ranges, 1000);
                 let mut assumed = RewardAssumption { shift: 0, reading: alignment.reading_of(present) };
                 // An angle of its own beside a chain takes a second round.

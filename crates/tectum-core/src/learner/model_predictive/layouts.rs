@@ -54,18 +54,12 @@ impl AngleReading {
 /// Adds the inputs as angles, with twice the angle where `doubled` is above 0 (as the inertia of linked bodies has it),
 /// and then as numbers. Each input is a group of the products. What is known to be an angle is part of products as an
 /// angle alone; what may be one, mostly as a number; what is known to be none, as a number alone.
-fn inputs(
-    layout: &mut Layout,
-    ranges: &[InputRange],
-    priors: Priors,
-    wrapped: Priors,
-    (doubled, reading): (f64, AngleReading),
-) {
+fn inputs(layout: &mut Layout, ranges: &[InputRange], priors: Priors, wrapped: Priors, doubled: f64) {
     for (i, range) in ranges.iter().enumerate().filter(|(_, range)| !range.is_no_angle()) {
         let known = frequency(range);
         let doubtful = Priors { linear: 0.1 * priors.linear, product: 0.1 * priors.product, ..priors };
         match known {
-            Some(_) => layout.angle_sum(reading.terms(ranges, i), Some(i), priors),
+            Some(_) => layout.angle_sum(AngleReading::APART.terms(ranges, i), Some(i), priors),
             None => layout.circle(i, FREQUENCY, true, Some(i), doubtful),
         }
         if let Some(frequency) = known.filter(|_| doubled > 0.0) {
@@ -92,7 +86,7 @@ pub fn dynamics_layout(places: Places, ranges: &[InputRange]) -> Layout {
     let (n, m) = (places.inputs, places.commands);
     let mut layout = Layout::new(places.len(), [1.0, 0.01, 0.01, 0.01, 0.03, 1e-4]);
     let priors = Priors { linear: 0.3, square: 0.0, product: 0.1, smooth: 0.3 };
-    inputs(&mut layout, ranges, priors, Priors::default(), (0.1, AngleReading::APART));
+    inputs(&mut layout, ranges, priors, Priors::default(), 0.1);
     for i in 0..n {
         layout.number(places.change(i), None, Priors { product: 0.0, ..priors });
     }
@@ -118,13 +112,13 @@ pub fn read_angles(layout: &mut Layout, ranges: &[InputRange], reading: AngleRea
     }
 }
 
-/// Rewards: inputs, changes and commands of one tick.
-pub fn reward_layout(places: Places, ranges: &[InputRange], reading: AngleReading) -> Layout {
+/// Rewards: inputs, changes and commands of one tick. Angles are read apart from each other; see [`read_angles`].
+pub fn reward_layout(places: Places, ranges: &[InputRange]) -> Layout {
     let (n, m) = (places.inputs, places.commands);
     let mut layout = Layout::new(places.len(), [1.0, 0.3, 0.3, 0.3, 0.3, 1e-4]);
     let priors = Priors { linear: 0.3, square: 0.3, product: 0.3, smooth: 0.3 };
     let wrapped = Priors { linear: 0.1, square: 0.1, product: 0.0, smooth: 0.0 };
-    inputs(&mut layout, ranges, priors, wrapped, (0.0, reading));
+    inputs(&mut layout, ranges, priors, wrapped, 0.0);
     for i in 0..n {
         layout.number(places.change(i), None, Priors { product: 0.0, ..priors });
     }

@@ -3,7 +3,7 @@
 use super::super::config::ModelPredictiveSpec;
 use super::super::dynamics::Dynamics;
 use super::super::layout::Places;
-use super::super::layouts::{AngleReading, reward_layout};
+use super::super::layouts::reward_layout;
 use super::super::model::{Model, ModelSize};
 use super::super::refit::RefitSettings;
 use crate::seed::Rng;
@@ -24,7 +24,7 @@ pub(super) fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) 
         memory: config.memory,
     };
     let dynamics = Dynamics::new(spec, places, settings, rng);
-    let layout = reward_layout(places, &spec.inputs, AngleReading::APART);
+    let layout = reward_layout(places, &spec.inputs);
     // Rewards of many joints need products of many inputs: their number grows with the square of that of the inputs.
     let or = |value: usize, usual: usize| if value > 0 { value } else { usual };
     let products = or(config.reward_products, 14 * places.inputs * places.inputs);
