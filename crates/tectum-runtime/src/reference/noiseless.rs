@@ -130,7 +130,7 @@ impl<P: Plant> Rollout<P> {
     pub fn sense(&mut self, tick: u64) -> bool {
         let new_target = self.plant.sense(tick, &mut self.inputs[..self.used.0]);
         self.flags = if new_target { flag::NEW_TARGET } else { 0 };
-        self.flags |= self.plant.episode_end().map_or(0, EpisodeEnd::flag);
+        self.flags |= self.plant.episode_end().map_or(0, EpisodeEnd::flag) | self.plant.sensing_flags();
         new_target
     }
 
@@ -154,6 +154,27 @@ mod tests {
     use crate::runtime::PlantSide;
     use crate::scenario::{FaultsConfig, Scenario};
     use crate::wire::{Command, Observation};
+
+    /// A pendulum begins anew every 200 ticks, which is stated with the new start.
+    #[test]
+    fn a_rollout_states_where_episodes_begin_as_a_run_does() {
+        let plan = Scenario::find("pendulum").unwrap().plan().unwrap();
+        let mut rollout = Rollout::new(plan.simulated_plant().unwrap(), &plan);
+        let mut side = PlantSide::new(plan.simulated_plant().unwrap(), &plan);
+        let (mut observation, mut begun) = (Observation::default(), 0);
+        let boundaries = flag::NEW_TARGET | flag::TRUNCATED | flag::TERMINATED;
+        for tick in 0..450 {
+            side.observe(tick, 0, 0, &mut observation);
+            side.step(tick, Some(&Command::default()));
+            rollout.sense(tick);
+            rollout.advance(tick, |seen| {
+                assert_eq!(seen.flags, observation.header.flags & boundaries, "tick {tick}");
+                begun += u32::from(seen.flags & flag::TRUNCATED != 0);
+                Outputs::default()
+            });
+        }
+        assert_eq!(begun, 2);
+    }
 
     /// With all limits of the gate, and one command that is not a number.
     #[test]
