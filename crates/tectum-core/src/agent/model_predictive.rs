@@ -343,20 +343,34 @@ mod tests {
 
     #[test]
     fn angles_are_read_as_the_arm_measures_them() {
-        use crate::state::{load, save, size};
         let chain = 0b111000;
         for (name, chained) in [("arm", 0), ("arm-relative", chain), ("arm-relative-stops", chain)] {
             let mut original = agent(name, 1, &few_operations());
             run((name, 1), 60, 0, &mut original, |_| ());
             assert_eq!(original.learner().chained(), chained, "{name}");
-
             // The reading comes back with the rest, and with it what the models predict.
-            let mut bytes = vec![0; size(&mut original)];
-            save(&mut original, &mut bytes).unwrap();
-            let mut restored = agent(name, 1, &few_operations());
-            assert!(load(&mut restored, &bytes));
-            let [a, b] = [&mut original, &mut restored].map(|agent| run((name, 2), 12, 0, agent, |_| ()).to_bits());
-            assert_eq!(a, b, "{name}");
+            comes_back(name, &mut original);
+        }
+    }
+
+    /// A learner that is loaded from the state of another does as that one.
+    fn comes_back(name: &str, original: &mut ModelPredictiveAgent) {
+        use crate::state::{load, save, size};
+        let mut bytes = vec![0; size(original)];
+        save(original, &mut bytes).unwrap();
+        let mut restored = agent(name, 1, &few_operations());
+        assert!(load(&mut restored, &bytes));
+        let [a, b] = [original, &mut restored].map(|agent| run((name, 2), 12, 0, agent, |_| ()).to_bits());
+        assert_eq!(a, b, "{name}");
+    }
+
+    #[test]
+    fn where_a_hand_is_follows_from_its_joints() {
+        for (name, ticks, following) in [("reacher", 180, 0b1100_0000), ("arm", 90, 0)] {
+            let mut original = agent(name, 1, &few_operations());
+            run((name, 1), ticks, 0, &mut original, |_| ());
+            assert_eq!(original.learner().following(), following, "{name}");
+            comes_back(name, &mut original);
         }
     }
 

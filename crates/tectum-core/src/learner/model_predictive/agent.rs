@@ -320,6 +320,11 @@ impl ModelPredictive {
         self.reading.bits()
     }
 
+    /// The inputs (bits) that are predicted as functions of others.
+    pub fn following(&self) -> u32 {
+        self.dynamics.dependents.following
+    }
+
     /// The last command without exploration noise, in its unit; 0 before the first plan.
     pub fn mean(&self) -> &[f64] {
         &self.mean[..self.places.commands]
@@ -327,8 +332,7 @@ impl ModelPredictive {
 
     /// Largest noise of the models of movement, as a part of their prior's scale.
     fn dynamics_noise(&self) -> f64 {
-        let noise = |i: usize| if self.dynamics.moves(i) { self.dynamics.models[i].fit.regression.lambda } else { 0.0 };
-        (0..self.places.inputs).map(noise).fold(0.0, f64::max)
+        self.dynamics.models_in_use().map(|model| model.fit.regression.lambda).fold(0.0, f64::max)
     }
 
     /// Numbers for a record: the plan's predicted sum of rewards (in standard deviations of the reward), the noise of

@@ -20,11 +20,12 @@ pub struct ModelPredictiveConfig {
     pub points: usize,
     /// Adam steps of a refit.
     pub steps: u64,
-    /// Features of the reward model, about; 0 for 260 more than its products.
+    /// Features of the reward model, about; 0 for 260 more than its products, or fewer where operations are few.
     pub reward_features: usize,
     /// Features of an input's model of movement, about.
     pub dynamics_features: usize,
-    /// Most products of the reward model; 0 for 14 times the square of the number of inputs.
+    /// Most products of the reward model; 0 for 8 times the square of the number of inputs, or fewer where operations
+    /// are few.
     pub reward_products: usize,
     /// Most products of an input's model of movement.
     pub dynamics_products: usize,

@@ -4,12 +4,15 @@
 //! An input that has not moved yet, as a target between two jumps, has no work: it is predicted to stay.
 
 use super::config::ModelPredictiveSpec;
+use super::dependents::Dependents;
 use super::layout::Places;
 use super::layouts::dynamics_layout;
 use super::memory::{ChangeData, Lesson, Memory};
 use super::model::{Model, ModelSize};
 use super::operations::RefitShare;
 use super::refit::RefitSettings;
+use super::world::{CHANGE, Ranges};
+use crate::MAX_INPUTS;
 use crate::seed::Rng;
 use crate::state::{Persist, StateVisitor};
 
@@ -23,7 +26,12 @@ pub struct Dynamics {
     pub models: Vec<Model>,
     /// The inputs (bits) that have moved.
     pub moving: u32,
-    width: usize,
+    /// The inputs that follow from others.
+    pub dependents: Dependents,
+    ranges: Ranges,
+    /// `q` of the last tick, and what is to come of another.
+    seen: Vec<f64>,
+    next: Vec<f64>,
 }
 
 impl Dynamics {
@@ -33,7 +41,14 @@ impl Dynamics {
         let config = &spec.config;
         let size = ModelSize::within(&layout, 1, config.dynamics_products, config.dynamics_features);
         let models = (0..places.inputs).map(|_| Model::new(layout.clone(), size, settings, rng)).collect();
-        Self { models, moving: 0, width: places.len() }
+        Self {
+            models,
+            moving: 0,
+            dependents: Dependents::new(spec, places, settings),
+            ranges: Ranges::of(&spec.inputs),
+            seen: vec![0.0; places.len()],
+            next: vec![0.0; places.len()],
+        }
     }
 
     /// Whether input `i` has moved.
@@ -49,12 +64,22 @@ impl Dynamics {
 
     /// Predicts at `q` and prepares to learn there.
     pub fn observe(&mut self, q: &[f64]) {
+        self.seen.copy_from_slice(q);
         self.movers().for_each(|(_, model)| model.observe(q));
+    }
+
+    /// Predicts the inputs that follow from others, by what these are after the tick.
+    pub fn follow(&mut self, after: &[f64]) {
+        self.dependents.observe(after);
     }
 
     /// The predicted change of an input.
     pub fn predicted(&self, i: usize) -> f64 {
-        if self.moves(i) { self.models[i].predicted[0] } else { 0.0 }
+        match self.moves(i) {
+            true if self.dependents.follows(i) => (self.dependents.predicted(i) - self.seen[i]) / CHANGE,
+            true => self.models[i].predicted[0],
+            false => 0.0,
+        }
     }
 
     /// An observed change less its prediction.
@@ -65,14 +90,20 @@ impl Dynamics {
     /// The squared error in predictive variances.
     pub fn surprise(&self, i: usize, change: f64) -> f64 {
         match self.moves(i) {
+            true if self.dependents.follows(i) => self.dependents.surprise(i, self.seen[i] + CHANGE * change),
             true => self.models[i].surprise(0, change),
             false if change.abs() <= STILL => 0.0,
             false => 1e6,
         }
     }
 
-    /// Learns the changes at the point that was observed.
-    pub fn learn(&mut self, changes: &[f64], lesson: Lesson, rng: &mut Rng) {
+    /// Learns the changes at the point that was observed, and which inputs were `after` it.
+    pub fn learn(&mut self, changes: &[f64], after: &[f64], lesson: Lesson, rng: &mut Rng) {
+        let mut errors = [0.0; MAX_INPUTS];
+        for (i, error) in errors.iter_mut().enumerate().take(changes.len()) {
+            *error = changes[i] - if self.moves(i) { self.models[i].predicted[0] } else { 0.0 };
+        }
+        self.dependents.learn(&after[..changes.len()], changes, &errors[..changes.len()], lesson);
         let teaches = |i: usize| (lesson.missing | lesson.upper_end | lesson.lower_end) & (1 << i) == 0;
         for (i, model) in self.movers().filter(|(i, _)| teaches(*i)) {
             model.learn(&changes[i..=i], Lesson { contact: lesson.contact, ..Lesson::default() }, rng);
@@ -81,7 +112,7 @@ impl Dynamics {
 
     /// Operations of learning from a tick.
     pub fn cost(&self) -> u64 {
-        self.moving_models().map(|model| model.fit.regression.cost()).sum()
+        self.moving_models().chain(self.dependents.tried()).map(|model| model.fit.regression.cost()).sum()
     }
 
     /// The models of the inputs that have moved.
@@ -92,13 +123,19 @@ impl Dynamics {
     /// The planner's functions from now on.
     pub fn take(&mut self, part: f64) {
         self.movers().for_each(|(_, model)| model.take(part));
+        self.dependents.take();
     }
 
     /// Writes the changes at `q`.
     pub fn value(&mut self, q: &[f64], d: &mut [f64]) {
         d.fill(0.0);
-        for (i, Model { layout, fit, weighted, .. }) in self.movers() {
+        let following = self.dependents.following;
+        for (i, Model { layout, fit, weighted, .. }) in self.movers().filter(|(i, _)| following >> i & 1 == 0) {
             weighted.value(layout, &fit.features, q, &mut d[i..=i]);
+        }
+        if following != 0 {
+            self.look_ahead(q, d);
+            self.dependents.value(&q[..d.len()], &self.next, d);
         }
     }
 
@@ -106,21 +143,40 @@ impl Dynamics {
     pub fn jacobian(&mut self, q: &[f64], d: &mut [f64], jacobian: &mut [f64]) {
         d.fill(0.0);
         jacobian.fill(0.0);
-        let width = self.width;
-        for (i, Model { layout, fit, weighted, .. }) in self.movers() {
+        let (width, following) = (self.next.len(), self.dependents.following);
+        for (i, Model { layout, fit, weighted, .. }) in self.movers().filter(|(i, _)| following >> i & 1 == 0) {
             let row = &mut jacobian[i * width..(i + 1) * width];
             weighted.jacobian(layout, &fit.features, q, &mut d[i..=i], row);
         }
+        if following != 0 {
+            self.look_ahead(q, d);
+            self.dependents.jacobian(&q[..d.len()], &self.next, d, jacobian);
+        }
+    }
+
+    /// The inputs after `q` and changes `d`.
+    fn look_ahead(&mut self, q: &[f64], d: &[f64]) {
+        for (i, d) in d.iter().enumerate() {
+            self.next[i] = self.ranges.bring_in(i, q[i] + CHANGE * d);
+        }
+    }
+
+    /// The models that predict the inputs that move: those of changes, and of what follows from others.
+    pub fn models_in_use(&self) -> impl Iterator<Item = &Model> {
+        let of_changes = self.models.iter().enumerate();
+        let of_changes = of_changes.filter(|(i, _)| self.moves(*i) && !self.dependents.follows(*i));
+        of_changes.map(|(_, model)| model).chain(self.dependents.in_use())
     }
 
     /// Whether a refit is under way.
     pub fn busy(&self) -> bool {
-        self.models.iter().any(|model| model.refit.busy())
+        self.models.iter().any(|model| model.refit.busy()) || self.dependents.busy()
     }
 
     /// Begins refits.
     pub fn begin(&mut self) {
         self.movers().for_each(|(_, model)| model.refit.begin());
+        self.dependents.begin(self.moving);
     }
 
     /// Whether all models have been fitted at least once.
@@ -133,11 +189,13 @@ impl Dynamics {
         for (i, model) in self.movers() {
             model.work(&ChangeData { memory, input: i }, share, rng);
         }
+        self.dependents.work(memory, share);
     }
 
     /// Makes an input's model less certain.
     pub fn doubt(&mut self, i: usize) {
         self.models[i].fit.regression.doubt(1000.0, 30.0);
+        self.dependents.doubt(i);
     }
 }
 
@@ -147,5 +205,6 @@ impl Persist for Dynamics {
         for model in &mut self.models {
             visitor.nested("input", model);
         }
+        visitor.nested("dependents", &mut self.dependents);
     }
 }

@@ -229,6 +229,18 @@ impl Layout {
         self.components += if frequency.is_some() { 2 } else { 1 };
     }
 
+    /// Has the model look at some of the inputs (bits) alone: the units of others are in no feature. For layouts whose
+    /// units are of one input each.
+    pub fn show_only(&mut self, inputs: u32) {
+        for (u, unit) in self.units.iter_mut().enumerate() {
+            let shown = inputs >> unit.at & 1 == 1;
+            let first = Self::scale(u, ScaleKind::Linear);
+            for (k, scale) in unit.scales.iter_mut().enumerate() {
+                *scale = shown && self.learned[first + k];
+            }
+        }
+    }
+
     /// Writes the components of `q` to `out`, and, where wanted, their first derivatives. The second derivative of
     /// cosine and sine is `-w^2` times themselves, that of a number 0. `frequencies` has one for each angle.
     pub fn components(&self, frequencies: &[f64], q: &[f64], out: &mut [f64], slopes: Option<&mut [f64]>) {

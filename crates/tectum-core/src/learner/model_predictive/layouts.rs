@@ -112,6 +112,14 @@ pub fn read_angles(layout: &mut Layout, ranges: &[InputRange], reading: AngleRea
     }
 }
 
+/// Inputs that follow from others: inputs alone.
+pub fn dependent_layout(places: Places, ranges: &[InputRange]) -> Layout {
+    let mut layout = Layout::new(places.len(), [1.0, 0.3, 0.3, 0.3, 0.1, 1e-4]);
+    let priors = Priors { linear: 0.3, square: 0.3, product: 0.3, smooth: 0.3 };
+    inputs(&mut layout, ranges, priors, Priors::default(), 0.0);
+    layout
+}
+
 /// Rewards: inputs, changes and commands of one tick. Angles are read apart from each other; see [`read_angles`].
 pub fn reward_layout(places: Places, ranges: &[InputRange]) -> Layout {
     let (n, m) = (places.inputs, places.commands);

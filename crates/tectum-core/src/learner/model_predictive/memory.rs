@@ -216,6 +216,33 @@ impl Data for ChangeData<'_> {
     }
 }
 
+/// The memory as data of an input that follows from others: what they were together after a tick.
+#[derive(Debug, Clone, Copy)]
+pub struct DependentData<'a> {
+    /// The memory.
+    pub memory: &'a Memory,
+    /// The input.
+    pub input: usize,
+}
+
+impl Data for DependentData<'_> {
+    fn range(&self) -> (u64, u64) {
+        (self.memory.from(self.input), self.memory.stored)
+    }
+
+    fn get(&self, tick: u64, q: &mut [f64], y: &mut [f64]) -> Option<Lesson> {
+        let Self { memory, input } = *self;
+        let at = (tick % memory.capacity as u64) as usize;
+        if memory.masks[at][0] != 0 {
+            return None;
+        }
+        let width = memory.places.len();
+        q.copy_from_slice(&memory.after[at * width..][..width]);
+        y[0] = q[input];
+        Some(Lesson::default())
+    }
+}
+
 /// The memory as data of a reward model.
 #[derive(Debug, Clone, Copy)]
 pub struct RewardData<'a> {

@@ -17,6 +17,7 @@
 //! | `alignment.rs` | how late rewards come, how angles are read | |
 //! | `spread.rs` | points far from each other | Gonzalez 1985 |
 //! | `dynamics.rs` | the models of movement | |
+//! | `dependents.rs` | inputs that follow from others | |
 //! | `refit.rs`, `model.rs`, `memory.rs` | fitting anew in slices, the models, the ticks that were seen | |
 //! | `weighted.rs`, `world.rs` | predictions with their derivatives | Griewank & Walther 2008 |
 //! | `planner.rs`, `box_qp.rs` | control-limited iLQR | Tassa, Mansard & Todorov 2014 |
@@ -62,6 +63,7 @@ mod alignment;
 mod belief;
 mod box_qp;
 mod config;
+mod dependents;
 mod dynamics;
 mod evidence;
 mod exploration;

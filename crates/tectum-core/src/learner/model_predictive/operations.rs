@@ -72,7 +72,7 @@ impl StepCost {
         let (active, moving) = (active as u64, moving as u64);
         let [value, slopes] = of_model(reward, width).map(|cost| cost + of_caution(reward));
         let [move_value, movement] = dynamics
-            .moving_models()
+            .models_in_use()
             .map(|model| of_model(model, width))
             .fold([0, 0], |sum, cost| [sum[0] + cost[0], sum[1] + cost[1]]);
         let (waves, products) = (reward.fit.features.pairs as u64, reward.fit.features.nodes.len() as u64);

@@ -32,13 +32,20 @@ impl ModelPredictive {
         self.after[..2 * n].copy_from_slice(&self.state[..2 * n]);
         let mut alarm = false;
         lesson.contact = self.touches() || (self.memory.stored > 0 && self.memory.contact(self.memory.stored - 1));
-        for i in 0..n {
+        let following = self.dynamics.dependents.following;
+        for i in (0..n).filter(|i| following >> i & 1 == 0) {
             self.judge_input(i, changes[i], &mut lesson);
+        }
+        self.dynamics.follow(&self.after);
+        for i in (0..n).filter(|i| following >> i & 1 == 1) {
+            self.judge_input(i, changes[i], &mut lesson);
+        }
+        for i in 0..n {
             self.dynamics.moving |= if self.beliefs[i].usual > 1e-9 { 1 << i } else { 0 };
         }
         self.budget.spent += self.dynamics.cost();
         self.budget.spent += self.rewards.iter().map(|model| model.fit.regression.cost()).sum::<u64>();
-        self.dynamics.learn(&changes[..n], lesson, &mut self.rng);
+        self.dynamics.learn(&changes[..n], &self.after, lesson, &mut self.rng);
         for i in 0..n {
             if self.beliefs[i].alarmed(12.0) {
                 self.dynamics.doubt(i);
@@ -76,6 +83,7 @@ impl ModelPredictive {
         }
         let n = self.places.inputs;
         self.dynamics.observe(&self.before);
+        self.dynamics.follow(&self.state);
         for i in 0..n {
             let change = self.state[n + i];
             let error = self.dynamics.error(i, change);

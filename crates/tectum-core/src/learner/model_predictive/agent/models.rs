@@ -8,6 +8,16 @@ use super::super::model::{Model, ModelSize};
 use super::super::refit::RefitSettings;
 use crate::seed::Rng;
 
+/// Features of a reward model beside its products, about.
+const OTHER_FEATURES: usize = 260;
+
+/// So many features leave nine tenths of a tick's operations (millions; 0 for no limit) when two models learn from it,
+/// `4 F^2` operations each. A refit takes some thousand times as many as that, so that a larger model is fitted too
+/// rarely.
+fn affordable_features(operations: f64) -> usize {
+    if operations > 0.0 { (operations * 1e6 / 80.0).sqrt() as usize } else { usize::MAX }
+}
+
 /// The models of a learner that knows nothing: movement, reward before the tick, reward after it.
 pub(super) fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) -> (Dynamics, [Model; 2]) {
     let config = &spec.config;
@@ -27,8 +37,10 @@ pub(super) fn models(spec: &ModelPredictiveSpec, places: Places, rng: &mut Rng) 
     let layout = reward_layout(places, &spec.inputs);
     // Rewards of many joints need products of many inputs: their number grows with the square of that of the inputs.
     let or = |value: usize, usual: usize| if value > 0 { value } else { usual };
-    let products = or(config.reward_products, 14 * places.inputs * places.inputs);
-    let size = ModelSize::within(&layout, 1, products, or(config.reward_features, products + 260));
+    let (wanted, affordable) = (8 * places.inputs * places.inputs, affordable_features(config.operations));
+    let products = or(config.reward_products, wanted.min(affordable.saturating_sub(OTHER_FEATURES)));
+    let size =
+        ModelSize::within(&layout, 1, products, or(config.reward_features, products + OTHER_FEATURES.min(affordable)));
     let size = ModelSize { samples: 6, ..size };
     let settings = RefitSettings {
         points: config.points,

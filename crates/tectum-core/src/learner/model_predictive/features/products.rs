@@ -32,7 +32,7 @@ impl ModelFeatures {
                 self.spare.push(*candidate);
                 for &u in units {
                     let unit = &layout.units[u];
-                    let v = exp(self.scales[Layout::scale(u, ScaleKind::Product)]);
+                    let v = product_scale(&self.scales, layout, u);
                     for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
                         let mut next = *candidate;
                         next.variance *= v * self.mean_squares[c];
@@ -77,7 +77,7 @@ impl ModelFeatures {
             for g in (0..MAX_GROUPS).filter(|&g| candidate.choice[g] > 0) {
                 let component = usize::from(candidate.choice[g]) - 1;
                 let unit = layout.units.iter().rposition(|u| u.component <= component).unwrap_or(0);
-                variance *= exp(self.scales[Layout::scale(unit, ScaleKind::Product)]);
+                variance *= product_scale(&self.scales, layout, unit);
                 if g >= shared {
                     path[g] = self.nodes.len() as u32;
                     self.nodes.push(Node { parent, component: component as u32, feature: NONE });
@@ -99,6 +99,12 @@ fn class(order: u8) -> usize {
 /// The amplitude of products of so many components.
 fn amplitude(scales: &[f64], order: u8) -> f64 {
     exp(scales[[PAIRS, TRIPLES, PRODUCTS][class(order)]])
+}
+
+/// The factor of a unit in products; 0 for one that the model does not look at.
+fn product_scale(scales: &[f64], layout: &Layout, unit: usize) -> f64 {
+    let has = layout.units[unit].scales[ScaleKind::Product as usize];
+    if has { exp(scales[Layout::scale(unit, ScaleKind::Product)]) } else { 0.0 }
 }
 
 /// The order of candidates: that of larger variance comes first.
