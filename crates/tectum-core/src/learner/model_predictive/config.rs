@@ -29,7 +29,8 @@ pub struct ModelPredictiveConfig {
     pub reward_products: usize,
     /// Most products of an input's model of movement.
     pub dynamics_products: usize,
-    /// How far planning follows a sample of the posterior in place of its mean.
+    /// How far planning follows a sample of the posterior in place of its mean: 1 is posterior sampling (Osband, Russo
+    /// & Van Roy 2013).
     pub sampled: f64,
     /// Factor of the exploration noise in the first ticks.
     pub first_noise: f64,
@@ -56,7 +57,7 @@ impl Default for ModelPredictiveConfig {
             dynamics_features: 200,
             reward_products: 0,
             dynamics_products: 60,
-            sampled: 0.5,
+            sampled: 1.0,
             first_noise: 3.0,
             refit_operations: 40.0,
             operations: 0.0,
