@@ -6,6 +6,7 @@
 //! badly is tried as a function of those that are predicted well, or do not move, and follows from them once that
 //! predicts better.
 
+use super::config::ModelPredictiveSpec;
 use super::layout::Places;
 use super::layouts::dependent_layout;
 use super::memory::{DependentData, Lesson, Memory};
@@ -13,7 +14,6 @@ use super::model::{Model, ModelSize};
 use super::operations::RefitShare;
 use super::refit::RefitSettings;
 use super::world::CHANGE;
-use crate::learner::model_predictive::config::ModelPredictiveSpec;
 use crate::seed::{Rng, stream};
 use crate::state::{Persist, StateVisitor};
 
@@ -248,10 +248,10 @@ impl Persist for Dependents {
 
 #[cfg(test)]
 mod tests {
+    use super::super::config::{InputRange, ModelPredictiveConfig};
+    use super::super::dynamics::Dynamics;
+    use super::super::memory::Entry;
     use super::*;
-    use crate::learner::model_predictive::config::{InputRange, ModelPredictiveConfig};
-    use crate::learner::model_predictive::dynamics::Dynamics;
-    use crate::learner::model_predictive::memory::Entry;
     use rand::RngExt as _;
 
     const PLACES: Places = Places { inputs: 4, commands: 2 };
