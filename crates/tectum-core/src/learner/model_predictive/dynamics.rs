@@ -134,7 +134,7 @@ impl Dynamics {
             weighted.value(layout, &fit.features, q, &mut d[i..=i]);
         }
         if following != 0 {
-            self.look_ahead(q, d);
+            self.predict_inputs(q, d);
             self.dependents.value(&q[..d.len()], &self.next, d);
         }
     }
@@ -149,13 +149,13 @@ impl Dynamics {
             weighted.jacobian(layout, &fit.features, q, &mut d[i..=i], row);
         }
         if following != 0 {
-            self.look_ahead(q, d);
+            self.predict_inputs(q, d);
             self.dependents.jacobian(&q[..d.len()], &self.next, d, jacobian);
         }
     }
 
     /// The inputs after `q` and changes `d`.
-    fn look_ahead(&mut self, q: &[f64], d: &[f64]) {
+    fn predict_inputs(&mut self, q: &[f64], d: &[f64]) {
         for (i, d) in d.iter().enumerate() {
             self.next[i] = self.ranges.bring_in(i, q[i] + CHANGE * d);
         }

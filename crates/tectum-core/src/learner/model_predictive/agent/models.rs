@@ -12,7 +12,7 @@ use crate::seed::Rng;
 const OTHER_FEATURES: usize = 260;
 
 /// So many features leave nine tenths of a tick's operations (millions; 0 for no limit) when two models learn from it,
-/// `4 F^2` operations each. A refit takes some thousand times as many as that, so that a larger model is fitted too
+/// `4 F^2` operations each. A refit takes some hundred times as many as that, so that a larger model is fitted too
 /// rarely.
 fn affordable_features(operations: f64) -> usize {
     if operations > 0.0 { (operations * 1e6 / 80.0).sqrt() as usize } else { usize::MAX }
