@@ -284,7 +284,8 @@ fn a_new_episode_is_answered_from_a_plan_of_its_own() {
 #[test]
 fn a_reward_is_learned_with_the_inputs_that_it_came_of() {
     // The gain changes twice, and the position jumps twice: single changes that no model foresees, and two in a row
-    // that are believed after all. What is stored with a reward that teaches is what it came of, to the last digit or so.
+    // that are believed after all. What is stored with a reward that teaches is what it came of, to the last digit or
+    // so.
     let (mut plant, mut agent) = (Reach::new([1.0; 3]), agent([1.0; 3]));
     for tick in 0..300 {
         plant.gain = if (100..180).contains(&tick) { -0.4 } else { 0.4 };
