@@ -1,7 +1,11 @@
 //! The ends of channels: thin and typed, so that their users need not name iceoryx2.
 
+use std::cell::Cell;
+use std::mem::MaybeUninit;
+
 use iceoryx2::port::{publisher::Publisher, subscriber::Subscriber, update_connections::UpdateConnections};
 use iceoryx2::prelude::*;
+use iceoryx2::sample_mut_uninit::SampleMutUninit;
 use iceoryx2::service::port_factory::publish_subscribe;
 
 use super::ChannelError;
@@ -29,9 +33,13 @@ macro_rules! payload {
 
 payload!(Observation, Command, Ahead, Learning, Vision, Control, Status);
 
+/// A sample's place in shared memory that is not filled yet.
+type Loan<T> = SampleMutUninit<ipc::Service, MaybeUninit<T>, ()>;
+
 /// The writing end of a channel.
-#[derive(Debug)]
 pub struct Sender<T: Payload> {
+    /// The place of the next sample, if it was [prepared](Self::prepare). Dropped before the port that it belongs to.
+    loan: Cell<Option<Loan<T>>>,
     port: Publisher<ipc::Service, T, ()>,
     factory: Factory<T>,
     name: String,
@@ -45,7 +53,26 @@ impl<T: Payload> Sender<T> {
             .max_loaned_samples(1)
             .create()
             .map_err(|e| ChannelError::set_up(format!("the writing end of channel {name}"), e))?;
-        Ok(Self { port, factory, name: name.to_owned() })
+        Ok(Self { loan: Cell::new(None), port, factory, name: name.to_owned() })
+    }
+
+    /// Takes the place of the next sample, and puts `sample` there, which is not sent. A writer that has to wait anyway
+    /// so fetches before the wait what the reader's core has had, and its next [`send`](Self::send) need not.
+    ///
+    /// # Errors
+    /// [`ChannelError::Transfer`] when shared memory fails.
+    #[inline]
+    pub fn prepare(&self, sample: &T) -> Result<(), ChannelError> {
+        let mut loan = self.loan()?;
+        loan.payload_mut().write(*sample);
+        self.loan.set(Some(loan));
+        Ok(())
+    }
+
+    /// The prepared place, or else one that is free.
+    #[inline]
+    fn loan(&self) -> Result<Loan<T>, ChannelError> {
+        self.loan.take().map_or_else(|| self.port.loan_uninit().map_err(|e| self.failed(e)), Ok)
     }
 
     /// Sends a copy of `sample` to every reader. Never waits: a reader that is full loses its oldest sample.
@@ -54,8 +81,7 @@ impl<T: Payload> Sender<T> {
     /// [`ChannelError::Transfer`] when shared memory fails.
     #[inline]
     pub fn send(&self, sample: &T) -> Result<(), ChannelError> {
-        let loan = self.port.loan_uninit().map_err(|e| self.failed(e))?;
-        loan.write_payload(*sample).send().map_err(|e| self.failed(e))?;
+        self.loan()?.write_payload(*sample).send().map_err(|e| self.failed(e))?;
         Ok(())
     }
 

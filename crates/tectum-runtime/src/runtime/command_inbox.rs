@@ -65,6 +65,12 @@ impl CommandInbox {
         true
     }
 
+    /// Puts in the command that the process's predecessor had received last.
+    pub fn put(&mut self, command: Command) {
+        self.expected = command.header.sequence + 1;
+        self.command = Some(command);
+    }
+
     /// The failure of the channel, if it has failed.
     pub fn check(&mut self) -> Result<(), ChannelError> {
         self.failure.take().map_or(Ok(()), Err)

@@ -174,7 +174,7 @@ impl<A: Agent> ControllerLoopState<A> {
         status.sent = self.count;
         status.lost = self.controller.report().unseen;
         (status.loss, status.end_error) = self.controller.statistics().now();
-        session.publish_status();
+        session.publish_progress();
     }
 
     /// Sends the last command and learning record.
@@ -334,11 +334,13 @@ impl<A: Agent> ControllerLoop<A> {
     /// return.
     fn await_observation(&mut self) -> Result<Option<Observation>, RuntimeError> {
         self.backoff.begin();
+        // In lockstep the plant's board is read only after some turns.
+        let mut looks = self.real;
         loop {
             // Read before the channel is, so that samples sent before the plant finished are still received. A
             // plant that failed may be restarted; the launcher decides that.
-            let finished =
-                self.ports.plant.get().state() == ProcessState::Finished || self.session.is_gone(Role::Plant);
+            let finished = looks
+                && (self.ports.plant.get().state() == ProcessState::Finished || self.session.is_gone(Role::Plant));
             if let Some(mut newest) = self.ports.observation.receive()? {
                 // After a stall only the newest observation counts. The sequence numbers show the skipped ones.
                 while let Some(newer) = if self.real { self.ports.observation.receive()? } else { None } {
@@ -351,8 +353,11 @@ impl<A: Agent> ControllerLoop<A> {
             }
             if self.real {
                 self.ports.wake.wait(WAKE_TIMEOUT);
-            } else if !self.backoff.pause() {
-                continue;
+            } else {
+                looks = self.backoff.pause();
+                if !looks {
+                    continue;
+                }
             }
             self.session.check()?;
             self.plant.check(&mut self.ports.plant, &self.session)?;
@@ -430,7 +435,7 @@ impl<A: Agent> ControllerLoop<A> {
             self.session.status.learner_ns = meter.learner_ns;
         }
         self.state.publish_status(&mut self.session);
-        Ok(())
+        Ok(self.ports.command.prepare(&self.state.command)?)
     }
 
     /// Ends the loop: writes the last checkpoint and the report.

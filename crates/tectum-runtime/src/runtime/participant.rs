@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::{RuntimeError, WireManifest};
 use crate::channel::{ChannelError, CrashStore, DomainName, Identity, StatusBoard};
 use crate::checkpoint::{self, Checkpoint, CheckpointFacts, CheckpointWriter};
-use crate::clock::{ProcessHandle, RealtimeReport, RealtimeRequest, TerminationSignals, TimeSource, pause};
+use crate::clock::{ProcessHandle, RealtimeReport, RealtimeRequest, TerminationSignals, TimeSource, coarse_ns, pause};
 use crate::run_folder;
 use crate::scenario::{Plan, RealtimeProcess, Scenario};
 use crate::state::Persist;
@@ -316,7 +316,14 @@ impl Participant {
             end_error: f32::NAN,
             ..Status::default()
         };
-        let mut session = Session { participant: self, status_board, status, heartbeat: Cell::new(0) };
+        let mut session = Session {
+            participant: self,
+            status_board,
+            status,
+            heartbeat: Cell::new(0),
+            frequent: Cell::new(FREQUENT_TICKS),
+            coarse_ns: Cell::new(0),
+        };
         session.enter(ProcessState::Ready);
         session.await_phase(Phase::Connect)?;
         while !connected()? && session.incarnation() == 0 {
@@ -356,6 +363,9 @@ fn realtime_request(process: &RealtimeProcess) -> RealtimeRequest {
 /// statistics.
 const GROWTH: usize = 64 << 10;
 
+/// So many ticks are shown on the board one by one in lockstep, for whoever joins as soon as the first one is over.
+const FREQUENT_TICKS: u32 = 16;
+
 /// Interval at which the phase is polled while a run is set up, ns.
 const SET_UP_POLL_NS: u64 = 500_000;
 
@@ -381,6 +391,9 @@ pub struct Session {
     status_board: StatusBoard,
     /// Number of heartbeats so far.
     heartbeat: Cell<u64>,
+    /// Lockstep: how many of the next ticks are shown in any case, and the coarse clock at the last that was.
+    frequent: Cell<u32>,
+    coarse_ns: Cell<u64>,
 }
 
 impl Session {
@@ -438,6 +451,24 @@ impl Session {
     /// Whether the loop must end at once, without waiting for its peers.
     pub(crate) fn must_end(&self) -> bool {
         matches!(self.end_reason(), Some(EndReason::Abort | EndReason::Signal(_) | EndReason::Orphaned))
+    }
+
+    /// Publishes the status after a tick. Returns whether the launcher's board is to be read in this tick, too.
+    ///
+    /// In real time both is done in every tick. In lockstep it is done every few milliseconds, when the kernel's coarse
+    /// clock has moved: a board that a process on another core has read costs a tick two transfers between the cores,
+    /// which take longer than the plant's step. Whoever waits publishes by [`Session::end_reason`] meanwhile.
+    #[inline]
+    pub(crate) fn publish_progress(&self) -> bool {
+        let due = self.participant.manifest.mode == Mode::Realtime || self.frequent.get() > 0 || {
+            let now = coarse_ns();
+            self.coarse_ns.replace(now) != now
+        };
+        if due {
+            self.frequent.set(self.frequent.get().saturating_sub(1));
+            self.publish_status();
+        }
+        due
     }
 
     /// Publishes the status and a heartbeat on the board.

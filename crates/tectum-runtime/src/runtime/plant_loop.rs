@@ -1,9 +1,13 @@
 //! The plant's loop: waits for its tick and for the command, advances the plant, and sends the observation.
 //!
-//! Before each observation is sent, the observation and the plant's whole state are kept in the crash store. A
-//! plant that is restarted after a SIGKILL restores that state and sends its last observation again, under the
-//! same sequence number. Receivers that have received it drop it, and the controller answers it again. So in
-//! lockstep the restart of either process changes no result.
+//! With each observation, the plant's whole state is kept in the crash store. A plant that is restarted after a SIGKILL
+//! restores that state and sends its last observation again, under the same sequence number. Receivers that have
+//! received it drop it, and the controller answers it again. So in lockstep the restart of either process changes no
+//! result.
+//!
+//! In real time the state is kept before the observation is sent. In lockstep it is kept afterwards, while the
+//! controller works, and the command with which the plant advances is kept before it does: a plant that died between
+//! sending and keeping is one tick behind, repeats that tick with the same command, and sends the same observation.
 
 use hdrhistogram::Histogram;
 
@@ -18,7 +22,7 @@ use crate::clock::{Backoff, TimeSource, WakeReason, pause, precise_timers};
 use crate::plant::Plant;
 use crate::state::{self, Persist, StateVisitor};
 use crate::stats::{Percentiles, histogram};
-use crate::wire::{Observation, ProcessState, Role, Status, flag};
+use crate::wire::{Command, Observation, ProcessState, Role, Status, flag};
 
 /// Ticks between two checks of the logger's progress. In lockstep the plant never runs ahead of the logger by
 /// more than the logger's buffer, so that no sample overflows. This flow control costs one check per so many
@@ -97,6 +101,21 @@ impl<P: Plant> PlantLoopState<P> {
         Ok(restarted)
     }
 
+    /// The inbox for the next command. The process's predecessor may have received that already.
+    fn inbox(&self, crash_store: &CrashStore, real: bool) -> CommandInbox {
+        let mut inbox = CommandInbox::new(self.expected, self.sent_count, real);
+        if let Some(command) = crash_store.entry(self.sent_count) {
+            inbox.put(bytemuck::pod_read_unaligned(command));
+        }
+        inbox
+    }
+
+    /// Keeps the state in the crash store.
+    fn save(&mut self, crash_store: &mut CrashStore) -> Result<(), RuntimeError> {
+        let kept = crash_store.store(self.sent_count, |to| state::save(self, to));
+        if kept { Ok(()) } else { Err(RuntimeError::Memory(Role::Plant.name())) }
+    }
+
     /// Goes on without what the predecessor remembered, which is gone. Sequence numbers and counts are those that its
     /// board showed last. It may have sent one more observation.
     fn forget(&mut self, participant: &Participant, before: &Status) -> Result<(), RuntimeError> {
@@ -118,6 +137,9 @@ impl<P: Plant> Persist for PlantLoopState<P> {
     }
 }
 
+/// Commands in the journal: the one with which the plant advances, and one that may be overwritten meanwhile.
+const JOURNAL: usize = 2;
+
 /// The loop in progress. Fields are dropped in this order, so that a loop that fails publishes so before its
 /// ports close.
 struct PlantLoop<P> {
@@ -136,12 +158,16 @@ struct PlantLoop<P> {
     state: PlantLoopState<P>,
     ports: PlantPorts,
     real: bool,
+    /// Whether the state is kept after the observation has been sent.
+    saves_late: bool,
     backoff: Backoff,
     /// For the logger, which wakes nobody.
     logger_backoff: Backoff,
     /// The run's number of ticks.
     ticks: u64,
     checkpoints: CheckpointSchedule,
+    /// Checkpoints that had been requested when the launcher's board was last read.
+    requested: u32,
     /// The next tick to begin.
     tick: u64,
     /// Whether the plant has advanced through all ticks before `tick`.
@@ -169,7 +195,7 @@ impl<P: Plant> PlantLoop<P> {
             sent_count: 0,
             expected: 0,
         };
-        let mut crash_store = participant.crash_store(state::size(&mut state), [0, 0])?;
+        let mut crash_store = participant.crash_store(state::size(&mut state), [JOURNAL, size_of::<Command>()])?;
         let before = status_board.before;
         let restarted = state.restore(&mut crash_store, &participant, &before)?;
         let writer = participant.checkpoint_writer()?;
@@ -182,19 +208,23 @@ impl<P: Plant> PlantLoop<P> {
         let backoff = ports.lockstep_wake.take().map_or_else(Backoff::default, Backoff::woken_by);
         state.observation.header.run = session.participant.manifest.run_id();
         state.observation.header.incarnation = session.incarnation();
-        let manifest = &session.participant.manifest;
+        let (manifest, requested) = (&session.participant.manifest, session.checkpoints_requested());
+        // A plant that acts within the tick goes on after it has sent, and commands ahead have no journal.
+        let saves_late = !real && ports.ahead.is_none() && state.side.command_deadline_ns().is_none();
         let mut plant_loop = Self {
             stopwatch: Stopwatch::of(&session.participant),
             controller: PeerMonitor::new(Role::Controller),
             logger: PeerMonitor::new(Role::Logger),
-            inbox: CommandInbox::new(state.expected, state.sent_count, real),
+            inbox: state.inbox(&crash_store, real),
             wake_up: histogram(),
             work: histogram(),
             real,
+            saves_late,
             backoff,
             logger_backoff: Backoff::default(),
             ticks: session.participant.plan.scenario.ticks,
-            checkpoints: CheckpointSchedule::new(manifest.checkpoint_every, session.checkpoints_requested(), real),
+            checkpoints: CheckpointSchedule::new(manifest.checkpoint_every, requested, real),
+            requested,
             tick: manifest.resumed.as_ref().map_or(0, |resumed| resumed.tick),
             advanced: true,
             acted: false,
@@ -237,15 +267,18 @@ impl<P: Plant> PlantLoop<P> {
         let late_before = self.state.side.report().late;
         self.advance()?;
         let skipped = self.skip_overrun_ticks();
-        self.publish_counts();
-        if self.gives_up(skipped) || self.tick >= self.ticks || self.session.stopping() {
+        let looks = self.publish_counts();
+        if self.gives_up(skipped) || self.tick >= self.ticks || self.session.interrupted() {
+            return Ok(false);
+        }
+        if looks && self.session.stopping() {
             return Ok(false);
         }
         if !self.real && self.tick.is_multiple_of(CREDIT_TICKS) && !self.await_logger()? {
             return Ok(false);
         }
         let late = if self.state.side.report().late > late_before { flag::LATE } else { 0 };
-        self.checkpoint()?;
+        self.checkpoint(looks)?;
         self.observe(late, skipped);
         self.send(woken)?;
         self.act()?;
@@ -303,7 +336,11 @@ impl<P: Plant> PlantLoop<P> {
             self.inbox.drop_as_late();
             self.state.side.finish_step(tick);
         } else {
-            self.state.side.step(tick, self.inbox.take().as_ref());
+            let command = self.inbox.take();
+            if let Some(command) = command.as_ref().filter(|_| self.saves_late) {
+                self.crash_store.append(self.state.sent_count, bytemuck::bytes_of(command));
+            }
+            self.state.side.step(tick, command.as_ref());
         }
         self.state.side.report_mut().late += self.inbox.take_late();
         Ok(())
@@ -335,15 +372,15 @@ impl<P: Plant> PlantLoop<P> {
         skipped
     }
 
-    /// Publishes the counts on the plant's board.
-    fn publish_counts(&mut self) {
+    /// Publishes the counts on the plant's board. Returns whether the launcher's board is to be read in this tick.
+    fn publish_counts(&mut self) -> bool {
         let report = self.state.side.report();
         let status = &mut self.session.status;
         status.ticks = self.tick;
         status.missed = report.missed;
         status.late = report.late;
         status.lost = report.skipped;
-        self.session.publish_status();
+        self.session.publish_progress()
     }
 
     /// Counts ticks skipped in a row. Returns true when there are more than the scenario allows, so that the
@@ -377,19 +414,22 @@ impl<P: Plant> PlantLoop<P> {
         Ok(true)
     }
 
-    /// Writes the checkpoint that was announced for this tick, and announces the next one.
-    fn checkpoint(&mut self) -> Result<(), RuntimeError> {
+    /// Writes the checkpoint that was announced for this tick, and announces the next one. `looks`: whether the
+    /// launcher's board is to be read.
+    fn checkpoint(&mut self, looks: bool) -> Result<(), RuntimeError> {
         let announced = self.session.status.checkpoint;
         if self.checkpoints.is_due(announced, self.tick) {
             self.state.expected = self.inbox.expected;
             self.writer.write(self.tick, self.state.checkpoint(self.tick, &self.session.participant));
         }
-        let requested = self.session.checkpoints_requested();
+        if looks {
+            self.requested = self.session.checkpoints_requested();
+        }
         let controller = || {
             self.controller.check(&mut self.ports.controller, &self.session)?;
             Ok(self.ports.controller.get())
         };
-        if let Some(next) = self.checkpoints.next(announced, self.tick, requested, controller)? {
+        if let Some(next) = self.checkpoints.next(announced, self.tick, self.requested, controller)? {
             self.session.status.checkpoint = next;
             self.session.publish_status();
         }
@@ -407,16 +447,16 @@ impl<P: Plant> PlantLoop<P> {
         self.stopwatch.begin();
     }
 
-    /// Keeps the whole state with the observation in the crash store, then sends the observation. `woken` is
-    /// the instant at which the plant woke up for the tick.
+    /// Keeps the whole state with the observation in the crash store, and sends the observation. `woken` is the instant
+    /// at which the plant woke up for the tick.
     fn send(&mut self, woken: u64) -> Result<(), RuntimeError> {
         let state = &mut self.state;
         state.sent_count += 1;
         self.inbox.observed = state.sent_count;
         state.expected = self.inbox.expected;
         state.observation.header.published_ns = self.time.now();
-        if !self.crash_store.store(state.sent_count, |to| state::save(state, to)) {
-            return Err(RuntimeError::Memory(Role::Plant.name()));
+        if !self.saves_late {
+            state.save(&mut self.crash_store)?;
         }
         self.ports.observation.send(&self.state.observation)?;
         if self.real {
@@ -426,6 +466,10 @@ impl<P: Plant> PlantLoop<P> {
             self.ports.wake.notify_waiting();
         }
         self.ports.log.append(&self.state.observation);
+        if self.saves_late {
+            self.state.save(&mut self.crash_store)?;
+        }
+        self.ports.observation.prepare(&self.state.observation)?;
         self.session.status.sent = self.state.sent_count;
         Ok(())
     }
@@ -483,3 +527,6 @@ impl<P: Plant> PlantLoop<P> {
         self.gave_up.map_or(Ok(report), Err)
     }
 }
+
+#[cfg(test)]
+mod tests;
