@@ -160,6 +160,8 @@ pub struct LogTail<T> {
     ring: Ring<T>,
     /// Number of the next sample to take from the ring.
     next: u64,
+    /// Most samples that are taken at a time.
+    stretch: u64,
     /// The samples that were taken last, and how many of them were received.
     taken: Vec<T>,
     received: usize,
@@ -169,7 +171,7 @@ impl<T: Sample> LogTail<T> {
     /// Opens the ring at its oldest entry.
     pub(super) fn open(domain: &DomainName, channel: &str) -> Result<Self, ChannelError> {
         let ring = Ring::open(domain, channel, false)?;
-        Ok(Self { ring, next: 0, taken: Vec::with_capacity(STRETCH), received: 0 })
+        Ok(Self { ring, next: 0, stretch: STRETCH as u64, taken: Vec::with_capacity(STRETCH), received: 0 })
     }
 
     /// Opens the ring of the channel called `channel` (`observation`, `command` or `learning`) to watch it. Watching
@@ -185,14 +187,11 @@ impl<T: Sample> LogTail<T> {
     /// over.
     pub fn skip_to_newest(&mut self, keep: u64) -> u64 {
         let appended = self.ring.words()[COUNT].load(Ordering::Acquire);
-        let next = self.next - (self.taken.len() - self.received) as u64;
-        let passed_over = appended.saturating_sub(keep).saturating_sub(next);
-        if passed_over > 0 {
-            self.next = next + passed_over;
-            self.taken.clear();
-            self.received = 0;
+        let count = appended.saturating_sub(keep).saturating_sub(self.next_received());
+        if count > 0 {
+            self.pass_over(count);
         }
-        passed_over
+        count
     }
 
     /// The oldest sample that has not been received yet and is still in the ring.
@@ -216,6 +215,52 @@ impl<T: Sample> LogTail<T> {
         }
     }
 
+    /// A copy of sample `number`, which is of no use if the writer has come round to it meanwhile.
+    #[inline]
+    fn copy(&self, number: u64) -> T {
+        let mut sample: T = Zeroable::zeroed();
+        let words: &mut [u64] = bytemuck::cast_slice_mut(std::slice::from_mut(&mut sample));
+        for (to, word) in words.iter_mut().zip(self.ring.entry(number)) {
+            *to = word.load(Ordering::Relaxed);
+        }
+        sample
+    }
+
+    /// Number of the next sample to receive.
+    fn next_received(&self) -> u64 {
+        self.next - (self.taken.len() - self.received) as u64
+    }
+
+    /// From now on takes samples one by one, for a reader that passes over most of them.
+    pub fn take_singly(&mut self) {
+        self.stretch = 1;
+    }
+
+    /// The number of samples that wait to be received, overwritten ones included.
+    pub fn waiting(&self) -> u64 {
+        self.ring.words()[COUNT].load(Ordering::Acquire) - self.next_received()
+    }
+
+    /// The sample after the next `count` ones, if it is in the ring.
+    pub fn peek(&self, count: u64) -> Option<T> {
+        let number = self.next_received() + count;
+        let appended = &self.ring.words()[COUNT];
+        if number >= appended.load(Ordering::Acquire) {
+            return None;
+        }
+        let sample = self.copy(number);
+        // As in `take`.
+        fence(Ordering::Acquire);
+        (appended.load(Ordering::Relaxed) - number < ENTRIES).then_some(sample)
+    }
+
+    /// Passes over the next `count` samples, which must be in the ring.
+    pub fn pass_over(&mut self, count: u64) {
+        self.next = self.next_received() + count;
+        self.taken.clear();
+        self.received = 0;
+    }
+
     /// Takes the next samples from the ring, [`STRETCH`] at most.
     fn take(&mut self) {
         let count = &self.ring.words()[COUNT];
@@ -227,14 +272,9 @@ impl<T: Sample> LogTail<T> {
                 // A whole ring behind. Leaves some room, so that the writer does not overtake at once.
                 self.next = appended - ENTRIES + ENTRIES / 8;
             }
-            let end = appended.min(self.next + STRETCH as u64);
+            let end = appended.min(self.next + self.stretch);
             for number in self.next..end {
-                let mut sample: T = Zeroable::zeroed();
-                let words: &mut [u64] = bytemuck::cast_slice_mut(std::slice::from_mut(&mut sample));
-                for (to, word) in words.iter_mut().zip(self.ring.entry(number)) {
-                    *to = word.load(Ordering::Relaxed);
-                }
-                self.taken.push(sample);
+                self.taken.push(self.copy(number));
             }
             // If any word above was of a newer sample, the count before that sample is visible now. The writer may
             // be writing entry `appended`, over entry `appended - ENTRIES`.
@@ -326,6 +366,29 @@ mod tests {
         let first_kept = 2 * ENTRIES + ENTRIES / 8;
         let expected: Vec<u64> = (1..STRETCH as u64).chain(first_kept..3 * ENTRIES).collect();
         assert_eq!(received, expected);
+    }
+
+    #[test]
+    fn samples_are_passed_over_unread() {
+        let domain = TestDomain::new(5);
+        let (mut appender, mut tail) = domain.ends();
+        (0..50).for_each(|i| appender.append(&command(i)));
+        tail.take_singly();
+        assert_eq!(tail.waiting(), 50);
+        assert_eq!([0, 49, 50].map(|count| tail.peek(count).as_ref().map(number)), [Some(0), Some(49), None]);
+        assert_eq!(tail.receive().as_ref().map(number), Some(0));
+        tail.pass_over(20);
+        // One that was taken and is not wanted yet is the next.
+        tail.skip_while(|_| false);
+        assert_eq!(tail.peek(0).as_ref().map(number), Some(21));
+        tail.pass_over(3);
+        assert_eq!(tail.waiting(), 26);
+        assert_eq!(tail.receive().as_ref().map(number), Some(24));
+        (50..24 + ENTRIES).for_each(|i| appender.append(&command(i)));
+        assert_eq!(tail.peek(0).as_ref().map(number), Some(25));
+        // The writer may be writing over entry 25.
+        (24 + ENTRIES..26 + ENTRIES).for_each(|i| appender.append(&command(i)));
+        assert!(tail.peek(0).is_none() && tail.peek(2).is_some());
     }
 
     #[test]

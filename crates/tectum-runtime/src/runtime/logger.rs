@@ -21,7 +21,7 @@ use crate::log::{
     segment_number_of, segment_path, segments,
 };
 use crate::scenario::FaultChannel;
-use crate::wire::{Learning, ProcessState, Role, Status};
+use crate::wire::{Header, Learning, ProcessState, Role, Status};
 
 /// The progress of plant and controller, read from the boards of their current incarnations.
 struct SenderProgress {
@@ -199,6 +199,10 @@ fn follow(
     let (poll_ns, max_idle_polls) = pace(session.participant.plan.period_ns, real);
     let mut idle_polls = 0;
     let mut learning = FaultyChannel::of(&session.participant.plan);
+    let passes_over = !real && merger.is_thinned() && learning.is_fault_free();
+    if passes_over {
+        ports.take_singly();
+    }
     let sync_ns = session.participant.plan.scenario.log.sync_s.map(|seconds| (1e9 * seconds) as u64);
     let mut synced = monotonic_ns();
     loop {
@@ -208,7 +212,7 @@ fn follow(
         let force = last || (real && idle_polls >= max_idle_polls);
         // In lockstep a sample's sequence number is its tick.
         let known = if real { [0; 3] } else { senders.sent };
-        let any = drain(merger, ports, &mut learning, known, force);
+        let any = drain(merger, ports, &mut learning, passes_over, known, force);
         if sync_ns.is_some_and(|every| monotonic_ns() - synced >= every) {
             merger.sync();
             synced = monotonic_ns();
@@ -231,11 +235,20 @@ fn drain(
     merger: &mut LogMerger,
     ports: &mut LoggerPorts,
     learning: &mut FaultyChannel<Learning>,
+    passes_over: bool,
     known: [u64; 3],
     force: bool,
 ) -> bool {
     let mut any = false;
     loop {
+        // What is left of a tick is written before anything of the next one is received.
+        if passes_over && merger.write_first(false) {
+            any = true;
+            continue;
+        }
+        if passes_over && pass_over(merger, ports) && !force {
+            break;
+        }
         merger.fill(0, known[0], || ports.observation.receive().map(LogRecord::Observation));
         merger.fill(1, known[1], || ports.command.receive().map(LogRecord::Command));
         merger.fill(2, known[2], || receive_learning(&mut ports.learning, learning));
@@ -246,6 +259,37 @@ fn drain(
     }
     merger.flush();
     any
+}
+
+/// Most ticks that are passed over at once, and so that may wait for the next poll: far fewer than the plant may be
+/// ahead of the logger.
+const MOST_PASSED_OVER: u64 = 128;
+
+/// Passes over the ticks that are not logged, unread. Where the sample after them has the sequence number of its tick,
+/// no sample is missing before it and none was sent twice. Returns whether it has not arrived yet.
+fn pass_over(merger: &mut LogMerger, ports: &mut LoggerPorts) -> bool {
+    loop {
+        let count = merger.unlogged_ticks().min(MOST_PASSED_OVER);
+        if count == 0 {
+            return false;
+        }
+        let LoggerPorts { observation, command, learning, .. } = ports;
+        if observation.waiting().min(command.waiting()).min(learning.waiting()) <= count {
+            return true;
+        }
+        let next = merger.expected() + count;
+        let is_next = |header: Header| (header.tick, header.sequence) == (next, next);
+        let follow = observation.peek(count).is_some_and(|sample| is_next(sample.header))
+            && command.peek(count).is_some_and(|sample| is_next(sample.header))
+            && learning.peek(count).is_some_and(|sample| is_next(sample.header));
+        if !follow {
+            return false;
+        }
+        observation.pass_over(count);
+        command.pass_over(count);
+        learning.pass_over(count);
+        merger.leave_out(count);
+    }
 }
 
 /// The next learning record that the scenario's faults let pass. A record that they delay beyond its tick is

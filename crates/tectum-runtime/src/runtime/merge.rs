@@ -245,6 +245,39 @@ impl LogMerger {
         }
     }
 
+    /// Whether the log contains a part of the ticks only.
+    pub fn is_thinned(&self) -> bool {
+        self.every > 1
+    }
+
+    /// Sequence number of the next observation.
+    pub fn expected(&self) -> u64 {
+        self.inputs[0].expected
+    }
+
+    /// In lockstep, where the log is thinned: the number of ticks before the next one that is logged, if no sample of
+    /// them was received yet. 0 where every sample has to be looked at, because something else depends on it.
+    pub fn unlogged_ticks(&self) -> u64 {
+        let next = self.inputs[0].expected;
+        let ready =
+            |input: &MergeInput| input.head.is_none() && input.expected == next && input.missing_since.is_none();
+        if self.timings.is_some() || self.rotator.is_some() || !self.inputs.iter().all(ready) {
+            return 0;
+        }
+        next.next_multiple_of(self.every) - next
+    }
+
+    /// Leaves out the next `count` samples of each channel, one a tick, in place of receiving them.
+    pub fn leave_out(&mut self, count: u64) {
+        for input in &mut self.inputs {
+            input.expected += count;
+            input.thinned += count;
+            let last = input.expected.checked_sub(1);
+            (input.last, input.done, input.through) = (last, last, input.through.max(last));
+            self.written_tick = self.written_tick.max(last);
+        }
+    }
+
     /// Writes the first head, if no earlier sample can still arrive; with `force` in any case. Returns false
     /// when nothing was written.
     pub fn write_first(&mut self, force: bool) -> bool {

@@ -99,6 +99,40 @@ fn drain(merger: &mut LogMerger, waiting: &mut [VecDeque<LogRecord>; 3], known: 
     merger.flush();
 }
 
+/// A log from which ticks were left out unread is the same as one of which every sample was received.
+#[test]
+fn ticks_left_out_unread_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let written = [false, true].map(|unread| {
+        let folder = folder.path().join(unread.to_string());
+        std::fs::create_dir(&folder).unwrap();
+        let recovered = LogRecovery::none(PERIOD, [0; 3], 0);
+        let log = LogWriter::create(&segment_path(&folder, 0), &header(0, 10, &recovered));
+        let mut merger = LogMerger::new(log, &recovered, 10, false);
+        let mut left_out = 0;
+        let mut tick = 0;
+        while tick < 48 {
+            let count = if unread { merger.unlogged_ticks() } else { 0 };
+            // Some before a tick that is logged are received all the same.
+            if count > 0 && tick + count < 40 && tick % 10 != 7 {
+                merger.leave_out(count.min(3));
+                left_out += count.min(3);
+                tick += count.min(3);
+                continue;
+            }
+            let mut waiting = [0, 1, 2].map(|i| VecDeque::from([sample(i, tick)]));
+            merger.fill(0, tick, || waiting[0].pop_front());
+            assert_eq!(merger.unlogged_ticks(), 0, "a sample was received already");
+            drain(&mut merger, &mut waiting, tick + 1);
+            tick += 1;
+        }
+        assert_eq!(left_out, if unread { 24 } else { 0 });
+        let outcome = merger.close([48; 3], true, BTreeMap::new());
+        (outcome.totals, outcome.written, std::fs::read(segment_path(&folder, 0)).unwrap())
+    });
+    assert_eq!(written[0], written[1]);
+}
+
 /// What a logger takes over from the account is what reading all segments gives, and only the tail is read.
 #[test]
 fn an_account_spares_reading_all_but_the_tail() {
