@@ -205,6 +205,21 @@ impl<T: Sample> LogTail<T> {
         sample
     }
 
+    /// The sample that [`receive`](Self::receive) would return, in place.
+    #[inline]
+    pub fn front(&mut self) -> Option<&T> {
+        if self.received == self.taken.len() {
+            self.take();
+        }
+        self.taken.get(self.received)
+    }
+
+    /// Passes over the sample that [`front`](Self::front) has returned.
+    #[inline]
+    pub fn pop_front(&mut self) {
+        self.received = self.taken.len().min(self.received + 1);
+    }
+
     /// Skips samples for as long as `known` returns true.
     pub fn skip_while(&mut self, known: impl Fn(&T) -> bool) {
         while let Some(sample) = self.receive() {
@@ -377,7 +392,9 @@ mod tests {
         assert_eq!(tail.waiting(), 50);
         assert_eq!([0, 49, 50].map(|count| tail.peek(count).as_ref().map(number)), [Some(0), Some(49), None]);
         assert_eq!(tail.receive().as_ref().map(number), Some(0));
-        tail.pass_over(20);
+        tail.pass_over(19);
+        assert_eq!(tail.front().map(number), Some(20));
+        tail.pop_front();
         // One that was taken and is not wanted yet is the next.
         tail.skip_while(|_| false);
         assert_eq!(tail.peek(0).as_ref().map(number), Some(21));

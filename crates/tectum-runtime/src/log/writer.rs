@@ -30,6 +30,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicI32;
 
+/// Bytes that are handed to the operating system at once: what a quick lockstep run logs between two polls.
+const BUFFER: usize = 256 * 1024;
+
 /// Bytes of the largest message's data.
 const MAX_MESSAGE: usize = ENCAPSULATION.len() + size_of::<Observation>();
 const _: () = assert!(size_of::<Command>() <= size_of::<Observation>());
@@ -101,7 +104,7 @@ impl LogWriter {
     fn over(file: File, path: &Path, header: &LogHeader, run: BTreeMap<String, String>) -> Result<LogWriter, LogError> {
         let errno = Arc::new(AtomicI32::new(0));
         let reserve = DiskReserve::of(file.try_clone().map_err(|e| LogError::write(path, e))?);
-        let sink = BufWriter::with_capacity(64 * 1024, LogFile { file, errno: errno.clone() });
+        let sink = BufWriter::with_capacity(BUFFER, LogFile { file, errno: errno.clone() });
         let library = format!("tectum {}", crate::BUILD);
         let options = mcap::WriteOptions::new().use_chunks(false).compression(None).profile("ros2").library(library);
         let mcap = options.create(sink).map_err(|e| LogError::write(path, io_error(e, &errno)))?;
@@ -123,7 +126,7 @@ impl LogWriter {
     /// [`broken`](Self::broken) is false, the sample was not written and the log can still be closed. After any
     /// other failure the log accepts nothing more, and every call returns the error again.
     pub fn observation(&mut self, sample: &Observation) -> Result<(), LogError> {
-        self.sample(0, sample.header.sequence, sample.header.published_ns, sample)?;
+        self.append_observation(sample)?;
         self.flush()
     }
 
@@ -133,7 +136,7 @@ impl LogWriter {
     ///
     /// As [`observation`](Self::observation).
     pub fn command(&mut self, sample: &Command) -> Result<(), LogError> {
-        self.sample(1, sample.header.sequence, sample.header.published_ns, sample)?;
+        self.append_command(sample)?;
         self.flush()
     }
 
@@ -143,7 +146,7 @@ impl LogWriter {
     ///
     /// As [`observation`](Self::observation).
     pub fn learning(&mut self, sample: &Learning) -> Result<(), LogError> {
-        self.sample(2, sample.header.sequence, sample.header.published_ns, sample)?;
+        self.append_learning(sample)?;
         self.flush()
     }
 
@@ -166,11 +169,41 @@ impl LogWriter {
     /// As [`observation`](Self::observation).
     pub fn append(&mut self, record: &LogRecord) -> Result<(), LogError> {
         match record {
-            LogRecord::Observation(s) => self.sample(0, s.header.sequence, s.header.published_ns, s),
-            LogRecord::Command(s) => self.sample(1, s.header.sequence, s.header.published_ns, s),
-            LogRecord::Learning(s) => self.sample(2, s.header.sequence, s.header.published_ns, s),
+            LogRecord::Observation(s) => self.append_observation(s),
+            LogRecord::Command(s) => self.append_command(s),
+            LogRecord::Learning(s) => self.append_learning(s),
             LogRecord::Gap(gap) => self.message(3, self.written[3], self.last_ns, gap),
         }
+    }
+
+    /// [`append`](Self::append) for an observation.
+    ///
+    /// # Errors
+    ///
+    /// As [`observation`](Self::observation).
+    #[inline]
+    pub(crate) fn append_observation(&mut self, s: &Observation) -> Result<(), LogError> {
+        self.sample(0, s.header.sequence, s.header.published_ns, s)
+    }
+
+    /// [`append`](Self::append) for a command.
+    ///
+    /// # Errors
+    ///
+    /// As [`observation`](Self::observation).
+    #[inline]
+    pub(crate) fn append_command(&mut self, s: &Command) -> Result<(), LogError> {
+        self.sample(1, s.header.sequence, s.header.published_ns, s)
+    }
+
+    /// [`append`](Self::append) for a learning record.
+    ///
+    /// # Errors
+    ///
+    /// As [`observation`](Self::observation).
+    #[inline]
+    pub(crate) fn append_learning(&mut self, s: &Learning) -> Result<(), LogError> {
+        self.sample(2, s.header.sequence, s.header.published_ns, s)
     }
 
     /// Hands everything appended to the operating system.

@@ -199,8 +199,8 @@ fn follow(
     let (poll_ns, max_idle_polls) = pace(session.participant.plan.period_ns, real);
     let mut idle_polls = 0;
     let mut learning = FaultyChannel::of(&session.participant.plan);
-    let passes_over = !real && merger.is_thinned() && learning.is_fault_free();
-    if passes_over {
+    let by_ticks = !real && learning.is_fault_free();
+    if by_ticks && merger.is_thinned() {
         ports.take_singly();
     }
     let sync_ns = session.participant.plan.scenario.log.sync_s.map(|seconds| (1e9 * seconds) as u64);
@@ -212,7 +212,7 @@ fn follow(
         let force = last || (real && idle_polls >= max_idle_polls);
         // In lockstep a sample's sequence number is its tick.
         let known = if real { [0; 3] } else { senders.sent };
-        let any = drain(merger, ports, &mut learning, passes_over, known, force);
+        let any = drain(merger, ports, &mut learning, by_ticks, known, force);
         if sync_ns.is_some_and(|every| monotonic_ns() - synced >= every) {
             merger.sync();
             synced = monotonic_ns();
@@ -229,25 +229,29 @@ fn follow(
     }
 }
 
-/// Writes all samples that have arrived and flushes them, so that a kill after the status is published loses
-/// none of them. Returns false when none had arrived.
+/// Writes all samples that have arrived and flushes them, so that a kill after the status is published loses none of
+/// them; with `by_ticks`, whole ticks at once where that is possible. Returns false when none had arrived.
 fn drain(
     merger: &mut LogMerger,
     ports: &mut LoggerPorts,
     learning: &mut FaultyChannel<Learning>,
-    passes_over: bool,
+    by_ticks: bool,
     known: [u64; 3],
     force: bool,
 ) -> bool {
     let mut any = false;
     loop {
         // What is left of a tick is written before anything of the next one is received.
-        if passes_over && merger.write_first(false) {
+        if by_ticks && merger.write_first(false) {
             any = true;
             continue;
         }
-        if passes_over && pass_over(merger, ports) && !force {
+        if by_ticks && pass_over(merger, ports) && !force {
             break;
+        }
+        if by_ticks && write_tick(merger, ports) {
+            any = true;
+            continue;
         }
         merger.fill(0, known[0], || ports.observation.receive().map(LogRecord::Observation));
         merger.fill(1, known[1], || ports.command.receive().map(LogRecord::Command));
@@ -259,6 +263,21 @@ fn drain(
     }
     merger.flush();
     any
+}
+
+/// Writes the next tick, if all its samples are there.
+fn write_tick(merger: &mut LogMerger, ports: &mut LoggerPorts) -> bool {
+    let LoggerPorts { observation, command, learning, .. } = ports;
+    let written = match (observation.front(), command.front(), learning.front()) {
+        (Some(observation), Some(command), Some(learning)) => merger.write_tick(observation, command, learning),
+        _ => false,
+    };
+    if written {
+        observation.pop_front();
+        command.pop_front();
+        learning.pop_front();
+    }
+    written
 }
 
 /// Most ticks that are passed over at once, and so that may wait for the next poll: far fewer than the plant may be

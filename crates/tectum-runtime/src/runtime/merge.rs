@@ -13,7 +13,7 @@ use crate::log::{
     AccountKeeper, LatencyHistograms, LogAccount, LogError, LogRecord, LogRecovery, LogSegment, LogTotals, LogWriter,
     segment_number_of,
 };
-use crate::wire::{Gap, Header};
+use crate::wire::{Command, Gap, Header, Learning, Observation};
 
 /// One channel's input to the log.
 #[derive(Debug, Clone, Default)]
@@ -258,13 +258,60 @@ impl LogMerger {
     /// In lockstep, where the log is thinned: the number of ticks before the next one that is logged, if no sample of
     /// them was received yet. 0 where every sample has to be looked at, because something else depends on it.
     pub fn unlogged_ticks(&self) -> u64 {
-        let next = self.inputs[0].expected;
-        let ready =
-            |input: &MergeInput| input.head.is_none() && input.expected == next && input.missing_since.is_none();
-        if self.timings.is_some() || self.rotator.is_some() || !self.inputs.iter().all(ready) {
-            return 0;
+        let next = self.expected();
+        if self.rotator.is_some() || !self.is_between_ticks() { 0 } else { next.next_multiple_of(self.every) - next }
+    }
+
+    /// Whether the log can be written, and the next sample of every channel is of the same tick. Not in real time, where
+    /// samples are counted for each channel by itself.
+    fn is_between_ticks(&self) -> bool {
+        let next = self.expected();
+        let ready = |input: &MergeInput| input.head.is_none() && input.expected == next;
+        let writes = |input: &MergeInput| input.missing_since.is_none();
+        self.timings.is_none() && self.inputs.iter().all(|input| ready(input) && writes(input))
+    }
+
+    /// In lockstep: writes the samples of a tick that is logged, in place of filling the heads with them. Returns false,
+    /// and does nothing, unless they are what comes next on each channel.
+    pub fn write_tick(&mut self, observation: &Observation, command: &Command, learning: &Learning) -> bool {
+        let tick = self.expected();
+        let headers = [&observation.header, &command.header, &learning.header];
+        let follow = headers.iter().all(|header| (header.tick, header.sequence) == (tick, tick));
+        if !follow || !tick.is_multiple_of(self.every) || !self.is_between_ticks() {
+            return false;
         }
-        next.next_multiple_of(self.every) - next
+        if self.rotates_before(tick) {
+            self.rotate(tick);
+        }
+        let Some(log) = &mut self.log else { return false };
+        self.unflushed = true;
+        self.written_tick = self.written_tick.max(Some(tick));
+        let mut failure = None;
+        for input in &mut self.inputs {
+            input.expected += 1;
+            (input.last, input.through) = (Some(tick), input.through.max(Some(tick)));
+            let result = match input.channel {
+                _ if failure.is_some() => Ok(()),
+                0 => log.append_observation(observation),
+                1 => log.append_command(command),
+                _ => log.append_learning(learning),
+            };
+            failure = failure.or(result.err());
+            if failure.is_none() {
+                input.done = Some(tick);
+            } else {
+                // Not written, and still to be accounted for.
+                input.head = Some(match input.channel {
+                    0 => LogRecord::Observation(*observation),
+                    1 => LogRecord::Command(*command),
+                    _ => LogRecord::Learning(*learning),
+                });
+            }
+        }
+        if let Some(error) = failure {
+            self.give_up(tick, &error);
+        }
+        true
     }
 
     /// Leaves out the next `count` samples of each channel, one a tick, in place of receiving them.

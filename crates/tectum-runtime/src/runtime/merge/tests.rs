@@ -99,9 +99,10 @@ fn drain(merger: &mut LogMerger, waiting: &mut [VecDeque<LogRecord>; 3], known: 
     merger.flush();
 }
 
-/// A log from which ticks were left out unread is the same as one of which every sample was received.
+/// A log from which ticks were left out unread, or written at once, is the same as one of which every sample was
+/// received.
 #[test]
-fn ticks_left_out_unread_change_nothing() {
+fn whole_ticks_change_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let written = [false, true].map(|unread| {
         let folder = folder.path().join(unread.to_string());
@@ -109,8 +110,7 @@ fn ticks_left_out_unread_change_nothing() {
         let recovered = LogRecovery::none(PERIOD, [0; 3], 0);
         let log = LogWriter::create(&segment_path(&folder, 0), &header(0, 10, &recovered));
         let mut merger = LogMerger::new(log, &recovered, 10, false);
-        let mut left_out = 0;
-        let mut tick = 0;
+        let (mut left_out, mut written_at_once, mut tick) = (0, 0, 0);
         while tick < 48 {
             let count = if unread { merger.unlogged_ticks() } else { 0 };
             // Some before a tick that is logged are received all the same.
@@ -120,12 +120,25 @@ fn ticks_left_out_unread_change_nothing() {
                 tick += count.min(3);
                 continue;
             }
-            let mut waiting = [0, 1, 2].map(|i| VecDeque::from([sample(i, tick)]));
+            let samples = [0, 1, 2].map(|i| sample(i, tick));
+            if let [LogRecord::Observation(observation), LogRecord::Command(command), LogRecord::Learning(learning)] =
+                &samples
+            {
+                let late = Learning { header: Header { sequence: tick + 1, ..learning.header }, ..*learning };
+                assert!(!merger.write_tick(observation, command, &late));
+                if unread && tick % 20 == 0 && merger.write_tick(observation, command, learning) {
+                    written_at_once += 1;
+                    tick += 1;
+                    continue;
+                }
+            }
+            let mut waiting = samples.map(|sample| VecDeque::from([sample]));
             merger.fill(0, tick, || waiting[0].pop_front());
             assert_eq!(merger.unlogged_ticks(), 0, "a sample was received already");
             drain(&mut merger, &mut waiting, tick + 1);
             tick += 1;
         }
+        assert_eq!(written_at_once, if unread { 3 } else { 0 });
         assert_eq!(left_out, if unread { 24 } else { 0 });
         let outcome = merger.close([48; 3], true, BTreeMap::new());
         (outcome.totals, outcome.written, std::fs::read(segment_path(&folder, 0)).unwrap())
