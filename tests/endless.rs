@@ -112,7 +112,8 @@ fn an_endless_run_stays_within_its_limits() {
 fn loggers_that_die_early_keep_the_limit() {
     let test_folder = TestFolder::new();
     let file = scenario(&test_folder, "rotate = \"64 MB\"\nlimit_mb = 10.0");
-    let kills = "[[faults.process]]\nprocess = \"logger\"\ndo = \"kill\"\nat = [5000, 10000, 15000, 20000, 25000, 30000]\n";
+    let kills =
+        "[[faults.process]]\nprocess = \"logger\"\ndo = \"kill\"\nat = [5000, 10000, 15000, 20000, 25000, 30000]\n";
     append(&file, &format!("\n[restart]\nbackoff_ms = 1\nhealthy_s = 0.0\n{kills}"));
     let summary = run(&test_folder, &[&file, "--ticks", "35000", "--out", "run"]);
     let (bytes, removed) = (summary["log_bytes"].as_u64().unwrap(), summary["log_removed_segments"].as_u64().unwrap());

@@ -366,7 +366,7 @@ mod tests {
 
     #[test]
     fn where_a_hand_is_follows_from_its_joints() {
-        for (name, ticks, following) in [("reacher", 180, 0b1100_0000), ("arm", 90, 0)] {
+        for (name, ticks, following) in [("reacher", 200, 0b1100_0000), ("arm", 90, 0)] {
             let mut original = agent(name, 1, &few_operations());
             run((name, 1), ticks, 0, &mut original, |_| ());
             assert_eq!(original.learner().following(), following, "{name}");

@@ -17,6 +17,10 @@ const STRANGE: f64 = 9.0;
 const RARE: f64 = 0.1;
 /// So many strange rewards in a row are left out at most.
 const MOST_STRANGE: u32 = 12;
+/// Ticks from one refit to the next: the least, the most, and by how much of the ticks so far they grow in between.
+const REFIT_LEAST: u64 = 10;
+const REFIT_MOST: f64 = 1000.0;
+const REFIT_GROWTH: f64 = 0.25;
 /// After an alarm, every so many ticks it is asked whether older ones still teach.
 const LOOK: u64 = 10;
 
@@ -273,7 +277,7 @@ impl ModelPredictive {
                 }
             }
             self.refits += 1;
-            self.next_refit = self.tick + (0.35 * self.tick as f64).min(1000.0) as u64 + 10;
+            self.next_refit = self.tick + (REFIT_GROWTH * self.tick as f64).min(REFIT_MOST) as u64 + REFIT_LEAST;
         }
         let mut share = RefitShare { most: self.refit_operations(), done: 0 };
         let better = self.better();
