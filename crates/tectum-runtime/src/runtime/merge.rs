@@ -262,8 +262,8 @@ impl LogMerger {
         if self.rotator.is_some() || !self.is_between_ticks() { 0 } else { next.next_multiple_of(self.every) - next }
     }
 
-    /// Whether the log can be written, and the next sample of every channel is of the same tick. Not in real time, where
-    /// samples are counted for each channel by itself.
+    /// Whether the log can be written, and the next sample of every channel is of the same tick. Never in real time,
+    /// where samples are counted for each channel by itself.
     fn is_between_ticks(&self) -> bool {
         let next = self.expected();
         let ready = |input: &MergeInput| input.head.is_none() && input.expected == next;
@@ -271,8 +271,8 @@ impl LogMerger {
         self.timings.is_none() && self.inputs.iter().all(|input| ready(input) && writes(input))
     }
 
-    /// In lockstep: writes the samples of a tick that is logged, in place of filling the heads with them. Returns false,
-    /// and does nothing, unless they are what comes next on each channel.
+    /// In lockstep: writes the samples of a tick that is logged, in place of filling the heads with them. Returns
+    /// false, and does nothing, unless they are what comes next on each channel.
     pub fn write_tick(&mut self, observation: &Observation, command: &Command, learning: &Learning) -> bool {
         let tick = self.expected();
         let headers = [&observation.header, &command.header, &learning.header];
