@@ -197,11 +197,10 @@ impl<T: Sample> LogTail<T> {
     /// The oldest sample that has not been received yet and is still in the ring.
     #[inline]
     pub fn receive(&mut self) -> Option<T> {
-        if self.received == self.taken.len() {
-            self.take();
+        let sample = self.front().copied();
+        if sample.is_some() {
+            self.pop_front();
         }
-        let sample = self.taken.get(self.received).copied();
-        self.received += usize::from(sample.is_some());
         sample
     }
 
@@ -276,7 +275,7 @@ impl<T: Sample> LogTail<T> {
         self.received = 0;
     }
 
-    /// Takes the next samples from the ring, [`STRETCH`] at most.
+    /// Takes the next samples from the ring, a stretch at most.
     fn take(&mut self) {
         let count = &self.ring.words()[COUNT];
         self.taken.clear();

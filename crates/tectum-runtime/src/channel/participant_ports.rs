@@ -154,13 +154,6 @@ impl ControllerPorts {
 }
 
 impl LoggerPorts {
-    /// From now on takes samples from the rings one by one, because most of them are passed over.
-    pub fn take_singly(&mut self) {
-        self.observation.take_singly();
-        self.command.take_singly();
-        self.learning.take_singly();
-    }
-
     /// Joins the run as its logger.
     ///
     /// # Errors
@@ -181,6 +174,13 @@ impl LoggerPorts {
             _domain: domain,
         };
         Ok((ports, status_board))
+    }
+
+    /// From now on takes samples from the rings one by one, because most of them are passed over.
+    pub fn take_singly(&mut self) {
+        self.observation.take_singly();
+        self.command.take_singly();
+        self.learning.take_singly();
     }
 }
 

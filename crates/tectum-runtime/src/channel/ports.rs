@@ -45,6 +45,12 @@ pub struct Sender<T: Payload> {
     name: String,
 }
 
+impl<T: Payload> std::fmt::Debug for Sender<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Sender").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
 impl<T: Payload> Sender<T> {
     pub(super) fn new(name: &str, factory: Factory<T>) -> Result<Self, ChannelError> {
         let port = factory

@@ -42,15 +42,16 @@ impl CheckpointSchedule {
     }
 
     /// What is announced at the start of `tick` in place of `announced`, when `requested` checkpoints were requested so
-    /// far. `controller` reads the controller's board, which is done only while a pair is incomplete.
+    /// far; `None` where that was not looked up. `controller` reads the controller's board, which is done only while a
+    /// pair is incomplete.
     pub fn next(
         &mut self,
         announced: u64,
         tick: u64,
-        requested: u32,
+        requested: Option<u32>,
         controller: impl FnOnce() -> Result<Status, RuntimeError>,
     ) -> Result<Option<u64>, RuntimeError> {
-        let next = tick + 1;
+        let (next, requested) = (tick + 1, requested.unwrap_or(self.requested));
         if requested != self.requested || self.every > 0 && next.is_multiple_of(self.every) {
             (self.requested, self.repeats) = (requested, if self.real { MOST_REPEATS } else { 0 });
             return Ok(Some(next + 1));
@@ -87,7 +88,7 @@ mod tests {
     ) -> Option<u64> {
         let (ticks, checkpoint) = board;
         let controller = || Ok(Status { ticks, checkpoint, ..Status::default() });
-        schedule.next(announced, tick, requested, controller).unwrap()
+        schedule.next(announced, tick, Some(requested), controller).unwrap()
     }
 
     #[test]
@@ -102,6 +103,10 @@ mod tests {
             assert_eq!(next(&mut schedule, 11, tick, 0, board), None, "tick {tick}");
         }
         assert_eq!(next(&mut schedule, 11, 14, 1, (14, 11)), Some(16), "on request");
+        // What nobody looked up was not requested; it is later, when somebody does.
+        let mut schedule = CheckpointSchedule::new(0, 3, false);
+        let mut next = |tick, requested| schedule.next(0, tick, requested, || unreachable!()).unwrap();
+        assert_eq!([next(5, Some(3)), next(6, None), next(7, Some(4)), next(8, None)], [None, None, Some(9), None]);
     }
 
     #[test]

@@ -321,7 +321,7 @@ impl Participant {
             status_board,
             status,
             heartbeat: Cell::new(0),
-            frequent: Cell::new(FREQUENT_TICKS),
+            first_ticks: Cell::new(FIRST_TICKS),
             coarse_ns: Cell::new(0),
         };
         session.enter(ProcessState::Ready);
@@ -363,8 +363,9 @@ fn realtime_request(process: &RealtimeProcess) -> RealtimeRequest {
 /// statistics.
 const GROWTH: usize = 64 << 10;
 
-/// So many ticks are shown on the board one by one in lockstep, for whoever joins as soon as the first one is over.
-const FREQUENT_TICKS: u32 = 16;
+/// Lockstep: so many of a process's first ticks are shown on its board one by one. Whether it has sent anything yet
+/// decides how a successor goes on.
+const FIRST_TICKS: u32 = 16;
 
 /// Interval at which the phase is polled while a run is set up, ns.
 const SET_UP_POLL_NS: u64 = 500_000;
@@ -391,8 +392,8 @@ pub struct Session {
     status_board: StatusBoard,
     /// Number of heartbeats so far.
     heartbeat: Cell<u64>,
-    /// Lockstep: how many of the next ticks are shown in any case, and the coarse clock at the last that was.
-    frequent: Cell<u32>,
+    /// Lockstep: how many of the first ticks are still to be shown, and the coarse clock when it was last read.
+    first_ticks: Cell<u32>,
     coarse_ns: Cell<u64>,
 }
 
@@ -460,12 +461,12 @@ impl Session {
     /// which take longer than the plant's step. Whoever waits publishes by [`Session::end_reason`] meanwhile.
     #[inline]
     pub(crate) fn publish_progress(&self) -> bool {
-        let due = self.participant.manifest.mode == Mode::Realtime || self.frequent.get() > 0 || {
+        let due = self.participant.manifest.mode == Mode::Realtime || self.first_ticks.get() > 0 || {
             let now = coarse_ns();
             self.coarse_ns.replace(now) != now
         };
         if due {
-            self.frequent.set(self.frequent.get().saturating_sub(1));
+            self.first_ticks.set(self.first_ticks.get().saturating_sub(1));
             self.publish_status();
         }
         due

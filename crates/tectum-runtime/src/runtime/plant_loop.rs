@@ -166,8 +166,6 @@ struct PlantLoop<P> {
     /// The run's number of ticks.
     ticks: u64,
     checkpoints: CheckpointSchedule,
-    /// Checkpoints that had been requested when the launcher's board was last read.
-    requested: u32,
     /// The next tick to begin.
     tick: u64,
     /// Whether the plant has advanced through all ticks before `tick`.
@@ -208,7 +206,7 @@ impl<P: Plant> PlantLoop<P> {
         let backoff = ports.lockstep_wake.take().map_or_else(Backoff::default, Backoff::woken_by);
         state.observation.header.run = session.participant.manifest.run_id();
         state.observation.header.incarnation = session.incarnation();
-        let (manifest, requested) = (&session.participant.manifest, session.checkpoints_requested());
+        let manifest = &session.participant.manifest;
         // A plant that acts within the tick goes on after it has sent, and commands ahead have no journal.
         let saves_late = !real && ports.ahead.is_none() && state.side.command_deadline_ns().is_none();
         let mut plant_loop = Self {
@@ -223,8 +221,7 @@ impl<P: Plant> PlantLoop<P> {
             backoff,
             logger_backoff: Backoff::default(),
             ticks: session.participant.plan.scenario.ticks,
-            checkpoints: CheckpointSchedule::new(manifest.checkpoint_every, requested, real),
-            requested,
+            checkpoints: CheckpointSchedule::new(manifest.checkpoint_every, session.checkpoints_requested(), real),
             tick: manifest.resumed.as_ref().map_or(0, |resumed| resumed.tick),
             advanced: true,
             acted: false,
@@ -268,10 +265,8 @@ impl<P: Plant> PlantLoop<P> {
         self.advance()?;
         let skipped = self.skip_overrun_ticks();
         let looks = self.publish_counts();
-        if self.gives_up(skipped) || self.tick >= self.ticks || self.session.interrupted() {
-            return Ok(false);
-        }
-        if looks && self.session.stopping() {
+        let ends = if looks { self.session.stopping() } else { self.session.interrupted() };
+        if self.gives_up(skipped) || self.tick >= self.ticks || ends {
             return Ok(false);
         }
         if !self.real && self.tick.is_multiple_of(CREDIT_TICKS) && !self.await_logger()? {
@@ -422,14 +417,12 @@ impl<P: Plant> PlantLoop<P> {
             self.state.expected = self.inbox.expected;
             self.writer.write(self.tick, self.state.checkpoint(self.tick, &self.session.participant));
         }
-        if looks {
-            self.requested = self.session.checkpoints_requested();
-        }
+        let requested = looks.then(|| self.session.checkpoints_requested());
         let controller = || {
             self.controller.check(&mut self.ports.controller, &self.session)?;
             Ok(self.ports.controller.get())
         };
-        if let Some(next) = self.checkpoints.next(announced, self.tick, self.requested, controller)? {
+        if let Some(next) = self.checkpoints.next(announced, self.tick, requested, controller)? {
             self.session.status.checkpoint = next;
             self.session.publish_status();
         }
