@@ -63,7 +63,8 @@ fn latency_timer(devices: &Path, path: &str) -> Option<(u32, PathBuf)> {
 }
 
 /// Checks that the port exists, may be opened, and is not locked: serialport does not distinguish these errors.
-/// The lock is released at once, because serialport takes its own.
+/// The lock is released at once, because serialport takes its own. To close the file is not enough: a process that
+/// another thread starts at this moment has it, too, until it becomes another program.
 fn probe(path: &str) -> Result<(), BusError> {
     use std::os::unix::fs::OpenOptionsExt as _;
     let flags = OFlags::NOCTTY | OFlags::NONBLOCK;
@@ -74,7 +75,9 @@ fn probe(path: &str) -> Result<(), BusError> {
         ErrorKind::ResourceBusy => BusError::Busy(path.to_owned()),
         _ => BusError::Port(path.to_owned(), error.to_string()),
     })?;
-    flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(|_| BusError::Busy(path.to_owned()))
+    let lock = |operation| flock(&file, operation).map_err(|_| BusError::Busy(path.to_owned()));
+    lock(FlockOperation::NonBlockingLockExclusive)?;
+    lock(FlockOperation::Unlock)
 }
 
 /// Silence after which the line counts as quiet, ns.
