@@ -151,6 +151,9 @@ impl Plan {
             normalise: self.scenario.encoder.normalise,
             sigma: self.scenario.policy.sigma,
             max_command: std::array::from_fn(|output| self.scenario.gate.max_command.of(output) as f32),
+            max_step: std::array::from_fn(|output| {
+                self.scenario.gate.max_step.as_ref().map_or(f32::INFINITY, |step| step.of(output) as f32)
+            }),
             seed: self.scenario.seed,
             learner: self.scenario.learner.clone(),
         }

@@ -151,6 +151,10 @@ fn check_limits(arm: &ArmConfig) -> Result<(), Violation> {
         );
         return Err(Violation::new("plant.arm.limits", text));
     }
+    if arm.hidden_limits && limited == 0 {
+        let text = "is true, and there are no limits to hide; give limits, or leave it out";
+        return Err(Violation::new("plant.arm.hidden_limits", text));
+    }
     for (i, &[low, high]) in arm.limits.iter().enumerate() {
         let turn = -PI..=PI;
         if !(turn.contains(&low) && turn.contains(&high) && low < high && (low..=high).contains(&0.0)) {

@@ -285,6 +285,7 @@ fn scenario_with_all_tables() -> Scenario {
     arm.shorten = vec![ShortenConfig { segment: 2, tick: 500, length: 0.3 }];
     arm.mirror = vec![MirrorConfig { axis: MirrorAxis::Y, tick: 700 }];
     arm.limits = vec![[-2.6, 2.6]; arm.lengths.len()];
+    arm.hidden_limits = true;
     (arm.reward.near, arm.reward.collision, arm.reward.blocked_pays) = (Some(0.5), 0.1, true);
     scenario.plant.args = vec!["--quiet".to_owned()];
     scenario.gate = toml::from_str(

@@ -42,11 +42,11 @@ fn range(signal: &SignalConfig) -> InputRange {
 }
 
 impl ModelPredictiveAgent {
-    /// An agent for `inputs`, with the largest magnitude and the exploration noise's standard deviation of each
-    /// command.
+    /// An agent for `inputs`, with the largest magnitude of each command and its largest change from a tick to the
+    /// next, and the standard deviation of its exploration noise.
     pub fn new(
         inputs: &[SignalConfig],
-        limits: &[f64],
+        [limits, steps]: [&[f64]; 2],
         sigma: &[f64],
         seed: u64,
         config: &ModelPredictiveConfig,
@@ -54,6 +54,7 @@ impl ModelPredictiveAgent {
         let learner = ModelPredictive::new(&ModelPredictiveSpec {
             inputs: inputs.iter().map(range).collect(),
             limits: limits.to_vec(),
+            steps: steps.to_vec(),
             sigma: sigma.to_vec(),
             seed,
             config: config.clone(),
@@ -64,9 +65,10 @@ impl ModelPredictiveAgent {
 
     /// The agent that `spec` configures. It knows the limits of the gate, so that it plans within them.
     pub fn of(spec: &LearnerSpec) -> Self {
-        let limits: Vec<f64> = spec.max_command[..spec.outputs].iter().map(|limit| f64::from(*limit)).collect();
+        let [limits, steps] = [spec.max_command, spec.max_step]
+            .map(|limits| limits[..spec.outputs].iter().map(|limit| f64::from(*limit)).collect::<Vec<_>>());
         let config = spec.learner.plan.clone().unwrap_or_default();
-        Self::new(&spec.inputs, &limits, &vec![spec.sigma; spec.outputs], spec.seed, &config)
+        Self::new(&spec.inputs, [&limits, &steps], &vec![spec.sigma; spec.outputs], spec.seed, &config)
     }
 
     /// A copy that answers as this agent would now, without exploration noise, and learns nothing any more: the one to
@@ -156,9 +158,10 @@ impl Agent for ModelPredictiveAgent {
     }
 
     fn counts(&self) -> Vec<(&'static str, u64)> {
-        let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, plans } =
+        let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, ends, plans } =
             self.learner.counts;
         vec![
+            ("ends", ends),
             ("input_outliers", input_outliers),
             ("reward_outliers", reward_outliers),
             ("alarms", alarms),
@@ -200,7 +203,7 @@ mod tests {
         let signals = task.body.signals();
         let m = signals.outputs.len();
         let (limits, sigma) = (vec![task.max_command; m], vec![task.sigma; m]);
-        ModelPredictiveAgent::new(&signals.inputs, &limits, &sigma, seed, config)
+        ModelPredictiveAgent::new(&signals.inputs, [&limits, &vec![f64::INFINITY; m]], &sigma, seed, config)
     }
 
     /// Mean reward of the ticks from `first` on, of `ticks`, of a new agent on a task.

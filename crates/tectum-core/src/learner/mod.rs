@@ -60,6 +60,8 @@ pub struct LearnerSpec {
     pub sigma: f64,
     /// Largest command that the gate lets through, by output; infinite where there is no limit.
     pub max_command: Outputs,
+    /// Largest change of a command from a tick to the next that it lets through, by output; infinite without a limit.
+    pub max_step: Outputs,
     /// Seed of the run's random streams.
     pub seed: u64,
     /// The rule and its settings.

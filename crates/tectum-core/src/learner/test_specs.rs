@@ -29,6 +29,7 @@ pub(crate) fn arm() -> LearnerSpec {
         normalise: true,
         sigma: 0.003,
         max_command: [0.05; MAX_OUTPUTS],
+        max_step: [f32::INFINITY; MAX_OUTPUTS],
         seed: 1,
         learner: LearnerConfig::default(),
     }

@@ -76,7 +76,8 @@ fn of_arm(arm: &ArmConfig) -> BodySignals {
     };
     let mut inputs = vec![signal("target_x", "m", range(MirrorAxis::X)), signal("target_y", "m", range(MirrorAxis::Y))];
     if !arm.open_loop {
-        let range = |joint: usize| arm.limits.get(joint - 1).copied().unwrap_or([-PI, PI]);
+        let known = if arm.hidden_limits { &[][..] } else { &arm.limits };
+        let range = |joint: usize| known.get(joint - 1).copied().unwrap_or([-PI, PI]);
         inputs.extend(joints.clone().map(|joint| signal(&format!("theta_{joint}"), "rad", range(joint))));
     }
     let quantity = if arm.open_loop { "angle" } else { "rate" };

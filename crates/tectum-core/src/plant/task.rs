@@ -1,6 +1,6 @@
 //! The tasks on which learners are measured: a plant with its settings, by name.
 //!
-//! A task of the arm is one of four arms, and at most one difficulty: `arm-relative-stops-delay-1` is the arm with
+//! A task of the arm is one of five arms, and at most one difficulty: `arm-relative-stops-delay-1` is the arm with
 //! relative angles and stops, and everything one tick late. The other plants are tasks by themselves.
 
 use super::{
@@ -37,11 +37,15 @@ pub struct Task {
 }
 
 /// The arms.
-const ARMS: [(&str, &str); 4] = [
+const ARMS: [(&str, &str); 5] = [
     ("arm", "the paper's arm: four joints with absolute angles"),
     ("arm-relative", "the arm with each angle measured from the segment before"),
     ("arm-stops", "the arm with joints that stop at 2 rad"),
     ("arm-relative-stops", "the arm with relative angles and stops at 2 rad"),
+    (
+        "arm-relative-hidden-stops",
+        "the arm with relative angles and stops at 2 rad, of which the inputs' ranges say nothing",
+    ),
 ];
 
 /// The difficulties, each a suffix to the name of an arm.
@@ -75,11 +79,12 @@ const OTHERS: [(&str, &str); 7] = [
 ];
 
 /// The tasks that are measured when none is named.
-pub const USUAL: [&str; 18] = [
+pub const USUAL: [&str; 19] = [
     "arm",
     "arm-relative",
     "arm-stops",
     "arm-relative-stops",
+    "arm-relative-hidden-stops",
     "arm-relative-stops-delay-1",
     "arm-relative-stops-delay-2",
     "arm-relative-stops-reward-delay-1",
@@ -138,6 +143,7 @@ fn of_arm(name: &str, arm: &str, about: &str, difficulty: Option<(&str, &str)>) 
     }
     if arm.contains("stops") {
         config.limits = vec![STOPS; config.lengths.len()];
+        config.hidden_limits = arm.contains("hidden");
     }
     let mut timing = TimingConfig::default();
     let number = |suffix: &str| suffix.rsplit('-').next().and_then(|last| last.parse().ok()).unwrap_or(0);

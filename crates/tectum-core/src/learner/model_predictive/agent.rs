@@ -8,8 +8,10 @@ mod planning;
 
 use super::alignment::Alignment;
 use super::belief::Belief;
+use super::command_limits::CommandLimits;
 use super::config::{ModelPredictiveConfig, ModelPredictiveSpec};
 use super::dynamics::Dynamics;
+use super::ends::LearnedEnds;
 use super::exploration::NoiseSource;
 use super::layout::Places;
 use super::layouts::AngleReading;
@@ -67,6 +69,8 @@ pub struct GuardCounts {
     pub clipped: u64,
     /// Observations that were not finite.
     pub unusable: u64,
+    /// Ends of inputs that were learned, and stand.
+    pub ends: u64,
     /// Ticks that were planned after.
     pub plans: u64,
 }
@@ -81,6 +85,7 @@ pub struct ModelPredictive {
     limits: Vec<f64>,
     sigma: Vec<f64>,
     ranges: Ranges,
+    ends: LearnedEnds,
     dynamics: Dynamics,
     rewards: [Model; 2],
     scores: [f64; 2],
@@ -144,24 +149,24 @@ pub struct ModelPredictive {
 impl ModelPredictive {
     /// A learner that knows nothing.
     pub fn new(spec: &ModelPredictiveSpec) -> Self {
-        let config = spec.config.clone();
         let places = Places { inputs: spec.inputs.len(), commands: spec.limits.len() };
         assert!(places.commands <= MAX_OUTPUTS && places.inputs <= MAX_INPUTS);
         let mut rng = stream(spec.seed, "models");
         let (dynamics, [before, after]) = models::models(spec, places, &mut rng);
-        let horizon = if config.horizon > 0 { config.horizon } else { (480 / places.len()).clamp(20, 40) };
+        let horizon = if spec.config.horizon > 0 { spec.config.horizon } else { (480 / places.len()).clamp(20, 40) };
         Self {
             middle: spec.inputs.iter().map(|r| 0.5 * (r.min + r.max)).collect(),
             half: spec.inputs.iter().map(|r| 0.5 * (r.max - r.min)).collect(),
             sigma: spec.sigma.iter().zip(&spec.limits).map(|(s, l)| s / l).collect(),
             limits: spec.limits.clone(),
             ranges: Ranges::of(&spec.inputs),
-            memory: Memory::new(places, config.memory),
+            ends: LearnedEnds::new(places.inputs),
+            memory: Memory::new(places, spec.config.memory),
             beliefs: vec![Belief::default(); places.inputs],
             reward_belief: Belief::default(),
             plan: CommandPlan::new(places, horizon),
             rival: CommandPlan::new(places, horizon),
-            planner: Planner::new(places, horizon),
+            planner: Planner::new(places, horizon, CommandLimits::of(spec, places)),
             scratch: WorldScratch::new(places),
             noise: NoiseSource::new(spec.seed),
             tick: 0,
@@ -178,7 +183,7 @@ impl ModelPredictive {
             strange: 0,
             shift: 0,
             reading: AngleReading::APART,
-            alignment: Alignment::new(before.layout.clone(), &spec.inputs, config.memory),
+            alignment: Alignment::new(before.layout.clone(), &spec.inputs, spec.config.memory),
             best: f64::NEG_INFINITY,
             worst: f64::INFINITY,
             command: [0.0; MAX_OUTPUTS],
@@ -193,14 +198,14 @@ impl ModelPredictive {
             apart: vec![0.0; places.state()],
             rival_kind: 0,
             rivals: 1,
-            budget: OperationBudget::new(config.operations),
+            budget: OperationBudget::new(spec.config.operations),
             frozen: false,
             scores: [0.0; 2],
             dynamics,
             rewards: [before, after],
             rng,
             places,
-            config,
+            config: spec.config.clone(),
         }
     }
 
@@ -233,7 +238,8 @@ impl ModelPredictive {
             world.difference(&self.state, self.plan.state(0), &mut self.apart);
             for (j, u) in u.iter_mut().enumerate() {
                 let back = dot(&self.plan.gains[j * nx..(j + 1) * nx], &self.apart);
-                *u = (self.plan.commands[j] + back).clamp(-1.0, 1.0);
+                let [low, high] = self.planner.limits.range(&self.state, j);
+                *u = (self.plan.commands[j] + back).clamp(low, high);
                 self.mean[j] = *u * self.limits[j];
             }
             if !self.frozen {
@@ -247,7 +253,8 @@ impl ModelPredictive {
         let mut clipped = false;
         for (j, u) in u.iter_mut().enumerate() {
             clipped |= u.abs() >= 1.0;
-            *u = u.clamp(-1.0, 1.0);
+            let [low, high] = self.planner.limits.range(&self.state, j);
+            *u = u.clamp(low, high);
             command[j] = *u * self.limits[j];
         }
         self.counts.clipped += u64::from(clipped);

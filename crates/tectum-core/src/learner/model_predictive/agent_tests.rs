@@ -17,6 +17,8 @@ struct Reach {
     applied: f64,
     /// What a command of 1 moves.
     gain: f64,
+    /// Where the position stops, on both sides.
+    stop: f64,
     /// Factors of inputs, commands and rewards.
     units: [f64; 3],
 }
@@ -31,6 +33,7 @@ impl Reach {
             reward: 0.0,
             applied: 0.0,
             gain: 0.4,
+            stop: 1.0,
             units,
         }
     }
@@ -49,7 +52,7 @@ impl Reach {
         self.applied = command[0];
         agent.improve();
         let u = command[0] / self.units[1];
-        self.position = (self.position + self.gain * u).clamp(-1.0, 1.0);
+        self.position = (self.position + self.gain * u).clamp(-self.stop, self.stop);
         let apart = self.position - self.target;
         self.reward = -(apart * apart + 0.02 * u * u);
         self.tick += 1;
@@ -66,6 +69,7 @@ fn seeded(units: [f64; 3], seed: u64) -> ModelPredictive {
     ModelPredictive::new(&ModelPredictiveSpec {
         inputs: vec![range; 2],
         limits: vec![units[1]],
+        steps: vec![f64::INFINITY],
         sigma: vec![0.02 * units[1]],
         seed,
         config: ModelPredictiveConfig {
@@ -235,6 +239,7 @@ fn mean_of_an_idle_command(seed: u64) -> f64 {
     let mut agent = ModelPredictive::new(&ModelPredictiveSpec {
         inputs: vec![range; 2],
         limits: vec![1.0; 2],
+        steps: vec![f64::INFINITY; 2],
         sigma: vec![0.02; 2],
         seed,
         config: ModelPredictiveConfig { horizon: 8, reward_features: 150, ..ModelPredictiveConfig::default() },
@@ -310,4 +315,22 @@ fn a_reward_is_learned_with_the_inputs_that_it_came_of() {
         }
     }
     assert!(taught > 150, "{taught}");
+}
+
+#[test]
+fn stops_that_nobody_declared_are_learned_and_kept() {
+    let (mut plant, mut agent) = (Reach { stop: 0.5, ..Reach::new([1.0; 3]) }, agent([1.0; 3]));
+    for _ in 0..400 {
+        plant.tick(&mut agent, |_, r| r);
+    }
+    assert_eq!((agent.counts.ends, agent.counts.alarms), (2, 0), "{:?}", agent.counts);
+    // What was learned stays exact: an end teaches nothing about free movement.
+    let mut bytes = vec![0; size(&mut agent)];
+    save(&mut agent, &mut bytes);
+    let mut back = self::agent([1.0; 3]);
+    assert!(load(&mut back, &bytes));
+    let mut other = plant.clone();
+    for _ in 0..40 {
+        assert_eq!(plant.tick(&mut agent, |_, r| r), other.tick(&mut back, |_, r| r));
+    }
 }

@@ -95,6 +95,8 @@ pub struct ModelPredictiveSpec {
     pub inputs: Vec<InputRange>,
     /// Largest magnitude of each command; at most [`MAX_OUTPUTS`](crate::MAX_OUTPUTS).
     pub limits: Vec<f64>,
+    /// Largest change of each command from a tick to the next; infinite where any is allowed.
+    pub steps: Vec<f64>,
     /// Standard deviation of the exploration noise of each command.
     pub sigma: Vec<f64>,
     /// Seed of the run.

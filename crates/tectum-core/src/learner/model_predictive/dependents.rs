@@ -261,6 +261,7 @@ mod tests {
         ModelPredictiveSpec {
             inputs: vec![range; 4],
             limits: vec![1.0; 2],
+            steps: vec![f64::INFINITY; 2],
             sigma: vec![0.1; 2],
             seed: 3,
             config: ModelPredictiveConfig { memory: 300, ..Default::default() },

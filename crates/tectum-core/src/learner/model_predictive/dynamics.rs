@@ -62,6 +62,11 @@ impl Dynamics {
         self.models.iter_mut().enumerate().filter(move |(i, _)| moving & (1 << i) != 0)
     }
 
+    /// Whether an input that moves by itself has a model that was fitted.
+    pub fn is_fitted(&self, i: usize) -> bool {
+        self.moves(i) && !self.dependents.follows(i) && self.models[i].refit.completed > 0
+    }
+
     /// Predicts at `q` and prepares to learn there.
     pub fn observe(&mut self, q: &[f64]) {
         self.seen.copy_from_slice(q);
@@ -166,6 +171,11 @@ impl Dynamics {
         let of_changes = self.models.iter().enumerate();
         let of_changes = of_changes.filter(|(i, _)| self.moves(*i) && !self.dependents.follows(*i));
         of_changes.map(|(_, model)| model).chain(self.dependents.in_use())
+    }
+
+    /// Ends of inputs were found or given up.
+    pub fn set_ends(&mut self, ranges: &Ranges) {
+        self.ranges.copy_ends(ranges);
     }
 
     /// Whether a refit is under way.

@@ -144,6 +144,22 @@ impl Memory {
         change
     }
 
+    /// What was stored of `input` is seen anew by `at_ends`, which tells whether a value is at the lower and the upper
+    /// end: an end was found. The changes that led there were no outliers.
+    pub fn mark_ends(&mut self, input: usize, wraps: bool, at_ends: impl Fn(f64) -> [bool; 2]) {
+        let (width, n) = (self.places.len(), self.places.inputs);
+        for tick in self.first..self.stored {
+            let at = (tick % self.capacity as u64) as usize;
+            let z = self.before[at * width + input] + CHANGE * self.changes[at * n + input];
+            let [lower, upper] = at_ends(if wraps { wrap(z) } else { z });
+            let begins = !self.stamps[at].is_multiple_of(2);
+            if (lower || upper) && !begins {
+                self.believe(tick, input, wraps);
+                self.masks[at][if upper { 1 } else { 2 }] |= 1 << input;
+            }
+        }
+    }
+
     /// Whether an input was at an end of its range after a stored tick or the one before.
     pub fn contact(&self, tick: u64) -> bool {
         let ends = |tick: u64| {

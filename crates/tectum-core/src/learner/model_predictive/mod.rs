@@ -17,10 +17,11 @@
 //! | `alignment.rs` | how late rewards come, how angles are read | |
 //! | `spread.rs` | points far from each other | Gonzalez 1985 |
 //! | `dynamics.rs` | the models of movement | |
+//! | `ends.rs` | stops that nobody declared | |
 //! | `dependents.rs` | inputs that follow from others | |
 //! | `refit.rs`, `model.rs`, `memory.rs` | fitting anew in slices, the models, the ticks that were seen | |
 //! | `weighted.rs`, `world.rs` | predictions with their derivatives | Griewank & Walther 2008 |
-//! | `planner.rs`, `box_qp.rs` | control-limited iLQR | Tassa, Mansard & Todorov 2014 |
+//! | `planner.rs`, `box_qp.rs`, `command_limits.rs` | control-limited iLQR | Tassa, Mansard & Todorov 2014 |
 //! | `rivals.rs` | where other plans begin | |
 //! | `belief.rs`, `exploration.rs` | outliers and alarms; noise | |
 //! | `operations.rs` | what a tick's work takes | |
@@ -39,6 +40,7 @@
 //! let mut agent = ModelPredictive::new(&ModelPredictiveSpec {
 //!     inputs: vec![InputRange { min: -1.0, max: 1.0, wraps: false, radians: None }],
 //!     limits: vec![1.0],
+//!     steps: vec![f64::INFINITY],
 //!     sigma: vec![0.1],
 //!     seed: 1,
 //!     config: ModelPredictiveConfig { reward_features: 60, dynamics_features: 60, ..Default::default() },
@@ -62,9 +64,11 @@ mod agent;
 mod alignment;
 mod belief;
 mod box_qp;
+mod command_limits;
 mod config;
 mod dependents;
 mod dynamics;
+mod ends;
 mod evidence;
 mod exploration;
 mod features;

@@ -89,6 +89,8 @@ pub struct Accuracy {
     pub variance: f64,
     /// Mean squared error.
     pub error: f64,
+    /// The same of the weights from before an alarm, if there was one.
+    pub undoubted: Option<f64>,
 }
 
 impl Accuracy {
@@ -97,11 +99,13 @@ impl Accuracy {
 
     /// Whether a fit with this accuracy on new ticks, and another on `older` ones, has learned a world in which the
     /// older ones did not happen. Where the output no longer varies, as that of a blocked joint, its error counts by
-    /// the older ones' variance.
+    /// the older ones' variance. A fit that has adapted to a few strange ticks leaves older ones unexplained as well:
+    /// if the weights from before explain the new ticks, nothing is another.
     pub fn leaves_behind(&self, older: &Self) -> bool {
         let varies = self.variance > Self::STILL;
         let most = if varies { 0.1 * self.variance } else { 0.03 * older.variance };
-        self.error < most && older.variance > Self::STILL && older.error > 0.3 * older.variance
+        let as_before = self.undoubted.is_some_and(|error| error < 3.0 * most);
+        self.error < most && older.variance > Self::STILL && older.error > 0.3 * older.variance && !as_before
     }
 }
 
@@ -170,7 +174,7 @@ impl Model {
     /// `None` where fewer than 20 teach.
     pub fn accuracy(&mut self, data: &dyn Data, first: u64, end: u64, q: &mut [f64]) -> Option<Accuracy> {
         let step = (end.saturating_sub(first) / SAMPLE).max(1) as usize;
-        let (mut y, mut sums) = ([0.0], [0.0; 4]);
+        let (mut y, mut sums, mut undoubted) = ([0.0], [0.0; 4], Some(0.0));
         for tick in (first..end).step_by(step) {
             let Some(lesson) = data.get(tick, q, &mut y) else { continue };
             if lesson.missing & 1 == 0 {
@@ -178,13 +182,19 @@ impl Model {
                 self.fit.regression.predict(&self.phi, &mut self.predicted[..1]);
                 let error = lesson.heed(0, self.error(0, y[0]));
                 let value = (y[0] - self.fit.center) / self.fit.scale;
+                let before = self.fit.regression.predict_undoubted(&self.phi);
+                undoubted = undoubted.zip(before).map(|(sum, y)| sum + lesson.heed(0, value - y).powi(2));
                 for (sum, x) in sums.iter_mut().zip([1.0, value, value * value, error * error]) {
                     *sum += x;
                 }
             }
         }
         let [count, sum, squares, errors] = sums;
-        (count >= 20.0).then(|| Accuracy { variance: (squares - sum * sum / count) / count, error: errors / count })
+        (count >= 20.0).then(|| Accuracy {
+            variance: (squares - sum * sum / count) / count,
+            error: errors / count,
+            undoubted: undoubted.map(|sum| sum / count),
+        })
     }
 
     /// The planner's function from now on: the mean and a part of what the sample differs.

@@ -1,8 +1,12 @@
 //! Tests of the plan: against differences, and on a world that is known.
 
+use rand::RngExt as _;
+
+use super::command_limits::CommandLimits;
 use super::layout::Places;
 use super::planner::{CommandPlan, Planner};
 use super::world::World;
+use crate::seed::stream;
 
 /// A linear world: two positions with velocities that commands change, and a cost of distance and effort.
 struct Linear;
@@ -48,9 +52,14 @@ impl World for Linear {
     }
 }
 
+/// A planner for commands that change by `step` at most.
+fn planner(step: f64) -> Planner {
+    Planner::new(PLACES, 12, CommandLimits::new(PLACES, vec![step; PLACES.commands]))
+}
+
 #[test]
 fn a_linear_world_with_quadratic_rewards_is_solved_within_the_limits() {
-    let mut planner = Planner::new(PLACES, 12);
+    let mut planner = planner(f64::INFINITY);
     let mut plan = CommandPlan::new(PLACES, 12);
     let start = [0.0; 8];
     planner.roll_out(&mut Linear, &mut plan, &start);
@@ -72,8 +81,35 @@ fn a_linear_world_with_quadratic_rewards_is_solved_within_the_limits() {
 }
 
 #[test]
+fn commands_that_may_change_by_steps_only_are_planned_with_these() {
+    let mut planner = planner(0.2);
+    let mut plan = CommandPlan::new(PLACES, 12);
+    let start = [0.0; 8];
+    planner.roll_out(&mut Linear, &mut plan, &start);
+    for _ in 0..30 {
+        planner.improve(&mut Linear, &mut plan);
+    }
+    let changes = |plan: &CommandPlan| {
+        let before = [0.0; 2].iter().chain(&plan.commands);
+        plan.commands.iter().zip(before).map(|(u, before)| (u - before).abs()).collect::<Vec<_>>()
+    };
+    let at_limit = changes(&plan).iter().filter(|change| (**change - 0.2).abs() < 1e-12).count();
+    assert!(at_limit > 2 && changes(&plan).iter().all(|change| *change < 0.2 + 1e-12), "{:?}", changes(&plan));
+    // The problem is convex: what is worse nearby in all directions is the optimum.
+    let (best, commands) = (plan.value, plan.commands.clone());
+    let mut rng = stream(3, "directions");
+    for _ in 0..2000 {
+        for (to, u) in plan.commands.iter_mut().zip(&commands) {
+            *to = u + rng.random_range(-1e-3..1e-3);
+        }
+        planner.roll_out(&mut Linear, &mut plan, &start);
+        assert!(plan.value < best + 1e-9, "{} {best}", plan.value);
+    }
+}
+
+#[test]
 fn the_gains_give_the_plan_of_a_disturbed_start() {
-    let mut planner = Planner::new(PLACES, 12);
+    let mut planner = planner(f64::INFINITY);
     let (mut plan, mut other) = (CommandPlan::new(PLACES, 12), CommandPlan::new(PLACES, 12));
     let start = [0.7, -0.4, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0];
     let mut disturbed = start;

@@ -10,9 +10,12 @@
 //! v = Q_x + Kᵀ Q_uu du + Kᵀ Q_u + Q_xu du,   V = Q_xx + Kᵀ Q_uu K + Kᵀ Q_ux + Q_xu K
 //! ```
 //!
+//! A command that is limited by the one before, which is a part of the state, follows it: its row of `K` is 1 there.
+//!
 //! Then forwards with `u + a du + K (x_new - x)`, for a = 1, 1/2, .. until the sum of rewards rises.
 
 use super::box_qp;
+use super::command_limits::CommandLimits;
 use super::layout::Places;
 use super::linalg::{add_scaled, dot, solve_lower, solve_lower_transposed};
 use super::world::World;
@@ -108,15 +111,15 @@ pub struct Planner {
     next_value: Vec<f64>,
     q: Vec<f64>,
     apart: Vec<f64>,
-    /// Least and greatest command.
-    pub limit: f64,
+    /// What the gate lets through.
+    pub limits: CommandLimits,
     /// Steps of the world that were evaluated, and expanded, since the beginning.
     pub work: [u64; 2],
 }
 
 impl Planner {
-    /// For plans of `horizon` commands.
-    pub fn new(places: Places, horizon: usize) -> Self {
+    /// For plans of `horizon` commands within `limits`.
+    pub fn new(places: Places, horizon: usize, limits: CommandLimits) -> Self {
         let (nx, m, width) = (places.state(), places.commands, places.len());
         Self {
             places,
@@ -131,12 +134,12 @@ impl Planner {
             next_value: vec![0.0; nx * nx],
             q: vec![0.0; width],
             apart: vec![0.0; nx],
-            limit: 1.0,
+            limits,
             work: [0; 2],
         }
     }
 
-    /// Predicts states and rewards of a plan from `start`.
+    /// Predicts states and rewards of a plan from `start`, and brings its commands within the limits.
     pub fn roll_out(&mut self, world: &mut dyn World, plan: &mut CommandPlan, start: &[f64]) {
         let (nx, m) = (self.places.state(), self.places.commands);
         plan.states[..nx].copy_from_slice(start);
@@ -144,7 +147,11 @@ impl Planner {
         for t in 0..plan.horizon {
             let (done, rest) = plan.states.split_at_mut((t + 1) * nx);
             self.q[..nx].copy_from_slice(&done[t * nx..]);
-            self.q[nx..].copy_from_slice(&plan.commands[t * m..(t + 1) * m]);
+            for (j, u) in plan.commands[t * m..(t + 1) * m].iter_mut().enumerate() {
+                let [low, high] = self.limits.range(&self.q, j);
+                *u = u.clamp(low, high);
+                self.q[nx + j] = *u;
+            }
             plan.value += world.step(&self.q, &mut rest[..nx]);
         }
         self.work[0] += plan.horizon as u64;
@@ -179,7 +186,8 @@ impl Planner {
                 let at = t * m + j;
                 let back = dot(&plan.gains[at * nx..(at + 1) * nx], &self.apart);
                 let u = plan.commands[at] + size * self.steps[at] + back;
-                self.trial.commands[at] = u.clamp(-self.limit, self.limit);
+                let [low, high] = self.limits.range(state, j);
+                self.trial.commands[at] = u.clamp(low, high);
             }
             self.q[..nx].copy_from_slice(state);
             self.q[nx..].copy_from_slice(&self.trial.commands[t * m..(t + 1) * m]);
@@ -243,8 +251,8 @@ impl Planner {
                 }
                 h[i * m + i] += mu;
                 g[i] = -self.gradient[nx + i];
-                low[i] = -self.limit - plan.commands[t * m + i];
-                high[i] = self.limit - plan.commands[t * m + i];
+                let command = plan.commands[t * m + i];
+                [low[i], high[i]] = self.limits.range(&self.q, i).map(|end| end - command);
             }
             let Some(solution) = box_qp::solve(&h[..m * m], &g[..m], &low[..m], &high[..m], &[0.0; MAX_OUTPUTS][..m])
             else {
@@ -252,11 +260,18 @@ impl Planner {
                 continue;
             };
             self.steps[t * m..(t + 1) * m].copy_from_slice(&solution.x[..m]);
+            // A command that is as far as it may be from the one before follows that one.
+            let follows = |i: &usize| !solution.free[*i] && (plan.commands[t * m + i] + solution.x[*i]).abs() < 1.0;
+            for i in (0..m).filter(follows) {
+                gains[i * nx + self.limits.before(i)] = 1.0;
+            }
             for x in 0..nx {
                 let mut column = [0.0; MAX_OUTPUTS];
                 let free = || (0..m).filter(|&i| solution.free[i]).enumerate();
                 for (at, i) in free() {
-                    column[at] = self.hessian[(nx + i) * width + x];
+                    let row = &self.hessian[(nx + i) * width..][..width];
+                    let following = (0..m).filter(follows).map(|j| row[nx + j] * gains[j * nx + x]).sum::<f64>();
+                    column[at] = row[x] + following;
                 }
                 solve_lower(&solution.factor, &mut column[..solution.order]);
                 solve_lower_transposed(&solution.factor, &mut column[..solution.order]);

@@ -338,6 +338,7 @@ impl Refit {
                     return (1, false);
                 }
             }
+            self.next.regression.trust();
             std::mem::swap(source.fit, &mut self.next);
             self.completed += 1;
             self.enter(Phase::Idle);

@@ -29,6 +29,9 @@ pub struct Regression {
     pub covariance: Vec<f64>,
     /// Mean weights, by output, then feature.
     pub weights: Vec<f64>,
+    /// The mean weights before the last doubt, if there was one since these features are in use.
+    before_doubt: Vec<f64>,
+    doubted: bool,
     /// Number of samples of each output.
     pub samples: usize,
     /// Deviations of the samples of the weights, over the root of the output's scale; by sample, output, feature.
@@ -53,6 +56,8 @@ impl Regression {
             lambda,
             covariance: vec![0.0; packed(len)],
             weights: vec![0.0; len * outputs],
+            before_doubt: vec![0.0; len * outputs],
+            doubted: false,
             samples,
             deviation: vec![0.0; len * outputs * samples],
             squares: vec![0.0; outputs],
@@ -74,6 +79,7 @@ impl Regression {
             self.covariance[packed(r) + r] = 1.0;
         }
         self.weights.fill(0.0);
+        self.doubted = false;
         self.deviation.iter_mut().for_each(|w| *w = normal());
         self.squares.fill(0.0);
         self.count = 0.0;
@@ -84,6 +90,16 @@ impl Regression {
         for (y, w) in out.iter_mut().zip(self.weights.chunks_exact(self.len)) {
             *y = dot(w, phi);
         }
+    }
+
+    /// What the weights from before the last doubt predict of the first output; `None` without a doubt.
+    pub fn predict_undoubted(&self, phi: &[f64]) -> Option<f64> {
+        self.doubted.then(|| dot(&self.before_doubt[..self.len], phi))
+    }
+
+    /// Begins with features that are not doubted.
+    pub fn trust(&mut self) {
+        self.doubted = false;
     }
 
     /// The scale `s_j` of an output.
@@ -162,6 +178,9 @@ impl Regression {
     /// Makes the posterior less certain: covariance and noise grow by these factors, so that new data count more and
     /// surprise less. What the data never determined stays as uncertain as its prior.
     pub fn doubt(&mut self, covariance: f64, noise: f64) {
+        if !std::mem::replace(&mut self.doubted, true) {
+            self.before_doubt.copy_from_slice(&self.weights);
+        }
         let root = covariance.sqrt();
         self.deviation.iter_mut().for_each(|w| *w *= root);
         self.covariance.iter_mut().for_each(|p| *p *= covariance);
@@ -188,6 +207,8 @@ impl Persist for Regression {
         visitor.number("lambda", &mut self.lambda);
         visitor.numbers("covariance", &mut self.covariance);
         visitor.numbers("weights", &mut self.weights);
+        visitor.numbers("before_doubt", &mut self.before_doubt);
+        visitor.boolean("doubted", &mut self.doubted);
         visitor.numbers("deviation", &mut self.deviation);
         visitor.numbers("squares", &mut self.squares);
         visitor.number("count", &mut self.count);

@@ -10,6 +10,7 @@
 
 use super::config::InputRange;
 use super::dynamics::Dynamics;
+use super::ends::SLACK;
 use super::layout::Places;
 use super::linalg::{add_scaled, clip_to_concave};
 use super::model::{MAX_MODEL_OUTPUTS, Model};
@@ -17,6 +18,9 @@ use crate::MAX_INPUTS;
 
 /// Changes are in units of this part of half of the range.
 pub const CHANGE: f64 = 0.3;
+
+/// How near to a declared end an input is at it: rounding.
+const EXACT: f64 = 1e-6;
 
 /// The part of a predicted reward beyond the best one that counts where the model is not certain.
 const PROMISED: f64 = 0.05;
@@ -47,23 +51,57 @@ pub trait World {
 pub struct Ranges {
     /// Whether each input comes round.
     pub wraps: Vec<bool>,
-    /// Least value that each input can have.
-    pub low: Vec<f64>,
-    /// Greatest value.
-    pub high: Vec<f64>,
+    /// Least and greatest value that each input can have; infinite where it comes round and no end was learned.
+    ends: Vec<[f64; 2]>,
+    /// How near to them an input is at an end.
+    slack: Vec<[f64; 2]>,
 }
 
 impl Ranges {
     /// Those of inputs that are scaled to [-1, 1].
     pub fn of(inputs: &[InputRange]) -> Self {
-        let n = inputs.len();
-        Self { wraps: inputs.iter().map(|range| range.wraps).collect(), low: vec![-1.0; n], high: vec![1.0; n] }
+        let wraps: Vec<_> = inputs.iter().map(|range| range.wraps).collect();
+        let ends = wraps.iter().map(|wraps| declared(*wraps)).collect();
+        Self { wraps, ends, slack: vec![[EXACT; 2]; inputs.len()] }
     }
 
     /// `z` of input `i` within its range.
     pub fn bring_in(&self, i: usize, z: f64) -> f64 {
-        if self.wraps[i] { wrap(z) } else { z.clamp(self.low[i], self.high[i]) }
+        let z = self.clamp(i, z);
+        if self.wraps[i] { wrap(z) } else { z }
     }
+
+    /// `z` of input `i`, not beyond an end.
+    fn clamp(&self, i: usize, z: f64) -> f64 {
+        z.clamp(self.ends[i][0], self.ends[i][1])
+    }
+
+    /// Whether `z` of input `i` is at the lower and at the upper end.
+    pub fn at_ends(&self, i: usize, z: f64) -> [bool; 2] {
+        let ([low, high], [below, above]) = (self.ends[i], self.slack[i]);
+        [z <= low + below, z >= high - above]
+    }
+
+    /// The ends of input `i` that were learned; the others are those that were declared.
+    pub fn set_learned(&mut self, i: usize, learned: [Option<f64>; 2]) {
+        let declared = declared(self.wraps[i]);
+        for side in 0..2 {
+            self.ends[i][side] = learned[side].unwrap_or(declared[side]);
+            self.slack[i][side] = if learned[side].is_some() { SLACK } else { EXACT };
+        }
+    }
+
+    /// Takes the ends of `other`, which has the same inputs.
+    pub fn copy_ends(&mut self, other: &Self) {
+        self.ends.copy_from_slice(&other.ends);
+        self.slack.copy_from_slice(&other.slack);
+    }
+}
+
+/// The ends of an input that is scaled to [-1, 1].
+fn declared(wraps: bool) -> [f64; 2] {
+    let end = if wraps { f64::INFINITY } else { 1.0 };
+    [-end, end]
 }
 
 /// `z` less whole turns of 2, in [-1, 1).
@@ -176,9 +214,9 @@ pub(super) fn advance(places: Places, ranges: &Ranges, q: &[f64], d: &[f64], nex
     let (n, m) = (places.inputs, places.commands);
     for i in 0..n {
         let free = q[i] + CHANGE * d[i];
-        let z = ranges.bring_in(i, free);
-        next[i] = z;
-        next[n + i] = if ranges.wraps[i] { d[i] } else { (z - q[i]) / CHANGE };
+        let z = ranges.clamp(i, free);
+        next[n + i] = if ranges.wraps[i] && z == free { d[i] } else { (z - q[i]) / CHANGE };
+        next[i] = if ranges.wraps[i] { wrap(z) } else { z };
     }
     next[2 * n..2 * n + m].copy_from_slice(&q[places.state()..]);
     next[2 * n + m..].copy_from_slice(&q[2 * n..2 * n + m]);

@@ -19,6 +19,9 @@ pub struct ArmConfig {
     /// angles wrap.
     #[serde(deserialize_with = "pairs", skip_serializing_if = "Vec::is_empty")]
     pub limits: Vec<[f64; 2]>,
+    /// Whether the inputs' ranges are those of joints that turn freely, -pi to pi, and say nothing of `limits`.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub hidden_limits: bool,
     /// Each tick is one trial (the open-loop setup of section 4.2): every tick begins with all angles 0 and
     /// moves for one period, so that a command `u` gives the posture `gain * period * u`. The only inputs are
     /// those of the target.
@@ -188,6 +191,7 @@ impl Default for ArmConfig {
             base: [0.0, -1.0],
             angles: Angles::Absolute,
             limits: Vec::new(),
+            hidden_limits: false,
             open_loop: false,
             gain: 200.0 * std::f64::consts::PI,
             arena: [-1.0, 1.0],

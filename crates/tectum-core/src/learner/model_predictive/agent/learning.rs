@@ -2,10 +2,11 @@
 
 use super::super::alignment::RewardAssumption;
 use super::super::belief::BeliefVerdict;
+use super::super::ends::Movement;
 use super::super::memory::{ChangeData, Data, Entry, Lesson, RewardData};
 use super::super::model::{CONTACT, Model, SAMPLE};
 use super::super::operations::{RefitShare, of_model};
-use super::super::world::{CHANGE, Ranges};
+use super::super::world::CHANGE;
 use super::ModelPredictive;
 use crate::MAX_INPUTS;
 
@@ -35,7 +36,8 @@ impl ModelPredictive {
         self.after.copy_from_slice(&self.before);
         self.after[..2 * n].copy_from_slice(&self.state[..2 * n]);
         let mut alarm = false;
-        lesson.contact = self.touches() || (self.memory.stored > 0 && self.memory.contact(self.memory.stored - 1));
+        self.look_for_ends(&changes[..n], &mut lesson);
+        lesson.contact |= self.touches() || (self.memory.stored > 0 && self.memory.contact(self.memory.stored - 1));
         let following = self.dynamics.dependents.following;
         for i in (0..n).filter(|i| following >> i & 1 == 0) {
             self.judge_input(i, changes[i], &mut lesson);
@@ -90,31 +92,57 @@ impl ModelPredictive {
         self.dynamics.follow(&self.state);
         for i in 0..n {
             let change = self.state[n + i];
-            let error = self.dynamics.error(i, change);
+            let error = self.ends_of(i).heed(i, self.dynamics.error(i, change));
             if self.beliefs[i].is_wild(self.dynamics.surprise(i, change), error) {
                 self.state[n + i] = if self.boundary { 0.0 } else { self.dynamics.predicted(i) };
             }
         }
     }
 
-    /// Whether an input is at an end of its range.
-    fn at_end(&self, i: usize) -> bool {
-        let (z, Ranges { wraps, low, high }) = (self.state[i], &self.ranges);
-        !wraps[i] && (z >= high[i] - 1e-6 || z <= low[i] + 1e-6)
-    }
-
     /// Whether an input that moves is at an end of its range.
     fn touches(&self) -> bool {
-        (0..self.places.inputs).any(|i| self.dynamics.moves(i) && self.at_end(i))
+        (0..self.places.inputs).any(|i| self.dynamics.moves(i) && self.ranges.at_ends(i, self.state[i]) != [false; 2])
+    }
+
+    /// The ends at which input `i` is.
+    fn ends_of(&self, i: usize) -> Lesson {
+        let [lower_end, upper_end] = self.ranges.at_ends(i, self.state[i]).map(|at| u32::from(at) << i);
+        Lesson { lower_end, upper_end, ..Lesson::default() }
+    }
+
+    /// Looks for ends of the inputs in what they did in this tick.
+    fn look_for_ends(&mut self, changes: &[f64], lesson: &mut Lesson) {
+        for (i, &change) in changes.iter().enumerate() {
+            if self.boundary || !self.dynamics.is_fitted(i) {
+                continue;
+            }
+            let movement = Movement {
+                from: self.before[i],
+                to: self.state[i],
+                predicted: CHANGE * self.dynamics.predicted(i),
+                surprise: self.dynamics.surprise(i, change),
+            };
+            let ([lower, upper], changed) = self.ends.take(i, &movement, &mut self.ranges);
+            lesson.lower_end |= u32::from(lower) << i;
+            lesson.upper_end |= u32::from(upper) << i;
+            lesson.contact |= lower || upper;
+            if changed {
+                let ranges = &self.ranges;
+                self.memory.mark_ends(i, ranges.wraps[i], |z| ranges.at_ends(i, z));
+                self.dynamics.set_ends(ranges);
+                self.counts.ends = self.ends.known();
+                self.next_refit = self.tick;
+            }
+        }
     }
 
     /// Judges the change of an input: what it teaches, and what is believed of the next tick and of the state.
     fn judge_input(&mut self, i: usize, change: f64, lesson: &mut Lesson) {
         let n = self.places.inputs;
         let bit = 1 << i;
-        let z = self.state[i];
-        lesson.upper_end |= if self.at_end(i) && z > 0.0 { bit } else { 0 };
-        lesson.lower_end |= if self.at_end(i) && z < 0.0 { bit } else { 0 };
+        let Lesson { upper_end, lower_end, .. } = self.ends_of(i);
+        lesson.upper_end |= upper_end;
+        lesson.lower_end |= lower_end;
         let error = lesson.heed(i, self.dynamics.error(i, change));
         let surprise = if error == 0.0 { 0.0 } else { self.dynamics.surprise(i, change) };
         let surprise = if lesson.contact { surprise / CONTACT } else { surprise };

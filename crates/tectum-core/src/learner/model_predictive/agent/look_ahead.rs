@@ -32,7 +32,8 @@ impl ModelPredictive {
             self.after[..nx].copy_from_slice(&self.start);
             for j in 0..m {
                 let back = dot(&self.plan.gains[(step * m + j) * nx..][..nx], &self.apart);
-                let u = (self.plan.commands[step * m + j] + back).clamp(-1.0, 1.0);
+                let [low, high] = self.planner.limits.range(&self.start, j);
+                let u = (self.plan.commands[step * m + j] + back).clamp(low, high);
                 self.after[nx + j] = u;
                 command[j] = (u * self.limits[j]) as f32;
             }

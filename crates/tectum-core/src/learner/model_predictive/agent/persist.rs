@@ -16,6 +16,9 @@ impl Persist for ModelPredictive {
         visitor.nested("reward_after", after);
         visitor.numbers("scores", &mut self.scores);
         visitor.nested("memory", &mut self.memory);
+        visitor.nested("ends", &mut self.ends);
+        self.ends.tell_all(&mut self.ranges);
+        self.dynamics.set_ends(&self.ranges);
         for belief in &mut self.beliefs {
             belief.visit(visitor);
         }
@@ -45,9 +48,9 @@ impl Persist for ModelPredictive {
         visitor.number("changed_at", &mut self.changed_at);
         visitor.number("rival_kind", &mut self.rival_kind);
         visitor.number("operations", &mut self.budget.spent);
-        let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, plans } =
+        let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, ends, plans } =
             &mut self.counts;
-        for count in [input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, plans] {
+        for count in [input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, ends, plans] {
             visitor.number("counts", count);
         }
     }
