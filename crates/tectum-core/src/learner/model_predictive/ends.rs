@@ -22,6 +22,8 @@ const LEAST: f64 = 0.005;
 const STANDS: f64 = 0.25;
 /// The least squared error, in predictive variances, of an input that is held.
 const STRANGE: f64 = 9.0;
+/// An input that moves further than predicted, with such an error, has jumped: it was not really there.
+const JUMP: f64 = 25.0;
 
 /// No input is so far out.
 const BEYOND_ALL: f64 = 3.0;
@@ -65,6 +67,9 @@ impl Side {
     /// Takes a movement, seen so that this side is the upper one.
     fn take(&mut self, movement: &Movement) -> Holding {
         let Movement { from, to, predicted, surprise } = *movement;
+        if surprise >= JUMP && (to - from).abs() > predicted.abs() {
+            return Holding::default();
+        }
         self.farthest = self.farthest.max(to);
         if to > self.at + 2.0 * SLACK && self.held > 0 {
             self.held = 0;
@@ -163,7 +168,8 @@ mod tests {
             }
             let (changed, known, clamped) = take(place, place + 0.001, 0.1);
             assert!(changed && known == 1 && (clamped - place - 0.001).abs() < 1e-9, "{clamped}");
-            // A little further is still the end; much further is none.
+            // A jump is nothing, and a little further is still the end; much further is none.
+            assert!(!take(place, place + 0.3, 0.1).0);
             assert!(!take(place, place + 0.02, 0.1).0);
             assert_eq!(take(place, place + 0.05, 0.1), (true, 0, 0.7));
         }
