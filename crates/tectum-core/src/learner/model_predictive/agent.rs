@@ -238,8 +238,7 @@ impl ModelPredictive {
             world.difference(&self.state, self.plan.state(0), &mut self.apart);
             for (j, u) in u.iter_mut().enumerate() {
                 let back = dot(&self.plan.gains[j * nx..(j + 1) * nx], &self.apart);
-                let [low, high] = self.planner.limits.range(&self.state, j);
-                *u = (self.plan.commands[j] + back).clamp(low, high);
+                *u = self.planner.limits.clamp(&self.state, j, self.plan.commands[j] + back);
                 self.mean[j] = *u * self.limits[j];
             }
             if !self.frozen {
@@ -253,8 +252,7 @@ impl ModelPredictive {
         let mut clipped = false;
         for (j, u) in u.iter_mut().enumerate() {
             clipped |= u.abs() >= 1.0;
-            let [low, high] = self.planner.limits.range(&self.state, j);
-            *u = u.clamp(low, high);
+            *u = self.planner.limits.clamp(&self.state, j, *u);
             command[j] = *u * self.limits[j];
         }
         self.counts.clipped += u64::from(clipped);

@@ -318,13 +318,33 @@ fn a_reward_is_learned_with_the_inputs_that_it_came_of() {
 }
 
 #[test]
+fn commands_change_by_no_more_than_the_gate_lets_through() {
+    let range = InputRange { min: -1.0, max: 1.0, wraps: false, radians: None };
+    let mut agent = ModelPredictive::new(&ModelPredictiveSpec {
+        inputs: vec![range; 2],
+        limits: vec![2.0],
+        steps: vec![0.2],
+        sigma: vec![0.1],
+        seed: 3,
+        config: ModelPredictiveConfig { horizon: 8, reward_features: 150, ..ModelPredictiveConfig::default() },
+    });
+    let (mut plant, mut before, mut largest) = (Reach::new([1.0, 2.0, 1.0]), 0.0_f64, 0.0_f64);
+    for _ in 0..160 {
+        let (command, _) = plant.tick(&mut agent, |_, r| r);
+        assert!((command - before).abs() <= 0.2, "{before} {command}");
+        (before, largest) = (command, largest.max((command - before).abs()));
+    }
+    assert!(largest > 0.199 && agent.counts.plans > 80, "the limit matters here: {largest}");
+}
+
+#[test]
 fn stops_that_nobody_declared_are_learned_and_kept() {
     let (mut plant, mut agent) = (Reach { stop: 0.5, ..Reach::new([1.0; 3]) }, agent([1.0; 3]));
     for _ in 0..400 {
         plant.tick(&mut agent, |_, r| r);
     }
     assert_eq!((agent.counts.ends, agent.counts.alarms), (2, 0), "{:?}", agent.counts);
-    // What was learned stays exact: an end teaches nothing about free movement.
+    // A restored learner knows the same ends.
     let mut bytes = vec![0; size(&mut agent)];
     save(&mut agent, &mut bytes);
     let mut back = self::agent([1.0; 3]);

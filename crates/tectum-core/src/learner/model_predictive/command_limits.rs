@@ -37,4 +37,10 @@ impl CommandLimits {
         let (before, step) = (state[self.before(command)], self.steps[command]);
         [before - step, before + step].map(|end| end.clamp(-1.0, 1.0))
     }
+
+    /// The value of a command nearest to `u` in `state`.
+    pub fn clamp(&self, state: &[f64], command: usize, u: f64) -> f64 {
+        let [low, high] = self.range(state, command);
+        u.clamp(low, high)
+    }
 }

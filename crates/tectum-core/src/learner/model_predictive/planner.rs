@@ -148,8 +148,7 @@ impl Planner {
             let (done, rest) = plan.states.split_at_mut((t + 1) * nx);
             self.q[..nx].copy_from_slice(&done[t * nx..]);
             for (j, u) in plan.commands[t * m..(t + 1) * m].iter_mut().enumerate() {
-                let [low, high] = self.limits.range(&self.q, j);
-                *u = u.clamp(low, high);
+                *u = self.limits.clamp(&self.q, j, *u);
                 self.q[nx + j] = *u;
             }
             plan.value += world.step(&self.q, &mut rest[..nx]);
@@ -186,8 +185,7 @@ impl Planner {
                 let at = t * m + j;
                 let back = dot(&plan.gains[at * nx..(at + 1) * nx], &self.apart);
                 let u = plan.commands[at] + size * self.steps[at] + back;
-                let [low, high] = self.limits.range(state, j);
-                self.trial.commands[at] = u.clamp(low, high);
+                self.trial.commands[at] = self.limits.clamp(state, j, u);
             }
             self.q[..nx].copy_from_slice(state);
             self.q[nx..].copy_from_slice(&self.trial.commands[t * m..(t + 1) * m]);

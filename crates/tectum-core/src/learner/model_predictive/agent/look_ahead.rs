@@ -32,8 +32,7 @@ impl ModelPredictive {
             self.after[..nx].copy_from_slice(&self.start);
             for j in 0..m {
                 let back = dot(&self.plan.gains[(step * m + j) * nx..][..nx], &self.apart);
-                let [low, high] = self.planner.limits.range(&self.start, j);
-                let u = (self.plan.commands[step * m + j] + back).clamp(low, high);
+                let u = self.planner.limits.clamp(&self.start, j, self.plan.commands[step * m + j] + back);
                 self.after[nx + j] = u;
                 command[j] = (u * self.limits[j]) as f32;
             }
