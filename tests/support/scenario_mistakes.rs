@@ -345,6 +345,8 @@ pub const CASES: &[Case] = &[
     (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1], [-1, 1], [-1, 1], [-3.141592653589793, 3.141592653589793]]",
         "x.toml:12: plant.arm.limits[3] is [-3.141592653589793, 3.141592653589793]; a limited joint has less than \
          a full turn, at most 6.25 rad; leave limits out if joints turn freely"),
+    (ARM, "base = [0.0, -1.0]", "hidden_limits = true",
+        "x.toml:12: plant.arm.hidden_limits is true, and there are no limits to hide; give limits, or leave it out"),
     (ARM, "base = [0.0, -1.0]", "limits = [[-1, 1, 2]]",
         "x.toml:12: plant.arm.limits[0] is a list of 3; give a list of two numbers, such as [-1.0, 1.0]"),
     (ARM, "base = [0.0, -1.0]", "open_loop = true",
