@@ -35,6 +35,15 @@ pub(super) fn spread_in_words(spread: Option<Spread>) -> String {
     }
 }
 
+/// Whose runs a figure shows: `median and range of 3 seeds, 5000 to 5002`.
+pub(super) fn seeds_shown(seeds: &[u64]) -> String {
+    match seeds {
+        [] => "no seeds".to_owned(),
+        [seed] => format!("seed {seed}"),
+        [first, .., last] => format!("median and range of {} seeds, {first} to {last}", seeds.len()),
+    }
+}
+
 /// Appends one line for each seed whose weights diverged: `<name>seed 3 diverged at <unit> 1,204`.
 pub(super) fn push_divergences(text: &mut String, name: &str, unit: &str, seeds: &[u64], diverged: &[Option<u64>]) {
     for (seed, tick) in seeds.iter().zip(diverged) {

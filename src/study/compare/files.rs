@@ -7,8 +7,11 @@ use crate::report::figure;
 use crate::report::figure::learning::{CurvePoint, LearnerCurve, LearningFigure, LearningPanel, ReferenceLine};
 use crate::study::StudyError;
 use crate::study::error::write_file;
-use crate::study::text::csv_cell;
+use crate::study::text::{csv_cell, seeds_shown};
 use crate::text::thousands;
+
+/// The figure shows losses up to this one: standing still costs 0.63.
+const HIGHEST: f64 = 2.0;
 
 pub(super) fn write(result: &ComparisonResult) -> Result<(), StudyError> {
     let path = |name: &str| result.folder.join(name);
@@ -60,11 +63,6 @@ fn test_rows(result: &ComparisonResult) -> String {
 
 /// The learning curves from the beginning, and one panel for each change.
 fn learning_figure(result: &ComparisonResult) -> LearningFigure {
-    let (first, last) = (result.seeds.first().unwrap_or(&0), result.seeds.last().unwrap_or(&0));
-    let seeds = match result.seeds.len() {
-        1 => format!("seed {first}"),
-        n => format!("median and range of {n} seeds, {first} to {last}"),
-    };
     let panel = |condition: usize| LearningPanel {
         title: panel_title(result, condition),
         x: if condition == 0 { "ticks" } else { "ticks since the change" }.to_owned(),
@@ -72,7 +70,9 @@ fn learning_figure(result: &ComparisonResult) -> LearningFigure {
         lines: reference_lines(result, condition),
     };
     LearningFigure {
-        title: format!("Loss on the test set, without exploration noise; {seeds}"),
+        title: format!("Loss on the test set, without exploration noise; {}", seeds_shown(&result.seeds)),
+        y: "loss a tick",
+        highest: HIGHEST,
         panels: (0..result.references.conditions.len()).map(panel).collect(),
     }
 }

@@ -9,6 +9,11 @@ use crate::report::figure::learning::{CurvePoint, LearnerCurve, LearningFigure, 
 use crate::study::StudyError;
 use crate::study::compare::colour_number;
 use crate::study::error::write_file;
+use crate::study::text::seeds_shown;
+
+/// A figure shows losses up to so many times the level, or, without one, up to this loss.
+const HIGHEST_LEVELS: f64 = 50.0;
+const HIGHEST: f64 = 2.0;
 
 /// The runs of a controller on a task, with their seeds.
 pub(super) type TaskRuns = Vec<(u64, RunResult)>;
@@ -62,10 +67,12 @@ fn figure(entries: &[(&TaskOutcome, &TaskRuns)]) -> LearningFigure {
         curves: learners.iter().map(|entry| curve(entry, colour(entry), best)).collect(),
         lines: level.into_iter().chain(references.iter().filter_map(line)).collect(),
     };
-    let seeds = learners.iter().map(|(outcome, _)| outcome.seeds.len()).max().unwrap_or(0);
-    let what = if best > 0.0 { "1 - reward" } else { "loss" };
+    let seeds = learners.first().map_or(&[][..], |(outcome, _)| &outcome.seeds);
+    let (title, y) = if best > 0.0 { ("1 - reward", "1 - reward a tick") } else { ("Loss", "loss a tick") };
     LearningFigure {
-        title: format!("{what} a tick in the test, without exploration noise; median and range of {seeds} seeds"),
+        title: format!("{title} a tick in the test, without exploration noise; {}", seeds_shown(seeds)),
+        y,
+        highest: outcome.level_reward.map_or(HIGHEST, |reward| HIGHEST_LEVELS * (best - reward)),
         panels: vec![panel],
     }
 }

@@ -20,14 +20,15 @@ const LETTER: u32 = 7;
 const BOTTOM: u32 = 44;
 /// Panels beside each other in a row below the first.
 const IN_A_ROW: usize = 2;
-/// Losses above this are cut off: what a diverged learner does needs no room.
-const HIGHEST: f64 = 2.0;
-
 /// The figure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LearningFigure {
     /// Title.
     pub title: String,
+    /// Name of the axis of losses.
+    pub y: &'static str,
+    /// Losses above this are cut off: what a diverged learner does needs no room.
+    pub highest: f64,
     /// The first is large; those after it stand below.
     pub panels: Vec<LearningPanel>,
 }
@@ -50,7 +51,7 @@ pub struct LearningPanel {
 pub struct LearnerCurve {
     /// Name in the legend.
     pub name: String,
-    /// Number of its colour; there are six, and grey for more.
+    /// Number of its colour; there are six, then ink, and grey for more.
     pub colour: usize,
     /// In the order of ticks.
     pub points: Vec<CurvePoint>,
@@ -105,11 +106,12 @@ fn svg(learning: &LearningFigure) -> Result<String, ReportError> {
         let (strip, rest) = rest.split_vertically(px(LEGEND));
         legend(first, &strip)?;
         let (area, mut rest) = rest.split_vertically(px(FIRST_HEIGHT));
-        panel(first, range(std::slice::from_ref(first)), &area)?;
+        let range = |panels| range(panels, learning.highest);
+        panel(first, learning.y, range(std::slice::from_ref(first)), &area)?;
         for row in rows {
             let (area, below) = rest.split_vertically(px(LATER_HEIGHT));
             for (one, area) in row.iter().zip(area.split_evenly((1, row.len()))) {
-                panel(one, range(later), &area)?;
+                panel(one, learning.y, range(later), &area)?;
             }
             rest = below;
         }
@@ -118,7 +120,7 @@ fn svg(learning: &LearningFigure) -> Result<String, ReportError> {
 }
 
 /// The losses that these panels show, so that they can be compared.
-fn range(panels: &[LearningPanel]) -> (f64, f64) {
+fn range(panels: &[LearningPanel], highest: f64) -> (f64, f64) {
     let curves = panels.iter().flat_map(|p| &p.curves);
     let points = curves.flat_map(|c| &c.points).flat_map(|p| [p.low, p.middle, p.high]);
     let all = points.chain(panels.iter().flat_map(|p| &p.lines).map(|line| line.value));
@@ -126,7 +128,7 @@ fn range(panels: &[LearningPanel]) -> (f64, f64) {
         .filter(|&y| y.is_finite() && y > 0.0)
         .fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), y| (low.min(y), high.max(y)));
     // Nothing to show still needs an axis.
-    if high <= 0.0 { (0.01, 1.0) } else { (0.88 * low, (1.12 * high).min(HIGHEST).max(2.0 * low)) }
+    if high <= 0.0 { (0.01, 1.0) } else { (0.88 * low, (1.12 * high).min(highest).max(2.0 * low)) }
 }
 
 fn legend(panel: &LearningPanel, strip: &Area) -> Result<(), ReportError> {
@@ -147,7 +149,7 @@ fn legend(panel: &LearningPanel, strip: &Area) -> Result<(), ReportError> {
 }
 
 fn colour(curve: &LearnerCurve) -> RGBColor {
-    SERIES.get(curve.colour).copied().unwrap_or(GREY)
+    SERIES.iter().chain([&INK]).nth(curve.colour).copied().unwrap_or(GREY)
 }
 
 /// The axes of a panel in an area: logarithms along and up, labelled by hand, because the library's own
@@ -166,13 +168,13 @@ struct PanelAxes<'a> {
     bottom: i32,
 }
 
-fn panel(panel: &LearningPanel, losses: (f64, f64), area: &Area) -> Result<(), ReportError> {
+fn panel(panel: &LearningPanel, y: &str, losses: (f64, f64), area: &Area) -> Result<(), ReportError> {
     let (title, area) = area.split_vertically(px(PANEL_TITLE));
     let text = anchored(font(13.0, INK), HPos::Left, VPos::Center);
     title.draw(&Text::new(panel.title.clone(), (px(LEFT), px(PANEL_TITLE) / 2), text)).map_err(refused)?;
     let mut axes = PanelAxes::new(panel, losses, area)?;
     axes.draw_grid()?;
-    axes.draw_frame(&panel.x)?;
+    axes.draw_frame(&panel.x, y)?;
     axes.draw_lines(&panel.lines)?;
     axes.draw_bands(&panel.curves)?;
     axes.draw_curves(&panel.curves)
@@ -180,7 +182,7 @@ fn panel(panel: &LearningPanel, losses: (f64, f64), area: &Area) -> Result<(), R
 
 /// What stands beside a line.
 fn words(line: &ReferenceLine) -> String {
-    format!("{} {:.4}", line.name, line.value)
+    format!("{} {}", line.name, label(&line.value))
 }
 
 impl<'a> PanelAxes<'a> {
@@ -238,14 +240,14 @@ impl<'a> PanelAxes<'a> {
     }
 
     /// The axes' lines and names.
-    fn draw_frame(&self, x: &str) -> Result<(), ReportError> {
+    fn draw_frame(&self, x: &str, y: &str) -> Result<(), ReportError> {
         let Self { left, right, top, bottom, .. } = *self;
         let frame = GREY.stroke_width(fine(1.0));
         self.area.draw(&PathElement::new([(left, top), (left, bottom), (right, bottom)], frame)).map_err(refused)?;
         let text = anchored(font(13.0, INK), HPos::Center, VPos::Top);
         self.area.draw(&Text::new(x.to_owned(), ((left + right) / 2, bottom + px(24)), text)).map_err(refused)?;
         let text = anchored(font(13.0, INK), HPos::Center, VPos::Top).transform(FontTransform::Rotate270);
-        self.area.draw(&Text::new("loss a tick", (px(10), (top + bottom) / 2), text)).map_err(refused)
+        self.area.draw(&Text::new(y.to_owned(), (px(10), (top + bottom) / 2), text)).map_err(refused)
     }
 
     /// Reference lines with their names beside them, as near as those can stand without standing on each
@@ -341,6 +343,8 @@ mod tests {
         };
         LearningFigure {
             title: "Learning".into(),
+            y: "loss a tick",
+            highest: 2.0,
             panels: vec![panel("from the beginning"), panel("after the change")],
         }
     }
@@ -367,6 +371,15 @@ mod tests {
     }
 
     #[test]
+    fn losses_are_shown_up_to_the_highest_that_was_asked_for() {
+        let panels = learning().panels;
+        let (_, high) = range(&panels, 0.3);
+        assert_eq!(high, 0.3);
+        let (_, high) = range(&panels, 100.0);
+        assert!((0.5..0.7).contains(&high), "{high}");
+    }
+
+    #[test]
     fn what_has_no_place_on_the_axes_is_left_out() {
         let mut odd = learning();
         let points = &mut odd.panels[0].curves[0].points;
@@ -377,8 +390,9 @@ mod tests {
         let none = LearningFigure {
             title: "Nothing".into(),
             panels: vec![LearningPanel { curves: vec![], lines: vec![], ..odd.panels[0].clone() }],
+            ..learning()
         };
         assert!(super::svg(&none).unwrap().contains("Nothing"));
-        assert!(super::svg(&LearningFigure { title: "Nothing".into(), panels: vec![] }).is_ok());
+        assert!(super::svg(&LearningFigure { panels: vec![], ..learning() }).is_ok());
     }
 }
