@@ -5,6 +5,7 @@ mod look_ahead;
 mod models;
 mod persist;
 mod planning;
+mod rival_pace;
 
 use super::alignment::Alignment;
 use super::belief::Belief;
@@ -23,6 +24,7 @@ use super::planner::{CommandPlan, Planner};
 use super::world::{CHANGE, Ranges, WorldScratch, wrap};
 use crate::seed::{Rng, stream};
 use crate::{MAX_INPUTS, MAX_OUTPUTS};
+use rival_pace::RivalPace;
 
 /// What happened in the tick before.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -138,8 +140,7 @@ pub struct ModelPredictive {
     start: Vec<f64>,
     apart: Vec<f64>,
     rival_kind: u32,
-    /// Rivals of a tick.
-    rivals: usize,
+    rival_pace: RivalPace,
     /// The operations of a tick.
     budget: OperationBudget,
     /// Whether it only answers and plans, as well as it can, and learns nothing.
@@ -197,7 +198,7 @@ impl ModelPredictive {
             start: vec![0.0; places.state()],
             apart: vec![0.0; places.state()],
             rival_kind: 0,
-            rivals: 1,
+            rival_pace: RivalPace::new(),
             budget: OperationBudget::new(spec.config.operations),
             frozen: false,
             scores: [0.0; 2],

@@ -117,6 +117,23 @@ fn it_learns_to_reach() {
 }
 
 #[test]
+fn rivals_are_rare_where_the_plan_is_near_the_best_until_a_target_jumps() {
+    let (mut plant, mut agent) = (Reach::new([1.0; 3]), agent([1.0; 3]));
+    let mut operations = |plant: &mut Reach| (plant.tick(&mut agent, |_, r| r), agent.columns()[7]).1;
+    for _ in 0..300 {
+        operations(&mut plant);
+    }
+    let mut standing: Vec<f64> = (0..100).map(|_| (plant.tick = 1, operations(&mut plant)).1).collect();
+    let at_rest = standing.split_off(60);
+    let lowest = at_rest.iter().copied().fold(f64::INFINITY, f64::min);
+    let with_rival = at_rest.iter().filter(|&&spent| spent > 2.0 * lowest).count();
+    assert!((4..=12).contains(&with_rival), "{with_rival} of 40 ticks at rest: {at_rest:?}");
+    plant.tick = 0;
+    let jumped: Vec<f64> = (0..4).map(|_| operations(&mut plant)).collect();
+    assert!(jumped.iter().all(|&spent| spent > 2.0 * lowest), "{jumped:?}, at rest {lowest}");
+}
+
+#[test]
 fn it_finds_out_how_late_rewards_come() {
     // A target may be missed while the reward is new.
     let mut missed = Vec::new();

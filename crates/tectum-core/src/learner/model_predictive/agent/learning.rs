@@ -22,6 +22,10 @@ const MOST_STRANGE: u32 = 12;
 const REFIT_LEAST: u64 = 10;
 const REFIT_MOST: f64 = 1000.0;
 const REFIT_GROWTH: f64 = 0.25;
+/// From so many ticks on since the beginning, or since the last alarm, refits take a smaller part of a tick, in inverse
+/// proportion; they are far apart by then. It is at least the other part.
+const YOUNG: f64 = 1000.0;
+const LEAST_PART: f64 = 0.125;
 /// After an alarm, every so many ticks it is asked whether older ones still teach.
 const LOOK: u64 = 10;
 
@@ -188,6 +192,7 @@ impl ModelPredictive {
             self.changed_at = self.memory.stored;
         }
         self.next_refit = self.next_refit.min(self.tick + 40);
+        self.rival_pace.hurry();
     }
 
     /// Learns the reward that came with a tick of the memory. Returns whether it was believed.
@@ -281,7 +286,9 @@ impl ModelPredictive {
 
     /// What refits may take of what is left of the tick.
     fn refit_operations(&self) -> u64 {
-        self.budget.for_refits((self.config.refit_operations * 1e6) as u64)
+        let age = (self.memory.stored - self.changed_at).max(1) as f64;
+        let part = (YOUNG / age).clamp(LEAST_PART, 1.0);
+        (part * self.budget.for_refits((self.config.refit_operations * 1e6) as u64) as f64) as u64
     }
 
     /// Works on refits.
@@ -315,6 +322,9 @@ impl ModelPredictive {
             self.rewards[k].work(&data, &mut share, &mut self.rng);
         }
         self.budget.spent += share.done;
+        if share.done > 0 {
+            self.rival_pace.hurry();
+        }
     }
 
     /// After an alarm: ticks from before it no longer teach how an input moves, or the reward, if the model has adapted

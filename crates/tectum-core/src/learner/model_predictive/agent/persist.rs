@@ -47,6 +47,7 @@ impl Persist for ModelPredictive {
         visitor.number("refits", &mut self.refits);
         visitor.number("changed_at", &mut self.changed_at);
         visitor.number("rival_kind", &mut self.rival_kind);
+        visitor.nested("rival_pace", &mut self.rival_pace);
         visitor.number("operations", &mut self.budget.spent);
         let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, ends, plans } =
             &mut self.counts;

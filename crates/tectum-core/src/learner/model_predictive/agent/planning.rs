@@ -5,6 +5,7 @@ use super::super::planner::{CommandPlan, FIRST_MU, Planner};
 use super::super::rivals;
 use super::super::world::{LearnedWorld, World as _};
 use super::ModelPredictive;
+use super::rival_pace::Promise;
 
 /// Standard deviations by which a predicted reward counts less while learning: what a posture promises wrongly is found
 /// out there.
@@ -24,6 +25,9 @@ enum PlanStart {
 impl ModelPredictive {
     /// Makes the plan for the state after the command that has just gone out.
     pub(super) fn make_plan(&mut self) {
+        if self.boundary {
+            self.rival_pace.hurry();
+        }
         self.plan_from(PlanStart::Commanded, [1, self.config.iterations]);
         self.planned = true;
         self.counts.plans += 1;
@@ -31,14 +35,16 @@ impl ModelPredictive {
 
     /// Makes another plan, for the state that was observed, before its command goes out.
     pub(super) fn make_plan_anew(&mut self) {
+        self.rival_pace.hurry();
         let most = self.budget.most;
         self.budget.most = self.budget.before_command();
         self.plan_from(PlanStart::Observed, [1, self.config.rival_iterations]);
         self.budget.most = most;
     }
 
-    /// Has the models ready to be planned through. Returns the best reward that was seen, in the reward model's units.
-    fn prepare(&mut self) -> f64 {
+    /// Has the models ready to be planned through. Returns the best and the worst reward that was seen, in the reward
+    /// model's units.
+    fn prepare(&mut self) -> [f64; 2] {
         self.find_active();
         let sampled = if self.frozen { 0.0 } else { self.config.sampled };
         self.dynamics.take(sampled);
@@ -47,13 +53,13 @@ impl ModelPredictive {
         reward.take(sampled);
         let active = (self.scratch.active.len(), self.scratch.moving);
         self.budget.cost = StepCost::of(self.places, &self.dynamics, reward, active);
-        (self.best - reward.fit.center) / reward.fit.scale
+        [self.best, self.worst].map(|extreme| (extreme - reward.fit.center) / reward.fit.scale)
     }
 
     /// Makes a plan, with so many iterations at least and so many at most, and lets a rival compete with it.
     fn plan_from(&mut self, from: PlanStart, iterations: [usize; 2]) {
         let (nx, m) = (self.places.state(), self.places.commands);
-        let best = self.prepare();
+        let [best, worst] = self.prepare();
         let (better, moving) = (self.better(), self.dynamics.moving);
         let mut world = LearnedWorld {
             places: self.places,
@@ -86,21 +92,22 @@ impl ModelPredictive {
         self.budget.spent += self.budget.cost.first();
         // The first iteration is always made: it has the gains, with which the next observation is answered.
         work_on((&mut self.planner, &mut self.budget), &mut world, (&mut self.plan, &self.start), iterations);
-        for _ in 0..self.rivals {
-            if !self.budget.has_iteration(self.plan.horizon) {
-                break;
-            }
-            self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
-            let known = (&self.memory, moving);
-            self.budget.spent += rivals::cost(self.rival_kind, &self.budget.cost, self.plan.horizon);
-            rivals::draw(self.rival_kind, &mut self.rng, &mut world, known, &self.plan, &mut self.rival);
-            let iterations = [0, self.config.rival_iterations];
-            work_on((&mut self.planner, &mut self.budget), &mut world, (&mut self.rival, &self.start), iterations);
-            let gap = (best * self.plan.horizon as f64 - self.plan.value).max(0.0);
-            if self.rival.value > self.plan.value + self.config.rival_gain * gap + 1e-9 {
-                self.counts.rivals += 1;
-                self.plan.copy_from(&self.rival);
-            }
+        let horizon = self.plan.horizon as f64;
+        let promise = |plan: &CommandPlan| Promise { value: plan.value, best: best * horizon, worst: worst * horizon };
+        if !self.rival_pace.is_due(promise(&self.plan)) || !self.budget.has_iteration(self.plan.horizon) {
+            return;
+        }
+        self.rival_kind = (self.rival_kind + 1) % rivals::KINDS;
+        let known = (&self.memory, moving);
+        self.budget.spent += rivals::cost(self.rival_kind, &self.budget.cost, self.plan.horizon);
+        rivals::draw(self.rival_kind, &mut self.rng, &mut world, known, &self.plan, &mut self.rival);
+        let iterations = [0, self.config.rival_iterations];
+        work_on((&mut self.planner, &mut self.budget), &mut world, (&mut self.rival, &self.start), iterations);
+        let adopted = self.rival.value > self.plan.value + self.config.rival_gain * promise(&self.plan).gap() + 1e-9;
+        self.rival_pace.tried(adopted);
+        if adopted {
+            self.counts.rivals += 1;
+            self.plan.copy_from(&self.rival);
         }
     }
 
