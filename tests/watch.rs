@@ -159,7 +159,13 @@ fn bad_input_is_one_sentence() {
     folder.run(&["arm", "--ticks", "50", "--json"]).wait().expect(0);
     let refusal = |arguments: &[&str]| folder.tectum("watch", arguments).refusal();
     let none = refusal(&["nowhere"]);
-    assert!(none.contains("there is no run in nowhere") && none.contains("alive"), "{none}");
+    assert!(none.contains("there is no run in nowhere: there is no such folder; ") && none.contains("alive"), "{none}");
+    std::fs::create_dir(folder.path().join("empty")).unwrap();
+    let empty = refusal(&["empty"]);
+    assert!(empty.contains("there is no run in empty: it has no run.json; "), "{empty}");
+    std::fs::write(folder.path().join("empty/run.json"), "{}").unwrap();
+    let other = refusal(&["empty"]);
+    assert!(other.contains("its run.json is not one of a run: missing field"), "{other}");
     let over = refusal(&["run", "--wait", "--json"]);
     assert!(over.contains("the run in run is over") && over.contains("tectum film run"), "{over}");
     let run = long_run_in(&folder, "second");

@@ -1,5 +1,6 @@
 //! Finds runs that are alive.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -27,8 +28,14 @@ impl LivingRun {
     fn of(folder: PathBuf) -> Result<Self, WatchError> {
         let path = RunManifest::path(&folder);
         let no = |cause: String| WatchError::NoRun { path: folder.clone(), cause, living_runs: Vec::new() };
-        let text = std::fs::read_to_string(&path).map_err(|e| no(e.to_string()))?;
-        let manifest: RunManifest = serde_json::from_str(&text).map_err(|e| no(e.to_string()))?;
+        let file = path.file_name().unwrap_or_default().display();
+        let text = std::fs::read_to_string(&path).map_err(|error| match error.kind() {
+            _ if !folder.is_dir() => no("there is no such folder".to_owned()),
+            ErrorKind::NotFound => no(format!("it has no {file}")),
+            _ => no(format!("its {file} cannot be read: {error}")),
+        })?;
+        let manifest: RunManifest =
+            serde_json::from_str(&text).map_err(|error| no(format!("its {file} is not one of a run: {error}")))?;
         let began = std::fs::metadata(&path).and_then(|file| file.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
         if manifest.mode == Mode::InProcess {
             let cause = "a run in one process has no shared memory".to_owned();
