@@ -284,6 +284,11 @@ impl ModelPredictive {
         weighed.is_some()
     }
 
+    /// Refits of single models that were completed.
+    fn refits_completed(&self) -> u64 {
+        self.rewards.iter().chain(&self.dynamics.models).map(|model| model.refit.completed).sum()
+    }
+
     /// What refits may take of what is left of the tick.
     fn refit_operations(&self) -> u64 {
         let age = (self.memory.stored - self.changed_at).max(1) as f64;
@@ -315,14 +320,14 @@ impl ModelPredictive {
             self.next_refit = self.tick + (REFIT_GROWTH * self.tick as f64).min(REFIT_MOST) as u64 + REFIT_LEAST;
         }
         let mut share = RefitShare { most: self.refit_operations(), done: 0 };
-        let better = self.better();
+        let (better, completed) = (self.better(), self.refits_completed());
         self.dynamics.work(&self.memory, &mut share, &mut self.rng);
         for k in [better, 1 - better] {
             let data = RewardData { memory: &self.memory, after: k == 1, shift: self.shift };
             self.rewards[k].work(&data, &mut share, &mut self.rng);
         }
         self.budget.spent += share.done;
-        if share.done > 0 {
+        if self.refits_completed() != completed {
             self.rival_pace.hurry();
         }
     }
