@@ -75,7 +75,9 @@ fn every_figure_is_shown_and_says_what_made_it() {
 fn figures_have_one_style() {
     let series = ["D55E00", "E69F00", "56B4E9", "009E73", "0072B2", "CC79A7", "5A5A5A"];
     let frame = ["282828", "8C8C8C", "E4E4E4", "FFFFFF"];
-    for name in ["arm", "eye", "learners", "mujoco", "open-loop", "performance-growth", "performance-latency"] {
+    let tasks = ["tasks-arm", "tasks-cart-pole", "tasks-pendulum", "tasks-arm-relative-stops"];
+    let others = ["arm", "eye", "learners", "mujoco", "open-loop", "performance-growth", "performance-latency"];
+    for name in others.into_iter().chain(tasks) {
         let svg = fs::read_to_string(format!("{FIGURES}/{name}.svg")).unwrap();
         assert!(!svg.contains("<image") && !svg.contains("<style"), "{name}");
         let fonts = svg.matches("font-family=").count();
@@ -101,7 +103,7 @@ fn figures_are_what_their_commands_make() {
             continue;
         }
         println!("{}: {command}", figure.file);
-        let (made, shown) = (made_by(&command), Path::new(FIGURES).join(&figure.file));
+        let (made, shown) = (made_by(&command, &figure.file), Path::new(FIGURES).join(&figure.file));
         if std::env::var_os("TECTUM_SNAPSHOTS").is_some() {
             fs::write(&shown, &made).unwrap();
         } else if made != fs::read_to_string(&shown).unwrap() {
@@ -114,8 +116,9 @@ fn figures_are_what_their_commands_make() {
     );
 }
 
-/// The figure that a command makes, which stands in a document as a shell takes it.
-fn made_by(command: &str) -> String {
+/// The figure that a command makes, which stands in a document as a shell takes it: `figure.svg`, or that of the one
+/// task in a study of tasks.
+fn made_by(command: &str, file: &str) -> String {
     let test_folder = TestFolder::new();
     let folder = test_folder.path().join("figures");
     let arguments = command.strip_prefix("tectum ").expect("a command of tectum");
@@ -123,5 +126,5 @@ fn made_by(command: &str) -> String {
     let mut process = std::process::Command::new("sh");
     process.args(["-c", &shell, support::TECTUM]).arg(&folder).stdout(std::process::Stdio::null());
     assert!(process.status().unwrap().success(), "{command}");
-    fs::read_to_string(folder.join("figure.svg")).unwrap()
+    fs::read_to_string(folder.join(file.strip_prefix("tasks-").unwrap_or("figure.svg"))).unwrap()
 }

@@ -147,9 +147,13 @@ fn a_folder_has_table_tests_and_a_figure_for_each_task() {
     // Four tests of two seeds, and one of the reference, on each.
     assert_eq!(curves.lines().count(), 1 + 2 * (2 * 4 + 1), "{curves}");
     assert!(curves.contains("\ncart-pole,actor-critic,5001,200,0,") && curves.contains("\npoint-mass,zero,,0,0,"));
-    for (task, words) in [("cart-pole", "1 - reward a tick"), ("point-mass", "loss a tick in the test")] {
+    for (task, words) in [("cart-pole", "1 - reward a tick"), ("point-mass", "Loss a tick in the test")] {
         let figure = file(&format!("{task}.svg"));
-        assert!(figure.contains(words) && figure.contains("level 0.1") && figure.contains("actor-critic"), "{task}");
+        assert!(
+            figure.contains(words) && figure.contains("of 2 seeds, 5000 to 5001") && figure.contains("actor-critic"),
+            "{task}"
+        );
+        assert!(figure.contains("level 0.1"), "{task}");
     }
 }
 
