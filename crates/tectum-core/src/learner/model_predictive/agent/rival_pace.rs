@@ -4,8 +4,8 @@
 use super::super::rivals;
 use crate::state::{Persist, StateVisitor};
 
-/// Most ticks from one rival to the next.
-const LONGEST: u64 = 8;
+/// The ticks from one rival to the next double after each of so many rounds, up to 8.
+const LONGEST_ROUNDS: u64 = 3;
 /// A plan is near the best if no more than this part of what rewards can differ by is missing.
 const NEAR: f64 = 0.05;
 /// It is worse than the one of the tick before if it promises less by more than this part of the same.
@@ -14,8 +14,6 @@ const WORSE: f64 = 0.005;
 /// When the next rival is due. After each round of all kinds without a success the ticks in between double.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RivalPace {
-    /// Ticks from one rival to the next.
-    interval: u64,
     /// Ticks until the next.
     wait: u64,
     /// Rivals in a row that were not adopted.
@@ -45,12 +43,12 @@ impl Promise {
 impl RivalPace {
     /// A rival in the next tick.
     pub fn new() -> Self {
-        Self { interval: 1, wait: 0, refused: 0, promised: f64::NEG_INFINITY }
+        Self { wait: 0, refused: 0, promised: f64::NEG_INFINITY }
     }
 
     /// Something is new: a rival in this tick and the next ones.
     pub fn hurry(&mut self) {
-        (self.interval, self.wait, self.refused) = (1, 0, 0);
+        (self.wait, self.refused) = (0, 0);
     }
 
     /// Whether a rival is due in this tick, in which the plan promises this.
@@ -70,17 +68,14 @@ impl RivalPace {
             self.hurry();
         } else {
             self.refused += 1;
-            if self.refused.is_multiple_of(u64::from(rivals::KINDS)) {
-                self.interval = (2 * self.interval).min(LONGEST);
-            }
         }
-        self.wait = self.interval;
+        let rounds = self.refused / u64::from(rivals::KINDS);
+        self.wait = 1 << rounds.min(LONGEST_ROUNDS);
     }
 }
 
 impl Persist for RivalPace {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
-        visitor.number("interval", &mut self.interval);
         visitor.number("wait", &mut self.wait);
         visitor.number("refused", &mut self.refused);
         visitor.number("promised", &mut self.promised);
