@@ -9,11 +9,19 @@ use crate::scenario::Plan;
 /// Changes of the arm that get rows of their own; later ones are in the figure and in the sentence.
 const CHANGES_IN_ROWS: usize = 3;
 
-/// The rows of a run that was tested; `first` names the first, before anything was learned in this run.
+/// The rows of a run; `first` names the first, before anything was learned in this run. None where the run neither was
+/// tested nor saw a whole target.
 pub(super) fn rows(plan: &Plan, phases: &[PhaseTests], observed: &[TargetsAround], first: &str) -> Vec<ProgressRow> {
     let table = RowMaker { phases, observed, delay: ticks_in(plan, 1) - 1 };
     let Some(last) = phases.last() else { return Vec::new() };
-    let mut rows = vec![ProgressRow { loss: None, targets: 0, ..table.row(first.into(), 0, 0, Side::After) }];
+    let tested = phases.iter().any(|phase| !phase.tests.is_empty());
+    if !tested && observed.iter().all(|around| around.before.is_empty() && around.after.is_empty()) {
+        return Vec::new();
+    }
+    let mut rows = Vec::new();
+    if tested {
+        rows.push(table.row(first.into(), 0, 0, Side::After));
+    }
     let first_look = ticks_in(plan, FIRST_LOOK_S);
     if first_look < phases[0].until {
         rows.push(table.row(format!("after {FIRST_LOOK_S} s"), first_look, 0, Side::After));
@@ -50,14 +58,15 @@ impl RowMaker<'_> {
         let phase = &self.phases[phase];
         let test =
             phase.tests.iter().find(|(at, _)| (tick..=tick + self.delay).contains(at)).map(|(_, result)| *result);
-        let losses: Vec<f64> = self.targets(phase, tick, side).map(|target| target.loss).collect();
+        let targets: Vec<&TargetResult> = self.targets(phase, tick, side).collect();
         ProgressRow {
             when,
             tick,
             test_error_m: test.map(|test| test.error_m),
             optimum_error_m: phase.optimum.map(|optimum| optimum.error_m),
-            targets: losses.len(),
-            loss: median(losses.into_iter()),
+            targets: targets.len(),
+            error_m: median(targets.iter().map(|target| target.end_error)),
+            loss: median(targets.iter().map(|target| target.loss)),
             optimum_loss: phase.optimum.map(|optimum| optimum.loss),
             targets_follow: side == Side::After,
         }

@@ -18,11 +18,14 @@ pub struct ProgressRow {
     pub test_error_m: Option<f64>,
     /// The same of the movements of least loss.
     pub optimum_error_m: Option<f64>,
-    /// Loss a tick as the run observed it, with exploration noise: the median over `targets` targets of the run.
+    /// Error at a target's end as the run observed it, with exploration noise, m: the median over `targets` targets of
+    /// the run.
+    pub error_m: Option<f64>,
+    /// Loss a tick as the run observed it, likewise.
     pub loss: Option<f64>,
     /// Loss a tick of the movements of least loss: the median over the test's targets.
     pub optimum_loss: Option<f64>,
-    /// Whole targets over which `loss` is the median.
+    /// Whole targets of the run over which `error_m` and `loss` are medians.
     pub targets: usize,
     /// Whether these are the first targets after `tick`; otherwise they are the last before.
     #[serde(skip)]
@@ -124,9 +127,11 @@ fn duration(seconds: f64) -> String {
 }
 
 /// The rows as text, under a head with the units and above a line that says what they are, for a test of so
-/// many targets.
+/// many targets. The first column is the test's error, or the observed one where nothing was tested.
 pub fn progress_table(rows: &[ProgressRow], test_targets: usize) -> String {
-    let head = ["", "test error (m)", "optimum (m)", "loss a tick", "optimum", "observed over"];
+    let tested = rows.iter().any(|row| row.test_error_m.is_some());
+    let first = if tested { "test error (m)" } else { "error (m)" };
+    let head = ["", first, "optimum (m)", "loss a tick", "optimum", "observed over"];
     let mut cells = vec![head.map(str::to_owned)];
     for row in rows {
         let which = if row.targets_follow { "next" } else { "last" };
@@ -137,7 +142,7 @@ pub fn progress_table(rows: &[ProgressRow], test_targets: usize) -> String {
         };
         cells.push([
             row.when.clone(),
-            figures(row.test_error_m),
+            figures(if tested { row.test_error_m } else { row.error_m }),
             figures(row.optimum_error_m),
             figures(row.loss),
             figures(row.optimum_loss),
@@ -145,12 +150,23 @@ pub fn progress_table(rows: &[ProgressRow], test_targets: usize) -> String {
         ]);
     }
     let known = rows.iter().any(|row| row.optimum_loss.is_some());
-    let optimum = if known { "; optimum: the movements of least loss to the test targets" } else { "" };
-    format!(
-        "{}Medians. Test error: at a target's end, without exploration noise, over {test_targets} test targets;\n\
-         loss: as observed, with noise{optimum}.\n",
-        columns(&cells)
-    )
+    let optimum = |targets: &str| match known {
+        true => format!("; optimum: the movements of least loss to {targets}"),
+        false => String::new(),
+    };
+    let words = if tested {
+        format!(
+            "Test error: at a target's end, without exploration noise, over {test_targets} test targets;\n\
+             loss: as observed, with noise{}",
+            optimum("the test targets")
+        )
+    } else {
+        format!(
+            "Error at a target's end and loss: as observed, with noise{}",
+            optimum(&format!("{test_targets}\nother targets"))
+        )
+    };
+    format!("{}Medians. {words}.\n", columns(&cells))
 }
 
 #[cfg(test)]
@@ -227,6 +243,7 @@ mod tests {
             tick: 0,
             test_error_m,
             optimum_error_m: None,
+            error_m: Some(0.051),
             loss,
             optimum_loss: Some(0.0171),
             targets,
@@ -242,5 +259,8 @@ mod tests {
         ];
         assert_eq!(text.lines().take(3).collect::<Vec<_>>(), expected);
         assert!(text.contains("over 40 test targets"));
+        let text = progress_table(&rows[1..], 40);
+        assert!(text.starts_with("                      error (m)  optimum (m)"), "{text}");
+        assert!(text.contains("just after the block     0.0510") && text.contains("over 40\nother targets."), "{text}");
     }
 }

@@ -120,6 +120,7 @@ impl SimdPath {
     pub const BASELINE: Self = Self(Kind::Baseline);
 
     /// The AVX2 path, if this machine has AVX2.
+    #[inline]
     pub fn avx2() -> Option<Self> {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
@@ -140,6 +141,12 @@ impl SimdPath {
     /// The fastest path of this machine.
     pub fn best() -> Self {
         Self::avx512().or_else(Self::avx2).unwrap_or(Self::BASELINE)
+    }
+
+    /// The fastest path for kernels that are not wide, found out with one look instead of several.
+    #[inline]
+    pub fn best_narrow() -> Self {
+        Self::avx2().unwrap_or(Self::BASELINE)
     }
 
     /// All paths of this machine, the slowest first.

@@ -153,7 +153,7 @@ impl ModelPredictive {
         let places = Places { inputs: spec.inputs.len(), commands: spec.limits.len() };
         assert!(places.commands <= MAX_OUTPUTS && places.inputs <= MAX_INPUTS);
         let mut rng = stream(spec.seed, "models");
-        let (dynamics, [before, after]) = models::models(spec, places, &mut rng);
+        let (dynamics, rewards) = models::models(spec, places, &mut rng);
         let horizon = if spec.config.horizon > 0 { spec.config.horizon } else { (480 / places.len()).clamp(20, 40) };
         Self {
             middle: spec.inputs.iter().map(|r| 0.5 * (r.min + r.max)).collect(),
@@ -168,7 +168,7 @@ impl ModelPredictive {
             plan: CommandPlan::new(places, horizon),
             rival: CommandPlan::new(places, horizon),
             planner: Planner::new(places, horizon, CommandLimits::of(spec, places)),
-            scratch: WorldScratch::new(places),
+            scratch: WorldScratch::new(places, &rewards),
             noise: NoiseSource::new(spec.seed),
             tick: 0,
             state: vec![0.0; places.state()],
@@ -184,7 +184,7 @@ impl ModelPredictive {
             strange: 0,
             shift: 0,
             reading: AngleReading::APART,
-            alignment: Alignment::new(before.layout.clone(), &spec.inputs, spec.config.memory),
+            alignment: Alignment::new(rewards[0].layout.clone(), &spec.inputs, spec.config.memory),
             best: f64::NEG_INFINITY,
             worst: f64::INFINITY,
             command: [0.0; MAX_OUTPUTS],
@@ -203,7 +203,7 @@ impl ModelPredictive {
             frozen: false,
             scores: [0.0; 2],
             dynamics,
-            rewards: [before, after],
+            rewards,
             rng,
             places,
             config: spec.config.clone(),

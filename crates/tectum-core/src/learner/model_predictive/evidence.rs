@@ -254,42 +254,19 @@ impl Evidence {
             row.factors[g * capacity..][..n].fill(1.0);
         }
         for (u, unit) in layout.units.iter().enumerate() {
-            let inner = &mut row.inner[u * capacity..][..n];
             let scale = |s| if unit.scales[s as usize] { exp(scales[Layout::scale(u, s)]) } else { 0.0 };
             let (linear, square, rho) = (scale(ScaleKind::Linear), scale(ScaleKind::Square), scale(ScaleKind::Smooth));
             if unit.circle {
-                let (c, s) = (&cosines[u * capacity..][..n], &sines[u * capacity..][..n]);
-                let turned = &mut row.turned[u * capacity..][..n];
-                for j in 0..n {
-                    inner[j] = c[i] * c[j] + s[i] * s[j];
-                    turned[j] = s[i] * c[j] - c[i] * s[j];
-                    row.kernel[j] += linear * inner[j];
-                    row.smooth[j] += rho * (1.0 - inner[j]);
-                }
+                row.add_angle(u, [&*cosines, &*sines].map(|x| &x[u * capacity..][..n]), [linear, rho]);
             } else {
-                let x = &values[unit.at * capacity..][..n];
-                for j in 0..n {
-                    inner[j] = x[i] * x[j];
-                    let apart = x[i] - x[j];
-                    row.kernel[j] += inner[j] * (linear + square * inner[j]);
-                    row.smooth[j] += 0.5 * rho * apart * apart;
-                }
+                row.add_number(u, &values[unit.at * capacity..][..n], [linear, square, rho]);
             }
             if let Some(group) = unit.group {
-                let v = scale(ScaleKind::Product);
-                let factors = &mut row.factors[group * capacity..][..n];
-                for j in 0..n {
-                    factors[j] += v * inner[j];
-                }
+                row.add_to_group((u, group), scale(ScaleKind::Product), n);
             }
         }
         row.multiply(n, layout.groups.len(), capacity);
-        let [pairs, triples, products, smooth] = [PAIRS, TRIPLES, PRODUCTS, SMOOTH].map(|k| exp(scales[k]));
-        for j in 0..n {
-            row.smooth[j] = smooth * exp(-row.smooth[j]);
-            row.kernel[j] +=
-                pairs * row.pairs[j] + triples * row.triples[j] + products * row.product[j] + row.smooth[j];
-        }
+        row.sum_up(n, [PAIRS, TRIPLES, PRODUCTS, SMOOTH].map(|k| exp(scales[k])));
     }
 
     /// Adds to the gradient what the pairs of point `i` with the points up to itself give.

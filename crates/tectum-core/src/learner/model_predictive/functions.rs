@@ -51,7 +51,7 @@ fn plain_sines_and_cosines(x: &[f64], sines: &mut [f64], cosines: &mut [f64]) {
 }
 
 /// The exponential of `x`; below -700 it is that of -700, above 700 that of 700.
-#[inline]
+#[inline(always)]
 pub fn exp(x: f64) -> f64 {
     const LN_2_HIGH: f64 = 0.693_147_180_369_123_8;
     const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;

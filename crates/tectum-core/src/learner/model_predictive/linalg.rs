@@ -37,7 +37,7 @@ macro_rules! wide {
         $(#[$doc])*
         #[inline]
         pub fn $name<'a>($($arg: $ty),+) -> $out {
-            $on_path(SimdPath::best(), $($arg),+)
+            $on_path(SimdPath::best_narrow(), $($arg),+)
         }
 
         /// The same on a path of the machine.
@@ -118,6 +118,35 @@ wide! {
 fn plain_add_outer(matrix: &mut [f64], factor: f64, x: &[f64]) {
     for r in 0..x.len() {
         plain_add_scaled(&mut matrix[packed(r)..packed(r + 1)], factor * x[r], &x[..=r]);
+    }
+}
+
+wide! {
+    /// Adds `Jᵀ V J` to `to` (w x w), for `J` (n x w) and `V` (n x n); `product` (n x w) is then `V J`. Zeros of `J`
+    /// and `V`, of which there are many, are passed over.
+    add_congruence, add_congruence_on, AddCongruence,
+    plain_add_congruence(
+        to: &'a mut [f64], jacobian: &'a [f64], inner: &'a [f64], product: &'a mut [f64], width: usize
+    ) -> ()
+}
+
+#[inline(always)]
+fn plain_add_congruence(to: &mut [f64], jacobian: &[f64], inner: &[f64], product: &mut [f64], width: usize) {
+    let n = jacobian.len() / width;
+    product.fill(0.0);
+    for (product, inner) in product.chunks_exact_mut(width).zip(inner.chunks_exact(n)) {
+        for (factor, row) in inner.iter().zip(jacobian.chunks_exact(width)) {
+            if *factor != 0.0 {
+                plain_add_scaled(product, *factor, row);
+            }
+        }
+    }
+    for (product, row) in product.chunks_exact(width).zip(jacobian.chunks_exact(width)) {
+        for (factor, to) in row.iter().zip(to.chunks_exact_mut(width)) {
+            if *factor != 0.0 {
+                plain_add_scaled(to, *factor, product);
+            }
+        }
     }
 }
 

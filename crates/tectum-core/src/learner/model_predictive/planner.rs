@@ -17,13 +17,20 @@
 use super::box_qp;
 use super::command_limits::CommandLimits;
 use super::layout::Places;
-use super::linalg::{add_scaled, dot, solve_lower, solve_lower_transposed};
+use super::linalg::{add_congruence, add_scaled, dot, solve_lower, solve_lower_transposed};
 use super::world::World;
 use crate::MAX_OUTPUTS;
 use crate::state::{Persist, StateVisitor};
 
 /// The regularisation of a plan's first iteration in a tick, at most.
 pub const FIRST_MU: f64 = 1e-3;
+
+/// A plan that is expected to gain less than this is done: the full step is tried, and nothing else. In the sum of
+/// rewards, in standard deviations of a reward.
+const CONVERGED: f64 = 1e-4;
+
+/// How far the line search goes along the steps.
+const SIZES: [f64; 4] = [1.0, 0.5, 0.2, 0.05];
 
 /// A plan: states, commands, gains.
 #[derive(Debug, Clone)]
@@ -156,21 +163,24 @@ impl Planner {
         self.work[0] += plan.horizon as u64;
     }
 
-    /// One iteration. Returns whether the plan became better.
+    /// One iteration. Returns whether another one may make the plan better still.
     pub fn improve(&mut self, world: &mut dyn World, plan: &mut CommandPlan) -> bool {
-        self.backward(world, plan);
-        for size in [1.0, 0.5, 0.2, 0.05] {
+        let goes_on = self.backward(world, plan) > CONVERGED;
+        let sizes = if goes_on { &SIZES[..] } else { &SIZES[..1] };
+        for &size in sizes {
             self.forward(world, plan, size);
             if self.trial.value > plan.value {
                 plan.states.copy_from_slice(&self.trial.states);
                 plan.commands.copy_from_slice(&self.trial.commands);
                 plan.value = self.trial.value;
                 plan.mu = (plan.mu * if size == 1.0 { 0.3 } else { 1.0 }).max(1e-6);
-                return true;
+                return goes_on;
             }
         }
-        plan.mu = (plan.mu * 5.0).min(1e4);
-        false
+        if goes_on {
+            plan.mu = (plan.mu * 5.0).min(1e4);
+        }
+        goes_on
     }
 
     fn forward(&mut self, world: &mut dyn World, plan: &CommandPlan, size: f64) {
@@ -194,8 +204,10 @@ impl Planner {
         self.work[0] += plan.horizon as u64;
     }
 
-    fn backward(&mut self, world: &mut dyn World, plan: &mut CommandPlan) {
+    /// Steps and gains of all commands. Returns what the steps are expected to gain.
+    fn backward(&mut self, world: &mut dyn World, plan: &mut CommandPlan) -> f64 {
         let (nx, m) = (self.places.state(), self.places.commands);
+        let mut expected = 0.0;
         self.value.fill(0.0);
         self.slope.fill(0.0);
         for t in (0..plan.horizon).rev() {
@@ -203,39 +215,24 @@ impl Planner {
             self.q[nx..].copy_from_slice(plan.command(t));
             world.expand(&self.q, &mut self.jacobian, &mut self.gradient, &mut self.hessian);
             self.back_up();
-            self.optimise_step(plan, t, m);
+            expected += self.optimise_step(plan, t, m);
             self.pass_value(plan, t);
         }
         self.work[1] += plan.horizon as u64;
+        expected
     }
 
     /// `Q_q` and `Q_qq`, in place of the reward's gradient and Hessian.
     fn back_up(&mut self) {
         let (nx, width) = (self.places.state(), self.places.len());
-        self.product.fill(0.0);
         for r in 0..nx {
-            for c in 0..nx {
-                let factor = self.value[r * nx + c];
-                if factor != 0.0 {
-                    let row = &self.jacobian[c * width..(c + 1) * width];
-                    add_scaled(&mut self.product[r * width..(r + 1) * width], factor, row);
-                }
-            }
             add_scaled(&mut self.gradient, self.slope[r], &self.jacobian[r * width..(r + 1) * width]);
         }
-        for r in 0..nx {
-            let product = &self.product[r * width..(r + 1) * width];
-            for at in 0..width {
-                let factor = self.jacobian[r * width + at];
-                if factor != 0.0 {
-                    add_scaled(&mut self.hessian[at * width..(at + 1) * width], factor, product);
-                }
-            }
-        }
+        add_congruence(&mut self.hessian, &self.jacobian, &self.value, &mut self.product, width);
     }
 
-    /// Step and gain of command `t`.
-    fn optimise_step(&mut self, plan: &mut CommandPlan, t: usize, m: usize) {
+    /// Step and gain of command `t`. Returns what the step is expected to gain.
+    fn optimise_step(&mut self, plan: &mut CommandPlan, t: usize, m: usize) -> f64 {
         let (nx, width) = (self.places.state(), self.places.len());
         let (mut h, mut g) = ([0.0; MAX_OUTPUTS * MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
         let (mut low, mut high) = ([0.0; MAX_OUTPUTS], [0.0; MAX_OUTPUTS]);
@@ -277,9 +274,11 @@ impl Planner {
                     gains[i * nx + x] = column[at];
                 }
             }
-            return;
+            let step = &solution.x[..m];
+            return -(0..m).map(|i| step[i] * (g[i] + 0.5 * dot(&h[i * m..(i + 1) * m], step))).sum::<f64>();
         }
         self.steps[t * m..(t + 1) * m].fill(0.0);
+        0.0
     }
 
     /// `v` and `V` of step `t`.

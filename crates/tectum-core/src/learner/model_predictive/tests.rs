@@ -4,7 +4,7 @@ use super::evidence::Evidence;
 use super::features::{BasisValues, ModelFeatures};
 use super::layout::{Layout, Priors, Terms};
 use super::regression::Regression;
-use super::weighted::Weighted;
+use super::weighted::{ProductCurves, Weighted};
 use crate::seed::{Rng, stream};
 use rand_distr::{Distribution, StandardNormal};
 
@@ -73,7 +73,8 @@ fn derivatives_of_a_model_match_differences() {
             if outputs == 1 {
                 let places = [4, 0, 1, 2];
                 let (mut gradient, mut hessian) = ([0.0; 5], [0.0; 16]);
-                model.hessian(&layout, &features, &q, &places, &mut gradient, &mut hessian);
+                let mut curves = ProductCurves::new(features.most_nodes, layout.components, places.len());
+                model.hessian((&layout, &features), &q, (&places, &mut curves), &mut gradient, &mut hessian);
                 if let Some(r) = places.iter().position(|&p| p == at) {
                     for (c, &p) in places.iter().enumerate() {
                         let curve = (sides[1].1[p] - sides[0].1[p]) / (2.0 * step);

@@ -2,12 +2,15 @@
 //!
 //! For outputs `y_j(q) = w_jᵀ phi(q)`: values (O), the Jacobian `dy / dq` (O x D), and for a single output the Hessian
 //! over chosen places of `q`. Products are differentiated backwards through their tree; their Hessian is the forward
-//! derivative of that (Griewank & Walther 2008).
+//! derivative of that ([`ProductCurves`]).
+
+mod product_curves;
 
 use super::features::{BasisValues, ModelFeatures, has_feature, parent};
 use super::layout::Layout;
 use super::linalg::{add_scaled, dot};
 use super::regression::Regression;
+pub use product_curves::ProductCurves;
 
 /// A model's weights, times the amplitudes of the features.
 #[derive(Debug, Clone)]
@@ -16,16 +19,16 @@ pub struct Weighted {
     len: usize,
     /// By output, then feature.
     pub weights: Vec<f64>,
-    /// Weights of the nodes of the products, by node, then output.
+    /// Weights of the nodes of the products, by output, then node.
     nodes: Vec<f64>,
+    /// Room for so many nodes in each output.
+    most_nodes: usize,
     basis: BasisValues,
     // Scratch memory of derivatives.
     projected: Vec<f64>,
     slopes: Vec<f64>,
     curves: Vec<f64>,
     adjoint: Vec<f64>,
-    along: Vec<f64>,
-    along_adjoint: Vec<f64>,
     by_component: Vec<f64>,
     row: Vec<f64>,
 }
@@ -39,14 +42,13 @@ impl Weighted {
             len: features.len,
             weights: vec![0.0; outputs * features.len],
             nodes: vec![0.0; outputs * nodes],
+            most_nodes: nodes,
             basis: BasisValues::new(layout, features),
             projected: vec![0.0; layout.width * pairs],
             slopes: vec![0.0; outputs * pairs],
             curves: vec![0.0; pairs],
-            adjoint: vec![0.0; outputs * nodes],
-            along: vec![0.0; nodes],
-            along_adjoint: vec![0.0; nodes],
-            by_component: vec![0.0; outputs.max(2) * layout.components],
+            adjoint: vec![0.0; nodes],
+            by_component: vec![0.0; outputs * layout.components],
             row: vec![0.0; pairs],
         }
     }
@@ -81,7 +83,7 @@ impl Weighted {
         for (k, node) in features.nodes.iter().enumerate() {
             for j in 0..self.outputs {
                 let weight = has_feature(node).map_or(0.0, |f| self.weights[j * self.len + products + f]);
-                self.nodes[k * self.outputs + j] = weight;
+                self.nodes[j * self.most_nodes + k] = weight;
             }
         }
     }
@@ -108,10 +110,8 @@ impl Weighted {
             }
             sum += dot(&w[parts.waves..parts.waves + pairs], &basis.cosines);
             sum += dot(&w[parts.waves + pairs..parts.products], &basis.sines);
-            *y = sum;
-        }
-        for k in 0..features.nodes.len() {
-            add_scaled(out, basis.nodes[k], &self.nodes[k * self.outputs..(k + 1) * self.outputs]);
+            let used = features.nodes.len();
+            *y = sum + dot(&self.nodes[j * self.most_nodes..][..used], &basis.nodes[..used]);
         }
     }
 
@@ -184,20 +184,20 @@ impl Weighted {
                 to[unit.component] += 2.0 * c * self.basis.e[unit.component];
             }
         }
-        let used = features.nodes.len() * outputs;
-        self.adjoint[..used].copy_from_slice(&self.nodes[..used]);
-        for (k, node) in features.nodes.iter().enumerate().rev() {
-            let c = node.component as usize;
-            let e = self.basis.e[c];
-            let (before, rest) = self.adjoint.split_at_mut(k * outputs);
-            let adjoint = &rest[..outputs];
-            let above = parent(node);
-            let value = above.map_or(1.0, |p| self.basis.nodes[p]);
-            for (j, a) in adjoint.iter().enumerate() {
-                self.by_component[j * components + c] += a * value;
-            }
-            if let Some(p) = above {
-                add_scaled(&mut before[p * outputs..(p + 1) * outputs], e, adjoint);
+        let used = features.nodes.len();
+        for j in 0..outputs {
+            let adjoint = &mut self.adjoint[..used];
+            adjoint.copy_from_slice(&self.nodes[j * self.most_nodes..][..used]);
+            let slopes = &mut self.by_component[j * components..(j + 1) * components];
+            for (k, node) in features.nodes.iter().enumerate().rev() {
+                let c = node.component as usize;
+                match parent(node) {
+                    Some(p) => {
+                        slopes[c] += adjoint[k] * self.basis.nodes[p];
+                        adjoint[p] += self.basis.e[c] * adjoint[k];
+                    }
+                    None => slopes[c] += adjoint[k],
+                }
             }
         }
     }
@@ -206,10 +206,9 @@ impl Weighted {
     /// in rows of `places.len()`.
     pub fn hessian(
         &mut self,
-        layout: &Layout,
-        features: &ModelFeatures,
+        (layout, features): (&Layout, &ModelFeatures),
         q: &[f64],
-        places: &[usize],
+        (places, curves): (&[usize], &mut ProductCurves),
         gradient: &mut [f64],
         hessian: &mut [f64],
     ) -> f64 {
@@ -218,11 +217,7 @@ impl Weighted {
         hessian.fill(0.0);
         self.wave_curves(layout, features, places, hessian);
         self.unit_curves(layout, features, places, hessian);
-        let in_products =
-            |at: usize| layout.units.iter().any(|unit| unit.terms.factor(at) != 0.0 && unit.group.is_some());
-        for (row, &at) in places.iter().enumerate().filter(|(_, at)| in_products(**at)) {
-            self.product_curves(layout, features, at, places, &mut hessian[row * places.len()..][..places.len()]);
-        }
+        curves.add(layout, &features.nodes, (&self.basis, &self.adjoint), places, hessian);
         value[0]
     }
 
@@ -266,51 +261,6 @@ impl Weighted {
                 for (at, other) in unit.terms.each() {
                     let Some(c) = place(*at) else { continue };
                     hessian[r * n + c] += factor * other * curve;
-                }
-            }
-        }
-    }
-
-    /// Adds one row of the products' Hessian: the derivative along place `at`.
-    fn product_curves(
-        &mut self,
-        layout: &Layout,
-        features: &ModelFeatures,
-        at: usize,
-        places: &[usize],
-        row: &mut [f64],
-    ) {
-        // The factor of the place in each component's unit.
-        let mut moved = [0.0; 256];
-        for unit in &layout.units {
-            let factor = unit.terms.factor(at);
-            moved[unit.component..unit.component + if unit.circle { 2 } else { 1 }].fill(factor);
-        }
-        let nodes = &features.nodes;
-        let basis = &self.basis;
-        for (k, node) in nodes.iter().enumerate() {
-            let c = node.component as usize;
-            let (value, along) = parent(node).map_or((1.0, 0.0), |p| (basis.nodes[p], self.along[p]));
-            self.along[k] = along * basis.e[c] + moved[c] * value * basis.slopes[c];
-        }
-        self.along_adjoint[..nodes.len()].fill(0.0);
-        let change = &mut self.by_component[layout.components..2 * layout.components];
-        change.fill(0.0);
-        for (k, node) in nodes.iter().enumerate().rev() {
-            let c = node.component as usize;
-            let (adjoint, turned) = (self.adjoint[k], self.along_adjoint[k]);
-            if let Some(p) = parent(node) {
-                change[c] += turned * basis.nodes[p] + adjoint * self.along[p];
-                self.along_adjoint[p] += turned * basis.e[c] + moved[c] * adjoint * basis.slopes[c];
-            } else {
-                change[c] += turned;
-            }
-        }
-        for unit in layout.units.iter().filter(|unit| unit.group.is_some()) {
-            for (at, factor) in unit.terms.each() {
-                let Some(to) = places.iter().position(|p| p == at) else { continue };
-                for c in unit.component..unit.component + if unit.circle { 2 } else { 1 } {
-                    row[to] += factor * change[c] * basis.slopes[c];
                 }
             }
         }

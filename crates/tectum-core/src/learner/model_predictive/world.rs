@@ -12,8 +12,9 @@ use super::config::InputRange;
 use super::dynamics::Dynamics;
 use super::ends::SLACK;
 use super::layout::Places;
-use super::linalg::{add_scaled, clip_to_concave};
+use super::linalg::{add_congruence, add_scaled, clip_to_concave};
 use super::model::{MAX_MODEL_OUTPUTS, Model};
+use super::weighted::ProductCurves;
 use crate::MAX_INPUTS;
 
 /// Changes are in units of this part of half of the range.
@@ -122,6 +123,7 @@ pub struct WorldScratch {
     block: Vec<f64>,
     chain: Vec<f64>,
     product: Vec<f64>,
+    curves: ProductCurves,
     /// Places of the reward's Hessian: moving inputs, their changes, commands; then inputs that do not move.
     pub active: Vec<usize>,
     /// The first so many of them are those of moving inputs and commands.
@@ -129,10 +131,13 @@ pub struct WorldScratch {
 }
 
 impl WorldScratch {
-    /// For worlds of these places.
-    pub fn new(places: Places) -> Self {
+    /// For worlds of these places and rewards.
+    pub fn new(places: Places, rewards: &[Model]) -> Self {
         let (width, most) = (places.len(), 2 * places.inputs + places.commands);
+        let most_nodes = rewards.iter().map(|model| model.fit.features.most_nodes).max().unwrap_or(0);
+        let components = rewards.iter().map(|model| model.layout.components).max().unwrap_or(0);
         Self {
+            curves: ProductCurves::new(most_nodes, components, most),
             after: vec![0.0; width],
             dynamics: vec![0.0; places.inputs * width],
             gradient: vec![0.0; width],
@@ -324,11 +329,11 @@ impl LearnedWorld<'_> {
     /// Gradient and Hessian of the reward by `q`; the reward model's point is in `after`.
     fn expand_reward(&mut self, jacobian: &[f64], gradient: &mut [f64], hessian: &mut [f64]) {
         let (n, width) = (self.places.inputs, self.places.len());
-        let WorldScratch { after, gradient: by_look, small, active, .. } = &mut *self.scratch;
+        let WorldScratch { after, gradient: by_look, small, active, curves, .. } = &mut *self.scratch;
         let order = active.len();
         let small = &mut small[..order * order];
         let Model { layout, fit, weighted, .. } = &mut *self.reward;
-        let value = weighted.hessian(layout, &fit.features, after, active, by_look, small);
+        let value = weighted.hessian((layout, &fit.features), after, (active, curves), by_look, small);
         let slope = believed(self.reward, value, self.best, self.caution).1;
         gradient.fill(0.0);
         hessian.fill(0.0);
@@ -365,20 +370,6 @@ impl LearnedWorld<'_> {
                 row[at] = 1.0;
             }
         }
-        product[..order * width].fill(0.0);
-        for r in 0..order {
-            for c in 0..order {
-                let row = &chain[c * width..(c + 1) * width];
-                add_scaled(&mut product[r * width..(r + 1) * width], small[r * order + c], row);
-            }
-        }
-        for r in 0..order {
-            for at in 0..width {
-                let factor = chain[r * width + at];
-                if factor != 0.0 {
-                    add_scaled(&mut hessian[at * width..(at + 1) * width], factor, &product[r * width..][..width]);
-                }
-            }
-        }
+        add_congruence(hessian, &chain[..order * width], small, &mut product[..order * width], width);
     }
 }

@@ -141,7 +141,9 @@ fn work_on(
         if iteration >= least && !budget.has_iteration(plan.horizon) {
             break;
         }
-        planner.improve(world, plan);
+        if !planner.improve(world, plan) {
+            break;
+        }
     }
     budget.spend_work(began, planner.work);
 }
