@@ -62,7 +62,7 @@ fn learner_overruns_are_counted() {
     let arm = std::fs::read_to_string("scenarios/arm.toml")
         .unwrap()
         .replacen("period_ms = 50", "period_ms = 1", 1)
-        .replacen("rule = \"learned-reward\"", "rule = \"learned-reward\"\n\n[learner.model]\nsteps = 20", 1);
+        .replacen("rule = \"model-predictive\"", "rule = \"learned-reward\"\n\n[learner.model]\nsteps = 20", 1);
     let scenario = test_folder.write_file("arm.toml", arm).to_str().unwrap().to_owned();
     let summary =
         test_folder.run(&[&scenario, "--mode", "realtime", "--ticks", "300", "--json"]).wait().expect(0).json();

@@ -30,9 +30,9 @@ fn samples(log: &Path) -> (Vec<Observation>, Vec<Command>, Vec<Learning>) {
     all
 }
 
-/// A scenario of the arm with every tick in its log.
+/// A scenario of the arm with every tick in its log, and a policy that a run can be tested by.
 fn arm(test_folder: &TestFolder, name: &str) -> String {
-    test_folder.scenario(name, &[("every", "1")], "")
+    test_folder.scenario(name, &[("every", "1"), ("rule", "\"learned-reward\"")], "")
 }
 
 /// A frozen run sends the policy's mean, learns nothing, ends with the weights that it began with, and replays; in
@@ -80,7 +80,8 @@ fn a_frozen_run_changes_nothing() {
 #[test]
 fn a_run_begins_with_what_another_has_learned() {
     let test_folder = TestFolder::new();
-    let scenario = test_folder.scenario("arm", &[("every", "1"), ("period_ms", "5")], "\n[restart]\nbackoff_ms = 1\n");
+    let keys = [("every", "1"), ("period_ms", "5"), ("rule", "\"learned-reward\"")];
+    let scenario = test_folder.scenario("arm", &keys, "\n[restart]\nbackoff_ms = 1\n");
     let real = run(&test_folder, &[&scenario, "--mode", "realtime", "--ticks", "400", "--out", "real"]);
     let from = ["--from", "real", "--seed", "3", "--ticks", "300"];
     let whole = run(&test_folder, &[&from[..], &["--out", "whole"]].concat());
@@ -261,7 +262,7 @@ fn what_does_not_fit_is_refused() {
         assert!(text.contains(what), "{text}");
         assert!(!test_folder.path().join("no").exists());
     };
-    refused(&["arm", "--from", "paper"], "its learner is paper, here it is learned-reward");
+    refused(&["arm", "--from", "paper"], "its learner is paper, here it is model-predictive");
     refused(&["relative", "--from", "paper"], "its learner is paper, here it is actor-critic");
     refused(&["eye", "--from", "paper"], "here");
     let own = test_folder.write_file("own.toml", fs::read_to_string("examples/pd.toml").unwrap());

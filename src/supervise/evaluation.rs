@@ -183,10 +183,14 @@ fn in_parallel<J: Sync, T: Send>(jobs: &[J], work: impl Fn(&J) -> T + Sync) -> V
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::Scenario;
+    use crate::scenario::{LearnerConfig, Rule, Scenario};
 
     fn plan(name: &str) -> Plan {
-        Scenario::find(name).unwrap().plan().unwrap()
+        let mut scenario = Scenario::find(name).unwrap();
+        if name == "arm" {
+            scenario.learner = LearnerConfig::preset(Rule::LearnedReward);
+        }
+        scenario.plan().unwrap()
     }
 
     #[test]
@@ -207,9 +211,8 @@ mod tests {
         assert!(optima.iter().all(|o| o.error_m < 0.1 && o.loss < 0.03), "{optima:?}");
         assert!(phases[1].tests.is_empty(), "no policy was left");
         assert_eq!(evaluate(&plan("arm"), 2400, &[], None).unwrap().len(), 1, "the block did not come");
-        let mut scenario = Scenario::find("arm").unwrap();
-        scenario.learner.rule = crate::learner::Rule::ModelPredictive;
-        let untested = evaluate(&scenario.plan().unwrap(), 3600, &[], None).unwrap();
+        let planner = Scenario::find("arm").unwrap().plan().unwrap();
+        let untested = evaluate(&planner, 3600, &[], None).unwrap();
         assert!(untested.iter().all(|phase| phase.optimum.is_some() && phase.tests.is_empty()), "a planner");
     }
 

@@ -257,12 +257,13 @@ mod tests {
         assert_eq!(difference(&plan("arm", |s| (s.seed, s.ticks, s.policy.sigma) = (7, 9000, 0.002))), "");
         assert_eq!(difference(&plan("arm", |s| s.learner.beta = 0.1)), "", "settings of a rule may change");
         let other = difference(&plan("eye", |s| s.learner.rule = crate::scenario::Rule::Paper));
-        assert_eq!(other, "its learner is learned-reward, here it is paper");
+        assert_eq!(other, "its learner is model-predictive, here it is paper");
         let paper = plan("paper", |_| ());
         let eye = plan("eye", |s| s.learner.rule = crate::scenario::Rule::Paper);
         let fewer = first_difference(&paper, &eye).unwrap();
         assert!(fewer.starts_with("it has 6 inputs, here there are "), "{fewer}");
-        let wider = difference(&plan("arm", |s| s.encoder.maps[0].radius = crate::scenario::PerAxis::All(0.45)));
+        let wider = plan("paper", |s| s.encoder.maps[0].radius = crate::scenario::PerAxis::All(0.45));
+        let wider = first_difference(&paper, &wider).unwrap();
         assert_eq!(wider, "map 1 of its encoder has other inputs, units, ranges or radius than here");
         let mut other = arm.clone();
         other.inputs[2].name = "elbow".to_owned();

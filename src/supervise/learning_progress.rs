@@ -169,11 +169,23 @@ mod tests {
     #[test]
     fn runs_that_ended_early_have_fewer_rows() {
         let mut short = phases()[..1].to_vec();
-        (short[0].until, short[0].tests) = (150, Vec::new());
-        let rows = rows(&plan(), &short, &[], "untrained");
-        assert_eq!(rows.iter().map(|r| r.when.as_str()).collect::<Vec<_>>(), ["untrained", "at the end"]);
-        assert_eq!((rows[1].test_error_m, rows[1].loss, rows[1].targets), (None, None, 0));
+        short[0].until = 150;
+        short[0].tests.truncate(1);
+        let early = rows(&plan(), &short, &[], "untrained");
+        assert_eq!(early.iter().map(|r| r.when.as_str()).collect::<Vec<_>>(), ["untrained", "at the end"]);
+        assert_eq!((early[1].test_error_m, early[1].loss, early[1].targets), (None, None, 0));
         assert!(reached(&plan(), &short).is_empty());
+    }
+
+    #[test]
+    fn what_was_not_tested_is_told_as_it_was_observed() {
+        let mut untested = phases();
+        untested.iter_mut().for_each(|phase| phase.tests.clear());
+        assert!(rows(&plan(), &untested, &[], "untrained").is_empty(), "nothing was observed");
+        let rows = rows(&plan(), &untested, &observed(), "untrained");
+        let told: Vec<_> = rows.iter().map(|r| (r.when.as_str(), r.error_m, r.optimum_error_m, r.targets)).collect();
+        assert_eq!(told[0], ("after 10 s", Some(0.1), Some(0.03), 10));
+        assert_eq!((told.len(), told[3].0, told[3].3), (4, "at the end", 15));
     }
 
     #[test]

@@ -26,8 +26,7 @@ fn what_the_network_loses_is_missed_and_nothing_else() {
 #[test]
 fn commands_ahead_reach_a_plant_for_which_every_command_is_late() {
     let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenarios/arm.toml")).unwrap();
-    let learner = text.replacen("rule = \"learned-reward\"", "rule = \"model-predictive\"", 1);
-    let scenario = learner.replacen("hold_ticks = 2", "hold_ticks = 4", 1) + "\n[link]\nahead = 4\n";
+    let scenario = text.replacen("hold_ticks = 2", "hold_ticks = 4", 1) + "\n[link]\nahead = 4\n";
     let machines = ["plant", "controller"].map(|side| LinkedMachine::with_scenario(side, &scenario));
     let (_network, runs) = start_over(&["--delay-ms", "40"], &machines, &["--ticks", "160"]);
     let [plant, controller] = runs.map(|run| run.wait().expect(0).json());
@@ -39,9 +38,9 @@ fn commands_ahead_reach_a_plant_for_which_every_command_is_late() {
 #[test]
 fn in_lockstep_a_lossy_network_changes_no_number() {
     let alone = TestFolder::new();
-    let arguments = ["run", "arm", "--ticks", "300", "--out", "run", "--json"];
+    let arguments = ["run", "arm", "--ticks", "150", "--out", "run", "--json"];
     let alone = alone.start(program("tectum"), &arguments).wait().expect(0).json();
-    let (_network, machines, runs) = pair_over(&["--loss", "0.1"], &["--mode", "lockstep", "--ticks", "300"]);
+    let (_network, machines, runs) = pair_over(&["--loss", "0.1"], &["--mode", "lockstep", "--ticks", "150"]);
     for run in runs {
         assert_eq!(run.wait().expect(0).json()["weights_hash"], alone["weights_hash"]);
     }
@@ -51,10 +50,10 @@ fn in_lockstep_a_lossy_network_changes_no_number() {
 #[test]
 fn in_lockstep_the_numbers_are_those_of_one_machine() {
     let alone = TestFolder::new();
-    let arguments = ["run", "arm", "--ticks", "1500", "--out", "run", "--json"];
+    let arguments = ["run", "arm", "--ticks", "300", "--out", "run", "--json"];
     let alone = alone.start(program("tectum"), &arguments).wait().expect(0).json();
     for carrier in carriers() {
-        let (machines, runs) = pair(carrier, &["--mode", "lockstep", "--ticks", "1500"]);
+        let (machines, runs) = pair(carrier, &["--mode", "lockstep", "--ticks", "300"]);
         for (run, machine) in runs.into_iter().zip(&machines) {
             let summary = run.wait().expect(0).json();
             assert_eq!(summary["weights_hash"], alone["weights_hash"], "{carrier}, {}", machine.side);

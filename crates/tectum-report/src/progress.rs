@@ -162,8 +162,8 @@ pub fn progress_table(rows: &[ProgressRow], test_targets: usize) -> String {
         )
     } else {
         format!(
-            "Error at a target's end and loss: as observed, with noise{}",
-            optimum(&format!("{test_targets}\nother targets"))
+            "Error at a target's end, and loss: as observed, with noise{}",
+            optimum(&format!("{test_targets} other targets")).replacen("; ", ";\n", 1)
         )
     };
     format!("{}Medians. {words}.\n", columns(&cells))
@@ -261,6 +261,7 @@ mod tests {
         assert!(text.contains("over 40 test targets"));
         let text = progress_table(&rows[1..], 40);
         assert!(text.starts_with("                      error (m)  optimum (m)"), "{text}");
-        assert!(text.contains("just after the block     0.0510") && text.contains("over 40\nother targets."), "{text}");
+        let words = "with noise;\noptimum: the movements of least loss to 40 other targets.";
+        assert!(text.contains("just after the block     0.0510") && text.ends_with(&format!("{words}\n")), "{text}");
     }
 }

@@ -423,7 +423,7 @@ fn missing_keys_get_the_defaults_of_the_files_rule() {
     use super::{LearnerConfig, Rule};
     let learner = |table: &str| {
         let arm = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/arm.toml")).unwrap();
-        let text = arm.replacen("[learner]\nrule = \"learned-reward\"", &format!("[learner]\n{table}"), 1);
+        let text = arm.replacen("[learner]\nrule = \"model-predictive\"", &format!("[learner]\n{table}"), 1);
         assert_ne!(text, arm);
         Scenario::parse(&text, "x").unwrap().learner
     };

@@ -3,11 +3,15 @@ use std::path::Path;
 use super::*;
 use crate::plant::SimulatedPlant;
 use crate::runtime::{Controller, PlantSide};
-use crate::scenario::{Plan, Scenario};
+use crate::scenario::{LearnerConfig, Plan, Rule, Scenario};
 use crate::wire::{Command, Observation};
 
 fn plan(name: &str) -> Plan {
-    Scenario::find(name).unwrap().plan().unwrap()
+    let mut scenario = Scenario::find(name).unwrap();
+    if name == "arm" {
+        scenario.learner = LearnerConfig::preset(Rule::LearnedReward);
+    }
+    scenario.plan().unwrap()
 }
 
 /// Plant and controller after `ticks` ticks.

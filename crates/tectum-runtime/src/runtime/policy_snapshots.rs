@@ -219,12 +219,15 @@ pub fn read_snapshots(folder: &Path, plan: &Plan) -> Vec<PolicySnapshot> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::Scenario;
+    use crate::scenario::{LearnerConfig, Rule, Scenario};
     use crate::wire::Role;
 
     fn plan(name: &str, ticks: u64) -> Plan {
         let mut scenario = Scenario::find(name).unwrap();
         scenario.ticks = ticks;
+        if name == "arm" {
+            scenario.learner = LearnerConfig::preset(Rule::LearnedReward);
+        }
         scenario.plan().unwrap()
     }
 

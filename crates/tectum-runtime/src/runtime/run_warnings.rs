@@ -288,10 +288,12 @@ fn inputs(plan: &Plan, counts: &RunCounts) -> Vec<RunWarning> {
 mod tests {
     use super::*;
     use crate::runtime::run_counts::InputCounts;
-    use crate::scenario::Scenario;
+    use crate::scenario::{LearnerConfig, Rule, Scenario};
 
     fn plan() -> Plan {
-        Scenario::find("arm").unwrap().plan().unwrap()
+        let mut scenario = Scenario::find("arm").unwrap();
+        scenario.learner = LearnerConfig::preset(Rule::LearnedReward);
+        scenario.plan().unwrap()
     }
 
     /// The reports of a run of 1,000 ticks in which all went well.
@@ -375,8 +377,7 @@ mod tests {
         assert_eq!(judged(|_, c| c.counts.outliers = 3), one("reward-outliers", 3, false));
         let (plant, mut controller) = well();
         controller.counts.outliers = 3;
-        let mut planner = plan();
-        planner.scenario.learner.rule = crate::scenario::Rule::ModelPredictive;
+        let planner = Scenario::find("arm").unwrap().plan().unwrap();
         assert_eq!(judge(&planner, &plant, Some(&controller)), [], "a planner doubts now and then");
         controller.counts.outliers = 30;
         assert_eq!(judge(&planner, &plant, Some(&controller))[0].name, "reward-outliers");
