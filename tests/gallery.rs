@@ -75,7 +75,7 @@ fn every_figure_is_shown_and_says_what_made_it() {
 fn figures_have_one_style() {
     let series = ["D55E00", "E69F00", "56B4E9", "009E73", "0072B2", "CC79A7", "5A5A5A"];
     let frame = ["282828", "8C8C8C", "E4E4E4", "FFFFFF"];
-    let tasks = ["tasks-arm", "tasks-cart-pole", "tasks-pendulum", "tasks-arm-relative-stops"];
+    let tasks = ["tasks-arm", "tasks-cart-pole", "tasks-pendulum", "tasks-arm-relative-stops", "tasks-so101"];
     let others = ["arm", "eye", "learners", "mujoco", "open-loop", "performance-growth", "performance-latency"];
     for name in others.into_iter().chain(tasks) {
         let svg = fs::read_to_string(format!("{FIGURES}/{name}.svg")).unwrap();

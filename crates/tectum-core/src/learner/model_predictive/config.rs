@@ -50,7 +50,7 @@ impl Default for ModelPredictiveConfig {
             iterations: 2,
             rival_iterations: 8,
             rival_gain: 0.03,
-            memory: 2000,
+            memory: 4000,
             points: 160,
             steps: 15,
             reward_features: 0,
