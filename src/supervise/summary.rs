@@ -136,8 +136,8 @@ pub struct RunSummary {
     pub first: Option<WindowSummary>,
     /// The last twentieth.
     pub last: Option<WindowSummary>,
-    /// How far the learner got, tested without noise and as observed; empty where the plant is not the
-    /// simulator's arm.
+    /// How far the learner got, tested without noise where it has a linear policy, and as observed; empty where the
+    /// plant is not the simulator's arm, or where neither is known.
     pub progress: Vec<ProgressRow>,
     /// How soon it reached its targets, at the beginning and after each change of the arm; empty where that
     /// is unknown.

@@ -49,8 +49,8 @@ impl RunSummary {
         )
     }
 
-    /// How far the learner got: the tests' table and sentence, or the means of the first and the last window
-    /// where there are no tests.
+    /// How far the learner got: the table and the sentence, or the means of the first and the last window where the
+    /// plant has no targets.
     fn learning(&self) -> Option<String> {
         if !self.progress.is_empty() {
             let table = report::progress_table(&self.progress, TARGETS);

@@ -150,20 +150,20 @@ pub fn progress_table(rows: &[ProgressRow], test_targets: usize) -> String {
         ]);
     }
     let known = rows.iter().any(|row| row.optimum_loss.is_some());
-    let optimum = |targets: &str| match known {
-        true => format!("; optimum: the movements of least loss to {targets}"),
+    let optimum = |before: &str, targets: &str| match known {
+        true => format!(";{before}optimum: the movements of least loss to {targets}"),
         false => String::new(),
     };
     let words = if tested {
         format!(
             "Test error: at a target's end, without exploration noise, over {test_targets} test targets;\n\
              loss: as observed, with noise{}",
-            optimum("the test targets")
+            optimum(" ", "the test targets")
         )
     } else {
         format!(
             "Error at a target's end, and loss: as observed, with noise{}",
-            optimum(&format!("{test_targets} other targets")).replacen("; ", ";\n", 1)
+            optimum("\n", &format!("{test_targets} other targets"))
         )
     };
     format!("{}Medians. {words}.\n", columns(&cells))
