@@ -3,7 +3,7 @@
 use super::{Agent, AgentRecord, Answer, Boundary, Experience, Percept, Withheld};
 use crate::learner::LearnerSpec;
 use crate::learner::model_predictive::{
-    GuardCounts, InputRange, ModelPredictive, ModelPredictiveConfig, ModelPredictiveSpec, Observed, TickFlags,
+    InputRange, ModelPredictive, ModelPredictiveConfig, ModelPredictiveSpec, Observed, TickFlags,
 };
 use crate::plant::MAX_JOINTS;
 use crate::state::{Persist, StateVisitor};
@@ -158,18 +158,18 @@ impl Agent for ModelPredictiveAgent {
     }
 
     fn counts(&self) -> Vec<(&'static str, u64)> {
-        let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, ends, plans } =
-            self.learner.counts;
+        let counts = &self.learner.counts;
         vec![
-            ("ends", ends),
-            ("input_outliers", input_outliers),
-            ("reward_outliers", reward_outliers),
-            ("alarms", alarms),
-            ("worlds", worlds),
-            ("rivals", rivals),
-            ("clipped", clipped),
-            ("unusable", unusable),
-            ("plans", plans),
+            ("ends", counts.ends),
+            ("input_outliers", counts.input_outliers),
+            ("reward_outliers", counts.reward_outliers),
+            ("alarms", counts.alarms),
+            ("worlds", counts.worlds),
+            ("rivals", counts.rivals),
+            ("clipped", counts.clipped),
+            ("saturations", counts.saturations),
+            ("unusable", counts.unusable),
+            ("plans", counts.plans),
             ("refits", self.learner.refits()),
         ]
     }
@@ -393,7 +393,8 @@ mod tests {
 
     #[test]
     fn an_arm_with_stops_is_learned_through_its_lag() {
-        let mean = learn("arm-relative-stops-lag-200", 1, [240, 160], &few_operations());
+        // With so few operations some seeds take twice as long as others.
+        let mean = learn("arm-relative-stops-lag-200", 2, [400, 320], &few_operations());
         assert!(mean > -0.1, "{mean}");
     }
 

@@ -6,6 +6,7 @@ mod models;
 mod persist;
 mod planning;
 mod rival_pace;
+mod saturation;
 
 use super::alignment::Alignment;
 use super::belief::Belief;
@@ -22,9 +23,10 @@ use super::model::Model;
 use super::operations::OperationBudget;
 use super::planner::{CommandPlan, Planner};
 use super::world::{CHANGE, Ranges, WorldScratch, wrap};
+use crate::MAX_OUTPUTS;
 use crate::seed::{Rng, stream};
-use crate::{MAX_INPUTS, MAX_OUTPUTS};
 use rival_pace::RivalPace;
+use saturation::SaturationWatch;
 
 /// What happened in the tick before.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -75,6 +77,8 @@ pub struct GuardCounts {
     pub ends: u64,
     /// Ticks that were planned after.
     pub plans: u64,
+    /// Times that commands were turned around, because they had been at their limit for long and led nowhere.
+    pub saturations: u64,
 }
 
 /// The model-predictive learner.
@@ -141,6 +145,7 @@ pub struct ModelPredictive {
     apart: Vec<f64>,
     rival_kind: u32,
     rival_pace: RivalPace,
+    saturation: SaturationWatch,
     /// The operations of a tick.
     budget: OperationBudget,
     /// Whether it only answers and plans, as well as it can, and learns nothing.
@@ -150,8 +155,7 @@ pub struct ModelPredictive {
 impl ModelPredictive {
     /// A learner that knows nothing.
     pub fn new(spec: &ModelPredictiveSpec) -> Self {
-        let places = Places { inputs: spec.inputs.len(), commands: spec.limits.len() };
-        assert!(places.commands <= MAX_OUTPUTS && places.inputs <= MAX_INPUTS);
+        let places = spec.places();
         let mut rng = stream(spec.seed, "models");
         let (dynamics, rewards) = models::models(spec, places, &mut rng);
         let horizon = if spec.config.horizon > 0 { spec.config.horizon } else { (480 / places.len()).clamp(20, 40) };
@@ -199,6 +203,7 @@ impl ModelPredictive {
             apart: vec![0.0; places.state()],
             rival_kind: 0,
             rival_pace: RivalPace::new(),
+            saturation: SaturationWatch::new(),
             budget: OperationBudget::new(spec.config.operations),
             frozen: false,
             scores: [0.0; 2],
@@ -243,6 +248,9 @@ impl ModelPredictive {
                 self.mean[j] = *u * self.limits[j];
             }
             if !self.frozen {
+                let moving = (&self.ranges.wraps[..], self.dynamics.moving);
+                self.counts.saturations +=
+                    u64::from(self.saturation.watch(&self.state[..self.places.inputs], moving, u));
                 self.noise.add(&self.sigma, u);
             }
         } else if self.frozen {

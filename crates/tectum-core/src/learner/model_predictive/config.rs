@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::layout::Places;
+use crate::{MAX_INPUTS, MAX_OUTPUTS};
+
 /// `[learner.plan]`: the model-predictive learner.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -103,4 +106,13 @@ pub struct ModelPredictiveSpec {
     pub seed: u64,
     /// Settings.
     pub config: ModelPredictiveConfig,
+}
+
+impl ModelPredictiveSpec {
+    /// How many inputs and commands there are.
+    pub(super) fn places(&self) -> Places {
+        let places = Places { inputs: self.inputs.len(), commands: self.limits.len() };
+        assert!(places.commands <= MAX_OUTPUTS && places.inputs <= MAX_INPUTS);
+        places
+    }
 }

@@ -85,6 +85,8 @@ pub const SAMPLE: u64 = 100;
 /// How well a fit predicts some ticks, in its units.
 #[derive(Debug, Clone, Copy)]
 pub struct Accuracy {
+    /// Mean square of the output.
+    pub square: f64,
     /// Variance of the output.
     pub variance: f64,
     /// Mean squared error.
@@ -98,14 +100,21 @@ impl Accuracy {
     const STILL: f64 = 1e-8;
 
     /// Whether a fit with this accuracy on new ticks, and another on `older` ones, has learned a world in which the
-    /// older ones did not happen. Where the output no longer varies, as that of a blocked joint, its error counts by
-    /// the older ones' variance. A fit that has adapted to a few strange ticks leaves older ones unexplained as well:
+    /// older ones did not happen. A fit that has adapted to a few strange ticks leaves older ones unexplained as well:
     /// if the weights from before explain the new ticks, nothing is another.
     pub fn leaves_behind(&self, older: &Self) -> bool {
-        let varies = self.variance > Self::STILL;
-        let most = if varies { 0.1 * self.variance } else { 0.03 * older.variance };
+        if older.variance <= Self::STILL {
+            return false;
+        }
+        // An output that no longer moves, as that of a blocked joint, teaches slowly: commands for it are small, and a
+        // fit that has hardly adapted still explains the older ticks. That it should have moved is enough.
+        let still = self.square <= Self::STILL.max(1e-3 * older.variance);
+        if let (true, Some(error)) = (still, self.undoubted) {
+            return error > 0.02 * older.variance;
+        }
+        let most = if still { 0.03 * older.variance } else { 0.1 * self.variance };
         let as_before = self.undoubted.is_some_and(|error| error < 3.0 * most);
-        self.error < most && older.variance > Self::STILL && older.error > 0.3 * older.variance && !as_before
+        self.error < most && older.error > 0.3 * older.variance && !as_before
     }
 }
 
@@ -191,6 +200,7 @@ impl Model {
         }
         let [count, sum, squares, errors] = sums;
         (count >= 20.0).then(|| Accuracy {
+            square: squares / count,
             variance: (squares - sum * sum / count) / count,
             error: errors / count,
             undoubted: undoubted.map(|sum| sum / count),
@@ -275,5 +285,35 @@ impl Persist for Model {
     fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
         self.fit.visit(&self.layout, visitor);
         self.refit.visit(&self.layout, visitor);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Accuracy;
+
+    const OLDER: Accuracy = Accuracy { square: 0.01, variance: 0.01, error: 2e-4, undoubted: Some(1e-6) };
+
+    #[test]
+    fn an_output_that_should_move_and_stands_still_is_in_another_world() {
+        // The commands for it are small, so that the fit has hardly adapted.
+        let blocked = Accuracy { square: 0.0, variance: 0.0, error: 1e-3, undoubted: Some(2e-3) };
+        assert!(blocked.leaves_behind(&OLDER));
+        let noisy = Accuracy { square: 5e-6, variance: 5e-6, ..blocked };
+        assert!(noisy.leaves_behind(&OLDER), "a sensor's noise is no movement");
+        let rests = Accuracy { undoubted: Some(1e-6), ..blocked };
+        assert!(!rests.leaves_behind(&OLDER), "nothing was asked of it");
+        let never_moved = Accuracy { square: 0.0, variance: 0.0, ..OLDER };
+        assert!(!blocked.leaves_behind(&never_moved));
+    }
+
+    #[test]
+    fn an_output_that_moves_otherwise_has_to_be_learned_first() {
+        let learned = Accuracy { square: 0.01, variance: 0.01, error: 1e-4, undoubted: Some(0.02) };
+        let unexplained = Accuracy { error: 0.02, ..OLDER };
+        assert!(learned.leaves_behind(&unexplained));
+        assert!(!learned.leaves_behind(&OLDER), "the new fit explains the older ticks as well");
+        assert!(!Accuracy { error: 5e-3, ..learned }.leaves_behind(&unexplained));
+        assert!(!Accuracy { undoubted: Some(1e-4), ..learned }.leaves_behind(&unexplained), "as before");
     }
 }

@@ -48,11 +48,23 @@ impl Persist for ModelPredictive {
         visitor.number("changed_at", &mut self.changed_at);
         visitor.number("rival_kind", &mut self.rival_kind);
         visitor.nested("rival_pace", &mut self.rival_pace);
+        visitor.nested("saturation", &mut self.saturation);
         visitor.number("operations", &mut self.budget.spent);
-        let GuardCounts { input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, ends, plans } =
-            &mut self.counts;
-        for count in [input_outliers, reward_outliers, alarms, worlds, rivals, clipped, unusable, ends, plans] {
-            visitor.number("counts", count);
-        }
+        visitor.nested("counts", &mut self.counts);
+    }
+}
+
+impl Persist for GuardCounts {
+    fn visit_state(&mut self, visitor: &mut dyn StateVisitor) {
+        visitor.number("input_outliers", &mut self.input_outliers);
+        visitor.number("reward_outliers", &mut self.reward_outliers);
+        visitor.number("alarms", &mut self.alarms);
+        visitor.number("worlds", &mut self.worlds);
+        visitor.number("rivals", &mut self.rivals);
+        visitor.number("clipped", &mut self.clipped);
+        visitor.number("unusable", &mut self.unusable);
+        visitor.number("ends", &mut self.ends);
+        visitor.number("plans", &mut self.plans);
+        visitor.number("saturations", &mut self.saturations);
     }
 }
