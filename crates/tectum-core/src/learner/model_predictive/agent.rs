@@ -1,5 +1,6 @@
 //! The learner: acts from a plan that was made a tick ahead, and then learns and plans.
 
+mod alarms;
 mod learning;
 mod look_ahead;
 mod models;
@@ -25,6 +26,7 @@ use super::planner::{CommandPlan, Planner};
 use super::world::{CHANGE, Ranges, WorldScratch, wrap};
 use crate::MAX_OUTPUTS;
 use crate::seed::{Rng, stream};
+use alarms::Alarms;
 use rival_pace::RivalPace;
 use saturation::SaturationWatch;
 
@@ -136,7 +138,7 @@ pub struct ModelPredictive {
     mean: [f64; MAX_OUTPUTS],
     next_refit: u64,
     refits: u64,
-    changed_at: u64,
+    alarms: Alarms,
     planned: bool,
     /// Counts of guards.
     pub counts: GuardCounts,
@@ -195,7 +197,7 @@ impl ModelPredictive {
             mean: [0.0; MAX_OUTPUTS],
             next_refit: 30,
             refits: 0,
-            changed_at: 0,
+            alarms: Alarms::default(),
             planned: false,
             counts: GuardCounts::default(),
             after: vec![0.0; places.len()],

@@ -101,18 +101,19 @@ impl Accuracy {
 
     /// Whether a fit with this accuracy on new ticks, and another on `older` ones, has learned a world in which the
     /// older ones did not happen. A fit that has adapted to a few strange ticks leaves older ones unexplained as well:
-    /// if the weights from before explain the new ticks, nothing is another.
-    pub fn leaves_behind(&self, older: &Self) -> bool {
+    /// if the weights from before explain the new ticks, nothing is another. `alarmed` is whether this output's alarm
+    /// began the new ticks.
+    pub fn leaves_behind(&self, older: &Self, alarmed: bool) -> bool {
         if older.variance <= Self::STILL {
             return false;
         }
         // An output that no longer moves, as that of a blocked joint, teaches slowly: commands for it are small, and a
-        // fit that has hardly adapted still explains the older ticks. That it should have moved is enough.
-        let still = self.square <= Self::STILL.max(1e-3 * older.variance);
-        if let (true, Some(error)) = (still, self.undoubted) {
-            return error > 0.02 * older.variance;
+        // fit that has hardly adapted still explains the older ticks. That it should have moved is enough; where a
+        // refit has replaced the weights from before, the alarm tells it.
+        if self.square <= Self::STILL.max(1e-3 * older.variance) {
+            return self.undoubted.map_or(alarmed, |error| error > 0.02 * older.variance);
         }
-        let most = if still { 0.03 * older.variance } else { 0.1 * self.variance };
+        let most = 0.1 * self.variance;
         let as_before = self.undoubted.is_some_and(|error| error < 3.0 * most);
         self.error < most && older.error > 0.3 * older.variance && !as_before
     }
@@ -298,22 +299,24 @@ mod tests {
     fn an_output_that_should_move_and_stands_still_is_in_another_world() {
         // The commands for it are small, so that the fit has hardly adapted.
         let blocked = Accuracy { square: 0.0, variance: 0.0, error: 1e-3, undoubted: Some(2e-3) };
-        assert!(blocked.leaves_behind(&OLDER));
+        assert!(blocked.leaves_behind(&OLDER, true));
         let noisy = Accuracy { square: 5e-6, variance: 5e-6, ..blocked };
-        assert!(noisy.leaves_behind(&OLDER), "a sensor's noise is no movement");
+        assert!(noisy.leaves_behind(&OLDER, true), "a sensor's noise is no movement");
         let rests = Accuracy { undoubted: Some(1e-6), ..blocked };
-        assert!(!rests.leaves_behind(&OLDER), "nothing was asked of it");
+        assert!(!rests.leaves_behind(&OLDER, true), "nothing was asked of it");
+        let refitted = Accuracy { undoubted: None, ..blocked };
+        assert!(refitted.leaves_behind(&OLDER, true) && !refitted.leaves_behind(&OLDER, false));
         let never_moved = Accuracy { square: 0.0, variance: 0.0, ..OLDER };
-        assert!(!blocked.leaves_behind(&never_moved));
+        assert!(!blocked.leaves_behind(&never_moved, true));
     }
 
     #[test]
     fn an_output_that_moves_otherwise_has_to_be_learned_first() {
         let learned = Accuracy { square: 0.01, variance: 0.01, error: 1e-4, undoubted: Some(0.02) };
         let unexplained = Accuracy { error: 0.02, ..OLDER };
-        assert!(learned.leaves_behind(&unexplained));
-        assert!(!learned.leaves_behind(&OLDER), "the new fit explains the older ticks as well");
-        assert!(!Accuracy { error: 5e-3, ..learned }.leaves_behind(&unexplained));
-        assert!(!Accuracy { undoubted: Some(1e-4), ..learned }.leaves_behind(&unexplained), "as before");
+        assert!(learned.leaves_behind(&unexplained, true));
+        assert!(!learned.leaves_behind(&OLDER, true), "the new fit explains the older ticks as well");
+        assert!(!Accuracy { error: 5e-3, ..learned }.leaves_behind(&unexplained, true));
+        assert!(!Accuracy { undoubted: Some(1e-4), ..learned }.leaves_behind(&unexplained, true), "as before");
     }
 }

@@ -3,9 +3,9 @@
 use super::super::alignment::RewardAssumption;
 use super::super::belief::BeliefVerdict;
 use super::super::ends::Movement;
-use super::super::memory::{ChangeData, Data, Entry, Lesson, RewardData};
-use super::super::model::{CONTACT, Model, SAMPLE};
-use super::super::operations::{RefitShare, of_model};
+use super::super::memory::{Entry, Lesson, RewardData};
+use super::super::model::CONTACT;
+use super::super::operations::RefitShare;
 use super::super::world::CHANGE;
 use super::ModelPredictive;
 use crate::MAX_INPUTS;
@@ -39,7 +39,7 @@ impl ModelPredictive {
         let mut lesson = Lesson::default();
         self.after.copy_from_slice(&self.before);
         self.after[..2 * n].copy_from_slice(&self.state[..2 * n]);
-        let mut alarm = false;
+        let mut alarmed = 0;
         self.look_for_ends(&changes[..n], &mut lesson);
         lesson.contact |= self.touches() || (self.memory.stored > 0 && self.memory.contact(self.memory.stored - 1));
         let following = self.dynamics.dependents.following;
@@ -60,11 +60,11 @@ impl ModelPredictive {
             if self.beliefs[i].alarmed(12.0) {
                 self.dynamics.doubt(i);
                 self.beliefs[i].calm();
-                alarm = true;
+                alarmed |= 1 << i;
             }
         }
-        if alarm {
-            self.alarm();
+        if alarmed != 0 {
+            self.raise_alarm(alarmed);
         }
         let entry = Entry {
             before: &self.before,
@@ -186,15 +186,6 @@ impl ModelPredictive {
         }
     }
 
-    fn alarm(&mut self) {
-        self.counts.alarms += 1;
-        if self.memory.stored >= self.changed_at + 100 {
-            self.changed_at = self.memory.stored;
-        }
-        self.next_refit = self.next_refit.min(self.tick + 40);
-        self.rival_pace.hurry();
-    }
-
     /// Learns the reward that came with a tick of the memory. Returns whether it was believed.
     fn learn_reward(&mut self, tick: u64) -> bool {
         let reward = self.memory.reward(tick);
@@ -253,7 +244,7 @@ impl ModelPredictive {
         }
         if alarm {
             self.reward_belief.calm();
-            self.alarm();
+            self.raise_alarm(1 << self.places.inputs);
         }
         true
     }
@@ -291,7 +282,7 @@ impl ModelPredictive {
 
     /// What refits may take of what is left of the tick.
     fn refit_operations(&self) -> u64 {
-        let age = (self.memory.stored - self.changed_at).max(1) as f64;
+        let age = (self.memory.stored - self.alarms.began).max(1) as f64;
         let part = (YOUNG / age).clamp(LEAST_PART, 1.0);
         (part * self.budget.for_refits((self.config.refit_operations * 1e6) as u64) as f64) as u64
     }
@@ -300,7 +291,7 @@ impl ModelPredictive {
     pub(super) fn refit(&mut self) {
         let busy = self.dynamics.busy() || self.rewards.iter().any(|r| r.refit.busy());
         // Models that have adapted show by themselves that the world is another one; they need not wait for a refit.
-        if !busy && self.memory.stored % LOOK == self.changed_at % LOOK && self.forget_another_world() {
+        if !busy && self.memory.stored % LOOK == self.alarms.began % LOOK && self.forget_another_world() {
             self.next_refit = self.tick;
         }
         if self.tick >= self.next_refit && !busy {
@@ -330,35 +321,5 @@ impl ModelPredictive {
         if self.refits_completed() != completed {
             self.rival_pace.hurry();
         }
-    }
-
-    /// After an alarm: ticks from before it no longer teach how an input moves, or the reward, if the model has adapted
-    /// to those since the alarm, and now leaves much of the older ones unexplained. Returns whether that is so.
-    fn forget_another_world(&mut self) -> bool {
-        let (change, end) = (self.changed_at, self.memory.stored);
-        if change == 0 || end < change + 30 || end > change + 300 {
-            return false;
-        }
-        let (n, better, shift) = (self.places.inputs, self.better(), self.shift);
-        let mut changed = false;
-        for part in 0..=n {
-            let (memory, first) = (&self.memory, self.memory.from(part));
-            let moves = ChangeData { memory, input: part };
-            let rewards = RewardData { memory, after: better == 1, shift };
-            let (model, data): (&mut Model, &dyn Data) = match part {
-                _ if part == n => (&mut self.rewards[better], &rewards),
-                _ if self.dynamics.moves(part) => (&mut self.dynamics.models[part], &moves),
-                _ => continue,
-            };
-            let [older, newer] =
-                [(first, change), (change, end)].map(|(a, b)| model.accuracy(data, a, b, &mut self.after));
-            self.budget.spent += 2 * SAMPLE * of_model(model, 0)[0];
-            if newer.zip(older).is_some_and(|(newer, older)| newer.leaves_behind(&older)) {
-                self.memory.forget(part, change);
-                changed = true;
-            }
-        }
-        self.counts.worlds += u64::from(changed);
-        changed
     }
 }

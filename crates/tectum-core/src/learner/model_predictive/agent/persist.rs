@@ -45,7 +45,7 @@ impl Persist for ModelPredictive {
         visitor.boolean("planned", &mut self.planned);
         visitor.number("next_refit", &mut self.next_refit);
         visitor.number("refits", &mut self.refits);
-        visitor.number("changed_at", &mut self.changed_at);
+        visitor.nested("alarms", &mut self.alarms);
         visitor.number("rival_kind", &mut self.rival_kind);
         visitor.nested("rival_pace", &mut self.rival_pace);
         visitor.nested("saturation", &mut self.saturation);
