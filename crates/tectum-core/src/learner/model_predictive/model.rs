@@ -101,8 +101,8 @@ impl Accuracy {
 
     /// Whether a fit with this accuracy on new ticks, and another on `older` ones, has learned a world in which the
     /// older ones did not happen. A fit that has adapted to a few strange ticks leaves older ones unexplained as well:
-    /// if the weights from before explain the new ticks, nothing is another. `alarmed` is whether this output's alarm
-    /// began the new ticks.
+    /// if the weights from before explain the new ticks, or a refit has replaced them, nothing is another. `alarmed` is
+    /// whether this output's alarm began the new ticks.
     pub fn leaves_behind(&self, older: &Self, alarmed: bool) -> bool {
         if older.variance <= Self::STILL {
             return false;
@@ -114,7 +114,7 @@ impl Accuracy {
             return self.undoubted.map_or(alarmed, |error| error > 0.02 * older.variance);
         }
         let most = 0.1 * self.variance;
-        let as_before = self.undoubted.is_some_and(|error| error < 3.0 * most);
+        let as_before = self.undoubted.is_none_or(|error| error < 3.0 * most);
         self.error < most && older.error > 0.3 * older.variance && !as_before
     }
 }
@@ -318,5 +318,6 @@ mod tests {
         assert!(!learned.leaves_behind(&OLDER, true), "the new fit explains the older ticks as well");
         assert!(!Accuracy { error: 5e-3, ..learned }.leaves_behind(&unexplained, true));
         assert!(!Accuracy { undoubted: Some(1e-4), ..learned }.leaves_behind(&unexplained, true), "as before");
+        assert!(!Accuracy { undoubted: None, ..learned }.leaves_behind(&unexplained, true), "a refit knows both");
     }
 }
