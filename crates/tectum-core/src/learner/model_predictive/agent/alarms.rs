@@ -48,8 +48,8 @@ impl ModelPredictive {
         self.rival_pace.hurry();
     }
 
-    /// After an alarm: ticks from before it no longer teach how an input moves, or the reward, if the model has adapted
-    /// to those since the alarm, and now leaves much of the older ones unexplained. Returns whether that is so.
+    /// After an alarm: ticks from before it no longer teach how an input moves, or the reward, where the model leaves
+    /// them behind (`Accuracy::leaves_behind`). Returns whether it does anywhere.
     pub(super) fn forget_another_world(&mut self) -> bool {
         let (change, end) = (self.alarms.began, self.memory.stored);
         let [from, until] = ASKED.map(|ticks| change + ticks);
